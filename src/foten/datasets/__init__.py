@@ -1,0 +1,1 @@
+"""Readers of file formats, each returning a Recording, and the simulator."""

@@ -1,0 +1,1 @@
+"""Judging: metrics, references, one-step and free-run scores, the report."""

@@ -1,0 +1,1 @@
+"""From raw channels to scaled windows: recording, preprocess, trace, split, scaling, windows."""

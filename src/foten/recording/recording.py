@@ -1,0 +1,116 @@
+"""Raw capture of one texture: named channels, each with its own rate and unit."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+AXES = ("x", "y", "z")
+
+UNITS: Mapping[str, str] = MappingProxyType(
+    {
+        "acceleration": "m/s^2",
+        **{f"acceleration_{axis}": "m/s^2" for axis in AXES},
+        "speed": "mm/s",
+        **{f"position_{axis}": "mm" for axis in AXES},
+        "force": "N",
+        **{f"force_{axis}": "N" for axis in AXES},
+    }
+)
+"""Every channel a recording may have, with the unit it is stored in. `z` is the surface normal."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One sensor signal.
+
+    Attributes:
+        samples: shape (n,), float64, in the unit that `UNITS` gives for the channel's name.
+        rate_hz: samples a second; with `times_s`, the nominal rate.
+        times_s: shape (n,), seconds; only where the capture was irregular, else None and sample `i`
+            was taken at `i / rate_hz`.
+    """
+
+    samples: NDArray[np.float64]
+    rate_hz: float
+    times_s: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        if self.samples.ndim != 1 or self.samples.size == 0:
+            raise ValueError(f"a channel has shape {self.samples.shape}, expected (n,) with n > 0")
+        if not np.isfinite(self.rate_hz) or self.rate_hz <= 0:
+            raise ValueError(f"rate is {self.rate_hz} Hz, expected a positive number")
+        if self.times_s is not None and self.times_s.shape != self.samples.shape:
+            raise ValueError(f"{self.times_s.size} times for {self.samples.size} samples")
+
+    @property
+    def duration_s(self) -> float:
+        """Return the time that the channel covers [s], one sample period past the last sample."""
+        if self.times_s is None:
+            return self.samples.size / self.rate_hz
+        return float(self.times_s[-1] - self.times_s[0]) + 1 / self.rate_hz
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Raw capture of one texture, each sensor at its own rate.
+
+    Attributes:
+        channels: by name; names and units are those of `UNITS`.
+        texture: what was stroked, as the user calls it.
+        tool, sensors, notes: free text.
+        simulation: parameters of the simulator where it made this recording, else None. The judge asks
+            the simulator for truth with them.
+        history: what was done to the samples on the way in, one sentence each (units converted, gaps filled).
+    """
+
+    channels: Mapping[str, Channel]
+    texture: str = ""
+    tool: str = ""
+    sensors: str = ""
+    notes: str = ""
+    simulation: Mapping[str, Any] | None = None
+    history: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        unknown = sorted(set(self.channels) - set(UNITS))
+        if unknown:
+            raise ValueError(f"unknown channel {unknown[0]!r}, expected one of {', '.join(UNITS)}")
+        if not self.channels:
+            raise ValueError("the recording has no channel")
+        object.__setattr__(self, "channels", MappingProxyType(dict(self.channels)))
+
+    def __getitem__(self, name: str) -> Channel:
+        return self.channels[name]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.channels
+
+    def axes(self, quantity: str) -> list[Channel]:
+        """Return the channels of one quantity: its axes x, y, z where recorded, else the scalar, else none."""
+        found = [self.channels[f"{quantity}_{axis}"] for axis in AXES if f"{quantity}_{axis}" in self.channels]
+        if found:
+            return found
+        return [self.channels[quantity]] if quantity in self.channels else []
+
+    @property
+    def duration_s(self) -> float:
+        """Return the time covered by every channel [s]."""
+        return min(channel.duration_s for channel in self.channels.values())
+
+    def sha256(self) -> str:
+        """Return a digest of the samples, rates and times, whatever file held them."""
+        digest = hashlib.sha256()
+        for name in sorted(self.channels):
+            channel = self.channels[name]
+            digest.update(f"{name} {channel.rate_hz!r} {channel.samples.size}\n".encode())
+            digest.update(np.ascontiguousarray(channel.samples, dtype="<f8").tobytes())
+            if channel.times_s is not None:
+                digest.update(np.ascontiguousarray(channel.times_s, dtype="<f8").tobytes())
+        return digest.hexdigest()

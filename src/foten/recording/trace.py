@@ -1,0 +1,61 @@
+"""Preprocessed, synchronised acceleration, speed and force at one rate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+CHANNELS = ("acceleration", "speed", "force")
+"""The three columns of a trace and of a window, in this order (Eq. 1)."""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Whole blocks of acceleration, speed and force at one rate.
+
+    Attributes:
+        acceleration: single-axis tool vibration [m/s²], shape (n,), n a multiple of `block`.
+        speed: tangential scanning speed [mm/s], shape (n,).
+        force: normal force [N], shape (n,).
+        rate_hz: samples a second.
+        block: samples in a block, the unit of the split; windows never straddle blocks.
+        recording_sha256: digest of the recording that this was made from.
+        preprocess: the resolved configuration that made it.
+        n_dropped: samples at the end that did not fill a block.
+    """
+
+    acceleration: NDArray[np.float64]
+    speed: NDArray[np.float64]
+    force: NDArray[np.float64]
+    rate_hz: float
+    block: int
+    recording_sha256: str = ""
+    preprocess: Mapping[str, Any] = field(default_factory=dict)
+    n_dropped: int = 0
+
+    def __post_init__(self) -> None:
+        n = self.acceleration.size
+        if not n == self.speed.size == self.force.size:
+            raise ValueError(f"lengths differ: {n}, {self.speed.size}, {self.force.size}")
+        if self.block < 1 or n == 0 or n % self.block:
+            raise ValueError(f"{n} samples are not whole blocks of {self.block}")
+
+    def __len__(self) -> int:
+        return self.acceleration.size
+
+    @property
+    def n_blocks(self) -> int:
+        """Return the number of blocks."""
+        return len(self) // self.block
+
+    def blocks(self, channel: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return one channel as shape (n_blocks, block), a view."""
+        return channel.reshape(self.n_blocks, self.block)
+
+    def stacked(self) -> NDArray[np.float64]:
+        """Return acceleration, speed and force as columns, shape (n, 3)."""
+        return np.stack([self.acceleration, self.speed, self.force], axis=1)

@@ -1,0 +1,28 @@
+"""The sliding window of Eq. 1: the only definition of it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def targets(blocks: tuple[int, ...], block: int, first: int) -> NDArray[np.int64]:
+    """Return the indices n to predict: in each given block all but the first `first` samples, shape (k,).
+
+    With `first >= m` no window of m samples straddles blocks.
+    """
+    within = np.arange(first, block)
+    return (np.asarray(blocks, dtype=np.int64)[:, None] * block + within[None, :]).ravel()
+
+
+def window_indices(n: NDArray[np.int64], m: int) -> NDArray[np.int64]:
+    """Return the m indices before each n, oldest first: shape (b,) → (b, m).
+
+    Source: Eq. 1: a[n-m] … a[n-1], and the same of speed and force.
+    """
+    return n[:, None] + np.arange(-m, 0)
+
+
+def windows(samples: NDArray[np.float64], n: NDArray[np.int64], m: int) -> NDArray[np.float64]:
+    """Return the windows before the given indices: samples (t, 3) → (b, m, 3)."""
+    return samples[window_indices(n, m)]

@@ -1,0 +1,1 @@
+"""From a texture file, a speed and a force to acceleration. NumPy only."""
