@@ -1,0 +1,622 @@
+"""From columns of files to a Recording: which column is which channel, in what unit, at what rate.
+
+Nothing is resampled or padded. Every conversion and every filled gap is written into the recording's history.
+"""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.datasets import DATASETS
+from foten.datasets.columns import Column
+from foten.datasets.wav import FULL_SCALE
+from foten.recording.recording import AXES, UNITS, Channel, Recording
+
+G = 9.80665  # m/s², standard gravity
+
+FACTORS: Mapping[str, Mapping[str, float]] = {
+    "acceleration": {"m/s^2": 1.0, "g": G, "mg": G / 1000, "mm/s^2": 1e-3},
+    "speed": {"mm/s": 1.0, "cm/s": 10.0, "m/s": 1000.0},
+    "position": {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3},
+    "force": {"N": 1.0, "mN": 1e-3, "gf": G / 1000},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+}
+"""For each quantity, what a number in a unit is multiplied by to give the unit of `UNITS` (time: seconds)."""
+
+_SPELLINGS = {"m/s2": "m/s^2", "m/s²": "m/s^2", "m/s**2": "m/s^2", "mm/s2": "mm/s^2", "mm/s²": "mm/s^2"} | {
+    "µm": "um",
+    "μm": "um",
+    "µs": "us",
+    "μs": "us",
+    "sec": "s",
+}
+
+LIMITS: Mapping[str, float] = {"speed": 5000.0, "acceleration": 1000.0, "force": 500.0, "position": 10_000.0}
+"""Beyond these no hand stroked a surface: mm/s, m/s², N, mm."""
+
+_USUAL: Mapping[str, float] = {"speed": 400.0, "acceleration": 100.0, "force": 10.0, "position": 300.0}
+"""What the largest value of a usual recording is about; only to guess which unit was meant."""
+
+SHORTEST_S = 0.1
+JITTER = 0.01  # of a period: less, and times are called regular
+
+_GUESSES: Mapping[str, frozenset[str]] = {
+    "time": frozenset({"time", "t", "times", "timestamp", "time_s", "seconds"}),
+    "acceleration": frozenset({"acceleration", "accel", "acc", "a"}),
+    "speed": frozenset({"speed", "velocity", "vel", "v"}),
+    "force": frozenset({"force", "normal_force", "normalforce", "fn", "f"}),
+} | {
+    f"{quantity}_{axis}": frozenset(
+        {f"{name}{mark}{axis}" for name in names for mark in ("_", "", ".")}
+        | {f"{name}.{AXES.index(axis)}" for name in names if len(name) > 1}
+    )
+    for quantity, names in {
+        "acceleration": ("acceleration", "accel", "acc", "a"),
+        "position": ("position", "pos", "p"),
+        "force": ("force", "f"),
+    }.items()
+    for axis in AXES
+}
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """What the user says about the files.
+
+    Attributes:
+        mapping: (channel, column) pairs, column as `COLUMN` or `FILE:COLUMN`; `time` may come once per file.
+            Empty: guessed from the headers.
+        units: by channel (or `time`): a unit, or `*FACTOR`, or `LABEL*FACTOR`.
+        rate_hz: for channels whose file states no rate and has no time column.
+        rates_hz: by channel; overrides what a file states.
+        fill_gaps_ms: longest run of NaN in position or speed that is filled; 0 fills none.
+        force_units: accept values beyond `LIMITS`.
+        texture, tool, sensors, notes: free text.
+    """
+
+    mapping: tuple[tuple[str, str], ...] = ()
+    units: Mapping[str, str] = field(default_factory=dict)
+    rate_hz: float | None = None
+    rates_hz: Mapping[str, float] = field(default_factory=dict)
+    fill_gaps_ms: float = 0.0
+    force_units: bool = False
+    texture: str = ""
+    tool: str = ""
+    sensors: str = ""
+    notes: str = ""
+
+    def __post_init__(self) -> None:
+        for channel in (*(name for name, _ in self.mapping), *self.units, *self.rates_hz):
+            if channel not in UNITS and channel != "time":
+                close = difflib.get_close_matches(channel, [*UNITS, "time"], n=1)
+                hint = f"; did you mean {close[0]}?" if close else ""
+                raise ValueError(f"unknown channel {channel!r}, expected time, {', '.join(UNITS)}{hint}")
+        if "time" in self.rates_hz:
+            raise ValueError("time has no rate; give it to a channel, e.g. --rate force=1000")
+        names = [name for name, _ in self.mapping if name != "time"]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"{name} is mapped twice")
+        for channel, rate in [("", self.rate_hz), *self.rates_hz.items()]:
+            if rate is not None and not (np.isfinite(rate) and rate > 0):
+                raise ValueError(f"rate {channel or 'of the recording'} is {rate:g} Hz, expected above 0")
+        if not np.isfinite(self.fill_gaps_ms) or self.fill_gaps_ms < 0:
+            raise ValueError(f"gaps to fill are {self.fill_gaps_ms:g} ms, expected 0 or more")
+
+
+@dataclass(frozen=True)
+class Import:
+    """A recording, and what was decided on the way: sentences for the user."""
+
+    recording: Recording
+    decisions: tuple[str, ...]
+
+
+def parse_pairs(texts: Sequence[str], option: str) -> list[tuple[str, str]]:
+    """Return `A=B,C=D` texts as pairs.
+
+    Raises:
+        ValueError: a piece without `=`.
+    """
+    pairs = []
+    for piece in (piece.strip() for text in texts for piece in text.split(",")):
+        if not piece:
+            continue
+        key, equals, value = piece.partition("=")
+        if not equals or not key.strip() or not value.strip():
+            raise ValueError(
+                f"{option} {piece!r} is not CHANNEL=VALUE (a column whose name holds a comma goes by its number)"
+            )
+        pairs.append((key.strip(), value.strip()))
+    return pairs
+
+
+def parse_rates(texts: Sequence[str]) -> tuple[float | None, dict[str, float]]:
+    """Return `HZ` and `CHANNEL=HZ` texts as the rate for all and the rates by channel.
+
+    Raises:
+        ValueError: not a number.
+    """
+    overall, by_channel = None, {}
+    for piece in (piece.strip() for text in texts for piece in text.split(",")):
+        if not piece:
+            continue
+        channel, equals, number = piece.rpartition("=")
+        try:
+            rate = float(number)
+        except ValueError:
+            raise ValueError(f"--rate {piece!r} is not HZ or CHANNEL=HZ, e.g. --rate 10000") from None
+        if equals:
+            by_channel[channel.strip()] = rate
+        else:
+            overall = rate
+    return overall, by_channel
+
+
+def quantity(channel: str) -> str:
+    """Return what a channel measures: `force_x` → `force`."""
+    return channel.split("_")[0]
+
+
+def read_columns(path: Path) -> list[Column]:
+    """Return the columns of any file that `DATASETS` can read.
+
+    Raises:
+        FileNotFoundError: there is none.
+        ValueError: unknown extension, a pickle, or a bad file.
+    """
+    if not path.exists():
+        raise FileNotFoundError(f"no such file: {path}")
+    if path.is_dir():
+        raise ValueError(f"{path} is a folder, expected a file")
+    suffix = path.suffix.lower()
+    if suffix in (".pkl", ".pickle"):
+        raise ValueError(
+            f"{path.name} is a pickle, which can run code when opened; save plain arrays as .npz or .h5 instead"
+        )
+    if suffix not in DATASETS:
+        hint = "; save it as .xlsx" if suffix in (".xls", ".xlsb", ".ods") else ""
+        raise ValueError(f"cannot read {path.name}, expected one of {' '.join(DATASETS)}{hint}")
+    return DATASETS[suffix](path)
+
+
+def import_recording(paths: Sequence[Path], options: ImportOptions) -> Import:
+    """Return the recording that some files hold, and what was decided on the way.
+
+    A mapped `time` column serves the channels of its own file that have as many rows; give it once per file. Times of
+    several files are taken to be one clock; they count from the start of the acceleration, or else from the earliest.
+
+    Raises:
+        ValueError: one sentence on what is missing, ambiguous or impossible.
+    """
+    _unique_names(paths)
+    files = {path: read_columns(path) for path in paths}
+    decisions: list[str] = []
+    mapping = options.mapping
+    if not mapping:
+        mapping = _guess(files, with_time=options.rate_hz is None)
+        decisions += [f"taken from the headers: --map {','.join(f'{k}={v}' for k, v in mapping)}"]
+    picked: dict[str, tuple[Path, Column]] = {}
+    clocks: list[tuple[Path, Column]] = []
+    for channel, reference in mapping:
+        if channel == "time":
+            clocks += _find_clocks(files, reference)
+        else:
+            picked[channel] = _find(files, channel, reference)
+    if not picked:
+        raise ValueError("only time is mapped, expected a channel as well, e.g. --map time=0,acceleration=1")
+    for channel in (*options.units, *options.rates_hz):
+        if channel not in picked and channel != "time":
+            raise ValueError(f"{channel} has a unit or rate but is not mapped")
+
+    history: list[str] = []
+    digests = {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in {p for p, _ in picked.values()}}
+    samples: dict[str, NDArray[np.float64]] = {}
+    times: dict[str, NDArray[np.float64] | None] = {}
+    rates: dict[str, float] = {}
+    for channel, (path, column) in picked.items():
+        history.append(f"{channel} is column {column.name} of {path.name} (sha256 {digests[path][:16]})")
+        if column.n_blank:
+            history.append(f"{channel} ends {column.n_blank} rows before the table does")
+        factor, said = _factor(channel, column, options.units.get(channel))
+        history += [said] if said else []
+        samples[channel] = column.samples if factor == 1 else column.samples * factor
+        times[channel] = _times(channel, path, column, clocks, options)
+        rates[channel], said = _rate(channel, path, column, times[channel], options, files[path])
+        history += [said] if said else []
+
+    origin = _origin(times)
+    if origin:
+        history.append(f"times count from {origin:.9g} s in the files")
+    channels: dict[str, Channel] = {}
+    for channel in picked:
+        clock = times[channel]
+        if clock is not None:
+            clock = clock - origin
+            kept = _irregular(clock, rates[channel])
+            if kept:
+                history.append(f"{channel} keeps its own times: {kept}")
+            else:
+                clock = None
+        values, filled = _filled(channel, samples[channel], clock, rates[channel], options.fill_gaps_ms)
+        history += [filled] if filled else []
+        channels[channel] = Channel(values, rates[channel], clock)
+    _check_overlap(channels)
+    for channel, one in channels.items():
+        said = _check_size(channel, one, options.force_units)
+        history += [said] if said else []
+        if one.duration_s < SHORTEST_S:
+            raise ValueError(
+                f"{channel} is too short: {one.samples.size} samples at {one.rate_hz:g} Hz last "
+                f"{one.duration_s * 1000:.3g} ms, expected {SHORTEST_S * 1000:g} ms or more; is the rate right?"
+            )
+    recording = Recording(
+        channels, options.texture, options.tool, options.sensors, options.notes, history=tuple(history)
+    )
+    return Import(recording, tuple(decisions))
+
+
+def _origin(times: Mapping[str, NDArray[np.float64] | None]) -> float:
+    """Return the file time [s] that becomes 0: the start of the acceleration, which alone must stay on its own grid."""
+    starts = {channel: float(clock[0]) for channel, clock in times.items() if clock is not None}
+    fast = [start for channel, start in starts.items() if quantity(channel) == "acceleration"]
+    return min(fast or starts.values(), default=0.0)
+
+
+def _unique_names(paths: Sequence[Path]) -> None:
+    if not paths:
+        raise ValueError("no file to import")
+    seen = set()
+    for path in paths:
+        if path in seen:
+            raise ValueError(f"{path} is given twice")
+        seen.add(path)
+
+
+def _guess(files: Mapping[Path, list[Column]], with_time: bool) -> tuple[tuple[str, str], ...]:
+    """Return the mapping that the headers alone leave no doubt about."""
+    found: dict[str, list[tuple[Path, Column]]] = {}
+    for path, columns in files.items():
+        for column in columns:
+            name = re.sub(r"\s*[\[(].*[\])]\s*$", "", column.name).strip().lower().replace(" ", "_")
+            for channel, names in _GUESSES.items():
+                if name in names and column.n_rows > 1:
+                    found.setdefault(channel, []).append((path, column))
+    if not with_time:
+        found.pop("time", None)
+    for channel, places in found.items():
+        per_file = [path for path, _ in places]
+        if channel == "time" and len(set(per_file)) == len(per_file):
+            continue
+        if len(places) > 1:
+            names = ", ".join(_reference(files, *place) for place in places)
+            raise ValueError(f"{channel} could be any of {names}; say which, e.g. --map {_example(files)}")
+    if not set(found) - {"time"}:
+        raise ValueError(
+            f"no header says which column is which; found {_listing(files)}; say so, e.g. --map {_example(files)}"
+        )
+    return tuple((channel, _reference(files, *place)) for channel, places in found.items() for place in places)
+
+
+def _reference(files: Mapping[Path, list[Column]], path: Path, column: Column) -> str:
+    return column.name if len(files) == 1 else f"{path.name}:{column.name}"
+
+
+def _listing(files: Mapping[Path, list[Column]]) -> str:
+    names = [_reference(files, path, c) for path, columns in files.items() for c in columns]
+    return ", ".join(names[:20]) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
+
+
+def _example(files: Mapping[Path, list[Column]]) -> str:
+    places = [_reference(files, path, c) for path, columns in files.items() for c in columns if c.n_rows > 1]
+    return ",".join(f"{k}={v}" for k, v in zip(("acceleration", "speed", "force"), places, strict=False))
+
+
+def _split(files: Mapping[Path, list[Column]], reference: str) -> tuple[list[Path], str]:
+    """Return the files that `FILE:COLUMN` or `COLUMN` may mean, and the column."""
+    for path in files:
+        for name in (str(path), path.name, path.stem):
+            if reference.startswith(f"{name}:"):
+                same = [other for other in files if name in (str(other), other.name, other.stem)]
+                if len(same) > 1:
+                    raise ValueError(f"{name} is the name of {len(same)} files, write out their paths")
+                return [path], reference[len(name) + 1 :]
+    return list(files), reference
+
+
+def _lookup(columns: Sequence[Column], name: str) -> Column | None:
+    """Return a column by header, else by number from 0, else none."""
+    exact = [column for column in columns if column.name == name]
+    if len(exact) > 1:
+        raise ValueError(f"{len(exact)} columns are called {name!r}; give the column's number from 0")
+    if exact:
+        return exact[0]
+    if name.isdecimal() and int(name) < len(columns):
+        return columns[int(name)]
+    return None
+
+
+def _find(files: Mapping[Path, list[Column]], channel: str, reference: str) -> tuple[Path, Column]:
+    paths, name = _split(files, reference)
+    hits = [(path, column) for path in paths if (column := _lookup(files[path], name)) is not None]
+    if len(hits) > 1:
+        options = " or ".join(f"{path.name}:{name}" for path, _ in hits)
+        raise ValueError(f"{channel}={reference} is in {len(hits)} files; write {options}")
+    if not hits:
+        there = {path: files[path] for path in paths}
+        close = difflib.get_close_matches(name, [c.name for cs in there.values() for c in cs], n=1, cutoff=0.5)
+        hint = f"; did you mean {close[0]}?" if close else ""
+        where = paths[0].name if len(paths) == 1 else "the files"
+        raise ValueError(f"{channel}: no column {name!r} in {where}, which has {_listing(there)}{hint}")
+    path, column = hits[0]
+    if column.fault:
+        raise ValueError(f"{channel}: {path.name}, column {column.name}: {column.fault}")
+    if not column.samples.size:
+        raise ValueError(f"{channel}: {path.name}, column {column.name} is empty")
+    return path, column
+
+
+def _find_clocks(files: Mapping[Path, list[Column]], reference: str) -> list[tuple[Path, Column]]:
+    """Return the time columns that a reference means: without `FILE:`, that of each file which has it."""
+    paths, name = _split(files, reference)
+    if name.isdecimal():
+        paths = [_find(files, "time", reference)[0]]
+    hits = [path for path in paths if _lookup(files[path], name) is not None]
+    if not hits:
+        _find(files, "time", reference)  # raises
+    return [_find({path: files[path]}, "time", name) for path in hits]
+
+
+def _factor(channel: str, column: Column, given: str | None) -> tuple[float, str]:
+    """Return what to multiply a column by to get the unit of `UNITS`, and a sentence where that is not 1."""
+    kind = quantity(channel)
+    known = FACTORS[kind]
+    target = UNITS.get(channel, "s")
+    text = given if given is not None else column.unit
+    if not text:
+        bracket = re.search(r"[\[(]([^\])]+)[\])]\s*$", column.name)
+        text = bracket.group(1).strip() if bracket and _spelled(bracket.group(1)) in known else ""
+    if not text:
+        return 1.0, ""
+    label, star, number = text.partition("*") if "**" not in text else (text, "", "")
+    label = _spelled(label)
+    if star:
+        try:
+            factor = float(number)
+        except ValueError:
+            factor = float("nan")
+        if not np.isfinite(factor) or factor == 0:
+            raise ValueError(f"{channel}: unit {text!r}: {number!r} is not a factor, e.g. {channel}=V*4.9")
+        if label in known and label != target:
+            raise ValueError(
+                f"{channel}: {label} is a known unit and takes no factor; write {channel}={label}, or "
+                f"{channel}=*{known[label] * factor:g} to get {target}"
+            )
+        return factor, f"{channel} was multiplied by {factor:g} to get {target}" + (f" from {label}" * bool(label))
+    if label == FULL_SCALE:
+        raise ValueError(
+            f"{channel}: the samples of {column.name} are fractions of full scale; say how many {target} full scale "
+            f"is, e.g. --unit {channel}=*50"
+        )
+    if label not in known:
+        raise ValueError(
+            f"{channel}: unit {text!r} is not one of {', '.join(known)}; "
+            f"for a sensitivity write e.g. --unit {channel}=V*4.9 (4.9 {target} per volt)"
+        )
+    factor = known[label]
+    return factor, "" if factor == 1 else f"{channel} was converted from {label} to {target}"
+
+
+def _spelled(unit: str) -> str:
+    unit = unit.strip()
+    return _SPELLINGS.get(unit, unit)
+
+
+def _times(
+    channel: str, path: Path, column: Column, clocks: Sequence[tuple[Path, Column]], options: ImportOptions
+) -> NDArray[np.float64] | None:
+    """Return the times [s] of a channel's samples from the time column beside it, or None."""
+    own = [clock for place, clock in clocks if place == path]
+    fitting = [clock for clock in own if clock.n_rows == column.n_rows]
+    if not own:
+        return None
+    if len(fitting) != 1:
+        rows = ", ".join(f"{clock.name} {clock.n_rows}" for clock in own)
+        if channel in options.rates_hz and not fitting:
+            return None
+        raise ValueError(
+            f"{path.name}: {channel} has {column.n_rows} rows and time has {rows}; expected one time column of equal "
+            f"length, or a rate: --rate {channel}=HZ"
+        )
+    if channel in options.rates_hz:
+        raise ValueError(f"{channel} has a time column ({fitting[0].name}) and a --rate; give one of them")
+    clock = fitting[0]
+    times = clock.samples[: column.samples.size]
+    if times.size < column.samples.size or not np.isfinite(times).all():
+        bad = int(np.flatnonzero(~np.isfinite(times))[0]) if not np.isfinite(times).all() else times.size
+        raise ValueError(f"{path.name}: the time is blank or NaN at sample {bad}")
+    factor, _ = _factor("time", clock, options.units.get("time"))
+    steps = np.diff(times)
+    bad_steps = np.flatnonzero(steps <= 0)
+    if bad_steps.size:
+        i = int(bad_steps[0])
+        what = "repeats" if steps[i] == 0 else "goes back"
+        hint = "are the times rounded? Leave time out and give --rate" if steps[i] == 0 else "are the rows sorted?"
+        raise ValueError(
+            f"{path.name}: the time {what} at sample {i + 1}: {times[i + 1]:.9g} after {times[i]:.9g} "
+            f"({bad_steps.size} such places); {hint}"
+        )
+    return times * factor
+
+
+def _rate(
+    channel: str,
+    path: Path,
+    column: Column,
+    times: NDArray[np.float64] | None,
+    options: ImportOptions,
+    columns: Sequence[Column],
+) -> tuple[float, str]:
+    """Return a channel's rate [Hz], and a sentence where it overrides what the file states."""
+    if channel in options.rates_hz:
+        rate = options.rates_hz[channel]
+        if column.rate_hz is not None and abs(rate - column.rate_hz) > 1e-6 * rate:
+            return rate, f"{channel} has the rate given, {rate:g} Hz; {path.name} states {column.rate_hz:g} Hz"
+        return rate, ""
+    if times is not None:
+        if times.size < 2:
+            raise ValueError(f"{channel} has 1 sample, expected a recording")
+        return _rate_of(times), ""
+    if column.rate_hz is not None:
+        return column.rate_hz, ""
+    if options.rate_hz is not None:
+        return options.rate_hz, ""
+    scalars = [
+        c for c in columns if c.samples.size == 1 and re.search(r"(^|[._])(fs|rate|sample_?rate|hz)$", c.name.lower())
+    ]
+    guess = f"{scalars[0].samples[0]:g}" if scalars else "10000"
+    hint = f" (the file has {scalars[0].name} = {guess})" if scalars else ""
+    raise ValueError(
+        f"{channel}: {path.name} does not say how fast it was sampled; give --rate {guess} or "
+        f"--rate {channel}={guess}{hint}, or map its time column: --map time=COLUMN"
+    )
+
+
+def _rate_of(times: NDArray[np.float64]) -> float:
+    """Return the rate of regular times, a whole number where the times' rounding allows one; else 1 / median step."""
+    even = (times.size - 1) / (times[-1] - times[0])
+    slack = 2 * _last_digit(times) / (times[-1] - times[0]) + 1e-9
+    if _irregular(times - times[0], even):
+        even = 1 / float(np.median(np.diff(times)))
+        slack = 1e-6
+    return float(round(even)) if round(even) and abs(round(even) / even - 1) <= slack else float(even)
+
+
+def _last_digit(times: NDArray[np.float64]) -> float:
+    """Return the power of ten that all times are multiples of, 0 where there is none down to 1 ns."""
+    for digits in range(10):
+        scaled = times * 10.0**digits
+        # Half a unit in the last place of a double grows with the number itself.
+        if np.abs(scaled - np.round(scaled)).max() <= 1e-6 + 4e-16 * np.abs(scaled).max():
+            return 10.0**-digits
+    return float(np.spacing(np.float32(np.abs(times).max())))  # single precision somewhere on the way
+
+
+def _irregular(times: NDArray[np.float64], rate_hz: float) -> str:
+    """Return why times that count from the recording's start are not i / rate, or nothing."""
+    period = 1 / rate_hz
+    tolerance = max(JITTER * period, min(_last_digit(times), period / 2))
+    if abs(times[0]) > tolerance:
+        return f"it starts at {times[0] * 1000:.4g} ms"
+    if times.size > 1:
+        even = np.arange(times.size) * ((times[-1] - times[0]) / (times.size - 1)) + times[0]
+        worst = float(np.abs(times - even).max())
+        if worst > tolerance:
+            return f"samples stray up to {worst * 1000:.4g} ms from an even grid of {rate_hz:g} Hz"
+    return ""
+
+
+def _filled(
+    channel: str, samples: NDArray[np.float64], times: NDArray[np.float64] | None, rate_hz: float, gap_ms: float
+) -> tuple[NDArray[np.float64], str]:
+    """Return samples without NaN: marker drop-outs of position and speed drawn straight, if asked; and a sentence."""
+    infinite = np.flatnonzero(np.isinf(samples))
+    if infinite.size:
+        raise ValueError(f"{channel}: {infinite.size} samples are infinite, the first at {infinite[0]}")
+    missing = np.isnan(samples)
+    if not missing.any():
+        return samples, ""
+    first, count = int(np.flatnonzero(missing)[0]), int(missing.sum())
+    if quantity(channel) not in ("position", "speed"):
+        raise ValueError(
+            f"{channel}: {count} samples are NaN or blank, the first at {first}; "
+            "only position and speed may have gaps filled"
+        )
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
+    starts, ends = edges[0::2], edges[1::2]
+    clock = np.arange(samples.size) / rate_hz if times is None else times
+    # A gap lasts from the last good sample to the next; one lost sample at 100 Hz is a gap of 20 ms less a period.
+    lengths = (ends - starts) / rate_hz if times is None else _lengths(clock, starts, ends)
+    if gap_ms == 0:
+        raise ValueError(
+            f"{channel}: {count} samples are NaN or blank in {starts.size} gaps, the first at {first}, the longest "
+            f"{lengths.max() * 1000:.4g} ms; --fill-gaps {max(1, int(np.ceil(lengths.max() * 1000)))} would fill them"
+        )
+    if missing[0] or missing[-1]:
+        raise ValueError(
+            f"{channel}: NaN or blank at the {'start' if missing[0] else 'end'}: nothing to draw a line from; "
+            "cut the file there"
+        )
+    long = np.flatnonzero(lengths > gap_ms / 1000 * (1 + 1e-9))
+    if long.size:
+        i = int(long[0])
+        raise ValueError(
+            f"{channel}: {long.size} of {starts.size} gaps are longer than {gap_ms:g} ms, the first at sample "
+            f"{starts[i]} ({clock[starts[i]]:.4g} s) lasts {lengths[i] * 1000:.4g} ms"
+        )
+    filled = samples.copy()
+    filled[missing] = np.interp(clock[missing], clock[~missing], samples[~missing])
+    return filled, (
+        f"{channel}: {starts.size} gaps ({count} samples, the longest {lengths.max() * 1000:.4g} ms) were filled with "
+        f"straight lines, up to {gap_ms:g} ms allowed"
+    )
+
+
+def _lengths(
+    clock: NDArray[np.float64], starts: NDArray[np.int64], ends: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    after = np.minimum(ends, clock.size - 1)
+    return np.asarray(clock[after] - clock[starts], dtype=np.float64)
+
+
+def _check_overlap(channels: Mapping[str, Channel]) -> None:
+    spans = {
+        name: (float(c.times_s[0]) if c.times_s is not None else 0.0, c.duration_s) for name, c in channels.items()
+    }
+    late = max(spans, key=lambda name: spans[name][0])
+    early = min(spans, key=lambda name: spans[name][0] + spans[name][1])
+    if spans[late][0] >= sum(spans[early]):
+        raise ValueError(
+            f"{late} starts at {spans[late][0]:.6g} s, when {early} has ended ({sum(spans[early]):.6g} s); "
+            "were their clocks different? Leave time out and give --rate if they were started together"
+        )
+
+
+def _check_size(channel: str, one: Channel, force_units: bool) -> str:
+    """Return a sentence where absurd values were let through; refuse them otherwise."""
+    kind, unit = quantity(channel), UNITS[channel]
+    size = np.abs(one.samples)
+    beyond = np.flatnonzero(size > LIMITS[kind])
+    if not beyond.size:
+        return ""
+    what = f"{channel} reaches {one.samples[beyond[np.argmax(size[beyond])]]:.6g} {unit} at sample {int(np.argmax(size))}"
+    if force_units:
+        return f"{what}; {beyond.size} samples beyond {LIMITS[kind]:g} {unit} were let through (--force-units)"
+    if beyond.size <= 0.01 * size.size:
+        raise ValueError(
+            f"{what}, beyond any hand ({LIMITS[kind]:g} {unit}), in {beyond.size} of {size.size} samples: spikes? "
+            "--force-units imports them as they are, and foten inspect shows where"
+        )
+    large = float(np.quantile(size, 0.99))
+    likely = min(FACTORS[kind].items(), key=lambda item: abs(np.log(large * item[1] / _USUAL[kind])))
+    guess = (
+        f"was it given in {likely[0]}? Then: --unit {channel}={likely[0]}"
+        if likely[1] != 1
+        else f"a raw sensor reading? Give its sensitivity: --unit {channel}=V*FACTOR"
+    )
+    raise ValueError(
+        f"{what}, expected below {LIMITS[kind]:g} {unit}; {guess} (--force-units imports it all the same)"
+    )
+
+
+def with_texts(recording: Recording, **texts: str) -> Recording:
+    """Return a recording with texture, tool, sensors or notes replaced where a text is given."""
+    return replace(recording, **{key: text for key, text in texts.items() if text})  # type: ignore[arg-type]

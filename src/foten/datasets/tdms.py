@@ -1,0 +1,53 @@
+"""National Instruments TDMS files as columns, with the rates and units that they state."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from foten.datasets.columns import Column
+
+
+def read_tdms(path: Path) -> list[Column]:
+    """Return the channels of a TDMS file: by their names, or `GROUP/CHANNEL` where two groups share a name.
+
+    The rate is the waveform's (`wf_increment`), the unit the channel's (`unit_string`).
+
+    Raises:
+        ValueError: empty, truncated, foreign.
+    """
+    if path.stat().st_size == 0:
+        raise ValueError(f"{path.name} is empty")
+    from nptdms import TdmsFile
+
+    try:
+        file = TdmsFile.read(path)
+    except Exception as error:  # a damaged file raises struct.error, UnicodeDecodeError, KeyError and others
+        raise ValueError(f"{path.name} is truncated or is no TDMS file ({error})") from None
+    status = file.file_status
+    lengths = (status.channel_statuses or {}).values()
+    if status.incomplete_final_segment or any(one.read_length < one.expected_length for one in lengths):
+        raise ValueError(f"{path.name} is truncated: its last segment is incomplete")
+    channels = [channel for group in file.groups() for channel in group.channels()]
+    names = [channel.name for channel in channels]
+    columns = []
+    for channel in channels:
+        name = channel.name if names.count(channel.name) == 1 else f"{channel.group_name}/{channel.name}"
+        samples = np.asarray(channel[:])
+        increment = float(channel.properties.get("wf_increment") or 0)
+        rate_hz = _rate(increment) if increment > 0 else None
+        unit = str(channel.properties.get("unit_string", "")).strip()
+        if samples.dtype.kind in "biuf":
+            columns.append(Column(name, samples.astype(np.float64), rate_hz, unit))
+        else:
+            columns.append(Column(name, np.zeros(0), fault="holds text or times, expected numbers"))
+    if not columns:
+        raise ValueError(f"{path.name} holds no channel")
+    return columns
+
+
+def _rate(increment_s: float) -> float:
+    rate = 1 / increment_s
+    # The increment is a rounded double: 1/(1/10000) need not be 10000.
+    return float(round(rate)) if abs(rate - round(rate)) < 1e-9 * rate else rate

@@ -1,0 +1,38 @@
+"""Linear prediction: least-squares fits, stability, and what a linear process lets any predictor reach."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def least_squares(design: Array, target: Array, ridge: float = 1e-9) -> Array:
+    """Return the coefficients w that minimise |design @ w − target|², shape (k,).
+
+    Args:
+        design: shape (b, k).
+        target: shape (b,).
+        ridge: added to the diagonal, as a share of the mean diagonal; neighbouring samples at 10 kHz are nearly collinear.
+    """
+    gram = design.T @ design
+    gram[np.diag_indices_from(gram)] += ridge * np.trace(gram) / gram.shape[0]
+    return np.linalg.solve(gram, design.T @ target)
+
+
+def spectral_radius(taps: Array) -> float:
+    """Return the largest pole magnitude of x[n] = Σ taps[i]·x[n−m+i], `taps` oldest first as in a window."""
+    return float(np.abs(np.roots(np.concatenate([[1.0], -taps[::-1]]))).max()) if taps.any() else 0.0
+
+
+def stabilised(taps: Array, radius: float) -> Array:
+    """Return the taps with every pole pulled inside `radius` by the factor γ^lag on each tap, unchanged if they are.
+
+    Scaling the tap of lag k by γ^k scales every pole by γ; resonances keep their frequency.
+    """
+    found = spectral_radius(taps)
+    if found <= radius:
+        return taps
+    lag = np.arange(taps.size, 0, -1)
+    return taps * (radius / found) ** lag

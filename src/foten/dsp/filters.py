@@ -1,0 +1,97 @@
+"""Butterworth low- and high-passes as biquads, streaming and offline with the same result."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Sections = tuple[tuple[float, float, float, float, float], ...]
+"""A cascade of biquads, each (b0, b1, b2, a1, a2) with a0 = 1."""
+
+
+def butterworth(kind: str, cutoff_hz: float, rate_hz: float, order: int = 2) -> Sections:
+    """Return a Butterworth low-pass or high-pass of even order.
+
+    Bilinear transform with the cutoff prewarped, one biquad for each pair of poles at angle θ from the
+    negative real axis, whose damping is 1/Q = 2 cos θ.
+
+    Args:
+        kind: `lowpass` or `highpass`.
+        cutoff_hz: the −3 dB frequency.
+        rate_hz: samples a second.
+        order: even, 2 or more.
+
+    Raises:
+        ValueError: the cutoff does not lie between 0 and half the rate, or the order is odd.
+    """
+    if not 0 < cutoff_hz < rate_hz / 2:
+        raise ValueError(f"cutoff is {cutoff_hz:g} Hz, expected between 0 and half the rate, {rate_hz / 2:g} Hz")
+    if order < 2 or order % 2:
+        raise ValueError(f"filter order is {order}, expected 2, 4, 6, …")
+    warped = math.tan(math.pi * cutoff_hz / rate_hz)
+    sections = []
+    for pair in range(order // 2):
+        damping = 2 * math.cos(math.pi * (2 * pair + 1) / (2 * order))
+        norm = 1 + damping * warped + warped * warped
+        a1, a2 = 2 * (warped * warped - 1) / norm, (1 - damping * warped + warped * warped) / norm
+        b = warped * warped / norm if kind == "lowpass" else 1 / norm
+        sections.append((b, 2 * b if kind == "lowpass" else -2 * b, b, a1, a2))
+    return tuple(sections)
+
+
+def delay_s(sections: Sections, rate_hz: float) -> float:
+    """Return the group delay of a low-pass at 0 Hz [s].
+
+    The delay of b/a at 0 Hz is Σ k·b_k / Σ b_k − Σ k·a_k / Σ a_k samples, summed over the sections.
+    """
+    samples = 0.0
+    for b0, b1, b2, a1, a2 in sections:
+        samples += (b1 + 2 * b2) / (b0 + b1 + b2) - (a1 + 2 * a2) / (1 + a1 + a2)
+    return samples / rate_hz
+
+
+class Biquads:
+    """A cascade of biquads that filters a signal piece by piece (direct form II transposed)."""
+
+    def __init__(self, sections: Sections) -> None:
+        self._sections = sections
+        self.reset()
+
+    def reset(self, value: float = 0.0) -> None:
+        """Forget the past, as if the input had been constant at `value` for ever."""
+        self._state: list[tuple[float, float]] = []
+        for b0, b1, b2, a1, a2 in self._sections:
+            settled = value * (b0 + b1 + b2) / (1 + a1 + a2)
+            second = b2 * value - a2 * settled
+            self._state.append((b1 * value - a1 * settled + second, second))
+            value = settled
+
+    def process(self, samples: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the filtered samples, shape (n,), and keep the state for the next piece."""
+        values = np.asarray(samples, dtype=np.float64).tolist()
+        for index, (b0, b1, b2, a1, a2) in enumerate(self._sections):
+            first, second = self._state[index]
+            for i, x in enumerate(values):
+                y = b0 * x + first
+                first = b1 * x - a1 * y + second
+                second = b2 * x - a2 * y
+                values[i] = y
+            self._state[index] = (first, second)
+        return np.array(values)
+
+
+def filter_recorded(
+    sections: Sections, samples: NDArray[np.float64], *, zero_phase: bool = False
+) -> NDArray[np.float64]:
+    """Return a whole recorded signal filtered, shape (n,), starting settled on its first value.
+
+    The same numbers as `Biquads`, by SciPy; `zero_phase` runs it forwards and backwards, which looks into the future.
+    """
+    from scipy import signal
+
+    sos = np.array([[b0, b1, b2, 1.0, a1, a2] for b0, b1, b2, a1, a2 in sections])
+    if zero_phase:
+        return np.asarray(signal.sosfiltfilt(sos, samples))
+    return np.asarray(signal.sosfilt(sos, samples, zi=signal.sosfilt_zi(sos) * samples[0])[0])

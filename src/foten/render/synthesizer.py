@@ -1,0 +1,165 @@
+"""A texture under a hand: speed and force in, acceleration out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.dsp.noise import gaussian
+from foten.render.closed_loop import ClosedLoop
+from foten.render.engine import Predictor, engine_for
+from foten.texture_file import CLOSED_LOOP_TOLERANCE, ONE_STEP_TOLERANCE, Texture
+
+Array = NDArray[np.float64]
+
+FADE_SPEED = 5.0  # mm/s; below the slower of this and nothing, every texture fades
+FADE_FORCE = 0.1  # N
+_NOISE_BLOCK = 4096  # samples of noise drawn at a time
+
+
+@dataclass
+class RenderStatistics:
+    """What a synthesizer did to its input and output since the last reset.
+
+    Attributes:
+        n: samples rendered, over all streams.
+        n_speed_clamped, n_force_clamped: samples whose speed or force lay above the trained range.
+        n_below_range: samples below the trained range, where the vibration fades.
+        n_saturated: samples that the saturator cut.
+    """
+
+    n: int = 0
+    n_speed_clamped: int = 0
+    n_force_clamped: int = 0
+    n_below_range: int = 0
+    n_saturated: int = 0
+
+
+class Synthesizer:
+    """A texture rendered sample by sample, on one stream or on several independent ones.
+
+    The acceleration is the closed loop's output times a fade that falls linearly to zero, with speed below the trained
+    range (at least below 5 mm/s) and with force likewise (at least below 0.1 N): a still pen does not buzz, whatever
+    was recorded. The loop itself runs on, so that the texture is there again with the first movement.
+
+    Differs from the paper: it clamps to the recorded range on both sides (Sec. VIII) and so vibrates at rest.
+
+    Args:
+        texture: from `read_texture`.
+        seed: of the excitation, 0 … 2⁶⁴ − 1.
+        n_streams: independent streams; stream s draws the noise of stream s.
+        excitation: False runs the deterministic loop.
+
+    Raises:
+        ValueError: the engine does not reproduce the texture's golden windows.
+    """
+
+    def __init__(self, texture: Texture, seed: int = 0, n_streams: int = 1, excitation: bool = True) -> None:
+        if not 0 <= seed < 2**64:
+            raise ValueError(f"seed is {seed}, expected 0 to 2⁶⁴ − 1")
+        self.texture = texture
+        self.seed = seed
+        self.n_streams = n_streams
+        self.excitation = excitation and texture.has_excitation
+        self._engine: Any = engine_for(texture)
+        prove(texture, self._engine)
+        self._scaling = texture.scaling
+        self._low = np.array([texture.trained_range("speed")[0], texture.trained_range("force")[0]])
+        self._high = np.array([texture.trained_range("speed")[1], texture.trained_range("force")[1]])
+        self._fade = np.maximum(self._low, [FADE_SPEED, FADE_FORCE])
+        self.reset()
+
+    def reset(self) -> None:
+        """Start again from the warm start and the first number of the noise."""
+        start = np.repeat(self.texture.tensors["warm_start"][None].astype(np.float64), self.n_streams, axis=0)
+        sigma = self._engine.sigma if self.excitation else None
+        self._loop = ClosedLoop(self._engine, sigma, start, float(self.texture.card["saturation"]))
+        self._position = 0
+        self._noise = np.empty((self.n_streams, 0))
+        self.statistics = RenderStatistics()
+
+    def step(self, speed: float, force: float) -> float:
+        """Return the next acceleration [m/s²] of a single stream at a speed [mm/s] and a force [N]."""
+        return float(self.render(np.array([speed]), np.array([force]))[0])
+
+    def render(self, speed: Array, force: Array) -> Array:
+        """Return the acceleration [m/s²] for a stroke at the model's rate, continuing from the last call.
+
+        Args:
+            speed: [mm/s], shape (n,) for all streams alike, or (n_streams, n).
+            force: [N], the same shape.
+
+        Returns:
+            Shape (n,) with one stream, else (n_streams, n).
+
+        Raises:
+            ValueError: a speed or force is negative, NaN or infinite; the shapes differ.
+        """
+        condition = self._checked(speed, force)
+        n = condition.shape[1]
+        clamped = np.clip(condition, self._low, self._high)
+        scaled = (clamped - self._scaling.mean[1:]) / np.array(self._scaling.sd[1:])
+        vibration = self._loop.run(scaled, self._draw(n) if self.excitation else None)
+        fade = np.minimum(condition / self._fade, 1.0).prod(axis=-1)
+        self._count(condition, clamped)
+        out = self._scaling.unscale_acceleration(vibration) * fade
+        return out[0] if self.n_streams == 1 else out
+
+    def _checked(self, speed: Array, force: Array) -> Array:
+        condition = np.stack(np.broadcast_arrays(np.asarray(speed, dtype=float), np.asarray(force, dtype=float)), axis=-1)
+        if condition.ndim == 2:
+            condition = np.repeat(condition[None], self.n_streams, axis=0)
+        if condition.ndim != 3 or condition.shape[0] != self.n_streams:
+            raise ValueError(f"speed has shape {np.shape(speed)}, expected (n,) or ({self.n_streams}, n)")
+        if not np.isfinite(condition).all() or (condition < 0).any():
+            name, unit = ("speed", "mm/s") if not (condition[..., 0] >= 0).all() else ("force", "N")
+            raise ValueError(f"a {name} is negative, NaN or infinite, expected a finite number of {unit}, 0 or more")
+        return condition
+
+    def _draw(self, n: int) -> Array:
+        """Return the next n noise numbers of each stream, shape (n_streams, n)."""
+        missing = n - self._noise.shape[1]
+        if missing > 0:
+            first = self._position + self._noise.shape[1]
+            n_more = max(missing, _NOISE_BLOCK)
+            more = np.stack([gaussian(self.seed, stream, first, n_more) for stream in range(self.n_streams)])
+            self._noise = np.concatenate([self._noise, more], axis=1)
+        drawn, self._noise = self._noise[:, :n], self._noise[:, n:]
+        self._position += n
+        return drawn
+
+    def _count(self, condition: Array, clamped: Array) -> None:
+        above = condition > clamped
+        self.statistics.n += condition.shape[0] * condition.shape[1]
+        self.statistics.n_speed_clamped += int(above[..., 0].sum())
+        self.statistics.n_force_clamped += int(above[..., 1].sum())
+        self.statistics.n_below_range += int((condition < clamped).any(axis=-1).sum())
+        self.statistics.n_saturated = self._loop.n_saturated
+
+
+def prove(texture: Texture, engine: Predictor) -> None:
+    """Replay a texture's golden windows through an engine.
+
+    Raises:
+        ValueError: one step differs by more than 1e-5, or the closed loop by more than 1e-4 (scaled).
+    """
+    tensors = texture.tensors
+    checks = [("one step", engine.predict(tensors["golden.windows"]), tensors["golden.one_step"], ONE_STEP_TOLERANCE)]
+    sigma = getattr(engine, "sigma", None) if texture.has_excitation else None
+    if sigma is not None:
+        found = sigma(tensors["golden.windows"][:, -1, 1:])
+        checks.append(("the excitation", found, tensors["golden.sigma"], ONE_STEP_TOLERANCE))
+    loop = ClosedLoop(engine, sigma, tensors["warm_start"][None].astype(np.float64))
+    noise = gaussian(0, 0, 0, 64)[None] if sigma is not None else None
+    closed = loop.run(tensors["golden.condition"][None].astype(np.float64), noise)[0]
+    checks.append(("64 closed-loop steps", closed, tensors["golden.closed_loop"], CLOSED_LOOP_TOLERANCE))
+    for name, found, expected, tolerance in checks:
+        error = float(np.abs(found - expected).max())
+        if not error <= tolerance:
+            raise ValueError(
+                f"the texture file fails its own proof: {name} differs by {error:.2g} scaled from what was trained, "
+                f"expected at most {tolerance:g}; is the file damaged?"
+            )

@@ -1,0 +1,227 @@
+"""The texture file: one safetensors file that holds all that rendering needs, and the proof that it is rendered right.
+
+Header metadata: ``{"foten": "<card as JSON>"}``. Never pickle. Beside the network's tensors it holds
+
+=====================  ============  =======================================================================
+``warm_start``         (m, 3)        scaled window that the closed loop starts from
+``golden.windows``     (k, m, 3)     scaled windows
+``golden.one_step``    (k,)          what PyTorch in float64 predicted from them
+``golden.sigma``       (k,)          the excitation's scale at their last speed and force (where there is one)
+``golden.condition``   (64, 2)       scaled speed and force of a closed loop from ``warm_start``
+``golden.closed_loop`` (64,)         its scaled output in float64, with excitation of seed 0 (where there is one)
+=====================  ============  =======================================================================
+
+An engine that cannot reproduce them within `ONE_STEP_TOLERANCE` and `CLOSED_LOOP_TOLERANCE` refuses the file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.architecture import FotenArchitecture, architecture_from
+from foten.recording.scaling import Scaling
+
+FORMAT_VERSION = 1
+ONE_STEP_TOLERANCE = 1e-5  # scaled; float32 arithmetic of the network
+CLOSED_LOOP_TOLERANCE = 1e-4  # scaled, after 64 steps
+_MAX_HEADER = 100_000_000  # bytes; the safetensors limit
+
+_CARD: Mapping[str, type | tuple[type, ...]] = {
+    "format_version": int,
+    "model": str,
+    "sizes": dict,
+    "rate_hz": (int, float),
+    "window": int,
+    "units": dict,
+    "scaling": dict,
+    "trained_range": dict,
+    "saturation": (int, float),
+    "lowpass_hz": (int, float),
+    "delay_ms": (int, float),
+    "warm_start": dict,
+    "texture": str,
+    "tool": str,
+    "sensors": str,
+    "notes": str,
+    "licence": str,
+    "recording_sha256": str,
+    "preprocess": dict,
+    "split": dict,
+    "split_sha256": str,
+    "training": dict,
+    "metrics": dict,
+}
+"""What a card must hold, and of which JSON type."""
+
+
+@dataclass(frozen=True)
+class Texture:
+    """A texture file in memory.
+
+    Attributes:
+        card: as `_CARD` lists it; units m/s², mm/s, N.
+        tensors: by name, float32 or float64.
+    """
+
+    card: Mapping[str, Any]
+    tensors: Mapping[str, NDArray[Any]]
+
+    @property
+    def rate_hz(self) -> float:
+        """Return the model's rate [Hz]."""
+        return float(self.card["rate_hz"])
+
+    @property
+    def window(self) -> int:
+        """Return m, the samples in a window."""
+        return int(self.card["window"])
+
+    @property
+    def architecture(self) -> FotenArchitecture:
+        """Return the network's sizes."""
+        return architecture_from(self.card["model"], self.card["sizes"])
+
+    @property
+    def scaling(self) -> Scaling:
+        """Return the scaling of acceleration, speed and force."""
+        fields = self.card["scaling"]
+        return Scaling(mean=tuple(fields["mean"]), sd=tuple(fields["sd"]))
+
+    @property
+    def has_excitation(self) -> bool:
+        """Return whether the file carries σ(speed, force)."""
+        return "golden.sigma" in self.tensors
+
+    def trained_range(self, channel: str) -> tuple[float, float]:
+        """Return the lowest and highest trained `speed` [mm/s] or `force` [N]."""
+        low, high = self.card["trained_range"][channel]
+        return float(low), float(high)
+
+    def to_bytes(self) -> bytes:
+        """Return the file's bytes; the same texture gives the same bytes."""
+        from safetensors.numpy import save
+
+        check_card(self.card)
+        tensors = {name: np.ascontiguousarray(self.tensors[name]) for name in sorted(self.tensors)}
+        card = json.dumps(self.card, sort_keys=True, allow_nan=False)
+        return bytes(save(tensors, metadata={"foten": card}))
+
+    def sha256(self) -> str:
+        """Return the digest of the file's bytes."""
+        return hashlib.sha256(self.to_bytes()).hexdigest()
+
+
+def write_texture(texture: Texture, path: Path) -> None:
+    """Write a texture file, to a temporary name first, so that a broken one never stands at `path`."""
+    temporary = path.with_name(path.name + ".part")
+    try:
+        temporary.write_bytes(texture.to_bytes())
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def read_texture(path: Path | str) -> Texture:
+    """Return the texture in a file.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is not a texture file, is truncated, or its card or tensors do not fit.
+    """
+    path = Path(path)
+    try:
+        return texture_from_bytes(path.read_bytes())
+    except ValueError as error:
+        raise ValueError(f"{path.name}: {error}") from error
+
+
+def texture_from_bytes(data: bytes) -> Texture:
+    """Return the texture in a file's bytes; errors as `read_texture`."""
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
+
+    if data[:1] == b"\x80" or data[:4] == b"PK\x03\x04":
+        raise ValueError(
+            "this is a pickle or a PyTorch checkpoint, expected a texture file; "
+            "pickles can run code and are never opened: export with 'foten train'"
+        )
+    if len(data) < 8:
+        raise ValueError(f"the file has {len(data)} bytes, expected a texture file; is it truncated?")
+    (length,) = struct.unpack("<Q", data[:8])
+    if not 0 < length <= min(_MAX_HEADER, len(data) - 8):
+        raise ValueError("this is not a texture file, or it is truncated")
+    try:
+        metadata = json.loads(data[8 : 8 + length]).get("__metadata__") or {}
+        tensors = load(data)
+    except (SafetensorError, UnicodeDecodeError, json.JSONDecodeError, AttributeError, KeyError) as error:
+        raise ValueError(f"this is not a texture file, or it is truncated ({error})") from error
+    if "foten" not in metadata:
+        raise ValueError("this is a safetensors file without a texture card, expected one written by 'foten train'")
+    try:
+        card = json.loads(metadata["foten"])
+    except json.JSONDecodeError as error:
+        raise ValueError(f"the card is not JSON ({error})") from error
+    check_card(card)
+    texture = Texture(card=card, tensors=tensors)
+    _check_tensors(texture)
+    return texture
+
+
+def check_card(card: Any) -> None:
+    """Check that a card is complete and consistent.
+
+    Raises:
+        ValueError: what is missing or does not fit.
+    """
+    if not isinstance(card, Mapping):
+        raise ValueError("the card is not a JSON object")
+    version = card.get("format_version")
+    if version != FORMAT_VERSION:
+        raise ValueError(f"the file has format version {version}, expected {FORMAT_VERSION}; update foten?")
+    for key, kind in _CARD.items():
+        if key not in card:
+            raise ValueError(f"the card has no {key!r}")
+        if not isinstance(card[key], kind) or isinstance(card[key], bool):
+            raise ValueError(f"{key!r} in the card is {card[key]!r}, expected {getattr(kind, '__name__', 'a number')}")
+    architecture = architecture_from(card["model"], card["sizes"])
+    if architecture.window != card["window"]:
+        raise ValueError(f"the card has window {card['window']} and the network {architecture.window}")
+    for key in ("rate_hz", "saturation", "lowpass_hz"):
+        if not (np.isfinite(card[key]) and card[key] > 0):
+            raise ValueError(f"{key!r} in the card is {card[key]}, expected a positive number")
+    for channel in ("speed", "force"):
+        bounds = card["trained_range"].get(channel)
+        if not (isinstance(bounds, list) and len(bounds) == 2 and 0 <= bounds[0] <= bounds[1] < np.inf):
+            raise ValueError(f"the trained range of {channel} is {bounds!r}, expected [low, high]")
+    scaling = card["scaling"]
+    if not all(isinstance(scaling.get(key), list) and len(scaling[key]) == 3 for key in ("mean", "sd")):
+        raise ValueError("the scaling in the card is not three means and three standard deviations")
+    Scaling(mean=tuple(scaling["mean"]), sd=tuple(scaling["sd"]))
+
+
+def _check_tensors(texture: Texture) -> None:
+    for name, tensor in texture.tensors.items():
+        if tensor.dtype not in (np.float32, np.float64):
+            raise ValueError(f"tensor {name!r} is {tensor.dtype}, expected float32 or float64")
+        if not np.isfinite(tensor).all():
+            raise ValueError(f"tensor {name!r} holds NaN or infinity")
+    m = texture.window
+    for name, shape in {
+        "warm_start": (m, 3),
+        "golden.windows": (None, m, 3),
+        "golden.one_step": (None,),
+        "golden.condition": (64, 2),
+        "golden.closed_loop": (64,),
+    }.items():
+        found = texture.tensors[name].shape if name in texture.tensors else None
+        if found is None or len(found) != len(shape) or any(a not in (None, b) for a, b in zip(shape, found, strict=True)):
+            raise ValueError(f"tensor {name!r} has shape {found}, expected {shape}")

@@ -1,0 +1,97 @@
+"""A trained network to a texture file, proved on its golden windows before it is written."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from foten.architecture import FotenArchitecture, sizes
+from foten.dsp.noise import gaussian
+from foten.recording.scaling import Scaling
+from foten.render.closed_loop import ClosedLoop
+from foten.render.engine import engine_for
+from foten.render.synthesizer import prove
+from foten.texture_file import FORMAT_VERSION, Texture
+
+_N_GOLDEN = 32
+
+
+class TorchPredictor:
+    """A network as a predictor in float64: the reference that every engine is held to."""
+
+    def __init__(self, network: nn.Module, window: int) -> None:
+        self.window = window
+        self._network = copy.deepcopy(network).cpu().double().eval()
+
+    def predict(self, windows: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
+        with torch.no_grad():
+            return self._network(torch.from_numpy(np.ascontiguousarray(windows))).numpy()
+
+    def sigma(self, condition: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the excitation's scale: speed and force (b, 2) scaled → (b,) scaled."""
+        with torch.no_grad():
+            return self._network.excitation(torch.from_numpy(np.ascontiguousarray(condition))).numpy()
+
+
+def export(
+    network: nn.Module,
+    key: str,
+    architecture: FotenArchitecture,
+    scaling: Scaling,
+    windows: NDArray[np.float64],
+    warm_start: NDArray[np.float64],
+    card: dict[str, Any],
+) -> Texture:
+    """Return a trained network as a texture, its golden windows replayed through the engine that will render it.
+
+    Args:
+        network: on any device; not changed.
+        key, architecture: which network it is.
+        scaling: of the trace.
+        windows: scaled windows to take the golden ones from, shape (b, m, 3).
+        warm_start: scaled, shape (m, 3).
+        card: what the training knows beyond model, sizes and scaling.
+
+    Raises:
+        ValueError: the engine does not reproduce the network.
+    """
+    tensors = {
+        name: tensor.detach().cpu().numpy().copy() for name, tensor in network.state_dict().items()
+    }
+    # The reference reads the same rounded tensors that the file holds.
+    predictor = TorchPredictor(network, architecture.window)
+    excited = hasattr(network, "excitation")
+    picked = windows[np.linspace(0, len(windows) - 1, _N_GOLDEN).astype(int)]
+    # Windows at rest and far outside the recording, where a wrong engine shows first.
+    golden = np.concatenate([picked, np.zeros_like(picked[:1]), 4 * picked[:1]])
+    condition = np.repeat(warm_start[-1:, 1:], 64, axis=0)
+    condition[32:] = picked[0, -1, 1:]
+    loop = ClosedLoop(predictor, predictor.sigma if excited else None, warm_start[None].copy())
+    noise = gaussian(0, 0, 0, 64)[None] if excited else None
+    tensors["warm_start"] = warm_start
+    tensors["golden.windows"] = golden
+    tensors["golden.one_step"] = predictor.predict(golden)
+    tensors["golden.condition"] = condition
+    tensors["golden.closed_loop"] = loop.run(condition[None], noise)[0]
+    if excited:
+        tensors["golden.sigma"] = predictor.sigma(golden[:, -1, 1:])
+    texture = Texture(
+        card={
+            "format_version": FORMAT_VERSION,
+            "model": key,
+            "sizes": sizes(architecture),
+            "window": architecture.window,
+            "units": {"acceleration": "m/s^2", "speed": "mm/s", "force": "N"},
+            "scaling": {"mean": list(scaling.mean), "sd": list(scaling.sd)},
+            **card,
+        },
+        tensors=tensors,
+    )
+    prove(texture, engine_for(texture))
+    return texture

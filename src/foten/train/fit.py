@@ -1,0 +1,244 @@
+"""The training loop: windows gathered on the device, the best validation loss kept."""
+
+from __future__ import annotations
+
+import csv
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from foten.recording.windows import window_indices
+from foten.train.config import TrainConfig
+
+
+@dataclass(frozen=True)
+class Data:
+    """What a network is fitted to.
+
+    Attributes:
+        samples: scaled acceleration, speed, force, shape (n, 3).
+        train, validation: indices to predict.
+        window: m.
+    """
+
+    samples: NDArray[np.float64]
+    train: NDArray[np.int64]
+    validation: NDArray[np.int64]
+    window: int
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """One line of the log. Losses are one-step, scaled; epoch 0 is the network before training."""
+
+    epoch: int
+    train_loss: float
+    validation_loss: float
+    validation_mae: float
+    seconds: float
+    best: bool
+
+
+@dataclass
+class Progress:
+    """Everything that a run needs to go on where it stopped."""
+
+    epochs: list[Epoch] = field(default_factory=list)
+    best_loss: float = math.inf
+    best_state: dict[str, Tensor] = field(default_factory=dict)
+    interrupted: bool = False
+
+
+def pick_device() -> torch.device:
+    """Return the GPU where there is one, else the CPU."""
+    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+
+@contextmanager
+def reproducible(threads: int) -> Iterator[None]:
+    """Fix thread count and algorithms, so that one seed gives one network; restored afterwards."""
+    before = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
+    torch.set_num_threads(threads)
+    torch.use_deterministic_algorithms(True, warn_only=True)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before[0])
+        torch.use_deterministic_algorithms(before[1])
+
+
+def loss_of(config: TrainConfig) -> Callable[[Tensor, Tensor], Tensor]:
+    """Return the loss that a configuration names. Source: Eq. 14."""
+    if config.loss == "huber":
+        return nn.HuberLoss(delta=config.delta)
+    return nn.MSELoss() if config.loss == "mse" else nn.L1Loss()
+
+
+def fit(
+    network: nn.Module,
+    data: Data,
+    config: TrainConfig,
+    on_epoch: Callable[[Epoch], None] = lambda epoch: None,
+    checkpoint: Path | None = None,
+) -> Progress:
+    """Train a network in place and leave it at its best validation loss.
+
+    The network before training counts as epoch 0, so that one that starts from a linear predictor is never worse than
+    it on validation. Ctrl-C ends the loop and keeps the best so far.
+
+    Args:
+        network: windows (b, m, 3) → (b,), on the CPU or a GPU.
+        data: what to fit.
+        config: how.
+        on_epoch: called after each epoch.
+        checkpoint: file to go on from if it exists, written after each epoch.
+
+    Returns:
+        The log, and whether it was interrupted.
+    """
+    device = next(network.parameters()).device
+    samples = torch.from_numpy(data.samples).to(device, torch.float32)
+    train, validation = (torch.from_numpy(n).to(device) for n in (data.train, data.validation))
+    offsets = torch.from_numpy(window_indices(np.zeros(1, dtype=np.int64), data.window)).to(device)
+    trained = [parameter for parameter in network.parameters() if parameter.requires_grad]
+    optimiser = torch.optim.AdamW(trained, lr=config.learning_rate, weight_decay=config.weight_decay, fused=True)
+    steps = max(1, math.ceil(len(train) / config.batch))
+    scheduler = torch.optim.lr_scheduler.LambdaLR(optimiser, _schedule(config, steps * max(1, config.epochs)))
+    criterion = loss_of(config)
+    progress = Progress()
+    if checkpoint is not None and checkpoint.exists():
+        progress = _resume(checkpoint, config, network, optimiser, scheduler)
+
+    def windows(n: Tensor) -> Tensor:
+        return samples[n[:, None] + offsets]
+
+    def finish(epoch: int, train_loss: float, started: float) -> None:
+        validation_loss, mae = _validate(network, windows, samples, validation, criterion)
+        best = validation_loss < progress.best_loss
+        if best:
+            progress.best_loss = validation_loss
+            progress.best_state = {name: tensor.detach().clone() for name, tensor in network.state_dict().items()}
+        progress.epochs.append(Epoch(epoch, train_loss, validation_loss, mae, time.perf_counter() - started, best))
+        on_epoch(progress.epochs[-1])
+
+    try:
+        if not progress.epochs:
+            finish(0, math.nan, time.perf_counter())
+        for epoch in range(len(progress.epochs), config.epochs + 1):
+            best_epoch = max(line.epoch for line in progress.epochs if line.best)
+            if epoch - 1 - best_epoch >= config.patience:
+                break
+            started = time.perf_counter()
+            # Seeded by the epoch, so that a resumed run sees the windows in the same order.
+            shuffle = torch.Generator().manual_seed(config.seed * 100_003 + epoch)
+            order = train[torch.randperm(len(train), generator=shuffle).to(device)]
+            torch.manual_seed(config.seed * 100_003 + epoch)
+            network.train()
+            total = torch.zeros((), device=device)
+            for batch in order.split(config.batch):
+                optimiser.zero_grad(set_to_none=True)
+                loss = criterion(network(windows(batch)), samples[batch, 0])
+                loss.backward()
+                if config.clip_norm > 0:
+                    nn.utils.clip_grad_norm_(trained, config.clip_norm)
+                optimiser.step()
+                scheduler.step()
+                total += loss.detach() * len(batch)
+            finish(epoch, float(total) / len(train), started)
+            if not math.isfinite(progress.epochs[-1].train_loss):
+                raise ValueError("the training loss is not finite; is the acceleration full of outliers?")
+            if checkpoint is not None:
+                _save(checkpoint, config, network, optimiser, scheduler, progress)
+    except KeyboardInterrupt:
+        progress.interrupted = True
+    if progress.best_state:
+        network.load_state_dict(progress.best_state)
+    network.eval()
+    return progress
+
+
+def predict(network: nn.Module, data: Data, n: NDArray[np.int64], batch: int = 4096) -> NDArray[np.float64]:
+    """Return a network's one-step predictions at the indices n, shape (k,), scaled."""
+    device = next(network.parameters()).device
+    network.eval()
+    samples = torch.from_numpy(data.samples).to(device, torch.float32)
+    with torch.no_grad():
+        pieces = [
+            network(samples[torch.from_numpy(window_indices(piece, data.window)).to(device)]).cpu()
+            for piece in np.array_split(n, max(1, math.ceil(len(n) / batch)))
+        ]
+    return torch.cat(pieces).double().numpy()
+
+
+def write_log(path: Path, epochs: list[Epoch]) -> None:
+    """Write the log as CSV."""
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, fieldnames=list(Epoch.__dataclass_fields__))
+        writer.writeheader()
+        writer.writerows(asdict(epoch) for epoch in epochs)
+
+
+def _schedule(config: TrainConfig, n_steps: int) -> Callable[[int], float]:
+    """Return the learning rate over its highest, by step: a linear rise over the first tenth, then half a cosine."""
+    if config.schedule == "constant":
+        return lambda step: 1.0
+    rise = max(1, n_steps // 10)
+    return lambda step: (
+        (step + 1) / rise
+        if step < rise
+        else 0.5 * (1 + math.cos(math.pi * min(1.0, (step - rise) / max(1, n_steps - rise))))
+    )
+
+
+def _validate(
+    network: nn.Module,
+    windows: Callable[[Tensor], Tensor],
+    samples: Tensor,
+    validation: Tensor,
+    criterion: Callable[[Tensor, Tensor], Tensor],
+) -> tuple[float, float]:
+    network.eval()
+    loss = mae = 0.0
+    with torch.no_grad():
+        for batch in validation.split(2048):
+            predicted, target = network(windows(batch)), samples[batch, 0]
+            loss += float(criterion(predicted, target)) * len(batch)
+            mae += float((predicted - target).abs().sum())
+    return loss / len(validation), mae / len(validation)
+
+
+def _save(path: Path, config: TrainConfig, network: nn.Module, optimiser: Any, scheduler: Any, progress: Progress) -> None:
+    temporary = path.with_name(path.name + ".part")
+    torch.save(
+        {
+            "config": asdict(config),
+            "network": network.state_dict(),
+            "optimiser": optimiser.state_dict(),
+            "scheduler": scheduler.state_dict(),
+            "epochs": [asdict(epoch) for epoch in progress.epochs],
+            "best_loss": progress.best_loss,
+            "best_state": progress.best_state,
+        },
+        temporary,
+    )
+    temporary.replace(path)
+
+
+def _resume(path: Path, config: TrainConfig, network: nn.Module, optimiser: Any, scheduler: Any) -> Progress:
+    saved = torch.load(path, weights_only=True)
+    if saved["config"] != asdict(config):
+        raise ValueError(f"{path.name} was written by a run with other settings; resume with the same ones")
+    network.load_state_dict(saved["network"])
+    optimiser.load_state_dict(saved["optimiser"])
+    scheduler.load_state_dict(saved["scheduler"])
+    epochs = [Epoch(**line) for line in saved["epochs"]]
+    return Progress(epochs, saved["best_loss"], saved["best_state"])
