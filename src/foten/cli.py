@@ -138,43 +138,51 @@ def _status(arguments: list[str]) -> int:
 def import_(
     files: Annotated[
         list[Path],
-        typer.Argument(help="CSV, TSV, .xlsx, .npz, .mat (v5 to v7.3), .tdms, .wav, .h5.", show_default=False),
+        typer.Argument(
+            help="CSV, TSV, .xlsx, .npz, .mat (v5 to v7.3), .tdms, .wav, .h5.", show_default=False
+        ),
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="The recording to write, .h5.", show_default=False)],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="The recording to write, .h5.", show_default=False)
+    ],
     mapping: Annotated[
         list[str] | None,
         typer.Option(
             "--map",
-            help="CHANNEL=COLUMN,… with channels time, acceleration, speed, force, or by axis acceleration_x, position_x, "
-            "force_x and so on (z is the surface normal). A column is a header name, or a number from 0; with several "
-            "files FILE:COLUMN. time may be given once per file and serves the channels of that file with as many rows; "
-            "without FILE: it is that column of every file which has it. Default: by the header names, said on stderr.",
+            help="CHANNEL=COLUMN,… with channels time, acceleration, speed, force, or by axis "
+            "acceleration_x, position_x, force_x and so on (z is the surface normal). A column is a header "
+            "name, or a number from 0; with several files FILE:COLUMN. time may be given once per file and "
+            "serves the channels of that file with as many rows; without FILE: it is that column of every "
+            "file which has it. Default: by the header names, said on stderr.",
         ),
     ] = None,
     units: Annotated[
         list[str] | None,
         typer.Option(
             "--unit",
-            help="CHANNEL=UNIT,… of the file: acceleration m/s^2, g, mg, mm/s^2; speed mm/s, cm/s, m/s; position mm, cm, "
-            "m, um; force N, mN, gf; time s, ms, us, ns. CHANNEL=V*FACTOR or *FACTOR multiplies, for a sensitivity: "
-            "force=V*4.9 for 4.9 N per volt. Default: what the file states, else m/s^2, mm/s, mm, N, s.",
+            help="CHANNEL=UNIT,… of the file: acceleration m/s^2, g, mg, mm/s^2; speed mm/s, cm/s, m/s; "
+            "position mm, cm, m, um; force N, mN, gf; time s, ms, us, ns. CHANNEL=V*FACTOR or *FACTOR "
+            "multiplies, for a sensitivity: force=V*4.9 for 4.9 N per volt. Default: what the file states, "
+            "else m/s^2, mm/s, mm, N, s.",
         ),
     ] = None,
     rate: Annotated[
         list[str] | None,
         typer.Option(
             "--rate",
-            help="HZ for the channels whose file states no rate and has no time column, or CHANNEL=HZ,…, which comes "
-            "before what the file states.",
+            help="HZ for the channels whose file states no rate and has no time column, or CHANNEL=HZ,…, "
+            "which comes before what the file states.",
         ),
     ] = None,
     fill_gaps: Annotated[
-        float, typer.Option("--fill-gaps", metavar="MS", help="Fill gaps of up to MS ms in position and speed.")
+        float,
+        typer.Option("--fill-gaps", metavar="MS", help="Fill gaps of up to MS ms in position and speed."),
     ] = 0.0,
     force_units: Annotated[
         bool,
         typer.Option(
-            "--force-units", help="Accept what no hand does: above 5 m/s, 1000 m/s², 500 N or 10 m, spikes for example."
+            "--force-units",
+            help="Accept what no hand does, spikes for example: above 5 m/s, 1000 m/s², 500 N or 10 m.",
         ),
     ] = False,
     texture: Annotated[str, typer.Option(help="What was stroked.")] = "",
@@ -196,6 +204,8 @@ def import_(
 
     if output.suffix.lower() not in (".h5", ".hdf5"):
         raise ValueError(f"a recording is written as .h5, got -o {output.name}")
+    if not output.parent.is_dir():
+        raise ValueError(f"there is no folder {output.parent}")
     rate_hz, rates_hz = parse_rates(rate or [])
     unit_pairs = parse_pairs(units or [], "--unit")
     imported = import_recording(
@@ -240,8 +250,9 @@ def import_(
         return
     for name, channel in recording.channels.items():
         print(
-            f"{name:<15} {channel.samples.size:>9} samples at {channel.rate_hz:>8g} Hz, {channel.duration_s:7.3f} s, "
-            f"{channel.samples.min():.4g} to {channel.samples.max():.4g} {UNITS[name]}"
+            f"{name:<15} {channel.samples.size:>9} samples at {channel.rate_hz:>8g} Hz, "
+            f"{channel.duration_s:7.3f} s, {channel.samples.min():.4g} to {channel.samples.max():.4g} "
+            f"{UNITS[name]}"
         )
     for line in recording.history:
         print(f"  {line}")
@@ -250,15 +261,19 @@ def import_(
 
 @app.command()
 def inspect(
-    recording_file: Annotated[Path, typer.Argument(metavar="REC.h5", help="A recording that foten import wrote.")],
+    recording_file: Annotated[
+        Path, typer.Argument(metavar="REC.h5", help="A recording that foten import wrote.")
+    ],
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="DIR", help="Write inspect.json, overview.png, coverage.png, psd.png."),
+        typer.Option(
+            "-o", "--output", metavar="DIR", help="Write inspect.json, overview.png, coverage.png, psd.png."
+        ),
     ] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Exit 1 where there is a problem.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Say what a recording holds and what is wrong with it: rates, units, ranges, coverage, clipping, gaps, order."""
+    """Say what a recording holds and what is wrong with it: units, coverage, clipping, gaps, order."""
     from foten import __version__
     from foten.datasets.hdf5 import load_recording
     from foten.recording.inspect import inspect_recording

@@ -23,12 +23,11 @@ def read_numpy(path: Path) -> list[Column]:
         raise ValueError(f"{path.name} is empty")
     columns: list[Column] = []
     try:
-        loaded = np.load(path, allow_pickle=False)
-        if isinstance(loaded, np.ndarray):
-            table = loaded.ndim == 2
-            found = columns_of_array("", loaded) if table else columns_of_array("0", loaded)
-            return [Column(c.name.lstrip("."), c.samples, fault=c.fault) for c in found]
-        with loaded:
+        with path.open("rb") as file:
+            loaded = np.load(file, allow_pickle=False)
+            if isinstance(loaded, np.ndarray):
+                found = columns_of_array("", loaded) if loaded.ndim == 2 else columns_of_array("0", loaded)
+                return [Column(c.name.lstrip("."), c.samples, fault=c.fault) for c in found]
             for name in loaded.files:
                 columns += columns_of_array(name, loaded[name])
     except (ValueError, EOFError, OSError, KeyError, zipfile.BadZipFile) as error:
@@ -52,9 +51,9 @@ def read_matlab(path: Path) -> list[Column]:
 
     try:
         variables = read_mat(str(path))
-    except Exception as error:  # the two readers below raise a dozen kinds, zlib.error and TypeError among them
-        if isinstance(error, ImportError):
-            raise
+    except ImportError:
+        raise
+    except Exception as error:  # a damaged file raises a dozen kinds, zlib.error and TypeError among them
         raise ValueError(f"{path.name} is truncated or is no MATLAB file ({error})") from None
     columns = _flatten(variables, "")
     if not columns:
@@ -76,25 +75,18 @@ def _flatten(value: Any, name: str) -> list[Column]:
 
 
 def read_hdf5(path: Path) -> list[Column]:
-    """Return the channels of one of our recordings, or every dataset of a foreign HDF5 file by its path.
+    """Return every dataset of a foreign HDF5 file, by its path in the file.
 
     Raises:
-        ValueError: empty, truncated, foreign.
+        ValueError: empty, truncated, or a recording of ours, which needs no import.
     """
-    from foten.datasets.hdf5 import is_recording, open_hdf5, read_recording
-    from foten.recording.recording import UNITS
+    from foten.datasets.hdf5 import is_recording, open_hdf5
 
     if is_recording(path):
-        recording = read_recording(path)
-        columns = []
-        for name, channel in recording.channels.items():
-            columns.append(Column(name, channel.samples, channel.rate_hz, UNITS[name]))
-            if channel.times_s is not None:
-                columns.append(Column(f"times_s.{name}", channel.times_s, unit="s"))
-        return columns
+        raise ValueError(f"{path.name} is a foten recording already; nothing to import")
     import h5py
 
-    columns = []
+    columns: list[Column] = []
     with open_hdf5(path) as file:
 
         def visit(name: str, item: Any) -> None:

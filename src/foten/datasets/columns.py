@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,11 +35,12 @@ class Column:
         return self.samples.size + self.n_blank
 
 
-def columns_of_array(name: str, array: NDArray[np.generic]) -> list[Column]:
+def columns_of_array(name: str, array: NDArray[Any]) -> list[Column]:
     """Return an array as columns: `name` for one, `name.0`, `name.1`, … for several.
 
-    The longer axis of a matrix is taken as time, as both layouts are common; scalars come back as columns of one
-    sample. Arrays that hold no numbers, or have more than two axes of length above 1, come back with a fault.
+    The longer axis of a matrix is taken as time, as both layouts are common; scalars come back as columns of
+    one sample. Arrays that hold no numbers, or have more than two axes of length above 1, come back with a
+    fault.
     """
     array = np.asarray(array)
     if array.dtype.names:

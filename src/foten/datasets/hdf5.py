@@ -120,7 +120,8 @@ def read_recording(path: Path) -> Recording:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: another format or version, truncated, a channel, unit, rate, time or sample that cannot be.
+        ValueError: another format or version, truncated, a channel, unit, rate, time or sample that cannot
+            be.
     """
     with open_hdf5(path) as file:
         try:

@@ -9,7 +9,7 @@ import difflib
 import hashlib
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -133,7 +133,8 @@ def parse_pairs(texts: Sequence[str], option: str) -> list[tuple[str, str]]:
         key, equals, value = piece.partition("=")
         if not equals or not key.strip() or not value.strip():
             raise ValueError(
-                f"{option} {piece!r} is not CHANNEL=VALUE (a column whose name holds a comma goes by its number)"
+                f"{option} {piece!r} is not CHANNEL=VALUE (a column whose name holds a comma goes by its "
+                "number)"
             )
         pairs.append((key.strip(), value.strip()))
     return pairs
@@ -180,7 +181,8 @@ def read_columns(path: Path) -> list[Column]:
     suffix = path.suffix.lower()
     if suffix in (".pkl", ".pickle"):
         raise ValueError(
-            f"{path.name} is a pickle, which can run code when opened; save plain arrays as .npz or .h5 instead"
+            f"{path.name} is a pickle, which can run code when opened; save plain arrays as .npz or .h5 "
+            "instead"
         )
     if suffix not in DATASETS:
         hint = "; save it as .xlsx" if suffix in (".xls", ".xlsb", ".ods") else ""
@@ -191,8 +193,9 @@ def read_columns(path: Path) -> list[Column]:
 def import_recording(paths: Sequence[Path], options: ImportOptions) -> Import:
     """Return the recording that some files hold, and what was decided on the way.
 
-    A mapped `time` column serves the channels of its own file that have as many rows; give it once per file. Times of
-    several files are taken to be one clock; they count from the start of the acceleration, or else from the earliest.
+    A mapped `time` column serves the channels of its own file that have as many rows; give it once per file.
+    Times of several files are taken to be one clock; they count from the start of the acceleration, or else
+    from the earliest.
 
     Raises:
         ValueError: one sentence on what is missing, ambiguous or impossible.
@@ -204,6 +207,13 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> Import:
     if not mapping:
         mapping = _guess(files, with_time=options.rate_hz is None)
         decisions += [f"taken from the headers: --map {','.join(f'{k}={v}' for k, v in mapping)}"]
+        taken = {reference for _, reference in mapping}
+        rest = [_reference(files, path, c) for path, columns in files.items() for c in columns]
+        decisions += (
+            [f"left out: {', '.join(name for name in rest if name not in taken)}"]
+            if set(rest) - taken
+            else []
+        )
     picked: dict[str, tuple[Path, Column]] = {}
     clocks: list[tuple[Path, Column]] = []
     for channel, reference in mapping:
@@ -218,7 +228,9 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> Import:
             raise ValueError(f"{channel} has a unit or rate but is not mapped")
 
     history: list[str] = []
-    digests = {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in {p for p, _ in picked.values()}}
+    digests = {
+        path: hashlib.sha256(path.read_bytes()).hexdigest() for path in {p for p, _ in picked.values()}
+    }
     samples: dict[str, NDArray[np.float64]] = {}
     times: dict[str, NDArray[np.float64] | None] = {}
     rates: dict[str, float] = {}
@@ -256,7 +268,8 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> Import:
         if one.duration_s < SHORTEST_S:
             raise ValueError(
                 f"{channel} is too short: {one.samples.size} samples at {one.rate_hz:g} Hz last "
-                f"{one.duration_s * 1000:.3g} ms, expected {SHORTEST_S * 1000:g} ms or more; is the rate right?"
+                f"{one.duration_s * 1000:.3g} ms, expected {SHORTEST_S * 1000:g} ms or more; is the rate "
+                "right?"
             )
     recording = Recording(
         channels, options.texture, options.tool, options.sensors, options.notes, history=tuple(history)
@@ -265,7 +278,7 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> Import:
 
 
 def _origin(times: Mapping[str, NDArray[np.float64] | None]) -> float:
-    """Return the file time [s] that becomes 0: the start of the acceleration, which alone must stay on its own grid."""
+    """Return the file time [s] that becomes 0: where the acceleration starts, which must stay on its grid."""
     starts = {channel: float(clock[0]) for channel, clock in times.items() if clock is not None}
     fast = [start for channel, start in starts.items() if quantity(channel) == "acceleration"]
     return min(fast or starts.values(), default=0.0)
@@ -287,8 +300,8 @@ def _guess(files: Mapping[Path, list[Column]], with_time: bool) -> tuple[tuple[s
     for path, columns in files.items():
         for column in columns:
             name = re.sub(r"\s*[\[(].*[\])]\s*$", "", column.name).strip().lower().replace(" ", "_")
-            for channel, names in _GUESSES.items():
-                if name in names and column.n_rows > 1:
+            for channel, aliases in _GUESSES.items():
+                if name in aliases and column.n_rows > 1:
                     found.setdefault(channel, []).append((path, column))
     if not with_time:
         found.pop("time", None)
@@ -301,9 +314,12 @@ def _guess(files: Mapping[Path, list[Column]], with_time: bool) -> tuple[tuple[s
             raise ValueError(f"{channel} could be any of {names}; say which, e.g. --map {_example(files)}")
     if not set(found) - {"time"}:
         raise ValueError(
-            f"no header says which column is which; found {_listing(files)}; say so, e.g. --map {_example(files)}"
+            f"no header says which column is which; found {_listing(files)}; say so, e.g. --map "
+            f"{_example(files)}"
         )
-    return tuple((channel, _reference(files, *place)) for channel, places in found.items() for place in places)
+    return tuple(
+        (channel, _reference(files, *place)) for channel, places in found.items() for place in places
+    )
 
 
 def _reference(files: Mapping[Path, list[Column]], path: Path, column: Column) -> str:
@@ -316,8 +332,15 @@ def _listing(files: Mapping[Path, list[Column]]) -> str:
 
 
 def _example(files: Mapping[Path, list[Column]]) -> str:
-    places = [_reference(files, path, c) for path, columns in files.items() for c in columns if c.n_rows > 1]
-    return ",".join(f"{k}={v}" for k, v in zip(("acceleration", "speed", "force"), places, strict=False))
+    """Return a mapping that could be meant, by the words in file and column names, else in their order."""
+    left = [_reference(files, path, c) for path, columns in files.items() for c in columns if c.n_rows > 1]
+    pairs = []
+    for channel, word in (("acceleration", "acc"), ("speed", "speed"), ("force", "force")):
+        if left:
+            place = next((one for one in left if word in one.lower()), left[0])
+            left.remove(place)
+            pairs.append(f"{channel}={place}")
+    return ",".join(pairs)
 
 
 def _split(files: Mapping[Path, list[Column]], reference: str) -> tuple[list[Path], str]:
@@ -352,7 +375,9 @@ def _find(files: Mapping[Path, list[Column]], channel: str, reference: str) -> t
         raise ValueError(f"{channel}={reference} is in {len(hits)} files; write {options}")
     if not hits:
         there = {path: files[path] for path in paths}
-        close = difflib.get_close_matches(name, [c.name for cs in there.values() for c in cs], n=1, cutoff=0.5)
+        close = difflib.get_close_matches(
+            name, [c.name for cs in there.values() for c in cs], n=1, cutoff=0.5
+        )
         hint = f"; did you mean {close[0]}?" if close else ""
         where = paths[0].name if len(paths) == 1 else "the files"
         raise ValueError(f"{channel}: no column {name!r} in {where}, which has {_listing(there)}{hint}")
@@ -400,16 +425,18 @@ def _factor(channel: str, column: Column, given: str | None) -> tuple[float, str
                 f"{channel}: {label} is a known unit and takes no factor; write {channel}={label}, or "
                 f"{channel}=*{known[label] * factor:g} to get {target}"
             )
-        return factor, f"{channel} was multiplied by {factor:g} to get {target}" + (f" from {label}" * bool(label))
+        return factor, f"{channel} was multiplied by {factor:g} to get {target}" + (
+            f" from {label}" * bool(label)
+        )
     if label == FULL_SCALE:
         raise ValueError(
-            f"{channel}: the samples of {column.name} are fractions of full scale; say how many {target} full scale "
-            f"is, e.g. --unit {channel}=*50"
+            f"{channel}: the samples of {column.name} are fractions of full scale; say how many {target} "
+            f"full scale is, e.g. --unit {channel}=*50"
         )
     if label not in known:
         raise ValueError(
-            f"{channel}: unit {text!r} is not one of {', '.join(known)}; "
-            f"for a sensitivity write e.g. --unit {channel}=V*4.9 (4.9 {target} per volt)"
+            f"{channel}: unit {text!r} is not one of {', '.join(known)}; for a sensitivity write e.g. "
+            f"--unit {channel}=V*4.9 (4.9 {target} per volt)"
         )
     factor = known[label]
     return factor, "" if factor == 1 else f"{channel} was converted from {label} to {target}"
@@ -433,8 +460,8 @@ def _times(
         if channel in options.rates_hz and not fitting:
             return None
         raise ValueError(
-            f"{path.name}: {channel} has {column.n_rows} rows and time has {rows}; expected one time column of equal "
-            f"length, or a rate: --rate {channel}=HZ"
+            f"{path.name}: {channel} has {column.n_rows} rows and time has {rows}; expected one time column "
+            f"of equal length, or a rate: --rate {channel}=HZ"
         )
     if channel in options.rates_hz:
         raise ValueError(f"{channel} has a time column ({fitting[0].name}) and a --rate; give one of them")
@@ -449,7 +476,11 @@ def _times(
     if bad_steps.size:
         i = int(bad_steps[0])
         what = "repeats" if steps[i] == 0 else "goes back"
-        hint = "are the times rounded? Leave time out and give --rate" if steps[i] == 0 else "are the rows sorted?"
+        hint = (
+            "are the times rounded? Leave time out and give --rate"
+            if steps[i] == 0
+            else "are the rows sorted?"
+        )
         raise ValueError(
             f"{path.name}: the time {what} at sample {i + 1}: {times[i + 1]:.9g} after {times[i]:.9g} "
             f"({bad_steps.size} such places); {hint}"
@@ -469,7 +500,10 @@ def _rate(
     if channel in options.rates_hz:
         rate = options.rates_hz[channel]
         if column.rate_hz is not None and abs(rate - column.rate_hz) > 1e-6 * rate:
-            return rate, f"{channel} has the rate given, {rate:g} Hz; {path.name} states {column.rate_hz:g} Hz"
+            return (
+                rate,
+                f"{channel} has the rate given, {rate:g} Hz; {path.name} states {column.rate_hz:g} Hz",
+            )
         return rate, ""
     if times is not None:
         if times.size < 2:
@@ -480,18 +514,20 @@ def _rate(
     if options.rate_hz is not None:
         return options.rate_hz, ""
     scalars = [
-        c for c in columns if c.samples.size == 1 and re.search(r"(^|[._])(fs|rate|sample_?rate|hz)$", c.name.lower())
+        c
+        for c in columns
+        if c.samples.size == 1 and re.search(r"(^|[._])(fs|rate|sample_?rate|hz)$", c.name.lower())
     ]
     guess = f"{scalars[0].samples[0]:g}" if scalars else "10000"
     hint = f" (the file has {scalars[0].name} = {guess})" if scalars else ""
     raise ValueError(
-        f"{channel}: {path.name} does not say how fast it was sampled; give --rate {guess} or "
-        f"--rate {channel}={guess}{hint}, or map its time column: --map time=COLUMN"
+        f"{channel}: {path.name} does not say how fast it was sampled; give --rate {guess} or --rate "
+        f"{channel}={guess}{hint}, or map its time column: --map time=COLUMN"
     )
 
 
 def _rate_of(times: NDArray[np.float64]) -> float:
-    """Return the rate of regular times, a whole number where the times' rounding allows one; else 1 / median step."""
+    """Return the rate of regular times, whole where their rounding allows it; else 1 / median step."""
     even = (times.size - 1) / (times[-1] - times[0])
     slack = 2 * _last_digit(times) / (times[-1] - times[0]) + 1e-9
     if _irregular(times - times[0], even):
@@ -525,9 +561,13 @@ def _irregular(times: NDArray[np.float64], rate_hz: float) -> str:
 
 
 def _filled(
-    channel: str, samples: NDArray[np.float64], times: NDArray[np.float64] | None, rate_hz: float, gap_ms: float
+    channel: str,
+    samples: NDArray[np.float64],
+    times: NDArray[np.float64] | None,
+    rate_hz: float,
+    gap_ms: float,
 ) -> tuple[NDArray[np.float64], str]:
-    """Return samples without NaN: marker drop-outs of position and speed drawn straight, if asked; and a sentence."""
+    """Return samples without NaN, marker drop-outs filled with straight lines if asked, and a sentence."""
     infinite = np.flatnonzero(np.isinf(samples))
     if infinite.size:
         raise ValueError(f"{channel}: {infinite.size} samples are infinite, the first at {infinite[0]}")
@@ -537,36 +577,37 @@ def _filled(
     first, count = int(np.flatnonzero(missing)[0]), int(missing.sum())
     if quantity(channel) not in ("position", "speed"):
         raise ValueError(
-            f"{channel}: {count} samples are NaN or blank, the first at {first}; "
-            "only position and speed may have gaps filled"
+            f"{channel}: {count} samples are NaN or blank, the first at {first}; only position and speed "
+            "may have gaps filled"
         )
     edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
     starts, ends = edges[0::2], edges[1::2]
     clock = np.arange(samples.size) / rate_hz if times is None else times
-    # A gap lasts from the last good sample to the next; one lost sample at 100 Hz is a gap of 20 ms less a period.
+    # A gap is as long as its lost samples: three of them at 100 Hz are 30 ms.
     lengths = (ends - starts) / rate_hz if times is None else _lengths(clock, starts, ends)
     if gap_ms == 0:
         raise ValueError(
-            f"{channel}: {count} samples are NaN or blank in {starts.size} gaps, the first at {first}, the longest "
-            f"{lengths.max() * 1000:.4g} ms; --fill-gaps {max(1, int(np.ceil(lengths.max() * 1000)))} would fill them"
+            f"{channel}: {count} samples are NaN or blank in {starts.size} gaps, the first at {first}, the "
+            f"longest {lengths.max() * 1000:.4g} ms; --fill-gaps "
+            f"{max(1, int(np.ceil(lengths.max() * 1000)))} would fill them"
         )
     if missing[0] or missing[-1]:
         raise ValueError(
-            f"{channel}: NaN or blank at the {'start' if missing[0] else 'end'}: nothing to draw a line from; "
-            "cut the file there"
+            f"{channel}: NaN or blank at the {'start' if missing[0] else 'end'}: nothing to draw a line "
+            "from; cut the file there"
         )
     long = np.flatnonzero(lengths > gap_ms / 1000 * (1 + 1e-9))
     if long.size:
         i = int(long[0])
         raise ValueError(
-            f"{channel}: {long.size} of {starts.size} gaps are longer than {gap_ms:g} ms, the first at sample "
-            f"{starts[i]} ({clock[starts[i]]:.4g} s) lasts {lengths[i] * 1000:.4g} ms"
+            f"{channel}: {long.size} of {starts.size} gaps are longer than {gap_ms:g} ms, the first at "
+            f"sample {starts[i]} ({clock[starts[i]]:.4g} s) lasts {lengths[i] * 1000:.4g} ms"
         )
     filled = samples.copy()
     filled[missing] = np.interp(clock[missing], clock[~missing], samples[~missing])
     return filled, (
-        f"{channel}: {starts.size} gaps ({count} samples, the longest {lengths.max() * 1000:.4g} ms) were filled with "
-        f"straight lines, up to {gap_ms:g} ms allowed"
+        f"{channel}: {starts.size} gaps ({count} samples, the longest {lengths.max() * 1000:.4g} ms) were "
+        f"filled with straight lines, up to {gap_ms:g} ms allowed"
     )
 
 
@@ -579,7 +620,8 @@ def _lengths(
 
 def _check_overlap(channels: Mapping[str, Channel]) -> None:
     spans = {
-        name: (float(c.times_s[0]) if c.times_s is not None else 0.0, c.duration_s) for name, c in channels.items()
+        name: (float(c.times_s[0]) if c.times_s is not None else 0.0, c.duration_s)
+        for name, c in channels.items()
     }
     late = max(spans, key=lambda name: spans[name][0])
     early = min(spans, key=lambda name: spans[name][0] + spans[name][1])
@@ -597,13 +639,16 @@ def _check_size(channel: str, one: Channel, force_units: bool) -> str:
     beyond = np.flatnonzero(size > LIMITS[kind])
     if not beyond.size:
         return ""
-    what = f"{channel} reaches {one.samples[beyond[np.argmax(size[beyond])]]:.6g} {unit} at sample {int(np.argmax(size))}"
+    largest = int(np.argmax(size))
+    what = f"{channel} reaches {one.samples[largest]:.6g} {unit} at sample {largest}"
     if force_units:
-        return f"{what}; {beyond.size} samples beyond {LIMITS[kind]:g} {unit} were let through (--force-units)"
+        return (
+            f"{what}; {beyond.size} samples beyond {LIMITS[kind]:g} {unit} were let through (--force-units)"
+        )
     if beyond.size <= 0.01 * size.size:
         raise ValueError(
-            f"{what}, beyond any hand ({LIMITS[kind]:g} {unit}), in {beyond.size} of {size.size} samples: spikes? "
-            "--force-units imports them as they are, and foten inspect shows where"
+            f"{what}, beyond any hand ({LIMITS[kind]:g} {unit}), in {beyond.size} of {size.size} samples: "
+            "spikes? --force-units imports them as they are, and foten inspect shows where"
         )
     large = float(np.quantile(size, 0.99))
     likely = min(FACTORS[kind].items(), key=lambda item: abs(np.log(large * item[1] / _USUAL[kind])))
@@ -615,8 +660,3 @@ def _check_size(channel: str, one: Channel, force_units: bool) -> str:
     raise ValueError(
         f"{what}, expected below {LIMITS[kind]:g} {unit}; {guess} (--force-units imports it all the same)"
     )
-
-
-def with_texts(recording: Recording, **texts: str) -> Recording:
-    """Return a recording with texture, tool, sensors or notes replaced where a text is given."""
-    return replace(recording, **{key: text for key, text in texts.items() if text})  # type: ignore[arg-type]

@@ -13,13 +13,16 @@ import numpy as np
 from foten.datasets.columns import Column
 
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
-_UNIT_WORD = re.compile(r"[\[(]?(s|ms|us|µs|ns|m/s\^?2|m/s²|m/s\*\*2|g|mg|mm/s\^?2|mm/s²|mm/s|cm/s|m/s|mm|cm|m|um|µm|N|mN|gf|V|mV)?[\])]?")
+_UNIT_WORD = re.compile(
+    r"[\[(]?(s|ms|us|µs|ns|(m|mm)/s(\^2|2|²|\*\*2)|g|mg|(m|mm|cm)/s|mm|cm|m|um|µm|N|mN|gf|V|mV)?[\])]?"
+)
 
 
 def read_delimited(path: Path) -> list[Column]:
     """Return the columns of a text table; the separator and the decimal comma are found, not asked.
 
-    Lines before the table, lines that begin with # or %, and a second header row that holds only units are understood.
+    Lines before the table, lines that begin with # or %, and a second header row that holds only units are
+    understood.
 
     Raises:
         ValueError: empty, not text, rows of different widths.
@@ -28,21 +31,21 @@ def read_delimited(path: Path) -> list[Column]:
     if not raw.strip():
         raise ValueError(f"{path.name} is empty")
     lines = _decode(raw, path.name).splitlines()
-    numbered = [(i, line) for i, line in enumerate(lines, start=1) if line.strip()]
-    sample = numbered[len(numbered) // 2][1]
+    filled = [line for line in lines if line.strip()]
+    sample = filled[len(filled) // 2]
     delimiter = next((mark for mark in "\t;," if mark in sample), None)
     if delimiter is None:
-        rows: list[list[Any]] = [line.lstrip("#% ").split() for _, line in numbered]
+        rows: list[list[Any]] = [line.lstrip("#% ").split() for line in lines]
     else:
-        rows = [list(row) for row in csv.reader((line for _, line in numbered), delimiter=delimiter)]
-        if len(rows) != len(numbered):
+        rows = [list(row) for row in csv.reader(lines, delimiter=delimiter)]
+        if len(rows) != len(lines):
             raise ValueError(f"{path.name}: a quotation mark opens and never closes; was the file cut off?")
-        for (_, line), row in zip(numbered, rows, strict=True):
-            if line[:1] in "#%":
+        for line, row in zip(lines, rows, strict=True):
+            if line.startswith(("#", "%")):
                 row[0] = row[0].lstrip("#% ")
-    if delimiter != "," and any(_DECIMAL_COMMA.fullmatch(cell.strip()) for cell in rows[len(rows) // 2]):
+    if delimiter != "," and any(_DECIMAL_COMMA.fullmatch(cell.strip()) for cell in sample.split(delimiter)):
         rows = [[cell.replace(",", ".") for cell in row] for row in rows]
-    return _table(rows, [i for i, _ in numbered], path.name)
+    return _table(rows, path.name)
 
 
 def read_excel(path: Path) -> list[Column]:
@@ -69,7 +72,14 @@ def read_excel(path: Path) -> list[Column]:
                     sheets.append((sheet.title, rows))
         finally:
             book.close()
-    except (zipfile.BadZipFile, InvalidFileException, KeyError, EOFError, SyntaxError, zipfile.error) as error:
+    except (
+        zipfile.BadZipFile,
+        InvalidFileException,
+        KeyError,
+        EOFError,
+        SyntaxError,
+        zipfile.error,
+    ) as error:
         raise ValueError(f"{path.name} is truncated or is not an .xlsx workbook ({error})") from None
     if not sheets:
         raise ValueError(f"{path.name} has no filled cell")
@@ -77,9 +87,7 @@ def read_excel(path: Path) -> list[Column]:
     for title, rows in sheets:
         where = path.name if len(sheets) == 1 else f"{path.name}, sheet {title}"
         width = max(_width(row) for row in rows)
-        kept = [(i, [*row[:width], *[None] * (width - len(row))]) for i, row in enumerate(rows, start=1)]
-        first = next(k for k, (_, row) in enumerate(kept) if _width(row))
-        found = _table([row for _, row in kept[first:]], [i for i, _ in kept[first:]], where)
+        found = _table([[*row[:width], *[None] * (width - len(row))] for row in rows], where)
         if len(sheets) > 1:
             found = [
                 Column(f"{title}.{c.name}", c.samples, c.rate_hz, c.unit, c.n_blank, c.fault) for c in found
@@ -117,41 +125,45 @@ def _is_number(cell: Any) -> bool:
     return True
 
 
-def _table(rows: list[list[Any]], row_numbers: list[int], where: str) -> list[Column]:
-    """Return the columns below the header of a table; `row_numbers` are those of the file, for messages."""
-    last = next((row for row in reversed(rows) if any(_is_number(cell) for cell in row)), None)
-    middle = rows[len(rows) // 2]
-    if last is None:
+def _table(rows: list[list[Any]], where: str) -> list[Column]:
+    """Return the columns below the header of a table. Rows are counted from 1, as editors do."""
+    rows = list(rows)
+    while rows and not _width(rows[-1]):
+        rows.pop()
+    numbers = [row for row in rows if any(map(_is_number, row))]
+    if not numbers:
         raise ValueError(f"{where} has no row of numbers")
-    typical = middle if any(_is_number(cell) for cell in middle) else last
+    typical = numbers[len(numbers) // 2]
     width = len(typical)
     numeric = [k for k, cell in enumerate(typical) if _is_number(cell)]
-    start = next(
-        (
-            i
-            for i, row in enumerate(rows)
-            if len(row) == width
-            and any(_is_number(row[k]) for k in numeric)
-            and all(_is_number(row[k]) or _is_blank(row[k]) for k in numeric)
-        ),
-        None,
-    )
-    if start is None:
-        raise ValueError(f"{where} has no row of numbers")
-    for number, row in zip(row_numbers[start:], rows[start:], strict=True):
-        if len(row) != width:
+
+    def fits(row: list[Any]) -> bool:
+        cells = [row[k] for k in numeric] if len(row) == width else []
+        return any(map(_is_number, cells)) and all(_is_number(cell) or _is_blank(cell) for cell in cells)
+
+    start = next((i for i, row in enumerate(rows) if fits(row)), 0)
+    for i in range(start, len(rows)):
+        if not _width(rows[i]):
+            rows[i] = [None] * width  # a blank line among the data is a row that is missing, not no row
+        elif len(rows[i]) != width:
             raise ValueError(
-                f"{where}, row {number} has {len(row)} cells, expected {width}; was the file cut off?"
+                f"{where}, row {i + 1} has {len(rows[i])} cells, expected {width}; was the file cut off?"
             )
     names, units = [str(k) for k in range(width)], [""] * width
-    heads = [row for row in rows[max(0, start - 2) : start] if len(row) == width and not any(map(_is_number, row))]
-    if len(heads) == 2 and any(map(_words, heads[1])) and all(_UNIT_WORD.fullmatch(w) for w in map(_words, heads[1])):
+    heads = [
+        row for row in rows[max(0, start - 2) : start] if len(row) == width and not any(map(_is_number, row))
+    ]
+    if (
+        len(heads) == 2
+        and any(map(_words, heads[1]))
+        and all(_UNIT_WORD.fullmatch(w) for w in map(_words, heads[1]))
+    ):
         units = [_words(cell).strip("[]()") for cell in heads[1]]
         heads.pop()
     if heads:
         names = [_words(cell) or str(k) for k, cell in enumerate(heads[-1])]
     return [
-        _column(name, unit, [row[k] for row in rows[start:]], row_numbers[start:], where)
+        _column(name, unit, [row[k] for row in rows[start:]], start + 1)
         for k, (name, unit) in enumerate(zip(names, units, strict=True))
     ]
 
@@ -160,7 +172,7 @@ def _words(cell: Any) -> str:
     return "" if cell is None else " ".join(str(cell).split())
 
 
-def _column(name: str, unit: str, cells: list[Any], row_numbers: list[int], where: str) -> Column:
+def _column(name: str, unit: str, cells: list[Any], first_row: int) -> Column:
     n = len(cells)
     while n and _is_blank(cells[n - 1]):
         n -= 1
@@ -170,5 +182,5 @@ def _column(name: str, unit: str, cells: list[Any], row_numbers: list[int], wher
         return Column(name, np.array(numbers, dtype=np.float64), unit=unit, n_blank=n_blank)
     except (TypeError, ValueError):
         bad = next(i for i, cell in enumerate(numbers) if not _is_number(cell))
-        fault = f"row {row_numbers[bad]} is {str(cells[bad])!r}, expected a number"
+        fault = f"row {first_row + bad} is {str(cells[bad])!r}, expected a number"
         return Column(name, np.zeros(0), unit=unit, n_blank=n, fault=fault)

@@ -27,7 +27,9 @@ def read_wav(path: Path) -> list[Column]:
 
     try:
         with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="Chunk .*not understood", category=wavfile.WavFileWarning)
+            warnings.filterwarnings(
+                "ignore", message="Chunk .*not understood", category=wavfile.WavFileWarning
+            )
             warnings.filterwarnings("error", message=".*EOF", category=wavfile.WavFileWarning)
             rate, samples = wavfile.read(path)
     except (ValueError, wavfile.WavFileWarning, EOFError) as error:

@@ -1,6 +1,7 @@
 """What a recording holds and what is wrong with it, found from its numbers alone.
 
-A finding is a *problem* when training on the recording as it is would learn something false, and a *note* otherwise.
+A finding is a *problem* when training on the recording as it is would learn something false, a *note*
+otherwise.
 """
 
 from __future__ import annotations
@@ -54,7 +55,9 @@ class Finding:
 class ChannelReport:
     """The numbers of one channel, in the unit of `UNITS`; `low` and `high` are the 1st and 99th percentile.
 
-    `noise_floor` is an RMS: at rest where the recording rests, else an upper bound (`noise_floor_from`).
+    `noise_floor` is an RMS. Of an acceleration: its level at `rest`, or an upper bound, that of the
+    `quietest 5 %`.
+    Of a slow signal: from its third `differences`.
     """
 
     name: str
@@ -146,11 +149,12 @@ class Inspection:
     def to_text(self) -> str:
         """Return the report for people."""
         lines = [
-            f"{'channel':<15}{'unit':>6}{'rate':>10}{'samples':>9}{'lasts':>9}{'from':>11}{'to':>11}{'rms':>10}"
+            f"{'channel':<15}{'unit':>6}{'rate':>10}{'samples':>9}{'lasts':>9}{'from':>11}"
+            f"{'to':>11}{'rms':>10}"
             f"{'noise':>11}"
         ]
         for one in self.channels:
-            bound = " " if one.noise_floor_from == "rest" else "<"
+            bound = "<" if one.noise_floor_from == "quietest 5 %" else " "
             lines.append(
                 f"{one.name:<15}{one.unit:>6}{one.rate_hz:>7.6g} Hz{one.n_samples:>9}{one.duration_s:>7.2f} s"
                 f"{one.minimum:>11.4g}{one.maximum:>11.4g}{one.rms:>10.4g} {bound}{one.noise_floor:>9.3g}"
@@ -158,7 +162,8 @@ class Inspection:
         if self.coverage is not None:
             plane = self.coverage
             lines.append(
-                f"speed–force plane: {plane.covered} of {plane.seconds.size} cells visited ({plane.fraction:.0%}), "
+                f"speed–force plane: {plane.covered} of {plane.seconds.size} cells visited "
+                f"({plane.fraction:.0%}), "
                 f"speed {plane.speed_range[0]:.4g} to {plane.speed_range[1]:.4g} mm/s, "
                 f"force {plane.force_range[0]:.3g} to {plane.force_range[1]:.3g} N"
             )
@@ -177,7 +182,7 @@ def inspect_recording(recording: Recording) -> Inspection:
     findings += _missing(recording)
     findings += _durations(recording)
     for name, channel in recording.channels.items():
-        findings += _units(name, channel)
+        findings += _units(name, channel, recording)
         findings += _gaps(name, channel)
         findings += _spikes(name, channel)
         findings += _clipping(name, channel)
@@ -245,7 +250,7 @@ def _rest(recording: Recording) -> tuple[NDArray[np.float64], NDArray[np.bool_]]
     speed = _speed(recording)
     if speed is None:
         return None
-    times, still = speed[0], speed[1] < MOVING_MM_S
+    times, still = speed[0], np.abs(speed[1]) < MOVING_MM_S
     force = _force(recording)
     if force is not None:
         still |= np.interp(times, force[1], force[2]) < CONTACT_N
@@ -279,12 +284,13 @@ def _report(
 def _noise_floor(
     name: str, channel: Channel, rest: tuple[NDArray[np.float64], NDArray[np.bool_]] | None
 ) -> tuple[float, str]:
-    """Return the RMS of the sensor's noise and where it was found: `rest`, `quietest 5 %` or `differences`."""
+    """Return the RMS of the noise and where it was found: `rest`, `quietest 5 %` or `differences`."""
     x = channel.samples
     if not name.startswith("acceleration"):
         if x.size < 4:
             return 0.0, "differences"
-        # White noise of variance s² has third differences of variance (1+9+9+1)·s²; a hand's are next to zero.
+        # White noise of variance s² has third differences of variance (1+9+9+1)·s²; a hand's are next to
+        # zero.
         return float(1.4826 * np.median(np.abs(np.diff(x, 3))) / np.sqrt(20)), "differences"
     frame = max(2, round(FRAME_S * channel.rate_hz))
     frames = x[: x.size - x.size % frame].reshape(-1, frame) if x.size >= frame else x[None, :]
@@ -332,7 +338,8 @@ def _durations(recording: Recording) -> Iterable[Finding]:
             NOTE,
             "durations",
             first,
-            f"{first} ends at {ends[first]:.3f} s and {last} at {ends[last]:.3f} s; only the common part is used; "
+            f"{first} ends at {ends[first]:.3f} s and {last} at {ends[last]:.3f} s; only the common part "
+            f"is used; "
             "are both rates right?",
         )
     needed = (2 * config.trim_ms + FEWEST_BLOCKS * config.block_ms) / 1000
@@ -347,20 +354,29 @@ def _durations(recording: Recording) -> Iterable[Finding]:
         )
 
 
-def _units(name: str, channel: Channel) -> Iterable[Finding]:
+def _swing(channel: Channel) -> float:
+    return float(np.subtract(*np.quantile(channel.samples, [0.999, 0.001])))
+
+
+def _units(name: str, channel: Channel, recording: Recording) -> Iterable[Finding]:
     x, unit = channel.samples, UNITS[name]
     peak = float(np.quantile(np.abs(x), 0.999))
-    swing = float(np.subtract(*np.quantile(x, [0.999, 0.001])))
-    if swing == 0:
-        yield Finding(PROBLEM, "constant", name, f"{name} is {x[0]:g} {unit} throughout; is the right column mapped?")
+    if x.min() == x.max():
+        fast = name.startswith("acceleration")
+        text = f"{name} is {x[0]:g} {unit} throughout; is the right column mapped?"
+        yield Finding(PROBLEM if fast else NOTE, "constant", name, text)
         return
     guess = ""
     if name == "speed":
         if peak < 5:
             guess = f"speed peaks at {peak:.3g}, expected mm/s up to about 350; was it given in m/s?"
         elif peak > 1500:
-            guess = f"speed peaks at {peak:.4g}, expected mm/s up to about 350; is it a raw reading, or the rate wrong?"
+            guess = f"speed peaks at {peak:.4g}, expected mm/s up to about 350; is it a raw reading?"
     elif name.startswith("position"):
+        # A stroke along one axis leaves the others at rest: the one that moves most tells the unit.
+        swing = _swing(channel)
+        if swing < max(_swing(axis) for axis in recording.axes("position")):
+            return
         if swing < 1:
             guess = f"{name} moves by {swing:.3g}, expected mm, tens to hundreds; was it given in m?"
         elif swing > 2000:
@@ -402,36 +418,41 @@ def _gaps(name: str, channel: Channel) -> Iterable[Finding]:
     jitter = float(np.median(np.abs(steps - usual)))
     if jitter > 0.05 * usual:
         yield Finding(
-            NOTE, "jitter", name, f"{name}: its sampling period of {usual * 1000:.4g} ms varies by {jitter / usual:.0%}"
+            NOTE,
+            "jitter",
+            name,
+            f"{name}: its sampling period of {usual * 1000:.4g} ms varies by {jitter / usual:.0%}",
         )
 
 
-def _spiky(x: NDArray[np.float64], fast: bool) -> NDArray[np.int64]:
-    """Return the indices of one or two samples that stand alone.
+def _spiky(x: NDArray[np.float64], fast: bool) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return the indices of one or two samples that stand alone, and how far each stands from its neighbours.
 
-    A median of five keeps steps and slopes and removes one or two strays, so what it removes is either a stray or, in
-    a fast signal, the tips of the vibration: hence the percentile as a measure. On four real textures at 10 kHz the
-    largest tip was 4.3 times the 99th percentile.
+    A median of five keeps steps and slopes and removes one or two strays, so what it removes is either a
+    stray or, in a fast signal, the tips of the vibration: hence the percentile as a measure. On four real
+    textures at 10 kHz the largest tip was 4.3 times the 99th percentile.
     """
     from scipy.ndimage import median_filter
 
     if x.size < 10:
-        return np.zeros(0, dtype=np.int64)
+        return np.zeros(0, dtype=np.int64), np.zeros(0)
     removed = np.abs(x - median_filter(x, 5, mode="nearest"))
     swing = float(np.subtract(*np.quantile(x, [0.99, 0.01])))
     usual = float(np.quantile(removed, 0.99 if fast else 0.95))
-    return np.flatnonzero(removed > max(10 * usual, (0.3 if fast else 0.1) * swing, 1e-9))
+    found = np.flatnonzero(removed > max(10 * usual, (0.3 if fast else 0.1) * swing, 1e-9))
+    return found, removed[found]
 
 
 def _spikes(name: str, channel: Channel) -> Iterable[Finding]:
-    found = _spiky(channel.samples, name.startswith("acceleration"))
+    found, height = _spiky(channel.samples, name.startswith("acceleration"))
     if found.size:
-        largest = int(found[np.argmax(np.abs(channel.samples[found] - np.median(channel.samples)))])
+        largest = int(found[np.argmax(height)])
         yield Finding(
             PROBLEM,
             "spikes",
             name,
-            f"{name}: {_many(found.size, 'spike')} of one or two samples, the largest {channel.samples[largest]:.6g} "
+            f"{name}: {_many(found.size, 'spike')} of one or two samples, the largest "
+            f"{channel.samples[largest]:.6g} "
             f"{UNITS[name]} at sample {largest} ({channel_times(channel)[largest]:.3f} s)",
             _places(channel, found),
         )
@@ -446,24 +467,26 @@ def _clipping(name: str, channel: Channel) -> Iterable[Finding]:
     values = x[starts]
     for extreme, what in ((float(x.max()), "highest"), (float(x.min()), "lowest")):
         flat = lengths[(values == extreme) & (lengths >= 3)]
-        others = lengths[values != extreme]
-        # A coarse or slow sensor repeats every value; only tops much flatter than its other flats are cut off.
+        others = lengths[(values != x.max()) & (values != x.min())]
+        # A coarse or slow sensor repeats every value; only tops much flatter than its other flats are cut
+        # off.
         usual = float(np.quantile(others, 0.99)) if others.size > 20 else 1.0
         bounded = extreme == 0 or (name == "speed" and extreme < MOVING_MM_S)
-        if flat.size and flat.max() > 3 * usual and not bounded and (flat.size > 1 or flat.max() >= 5):
+        if flat.size and flat.max() >= 3 * usual and not bounded and (flat.size > 1 or flat.max() >= 5):
             at = starts[(values == extreme) & (lengths >= 3)]
             yield Finding(
                 PROBLEM,
                 "clipping",
                 name,
-                f"{name} stays at its {what} value, {extreme:.5g} {UNITS[name]}, for {_many(int(flat.sum()), 'sample')} "
+                f"{name} is clipped: it stays at its {what} value, {extreme:.5g} {UNITS[name]}, for "
+                f"{_many(int(flat.sum()), 'sample')} "
                 f"in {_many(flat.size, 'place')}: the sensor or its amplifier was at its limit",
                 _places(channel, at),
             )
 
 
 def _held(name: str, channel: Channel) -> Iterable[Finding]:
-    """Find values that are repeated: every k samples anew, or the last value kept while a sensor was silent."""
+    """Find repeated values: each k times, or the last one kept while a sensor was silent."""
     x = channel.samples
     if x.size < 100 or x.min() == x.max():
         return
@@ -495,82 +518,120 @@ def _held(name: str, channel: Channel) -> Iterable[Finding]:
         )
 
 
-def _jumps(channel: Channel) -> tuple[NDArray[np.int64], float]:
-    """Return after which samples a slow signal jumps, and the least size of such a jump.
+def _jumps(name: str, channel: Channel) -> tuple[NDArray[np.int64], float, float]:
+    """Return after which samples a slow signal jumps, the least size of a jump, the usual one by the range.
 
-    A hand's signal of peak-to-peak range r that holds nothing above `HAND_HZ` moves at most π·HAND_HZ·r a second. A
-    jump exceeds that and is a step: the samples on both sides of it move far less. Spikes are removed before.
+    A hand's signal of range r that holds nothing above f moves at most π·f·r a second (a sine of that
+    range). A jump exceeds that and the sensor's noise, and is a step: the samples on both sides of it move
+    far less. Spikes are removed before. Positions move slower than speed and force do: a stroke to and fro
+    takes 200 ms or more.
     """
     from scipy.ndimage import median_filter
 
     x = median_filter(channel.samples, 5, mode="nearest")
     swing = float(np.subtract(*np.quantile(x, [0.995, 0.005])))
-    least = min(np.pi * HAND_HZ * swing / channel.rate_hz, 0.5 * swing)
+    fastest_hz = HAND_HZ / 4 if name.startswith("position") else HAND_HZ
+    noise = _noise_floor(name, channel, None)[0]
+    # Eight standard deviations: no Gaussian noise steps as far in an hour at 10 kHz.
+    least = min(np.pi * fastest_hz * swing / channel.rate_hz, 0.5 * swing) + 8 * noise
     steps = np.abs(np.diff(x))
     around = np.lib.stride_tricks.sliding_window_view(np.pad(steps, 4, mode="reflect"), 9)
-    local = np.median(around, axis=1)
-    return np.flatnonzero((steps > least) & (steps > 6 * local)), least
+    at = np.flatnonzero(steps > least)
+    at = at[steps[at] > 6 * np.median(around[at], axis=1)]
+    return at, least, float(np.median(steps[at]) / swing) if at.size and swing else 0.0
 
 
 def _order(recording: Recording) -> Iterable[Finding]:
     """Find rows that are not in the order of time, from how speed, force and position jump.
 
-    A recording in order has hardly any jump, wherever it was taken. Rows in a wrong order jump where pieces meet: in
-    many places, in all slow channels at the same rows, and where the pieces are equally long at multiples of that.
+    A recording in order has hardly any jump, wherever it was taken. Rows in a wrong order jump where pieces
+    meet: in many places, in all slow channels at the same rows, over much of the range, and where the pieces
+    are equally long at multiples of that. One of these besides the number makes the finding.
     """
-    jumps: dict[str, tuple[NDArray[np.int64], float]] = {}
-    for name, channel in recording.channels.items():
-        if not name.startswith("acceleration") and channel.samples.size >= 100:
-            jumps[name] = _jumps(channel)
-    suspects = {
-        name: at for name, (at, _) in jumps.items() if at.size >= max(10, 0.001 * recording[name].samples.size)
+    jumps = {
+        name: _jumps(name, channel)
+        for name, channel in recording.channels.items()
+        if not name.startswith("acceleration") and channel.samples.size >= 100
     }
-    if not suspects:
-        for name, (at, least) in jumps.items():
-            if at.size:
-                yield Finding(
-                    NOTE,
-                    "jumps",
-                    name,
-                    f"{name} jumps by more than {least:.3g} {UNITS[name]} between two samples in "
-                    f"{_many(at.size, 'place')}, faster than a hand moves",
-                    _places(recording[name], at),
-                )
-        return
-    for name, at in suspects.items():
+    many = {
+        name: at
+        for name, (at, _, _) in jumps.items()
+        if at.size >= max(10, 0.001 * recording[name].samples.size)
+    }
+    for name, (at, least, size) in jumps.items():
         channel = recording[name]
-        text = (
-            f"{name}: the rows are probably not in time order: {at.size} jumps larger than {jumps[name][1]:.3g} "
-            f"{UNITS[name]} between neighbours, where a hand moves smoothly, typically {np.median(np.diff(at)):.0f} "
-            "samples apart"
-        )
-        piece = _piece(at)
-        if piece:
-            text += f", nearly all at multiples of {piece} samples, as if pieces of {piece} rows were joined wrongly"
+        memory = _memory(name, channel)
+        if memory < 0.8:
+            yield Finding(
+                PROBLEM,
+                "order",
+                name,
+                f"{name}: the rows are probably not in time order: neighbours have little to do with each "
+                f"other "
+                f"(correlation {memory:.2f}), where a hand moves smoothly; or it is noise alone",
+            )
+            continue
+        if not at.size:
+            continue
         shared = [
             other
-            for other, there in suspects.items()
+            for other, there in many.items()
             if other != name
-            and recording[other].rate_hz == channel.rate_hz
-            and np.isin(at, there).mean() > 20 * there.size / channel.samples.size
-            and np.isin(at, there).mean() > 0.25
+            and name in many
+            and recording[other].samples.size == channel.samples.size
+            # Many more common rows than chance gives.
+            and np.isin(at, there).mean() > max(0.25, 3 * there.size / channel.samples.size)
         ]
+        piece = _piece(at)
+        if name not in many or not (shared or piece or size > 0.1):
+            yield Finding(
+                NOTE,
+                "jumps",
+                name,
+                f"{name} jumps by more than {least:.3g} {UNITS[name]} between two samples in "
+                f"{_many(at.size, 'place')}, faster than a hand moves",
+                _places(channel, at),
+            )
+            continue
+        text = (
+            f"{name}: the rows are probably not in time order: {at.size} jumps larger than {least:.3g} "
+            f"{UNITS[name]} between neighbours, where a hand moves smoothly, typically "
+            f"{np.median(np.diff(at)):.0f} "
+            "samples apart"
+        )
+        if piece:
+            text += (
+                f", nearly all at multiples of {piece} samples, as if pieces of {piece} rows were shuffled"
+            )
         if shared:
-            text += f"; {np.isin(at, suspects[shared[0]]).mean():.0%} of them at the same rows as in {shared[0]}"
+            text += f"; {np.isin(at, many[shared[0]]).mean():.0%} of them at the same rows as in {shared[0]}"
         yield Finding(PROBLEM, "order", name, text, _places(channel, at))
 
 
+def _memory(name: str, channel: Channel) -> float:
+    """Return the correlation of neighbours in a slow channel, 1 where it moves too little to tell."""
+    low, high = np.quantile(channel.samples, [0.005, 0.995])
+    least = {"speed": 20.0, "force": 0.5, "force_z": 0.5, "position_x": 10.0, "position_y": 10.0}
+    if channel.rate_hz < 100 or high - low < least.get(name, np.inf):
+        return 1.0
+    x = np.clip(channel.samples, low, high)  # so that a spike is not all there is
+    return float(np.corrcoef(x[:-1], x[1:])[0, 1])
+
+
 def _piece(jumps: NDArray[np.int64]) -> int:
-    """Return the largest number of which 80 % of the jumps are multiples, up to a shift; 0 where there is none."""
+    """Return the largest number of which 80 % of the jumps are multiples, up to a shift, or 0."""
+    jumps = jumps[:500]
     best = 0
-    for length in range(2, min(500, jumps.size * 2)):
-        if np.bincount(jumps % length).max() > 0.8 * jumps.size:
-            best = length
+    # Fewer jumps, or lengths that fit into them only a few times, would agree by chance.
+    if jumps.size >= 15:
+        for length in range(3, min(2000, int(jumps[-1] - jumps[0]) // 4)):
+            if np.bincount(jumps % length).max() > 0.8 * jumps.size:
+                best = length
     return best
 
 
 def _whiteness(name: str, channel: Channel) -> Iterable[Finding]:
-    """Find a vibration that a moving tool cannot have made: one without memory, or with a pattern fixed to the rows."""
+    """Find a vibration that no moving tool made: one without memory, or with a pattern fixed to the rows."""
     x = channel.samples[:200_000]
     x = x - x.mean()
     power = float(np.mean(x**2))
@@ -580,7 +641,8 @@ def _whiteness(name: str, channel: Channel) -> Iterable[Finding]:
     for period in range(2, min(250, x.size // 40)):
         n = x.size // period
         pattern = x[: n * period].reshape(n, period).mean(axis=0)
-        # Noise alone explains 1/n of the power in each of its period−1 free means; what exceeds that is the pattern.
+        # Noise alone explains 1/n of the power in each of its period−1 free means; what exceeds that is the
+        # pattern.
         explained[period] = float(np.mean(pattern**2)) / power - 1 / n
     largest = max(explained.values())
     whitened, patterned = x, False
@@ -595,8 +657,9 @@ def _whiteness(name: str, channel: Channel) -> Iterable[Finding]:
     if patterned:
         hz = channel.rate_hz / period
         cause = (
-            "mains hum?" if min(abs(hz / m - round(hz / m)) for m in (50, 60)) < 1e-6 and not white else "a processed "
-            "or generated signal?"
+            "mains hum?"
+            if min(abs(hz / m - round(hz / m)) for m in (50, 60)) < 1e-6 and not white
+            else "a processed or generated signal?"
         )
         yield Finding(
             PROBLEM if white else NOTE,
@@ -611,7 +674,8 @@ def _whiteness(name: str, channel: Channel) -> Iterable[Finding]:
             "white",
             name,
             f"{name} has next to no autocorrelation (at lags 1 to 5 at most {abs(largest_lag):.2f}"
-            f"{', the pattern aside' if patterned else ''}): was it shuffled, or generated, or is it noise alone?",
+            f"{', the pattern aside' if patterned else ''}): was it shuffled, or generated, or is it "
+            f"noise alone?",
         )
 
 
@@ -654,18 +718,24 @@ def _signs(recording: Recording) -> Iterable[Finding]:
                 "sign",
                 "speed",
                 f"speed is negative in {_many(negative.size, 'sample')}, down to "
-                f"{recording['speed'].samples.min():.4g} mm/s: a speed has no sign; is it one axis of a velocity?",
+                f"{recording['speed'].samples.min():.4g} mm/s: a speed has no sign; is it one axis of a "
+                f"velocity?",
                 _places(recording["speed"], negative),
             )
     force = _force(recording)
     if force is not None:
         name, _, values = force
         if np.median(recording[name].samples) < 0:
-            yield Finding(NOTE, "sign", name, f"{name} is negative when pressing; pressing is counted positive")
+            yield Finding(
+                NOTE, "sign", name, f"{name} is negative when pressing; pressing is counted positive"
+            )
         low = float(np.quantile(values, 0.001))
         if low < -0.2:
             yield Finding(
-                NOTE, "sign", name, f"{name} goes down to {low:.3g} N: has the sensor an offset, or does the tool pull?"
+                NOTE,
+                "sign",
+                name,
+                f"{name} goes down to {low:.3g} N: has the sensor an offset, or does the tool pull?",
             )
 
 
@@ -688,7 +758,8 @@ def _contact(recording: Recording) -> Iterable[Finding]:
         "contact",
         name,
         f"contact is lost (force below {CONTACT_N:g} N while moving) in {_many(starts.size, 'place')}, "
-        f"{lengths.sum():.3g} s together, the longest {lengths[longest]:.3g} s at {times[starts[longest]]:.2f} s",
+        f"{lengths.sum():.3g} s together, the longest {lengths[longest]:.3g} s at "
+        f"{times[starts[longest]]:.2f} s",
         _places(recording[name], starts),
     )
 
@@ -711,7 +782,8 @@ def _above_noise(reports: Iterable[ChannelReport]) -> Iterable[Finding]:
                 PROBLEM,
                 "noise",
                 report.name,
-                f"{report.name}: its level, {vibration:.3g} m/s², is hardly above the {report.noise_floor:.3g} m/s² "
+                f"{report.name}: its level, {vibration:.3g} m/s², is hardly above the "
+                f"{report.noise_floor:.3g} m/s² "
                 "at rest: most of it is sensor noise",
             )
 
@@ -753,16 +825,26 @@ def _unvisited(plane: Coverage) -> Iterable[Finding]:
     (slow, quick), (light, heavy) = plane.speed_range, plane.force_range
     if slow > 30:
         yield Finding(
-            NOTE, "range", "speed", f"never slower than {slow:.0f} mm/s: below it the texture fades, it is not learnt"
+            NOTE,
+            "range",
+            "speed",
+            f"never slower than {slow:.0f} mm/s: below it the texture fades, it is not learnt",
         )
     if quick < 150:
-        yield Finding(NOTE, "range", "speed", f"never faster than {quick:.0f} mm/s: rendering will clamp there")
+        yield Finding(
+            NOTE, "range", "speed", f"never faster than {quick:.0f} mm/s: rendering will clamp there"
+        )
     if light > 0.5:
         yield Finding(
-            NOTE, "range", "force", f"never lighter than {light:.2g} N: below it the texture fades, it is not learnt"
+            NOTE,
+            "range",
+            "force",
+            f"never lighter than {light:.2g} N: below it the texture fades, it is not learnt",
         )
     if heavy < 6:
-        yield Finding(NOTE, "range", "force", f"force above {heavy:.2g} N never visited: rendering will clamp there")
+        yield Finding(
+            NOTE, "range", "force", f"force above {heavy:.2g} N never visited: rendering will clamp there"
+        )
     if plane.fraction < 0.15:
         yield Finding(
             NOTE,

@@ -1,4 +1,4 @@
-"""Pictures of a recording: its channels over time, its coverage of speed and force, its vibration's density."""
+"""Pictures of a recording: channels over time, coverage of speed and force, density of the vibration."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.recording.inspect import CELL_S, NOTE, Inspection, channel_times
+from foten.recording.inspect import CELL_S, HAND_HZ, NOTE, Inspection, channel_times
 from foten.recording.recording import UNITS, Recording
 
 if TYPE_CHECKING:
@@ -53,6 +53,8 @@ def overview(recording: Recording, inspection: Inspection) -> Figure:
             axes.fill_between(times, low, high, color=colour, linewidth=0.4, edgecolor=colour)
         axes.set_ylabel(_label(name))
         axes.grid(alpha=0.25)
+        axes.margins(x=0.01)
+        _keep_readable(axes, recording[name].samples, UNITS[name])
         marks = [f for f in inspection.findings if f.channel == name and f.places_s and f.code in _MARKED]
         for k, finding in enumerate(marks):
             axes.plot(
@@ -67,17 +69,36 @@ def overview(recording: Recording, inspection: Inspection) -> Figure:
                 label=finding.code,
             )
         if marks:
-            axes.margins(y=0.25)
+            bottom, top = axes.get_ylim()
+            axes.set_ylim(bottom, top + 0.09 * (len(marks) + 1) * (top - bottom))
             axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
+    figure.align_ylabels()
     panels[-1, 0].set_xlabel("time [s]")
     panels[0, 0].set_title(_title(recording, "recorded channels"))
     return figure
 
 
+def _keep_readable(axes: Any, samples: NDArray[np.float64], unit: str) -> None:
+    """Cut an axis that a few spikes would stretch until nothing else is seen, and say so on it."""
+    low, high = np.quantile(samples, [0.002, 0.998])
+    margin = max(high - low, 1e-12)
+    if samples.max() - samples.min() > 5 * margin:
+        axes.set_ylim(low - 0.2 * margin, high + 0.2 * margin)
+        axes.text(
+            0.995,
+            0.03,
+            f"axis cut: from {samples.min():.6g} to {samples.max():.6g} {unit}",
+            transform=axes.transAxes,
+            ha="right",
+            fontsize=8,
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1},
+        )
+
+
 def _envelope(
     times: NDArray[np.float64], samples: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return times and the lowest and highest sample of each column; short signals whole, twice the same array."""
+    """Return times and the lowest and highest sample of each column; a short signal whole, twice."""
     if samples.size <= 2 * _COLUMNS:
         return times, samples, samples
     starts = np.linspace(0, samples.size, _COLUMNS, endpoint=False).astype(np.int64)
@@ -98,15 +119,18 @@ def coverage(recording: Recording, inspection: Inspection) -> Figure | None:
         plane.speed_edges, plane.force_edges, shown, cmap="viridis", norm=LogNorm(CELL_S / 10, top)
     )
     axes.set_facecolor("#eeeeee")
-    axes.set_xticks(plane.speed_edges, minor=True)
-    axes.set_yticks(plane.force_edges, minor=True)
-    axes.grid(which="minor", color="white", linewidth=0.6)
-    axes.tick_params(which="minor", length=0)
+    for edge in plane.speed_edges:
+        axes.axvline(edge, color="white", linewidth=0.6)
+    for edge in plane.force_edges:
+        axes.axhline(edge, color="white", linewidth=0.6)
     figure.colorbar(mesh, label="time spent [s]")
     axes.set_xlabel("scanning speed [mm/s]")
     axes.set_ylabel("normal force [N]")
     axes.set_title(
-        _title(recording, f"{plane.covered} of {plane.seconds.size} cells visited for {CELL_S * 1000:g} ms or more")
+        _title(
+            recording,
+            f"{plane.covered} of {plane.seconds.size} cells visited for {CELL_S * 1000:g} ms or more",
+        )
         + "\n(grey: never)",
         fontsize=11,
     )
@@ -119,12 +143,26 @@ def density(recording: Recording, inspection: Inspection) -> Figure | None:
         return None
     figure, axes = _figure(8, 4.5)
     for name, (frequency, power) in inspection.psd.items():
-        colour = _AXIS_COLOURS.get(name[-1], _COLOURS["acceleration"]) if "_" in name else _COLOURS["acceleration"]
-        axes.loglog(frequency, np.maximum(power, 1e-30), color=colour, linewidth=1, label=name.replace("_", " "))
-    axes.axvspan(axes.get_xlim()[0], 20, color="0.5", alpha=0.12, linewidth=0)
+        colour = (
+            _AXIS_COLOURS.get(name[-1], _COLOURS["acceleration"]) if "_" in name else _COLOURS["acceleration"]
+        )
+        axes.loglog(
+            frequency, np.maximum(power, 1e-30), color=colour, linewidth=1, label=name.replace("_", " ")
+        )
+    lowest = min(frequency[0] for frequency, _ in inspection.psd.values())
+    highest = max(frequency[-1] for frequency, _ in inspection.psd.values())
+    axes.set_xlim(min(lowest, HAND_HZ / 2), highest * 1.05)
+    axes.axvspan(axes.get_xlim()[0], HAND_HZ, color="0.5", alpha=0.15, linewidth=0)
     axes.text(
-        0.01, 0.03, "below 20 Hz: hand movement, removed before training", transform=axes.transAxes, fontsize=8
+        0.01,
+        0.03,
+        f"grey: below {HAND_HZ:g} Hz, the hand's own movement",
+        transform=axes.transAxes,
+        fontsize=8,
     )
+    # Where a filter of the sensor has left nothing, rounding would fill ten decades.
+    top = max(float(power.max()) for _, power in inspection.psd.values())
+    axes.set_ylim(bottom=max(axes.get_ylim()[0], top * 1e-9))
     axes.set_xlabel("frequency [Hz]")
     axes.set_ylabel("density [(m/s²)²/Hz]")
     axes.grid(alpha=0.25, which="both")

@@ -112,23 +112,29 @@ class NumpyFotenPlus:
         self.window = architecture.window
         self._limit = architecture.correction_limit
         self._network = NumpyFoten(architecture, tensors, "network.")
-        self._shortcut = np.asarray(tensors["shortcut"], dtype=np.float64)
-        self._bias = float(tensors["shortcut_bias"])
-        self._scale = float(tensors["correction_scale"])
-        self._w = _Weights(tensors, "excitation.")
+        self._w = _Weights(tensors, "")
 
     def linear(self, windows: Array) -> Array:
         """Return the shortcut's prediction alone: (b, m, 3) scaled → (b,) scaled."""
-        return windows[:, :, 0] @ self._shortcut + self._bias
+        return windows[:, :, 0] @ self._w["shortcut"] + self._w["shortcut_bias"]
 
     def predict(self, windows: Array) -> Array:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
-        correction = self._scale * self._limit * np.tanh(self._network.predict(windows) / self._limit)
+        level = self._scale("level", windows[:, -1, 1:])
+        levelled = windows.copy()
+        levelled[:, :, 0] *= (self._w["mean_level"] / level)[:, None]
+        correction = level * self._limit * np.tanh(self._network.predict(levelled) / self._limit)
         return self.linear(windows) + correction
 
     def sigma(self, condition: Array) -> Array:
         """Return the excitation's scale: speed and force (b, 2) scaled → (b,) scaled."""
-        return np.exp(self._w.linear("out", np.tanh(self._w.linear("hidden", condition)))[:, 0])
+        return self._scale("excitation", condition)
+
+    def _scale(self, name: str, condition: Array) -> Array:
+        mean, sd, floor = (self._w[f"{name}.{part}"] for part in ("mean", "sd", "floor"))
+        physical = np.maximum(condition * sd + mean, 0.0)
+        features = np.concatenate([condition, np.log((physical + floor) / (mean + floor))], axis=1)
+        return np.exp(self._w.linear(f"{name}.out", np.tanh(self._w.linear(f"{name}.hidden", features)))[:, 0])
 
 
 class _Weights:

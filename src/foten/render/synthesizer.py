@@ -72,9 +72,11 @@ class Synthesizer:
         self._fade = np.maximum(self._low, [FADE_SPEED, FADE_FORCE])
         self.reset()
 
-    def reset(self) -> None:
-        """Start again from the warm start and the first number of the noise."""
-        start = np.repeat(self.texture.tensors["warm_start"][None].astype(np.float64), self.n_streams, axis=0)
+    def reset(self, windows: Array | None = None) -> None:
+        """Start again with the first number of the noise, from the warm start or from given scaled windows (n_streams, m, 3)."""
+        if windows is None:
+            windows = self.texture.tensors["warm_start"][None]
+        start = np.broadcast_to(windows, (self.n_streams, self.texture.window, 3)).astype(np.float64)
         sigma = self._engine.sigma if self.excitation else None
         self._loop = ClosedLoop(self._engine, sigma, start, float(self.texture.card["saturation"]))
         self._position = 0

@@ -16,7 +16,7 @@ from foten.recording.scaling import Scaling
 from foten.render.closed_loop import ClosedLoop
 from foten.render.engine import engine_for
 from foten.render.synthesizer import prove
-from foten.texture_file import FORMAT_VERSION, Texture
+from foten.texture_file import FORMAT_VERSION, Texture, texture_from_bytes
 
 _N_GOLDEN = 32
 
@@ -93,5 +93,7 @@ def export(
         },
         tensors=tensors,
     )
+    # Proved as it will be read: through the file's bytes.
+    texture = texture_from_bytes(texture.to_bytes())
     prove(texture, engine_for(texture))
     return texture

@@ -28,12 +28,14 @@ class Data:
         samples: scaled acceleration, speed, force, shape (n, 3).
         train, validation: indices to predict.
         window: m.
+        weight: what each sample's error counts, shape (n,); None for all alike.
     """
 
     samples: NDArray[np.float64]
     train: NDArray[np.int64]
     validation: NDArray[np.int64]
     window: int
+    weight: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,8 @@ def fit(
     """
     device = next(network.parameters()).device
     samples = torch.from_numpy(data.samples).to(device, torch.float32)
+    weight = torch.ones(len(samples)) if data.weight is None else torch.from_numpy(data.weight)
+    weight = weight.to(device, torch.float32)
     train, validation = (torch.from_numpy(n).to(device) for n in (data.train, data.validation))
     offsets = torch.from_numpy(window_indices(np.zeros(1, dtype=np.int64), data.window)).to(device)
     trained = [parameter for parameter in network.parameters() if parameter.requires_grad]
@@ -122,7 +126,7 @@ def fit(
         return samples[n[:, None] + offsets]
 
     def finish(epoch: int, train_loss: float, started: float) -> None:
-        validation_loss, mae = _validate(network, windows, samples, validation, criterion)
+        validation_loss, mae = _validate(network, windows, samples, weight, validation, criterion)
         best = validation_loss < progress.best_loss
         if best:
             progress.best_loss = validation_loss
@@ -146,7 +150,7 @@ def fit(
             total = torch.zeros((), device=device)
             for batch in order.split(config.batch):
                 optimiser.zero_grad(set_to_none=True)
-                loss = criterion(network(windows(batch)), samples[batch, 0])
+                loss = criterion(weight[batch] * network(windows(batch)), weight[batch] * samples[batch, 0])
                 loss.backward()
                 if config.clip_norm > 0:
                     nn.utils.clip_grad_norm_(trained, config.clip_norm)
@@ -203,6 +207,7 @@ def _validate(
     network: nn.Module,
     windows: Callable[[Tensor], Tensor],
     samples: Tensor,
+    weight: Tensor,
     validation: Tensor,
     criterion: Callable[[Tensor, Tensor], Tensor],
 ) -> tuple[float, float]:
@@ -211,7 +216,7 @@ def _validate(
     with torch.no_grad():
         for batch in validation.split(2048):
             predicted, target = network(windows(batch)), samples[batch, 0]
-            loss += float(criterion(predicted, target)) * len(batch)
+            loss += float(criterion(weight[batch] * predicted, weight[batch] * target)) * len(batch)
             mae += float((predicted - target).abs().sum())
     return loss / len(validation), mae / len(validation)
 

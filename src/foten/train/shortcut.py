@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from foten.dsp.ar import least_squares, stabilised
 from foten.models.foten_plus import FotenPlus
@@ -13,10 +14,11 @@ from foten.train.fit import Data
 MAX_POLE = 0.9995  # a memory of 2000 samples, 0.2 s at 10 kHz; least squares on real textures gives up to 0.9999
 
 
-def fit_shortcut(network: FotenPlus, data: Data) -> None:
+def fit_shortcut(network: FotenPlus, data: Data) -> NDArray[np.float64]:
     """Set the shortcut to the least-squares linear prediction from the acceleration window, made stable.
 
-    The standard deviation of its error on the training blocks becomes the unit of the network's correction.
+    Returns:
+        Its error on the training blocks, scaled, shape (len(data.train),).
     """
     windows = data.samples[window_indices(data.train, data.window), 0]
     design = np.concatenate([windows, np.ones((len(windows), 1))], axis=1)
@@ -24,6 +26,5 @@ def fit_shortcut(network: FotenPlus, data: Data) -> None:
     taps = stabilised(coefficients[:-1], MAX_POLE)
     device = network.shortcut.device
     network.shortcut.copy_(torch.from_numpy(taps).to(device))
-    network.shortcut_bias.copy_(torch.tensor(coefficients[-1]).to(device))
-    error = data.samples[data.train, 0] - windows @ taps - coefficients[-1]
-    network.correction_scale.copy_(torch.tensor(error.std()).to(device))
+    network.shortcut_bias.copy_(torch.from_numpy(coefficients[-1:]).to(device))
+    return data.samples[data.train, 0] - windows @ taps - coefficients[-1]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,20 +15,22 @@ from numpy.typing import NDArray
 import foten
 from foten.architecture import FotenArchitecture
 from foten.models import build
-from foten.models.foten_plus import FotenPlus
+from foten.models.foten_plus import Excitation, FotenPlus
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
 from foten.recording.scaling import Scaling, fit_scaling
 from foten.recording.split import Split, split_blocks
 from foten.recording.trace import Trace
 from foten.recording.windows import targets, windows
+from foten.render.engine import NumpyFotenPlus
 from foten.texture_file import Texture
 from foten.train.config import TrainConfig
-from foten.train.excitation import fit_excitation
+from foten.train.excitation import fit_excitation, settle_level
 from foten.train.export import export
 from foten.train.fit import Data, Epoch, Progress, fit, pick_device, predict, reproducible
 from foten.train.shortcut import fit_shortcut
 
+LEVELLING = 1.0  # power of 1/ℓ(v, f) that weighs an error in the loss of foten-plus
 WARM_START = (45.0, 0.8)  # mm/s, N: mean of early contacts; Sec. V-a
 
 
@@ -77,25 +80,35 @@ def train_texture(
         network = build(key, architecture).to(pick_device())
         shortcut_mae = None
         if isinstance(network, FotenPlus):
-            network.excitation.requires_grad_(False)
-            fit_shortcut(network, data)
-            linear = samples[data.validation - 0, 0] - _shortcut(network, data, data.validation)
+            fit_excitation(network.level, data, scaling, fit_shortcut(network, data), config.seed)
+            level = _scale_at(network.level, samples)
+            mean_level = float(np.exp(np.log(level[data.train]).mean()))
+            network.mean_level.fill_(mean_level)
+            data = replace(data, weight=(mean_level / level) ** LEVELLING)
+            linear = samples[data.validation, 0] - _shortcut(network, data, data.validation)
             shortcut_mae = float(np.abs(linear).mean())
-        progress = fit(network, data, config, on_epoch, checkpoint)
-        likelihood = None
-        if isinstance(network, FotenPlus):
-            residual = samples[data.train, 0] - predict(network, data, data.train)
-            likelihood = fit_excitation(network.excitation, data, residual, config.seed)
-        warm_start, condition = pick_warm_start(trace, split, scaling, m)
         training_samples = trace.stacked().reshape(trace.n_blocks, trace.block, 3)[list(split.train)]
         low, high = training_samples.min(axis=(0, 1)), training_samples.max(axis=(0, 1))
         peak = float(np.abs(scaling.scale(training_samples)[..., 0]).max())
+        # For safety only: well beyond what was recorded.
+        saturation = max(12.0, 1.5 * peak)
+        progress = fit(network, data, config, on_epoch, checkpoint)
+        likelihood = gain = None
+        if isinstance(network, FotenPlus):
+            residual = samples[data.train, 0] - predict(network, data, data.train)
+            likelihood = fit_excitation(network.excitation, data, scaling, residual, config.seed)
+            engine = NumpyFotenPlus(architecture, {name: t.cpu().numpy() for name, t in network.state_dict().items()})
+            gain = settle_level(
+                engine, engine.sigma, data, trace, (*split.train, *split.validation), saturation, config.seed
+            )
+            with torch.no_grad():
+                network.excitation.out.bias += math.log(gain)
+        warm_start, condition = pick_warm_start(trace, split, scaling, m)
         best = max((line for line in progress.epochs if line.best), key=lambda line: line.epoch)
         card: dict[str, Any] = {
             "rate_hz": trace.rate_hz,
             "trained_range": {"speed": [float(low[1]), float(high[1])], "force": [float(low[2]), float(high[2])]},
-            # For safety only: well beyond what was recorded.
-            "saturation": max(12.0, 1.5 * peak),
+            "saturation": saturation,
             "lowpass_hz": preprocess_config.render_lowpass_hz,
             "delay_ms": preprocess_config.delay_ms,
             "warm_start": condition,
@@ -118,6 +131,7 @@ def train_texture(
                 "validation_mae_scaled": best.validation_mae,
                 "validation_mae_scaled_shortcut": shortcut_mae,
                 "train_nll": likelihood,
+                "excitation_gain": gain,
                 "best_epoch": best.epoch,
                 "n_epochs": progress.epochs[-1].epoch,
             },
@@ -146,6 +160,13 @@ def pick_warm_start(
         "found": {"speed": float(trace.speed[end - 1]), "force": float(trace.force[end - 1])},
     }
     return window, condition
+
+
+def _scale_at(excitation: Excitation, samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the scale that goes with each sample to predict, shape (n,): speed and force are those of the sample before."""
+    condition = np.concatenate([samples[:1, 1:], samples[:-1, 1:]])
+    with torch.no_grad():
+        return excitation(torch.from_numpy(condition).to(excitation.out.weight)).cpu().double().numpy()
 
 
 def _shortcut(network: FotenPlus, data: Data, n: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -1,0 +1,258 @@
+"""The judge: one document of figures for a texture on a recording's test blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.evaluate import free_run as runs
+from foten.evaluate.one_step import excitation_scores, one_step
+from foten.evaluate.references import FIRST_SCORED, Linear, Persistence, Zero, best_linear, fit_linear
+from foten.recording.preprocess import PreprocessConfig, preprocess
+from foten.recording.recording import Recording
+from foten.recording.scaling import Scaling
+from foten.recording.split import Split
+from foten.recording.trace import Trace
+from foten.recording.windows import targets
+from foten.render.engine import engine_for
+from foten.texture_file import Texture
+
+Array = NDArray[np.float64]
+
+ONE_STEP_KEYS = ("mae_scaled", "mae_m_s2", "gfc")
+FREE_RUN_KEYS = (
+    *("lsd_db", "lsd_long_db", "gfc_raw", "gfc_welch", "level_bias_db", "level_error_db", "level_corr"),
+    *("kurtosis", "max_sd"),
+)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What only a simulator knows; the caller asks it.
+
+    Attributes:
+        realisations: the same stroke over fresh roughness, preprocessed as the recording was.
+        bound, bound_window: expected absolute one-step error [m/s²] of the infinite past and of a window of m, at each
+            sample of the trace, shape (n,); None where it is not known.
+    """
+
+    realisations: Sequence[Trace] = ()
+    bound: Array | None = None
+    bound_window: Array | None = None
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """The document and the signals behind it, for pictures.
+
+    Attributes:
+        document: figures, plain JSON values; None where unknown, with the reason under `reasons`.
+        trace: the preprocessed recording.
+        blocks: the blocks that were scored.
+        synthesized: free runs [m/s²] by name, each (n_seeds, n_blocks, block).
+    """
+
+    document: dict[str, Any]
+    trace: Trace
+    blocks: tuple[int, ...]
+    synthesized: Mapping[str, Array] = field(default_factory=dict)
+
+
+def trace_for(texture: Texture, recording: Recording) -> Trace:
+    """Return a recording preprocessed as the texture's was."""
+    return preprocess(recording, PreprocessConfig(**texture.card["preprocess"]))
+
+
+def evaluate(
+    texture: Texture,
+    recording: Recording,
+    truth: Truth | None = None,
+    seed: int = 0,
+    on_stage: Callable[[str], None] = lambda stage: None,
+) -> Judgement:
+    """Return every figure of a texture on the test blocks of the recording it was trained on, or on all of another.
+
+    Args:
+        texture: what to judge.
+        recording: any; the trained one is recognised by its digest.
+        truth: of a simulated recording, else None.
+        seed: of the excitation.
+        on_stage: called with the name of each stage.
+
+    Raises:
+        ValueError: the recording is too short, or the split does not fit it.
+    """
+    truth = truth or Truth()
+    trace = trace_for(texture, recording)
+    scaling, block = texture.scaling, trace.block
+    foreign = trace.recording_sha256 != texture.card["recording_sha256"]
+    split: Split | None = None
+    if not foreign:
+        fields = dict(texture.card["split"])
+        split = Split(**{k: tuple(v) if isinstance(v, list) else v for k, v in fields.items()})
+        if (split.n_blocks, split.block) != (trace.n_blocks, block):
+            raise ValueError(
+                f"the split is of {split.n_blocks} blocks of {split.block}, the recording gives {trace.n_blocks} of {block}"
+            )
+    blocks = tuple(range(trace.n_blocks)) if split is None else split.test
+    samples = scaling.scale(trace.stacked())
+    reasons: dict[str, str] = {}
+    on_stage("one-step")
+    linear = None if split is None else fit_linear(samples, split.train, block, 20)
+    one = _one_step(texture, samples, blocks, split, block, scaling, trace, truth, reasons)
+    on_stage("free run")
+    free, synthesized = _free_run(texture, trace, blocks, split, linear, truth, scaling, seed, reasons)
+    document = {
+        "texture": texture.card["texture"],
+        "model": texture.card["model"],
+        "rate_hz": texture.rate_hz,
+        "split": "foreign" if split is None else split.method,
+        "split_sha256": None if split is None else split.sha256(),
+        "seed": seed,
+        "n_blocks": len(blocks),
+        "block": block,
+        "sd_m_s2": scaling.sd[0],
+        **one,
+        **free,
+        "reasons": reasons,
+        "texture_sha256": texture.sha256(),
+        "recording_sha256": trace.recording_sha256,
+        "validation": {
+            "mae_scaled": texture.card["metrics"].get("validation_mae_scaled"),
+            "mae_scaled_shortcut": texture.card["metrics"].get("validation_mae_scaled_shortcut"),
+        },
+    }
+    return Judgement(document, trace, blocks, synthesized)
+
+
+@dataclass(frozen=True)
+class _Shortcut:
+    """The linear part of an engine, as a predictor."""
+
+    engine: Any
+
+    @property
+    def window(self) -> int:
+        return int(self.engine.window)
+
+    def predict(self, windows: Array) -> Array:
+        return np.asarray(self.engine.linear(windows))
+
+
+def _one_step(
+    texture: Texture,
+    samples: Array,
+    blocks: tuple[int, ...],
+    split: Split | None,
+    block: int,
+    scaling: Scaling,
+    trace: Trace,
+    truth: Truth,
+    reasons: dict[str, str],
+) -> dict[str, Any]:
+    empty = dict.fromkeys(ONE_STEP_KEYS)
+    names = ("zero", "persistence", "ar", "ar_scheduled", "ar_best", "shortcut", "bound", "bound_window")
+    references: dict[str, Any] = {name: dict(empty) for name in names}
+    references["ar_best"].update(order=None, scheduled=None)
+    if block < FIRST_SCORED + 8:
+        reasons["one_step"] = f"blocks of {block} samples; the first {FIRST_SCORED} of each are history"
+        return {"one_step": dict(empty), "references": references}
+    engine: Any = engine_for(texture)
+
+    def score(predictor: Any) -> dict[str, Any]:
+        return one_step(predictor, samples, blocks, block, scaling)
+
+    result = score(engine)
+    if texture.has_excitation:
+        result.update(excitation_scores(engine, engine.sigma, samples, blocks, block))
+    references["zero"], references["persistence"] = score(Zero()), score(Persistence())
+    if hasattr(engine, "linear"):
+        references["shortcut"] = score(_Shortcut(engine))
+    else:
+        reasons["references.shortcut"] = f"{texture.card['model']} has none"
+    if split is None:
+        reasons["references.ar"] = "a foreign recording has no training blocks to fit linear predictors on"
+    else:
+        linear = {
+            "ar": fit_linear(samples, split.train, block, 20),
+            "ar_scheduled": fit_linear(samples, split.train, block, 20, scheduled=True),
+            "ar_best": best_linear(samples, split.train, split.validation, block),
+        }
+        for name, fitted in linear.items():
+            if fitted is None:
+                reasons[f"references.{name}"] = "fewer than two training windows for each coefficient"
+            else:
+                references[name] = score(fitted)
+        best = linear["ar_best"]
+        references["ar_best"].update(
+            order=best.window if best else None, scheduled=best.scheduled if best else None
+        )
+    n = targets(blocks, block, FIRST_SCORED)
+    for name, bound in (("bound", truth.bound), ("bound_window", truth.bound_window)):
+        if bound is None:
+            reasons[f"references.{name}"] = "known for simulated textures of the linear family alone"
+        else:
+            mae = float(bound[n].mean())
+            references[name] = {"mae_scaled": mae / scaling.sd[0], "mae_m_s2": mae, "gfc": None}
+    return {"one_step": result, "references": references}
+
+
+def _free_run(
+    texture: Texture,
+    trace: Trace,
+    blocks: tuple[int, ...],
+    split: Split | None,
+    linear: Linear | None,
+    truth: Truth,
+    scaling: Scaling,
+    seed: int,
+    reasons: dict[str, str],
+) -> tuple[dict[str, Any], dict[str, Array]]:
+    empty: dict[str, Any] = dict.fromkeys(FREE_RUN_KEYS)
+    found: dict[str, Any] = {
+        name: dict(empty) for name in ("free_run", "free_run_deterministic", "free_run_ar", "ceiling")
+    }
+    picked = list(blocks)
+    recorded, speed, force = (trace.blocks(c)[picked] for c in (trace.acceleration, trace.speed, trace.force))
+    if recorded[:, runs.scored(trace.block)].shape[1] < 64:
+        reasons["free_run"] = f"blocks of {trace.block} samples are too short for a spectrum"
+        return found, {}
+    signals: dict[str, Array] = {}
+    saturated: dict[str, int] = {}
+    if texture.has_excitation:
+        signals["free_run"], saturated["free_run"] = runs.synthesize(texture, trace, blocks, True, seed)
+    else:
+        reasons["free_run"] = f"{texture.card['model']} carries no excitation"
+    signals["free_run_deterministic"], saturated["free_run_deterministic"] = runs.synthesize(
+        texture, trace, blocks, False, seed
+    )
+    if linear is not None:
+        signals["free_run_ar"] = runs.synthesize_linear(linear, trace, blocks, scaling, seed)
+    else:
+        reasons["free_run_ar"] = "no training blocks to fit AR(20) on, or too few"
+    ceiling_of = None
+    if truth.realisations:
+        signals["ceiling"] = np.stack([r.blocks(r.acceleration)[picked] for r in truth.realisations])
+        ceiling_of = f"{len(truth.realisations)} further realisations of the same stroke"
+    elif split is not None:
+        signals["ceiling"] = runs.nearest_training_blocks(trace, blocks, split.train)
+        ceiling_of = "the training block nearest in speed and force"
+    else:
+        reasons["ceiling"] = "a foreign recording has no training blocks"
+    for name, signal in signals.items():
+        found[name] = runs.free_run(recorded, signal, speed, force, trace.rate_hz, scaling.sd[0])
+        for key in ("level_corr", "modulation_db", "level_slopes"):
+            if found[name].get(key) is None:
+                reasons[f"{name}.{key}"] = {
+                    "level_corr": "the level does not vary",
+                    "modulation_db": "blocks under 1 s",
+                    "level_slopes": "speed or force spans less than a factor of 1.2",
+                }[key]
+        if name in saturated:
+            found[name]["n_saturated"] = saturated[name]
+    found["ceiling"]["of"] = ceiling_of
+    return found, signals

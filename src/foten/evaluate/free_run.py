@@ -1,0 +1,157 @@
+"""Free-run scores: what is synthesized under a recorded hand, against what was recorded."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.dsp.noise import gaussian
+from foten.evaluate import metrics
+from foten.evaluate.bootstrap import intervals
+from foten.evaluate.references import Linear
+from foten.recording.scaling import Scaling
+from foten.recording.trace import Trace
+from foten.recording.windows import windows
+from foten.render.closed_loop import ClosedLoop
+from foten.render.synthesizer import Synthesizer
+from foten.texture_file import Texture
+
+Array = NDArray[np.float64]
+
+N_SEEDS = 5
+SETTLING = 0.2  # of each block, not scored
+
+
+def scored(block: int) -> slice:
+    """Return the scored part of a block: all but the first fifth, in which the loop settles."""
+    return slice(round(SETTLING * block), None)
+
+
+def synthesize(
+    texture: Texture, trace: Trace, blocks: tuple[int, ...], excitation: bool, seed: int = 0, n_seeds: int = N_SEEDS
+) -> tuple[Array, int]:
+    """Return the free run under recorded speed and force, and how often the saturator cut it.
+
+    Each block starts from its own recorded window.
+
+    Returns:
+        Acceleration [m/s²], shape (n_seeds, n_blocks, block); without excitation n_seeds is 1.
+    """
+    n_seeds = n_seeds if excitation else 1
+    m = texture.window
+    starts = np.array(blocks) * trace.block + m
+    start = windows(texture.scaling.scale(trace.stacked()), starts, m)
+    speed, force = (np.tile(trace.blocks(c)[list(blocks), m:], (n_seeds, 1)) for c in (trace.speed, trace.force))
+    synthesizer = Synthesizer(texture, seed, n_seeds * len(blocks), excitation)
+    synthesizer.reset(np.tile(start, (n_seeds, 1, 1)))
+    rendered = np.atleast_2d(synthesizer.render(speed, force)).reshape(n_seeds, len(blocks), -1)
+    recorded = np.broadcast_to(trace.blocks(trace.acceleration)[list(blocks), :m], (n_seeds, len(blocks), m))
+    return np.concatenate([recorded, rendered], axis=2), synthesizer.statistics.n_saturated
+
+
+def synthesize_linear(
+    predictor: Linear, trace: Trace, blocks: tuple[int, ...], scaling: Scaling, seed: int = 0, n_seeds: int = N_SEEDS
+) -> Array:
+    """Return the free run of a linear predictor with white noise of one scale: the anchor to beat.
+
+    Returns:
+        Acceleration [m/s²], shape (n_seeds, n_blocks, block).
+    """
+    stable = predictor.stable()
+    m, n_streams = stable.window, n_seeds * len(blocks)
+    samples = scaling.scale(trace.stacked())
+    start = np.tile(windows(samples, np.array(blocks) * trace.block + m, m), (n_seeds, 1, 1))
+    loop = ClosedLoop(stable, lambda condition: np.full(len(condition), stable.noise_sd), start)
+    noise = np.stack([gaussian(seed, stream, 0, trace.block - m) for stream in range(n_streams)])
+    rendered = loop.run(np.zeros((n_streams, trace.block - m, 2)), noise).reshape(n_seeds, len(blocks), -1)
+    recorded = np.broadcast_to(samples[:, 0].reshape(trace.n_blocks, -1)[list(blocks), :m], (n_seeds, len(blocks), m))
+    return scaling.unscale_acceleration(np.concatenate([recorded, rendered], axis=2))
+
+
+def nearest_training_blocks(trace: Trace, blocks: tuple[int, ...], train: tuple[int, ...]) -> Array:
+    """Return for each block the recorded one of the training blocks nearest in mean speed and force, (1, n_blocks, block).
+
+    Distances are in standard deviations of the training blocks' samples.
+    """
+    means = np.stack([trace.blocks(trace.speed).mean(axis=1), trace.blocks(trace.force).mean(axis=1)], axis=1)
+    spread = np.array([trace.blocks(c)[list(train)].std() for c in (trace.speed, trace.force)])
+    spread = np.where(spread > 0, spread, 1.0)
+    distance = np.linalg.norm((means[list(blocks), None] - means[None, list(train)]) / spread, axis=2)
+    nearest = np.array(train)[distance.argmin(axis=1)]
+    return trace.blocks(trace.acceleration)[nearest][None]
+
+
+def free_run(recorded: Array, synthesized: Array, speed: Array, force: Array, rate_hz: float, sd: float) -> dict[str, Any]:
+    """Return the free-run figures of synthesized blocks beside recorded ones.
+
+    Args:
+        recorded: [m/s²], shape (n_blocks, block), whole blocks; the first fifth of each is not scored.
+        synthesized: [m/s²], shape (n_seeds, n_blocks, block).
+        speed: [mm/s], shape (n_blocks, block); force: [N], likewise.
+        rate_hz: samples a second.
+        sd: training standard deviation of the acceleration [m/s²].
+
+    Returns:
+        `lsd_db`: log-spectral distance, mean over blocks and seeds; `lsd_long_db`: the same on spectra pooled over all
+        of them; `gfc_raw`, `gfc_welch`: Eq. 13 on raw and on Welch amplitudes, means; `level_bias_db`,
+        `level_error_db`, `level_corr`: of levels in frames of 40 ms; `kurtosis` of all samples, and `kurtosis_recorded`;
+        `max_sd`: largest sample over `sd`; `band_errors_db`; `level_slopes` and `level_slopes_recorded` [dB per decade of
+        speed, of force]; `modulation_db`: distance of envelope spectra, 2 to 50 Hz; `intervals`.
+    """
+    part = scored(recorded.shape[-1])
+    recorded, synthesized, speed, force = recorded[:, part], synthesized[:, :, part], speed[:, part], force[:, part]
+    n_segment = metrics.segment_length(recorded.shape[-1])
+    frequencies, p = metrics.welch(recorded, rate_hz, n_segment)
+    _, q = metrics.welch(synthesized, rate_hz, n_segment)
+    bins = metrics.scored_bins(frequencies, rate_hz)
+    p, q = p[:, bins], q[:, :, bins]
+    reference = float(np.sqrt(np.square(recorded).mean()))
+    level_p = metrics.frame_levels(recorded, rate_hz, reference)
+    level_q = metrics.frame_levels(synthesized, rate_hz, reference)
+    distance = metrics.log_spectral_distance(p[None], q)
+    raw = np.array([[metrics.goodness_of_fit(a, b) for a, b in zip(recorded, run, strict=True)] for run in synthesized])
+    smooth = np.array([[metrics._cosine(np.sqrt(a), np.sqrt(b)) for a, b in zip(p, run, strict=True)] for run in q])
+
+    def figures(index: NDArray[np.int64]) -> dict[str, Any]:
+        difference = level_q[:, index] - level_p[index]
+        pooled = metrics.log_spectral_distance(p[index].mean(axis=0), q[:, index].mean(axis=(0, 1)))
+        return {
+            "lsd_db": float(distance[:, index].mean()),
+            "lsd_long_db": float(pooled),
+            "gfc_raw": float(raw[:, index].mean()),
+            "gfc_welch": float(smooth[:, index].mean()),
+            "level_bias_db": float(difference.mean()),
+            "level_error_db": float(np.abs(difference).mean()),
+            "level_corr": _correlation(level_p[index], level_q[:, index]),
+            "kurtosis": metrics.kurtosis(synthesized[:, index]),
+        }
+
+    modulation = [metrics.modulation_spectrum(x, rate_hz) for x in (recorded, synthesized)]
+    frame_speed, frame_force = metrics.frame_means(speed, rate_hz), metrics.frame_means(force, rate_hz)
+    return {
+        **figures(np.arange(len(recorded))),
+        "max_sd": float(np.abs(synthesized).max() / sd),
+        "kurtosis_recorded": metrics.kurtosis(recorded),
+        "band_errors_db": metrics.band_errors(p.mean(axis=0), q.mean(axis=(0, 1)), frequencies[bins], rate_hz),
+        "level_slopes": metrics.level_slopes(level_q.mean(axis=0), frame_speed, frame_force),
+        "level_slopes_recorded": metrics.level_slopes(level_p, frame_speed, frame_force),
+        "modulation_db": float(metrics.log_spectral_distance(modulation[0][1], modulation[1][1]))
+        if modulation[0] is not None and modulation[1] is not None
+        else None,
+        "intervals": intervals(figures, len(recorded)),
+    }
+
+
+def _correlation(recorded: Array, synthesized: Array) -> float | None:
+    """Return Pearson's correlation of frame levels over all frames, mean over seeds; None where one does not vary."""
+    a = recorded.ravel() - recorded.mean()
+    values = []
+    for run in synthesized:
+        b = run.ravel() - run.mean()
+        norm = np.sqrt((a @ a) * (b @ b))
+        if norm <= 1e-9 * a.size:
+            return None
+        values.append(float(a @ b / norm))
+    return float(np.mean(values))

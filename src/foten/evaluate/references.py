@@ -1,0 +1,108 @@
+"""What any model has to beat in one step: zero, persistence and linear predictors, fitted on the training blocks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.dsp.ar import least_squares, stabilised
+from foten.recording.windows import targets, windows
+
+Array = NDArray[np.float64]
+
+ORDERS = (5, 10, 20, 40, 80, 160)
+FIRST_SCORED = 160  # samples of each block that no method is scored on: the longest order's history
+MAX_POLE = 0.9995  # as the shortcut of foten-plus
+
+
+@dataclass(frozen=True)
+class Zero:
+    """Predict the mean."""
+
+    window: int = 1
+
+    def predict(self, windows: Array) -> Array:
+        """Return zeros: (b, m, 3) → (b,)."""
+        return np.zeros(len(windows))
+
+
+@dataclass(frozen=True)
+class Persistence:
+    """Predict the last sample."""
+
+    window: int = 1
+
+    def predict(self, windows: Array) -> Array:
+        """Return the last acceleration: (b, m, 3) → (b,)."""
+        return windows[:, -1, 0]
+
+
+@dataclass(frozen=True)
+class Linear:
+    """AR(p) with a constant, each coefficient optionally affine in speed and force.
+
+    Attributes:
+        coefficients: shape (p + 1,) or, scheduled, (3, p + 1): global, times speed, times force; all scaled.
+        noise_sd: standard deviation of its error on the training blocks, scaled.
+    """
+
+    coefficients: Array
+    noise_sd: float
+
+    @property
+    def window(self) -> int:
+        """Return the order p."""
+        return self.coefficients.shape[-1] - 1
+
+    @property
+    def scheduled(self) -> bool:
+        """Return whether the coefficients follow speed and force."""
+        return self.coefficients.ndim == 2
+
+    def predict(self, windows: Array) -> Array:
+        """Return the next samples: (b, m, 3) with m ≥ p → (b,)."""
+        coefficients = self.coefficients
+        if self.scheduled:
+            coefficients = coefficients[0] + windows[:, -1, 1:] @ coefficients[1:]
+        history = windows[:, windows.shape[1] - self.window :, 0]
+        return (history * coefficients[..., :-1]).sum(axis=1) + coefficients[..., -1]
+
+    def stable(self) -> Linear:
+        """Return an unscheduled predictor with its poles inside 0.9995, for a closed loop."""
+        return Linear(np.append(stabilised(self.coefficients[:-1], MAX_POLE), self.coefficients[-1]), self.noise_sd)
+
+
+def fit_linear(samples: Array, blocks: tuple[int, ...], block: int, order: int, scheduled: bool = False) -> Linear | None:
+    """Return AR(order) by least squares over whole blocks of scaled samples (n, 3).
+
+    None where the blocks hold fewer than twice as many windows as coefficients.
+    """
+    n = targets(blocks, block, order)
+    n_coefficients = (order + 1) * (3 if scheduled else 1)
+    if block <= order or len(n) < 2 * n_coefficients:
+        return None
+    history = windows(samples, n, order)
+    design = np.concatenate([history[:, :, 0], np.ones((len(n), 1))], axis=1)
+    if scheduled:
+        condition = history[:, -1, 1:]
+        design = np.concatenate([design, design * condition[:, :1], design * condition[:, 1:]], axis=1)
+    coefficients = least_squares(design, samples[n, 0])
+    noise_sd = float((samples[n, 0] - design @ coefficients).std())
+    return Linear(coefficients.reshape(3, order + 1) if scheduled else coefficients, noise_sd)
+
+
+def best_linear(samples: Array, train: tuple[int, ...], validation: tuple[int, ...], block: int) -> Linear | None:
+    """Return the AR of any order of `ORDERS`, scheduled or not, with the lowest absolute error on validation."""
+    n = targets(validation, block, FIRST_SCORED)
+    best: tuple[float, Linear] | None = None
+    for order in ORDERS:
+        for scheduled in (False, True):
+            fitted = fit_linear(samples, train, block, order, scheduled)
+            if fitted is None or not len(n):
+                continue
+            error = float(np.abs(samples[n, 0] - fitted.predict(windows(samples, n, order))).mean())
+            if best is None or error < best[0]:
+                best = error, fitted
+    return best[1] if best else None

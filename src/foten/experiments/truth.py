@@ -1,0 +1,44 @@
+"""What the simulator knows of a recording it made, in the form that the judge takes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from foten.datasets.linear_family import LINEAR_FAMILY, linear_truth, one_step_bounds
+from foten.datasets.simulate import second_realisation
+from foten.dsp.filters import butterworth
+from foten.evaluate.evaluate import Truth, trace_for
+from foten.evaluate.free_run import N_SEEDS
+from foten.recording.preprocess import PreprocessConfig
+from foten.recording.recording import Recording
+from foten.texture_file import Texture
+
+
+def truth_for(recording: Recording, texture: Texture) -> Truth:
+    """Return further realisations of a simulated stroke and, for the linear family, the bounds of any predictor.
+
+    A recording that was not simulated has no truth; neither bound holds at another rate than the simulated one or with
+    another high-pass than order 2.
+    """
+    if recording.simulation is None:
+        return Truth()
+    used = int(recording.simulation["noise_seed"])
+    realisations = [
+        trace_for(texture, second_realisation(recording, used + 1_000_003 * (k + 1))) for k in range(N_SEEDS)
+    ]
+    config = PreprocessConfig(**texture.card["preprocess"])
+    same_rate = recording["acceleration"].rate_hz == config.rate_hz if "acceleration" in recording else False
+    if recording.simulation["key"] not in LINEAR_FAMILY or not same_rate or config.highpass_order != 2 or config.zero_phase:
+        return Truth(realisations)
+    trace = trace_for(texture, recording)
+    (b0, b1, b2, a1, a2), *_ = butterworth("highpass", config.highpass_hz, config.rate_hz)
+    bound, bound_window = one_step_bounds(
+        linear_truth(recording),
+        trace.speed,
+        trace.force,
+        config.rate_hz,
+        np.array([b0, b1, b2]),
+        np.array([1.0, a1, a2]),
+        texture.window,
+    )
+    return Truth(realisations, bound, bound_window)

@@ -1,0 +1,109 @@
+"""NumPy, MATLAB and foreign HDF5 files; never a pickle."""
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+
+from foten.datasets.arrays import read_hdf5, read_matlab, read_numpy
+from foten.datasets.hdf5 import write_recording
+from foten.recording.recording import Channel, Recording
+
+FORCE = np.linspace(0, 3, 40)
+AXES = np.random.default_rng(0).standard_normal((200, 3))
+
+
+def _by_name(columns):
+    return {column.name: column.samples for column in columns}
+
+
+def test_npz(tmp_path):
+    np.savez(tmp_path / "a.npz", force=FORCE.astype(np.float32), acc=AXES, fs=10_000)
+    found = _by_name(read_numpy(tmp_path / "a.npz"))
+    assert list(found) == ["force", "acc.0", "acc.1", "acc.2", "fs"]
+    np.testing.assert_array_equal(found["acc.2"], AXES[:, 2])
+    np.testing.assert_array_equal(found["force"], FORCE.astype(np.float32))
+    assert found["fs"].tolist() == [10_000]
+
+
+def test_npy_of_one_and_of_several_columns(tmp_path):
+    np.save(tmp_path / "a.npy", FORCE)
+    np.save(tmp_path / "b.npy", AXES.T)  # the longer axis is time, whichever way round
+    assert list(_by_name(read_numpy(tmp_path / "a.npy"))) == ["0"]
+    np.testing.assert_array_equal(_by_name(read_numpy(tmp_path / "b.npy"))["1"], AXES[:, 1])
+
+
+def test_pickles_are_not_opened(tmp_path):
+    class Bomb:
+        def __reduce__(self):
+            return (pytest.fail, ("a pickle was opened",))
+
+    bomb = np.array([Bomb()], dtype=object)
+    np.savez(tmp_path / "a.npz", force=bomb)
+    np.save(tmp_path / "a.npy", bomb)
+    for name in ("a.npz", "a.npy"):
+        with pytest.raises(ValueError, match=f"{name} holds pickled objects, which can run code"):
+            read_numpy(tmp_path / name)
+
+
+def test_truncated_and_foreign_numpy_files_are_refused(tmp_path):
+    np.savez(tmp_path / "a.npz", acc=AXES)
+    np.save(tmp_path / "a.npy", AXES)
+    (tmp_path / "cut.npz").write_bytes((tmp_path / "a.npz").read_bytes()[:-300])
+    (tmp_path / "cut.npy").write_bytes((tmp_path / "a.npy").read_bytes()[:-300])
+    (tmp_path / "none.npz").touch()
+    for name in ("cut.npz", "cut.npy", "none.npz"):
+        with pytest.raises(ValueError, match=f"{name} is (truncated|empty)"):
+            read_numpy(tmp_path / name)
+
+
+def test_arrays_without_a_meaning_carry_a_fault(tmp_path):
+    np.savez(tmp_path / "a.npz", name=np.array(["denim"]), z=np.ones(5) * 1j, cube=np.zeros((2, 3, 4)))
+    assert [bool(column.fault) for column in read_numpy(tmp_path / "a.npz")] == [True, True, True]
+
+
+def test_matlab_v5_with_a_struct(tmp_path):
+    variables = {"trial": {"acc": AXES, "force": FORCE[:, None], "note": "two strokes"}, "fs": 10_000.0}
+    scipy.io.savemat(tmp_path / "a.mat", variables)
+    columns = read_matlab(tmp_path / "a.mat")
+    found = _by_name(columns)
+    np.testing.assert_array_equal(found["trial.acc.1"], AXES[:, 1])
+    np.testing.assert_array_equal(found["trial.force"], FORCE)
+    assert found["fs"].tolist() == [10_000]
+    assert next(column for column in columns if column.name == "trial.note").fault
+
+
+def test_matlab_v73(tmp_path):
+    with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
+        for name, array in {"acc": AXES, "force": FORCE[:, None]}.items():
+            dataset = file.create_dataset(name, data=array.T)  # MATLAB stores columns first
+            dataset.attrs["MATLAB_class"] = np.bytes_("double")
+    with (tmp_path / "a.mat").open("r+b") as raw:  # the block before the HDF5 part says what it is
+        raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    found = _by_name(read_matlab(tmp_path / "a.mat"))
+    np.testing.assert_array_equal(found["acc.2"], AXES[:, 2])
+    np.testing.assert_array_equal(found["force"], FORCE)
+
+
+def test_truncated_and_foreign_matlab_files_are_refused(tmp_path):
+    scipy.io.savemat(tmp_path / "a.mat", {"acc": AXES})
+    (tmp_path / "cut.mat").write_bytes((tmp_path / "a.mat").read_bytes()[:-2000])
+    (tmp_path / "text.mat").write_text("force\n1\n2\n" * 50)
+    (tmp_path / "none.mat").touch()
+    for name in ("cut.mat", "text.mat", "none.mat"):
+        with pytest.raises(ValueError, match=f"{name} is (truncated|empty)"):
+            read_matlab(tmp_path / name)
+
+
+def test_foreign_hdf5_by_the_paths_of_its_datasets(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["trial/ft"], file["trial/time_ft"], file["label"] = AXES, np.arange(200) / 100, "denim"
+    columns = read_hdf5(tmp_path / "a.h5")
+    np.testing.assert_array_equal(_by_name(columns)["trial/ft.2"], AXES[:, 2])
+    assert {c.name for c in columns if c.fault} == {"label"}
+
+
+def test_our_own_recording_needs_no_import(tmp_path):
+    write_recording(Recording({"force": Channel(FORCE, 100.0)}), tmp_path / "a.h5")
+    with pytest.raises(ValueError, match="is a foten recording already"):
+        read_hdf5(tmp_path / "a.h5")

@@ -1,0 +1,401 @@
+"""Columns to channels: mapped or guessed, converted, timed; refused in one line otherwise."""
+
+import json
+import re
+
+import numpy as np
+import openpyxl
+import pytest
+from nptdms import ChannelObject, TdmsWriter
+from scipy.io import savemat, wavfile
+
+from foten.cli import _status
+from foten.datasets import DATASETS
+from foten.datasets.hdf5 import read_recording
+from foten.datasets.importing import FACTORS, ImportOptions, import_recording, parse_pairs, parse_rates
+from foten.recording.recording import UNITS
+
+N = 2000
+TIME = np.arange(N) / 1000
+ACC = np.random.default_rng(0).standard_normal(N)
+SPEED = 100 + 80 * np.sin(2 * np.pi * TIME)
+FORCE = 1 + 0.5 * np.cos(2 * np.pi * TIME)
+
+
+def _csv(path, header, *columns):
+    rows = [
+        ",".join(repr(float(value)) if value == value else "" for value in row)
+        for row in zip(*columns, strict=True)
+    ]
+    path.write_text("\n".join(([header] if header else []) + rows) + "\n")
+    return path
+
+
+def _import(path, **options):
+    paths = path if isinstance(path, list) else [path]
+    mapping = tuple(parse_pairs([options.pop("map", "")], "--map"))
+    units = dict(parse_pairs([options.pop("unit", "")], "--unit"))
+    rate_hz, rates_hz = parse_rates([str(options.pop("rate", ""))])
+    return import_recording(paths, ImportOptions(mapping, units, rate_hz, rates_hz, **options)).recording
+
+
+def _write(path):
+    """Write acceleration, speed and force in a file of any format in the registry."""
+    columns = {"acceleration": ACC, "speed": SPEED, "force": FORCE}
+    match path.suffix:
+        case ".csv" | ".txt" | ".dat":
+            _csv(path, ",".join(columns), *columns.values())
+        case ".tsv":
+            path.write_text(
+                "\n".join(
+                    "\t".join(map(repr, row))
+                    for row in zip(*(c.tolist() for c in columns.values()), strict=True)
+                )
+            )
+        case ".xlsx":
+            book = openpyxl.Workbook()
+            book.active.append(list(columns))
+            for row in zip(*columns.values(), strict=True):
+                book.active.append([float(value) for value in row])
+            book.save(path)
+        case ".npz":
+            np.savez(path, **columns)
+        case ".npy":
+            np.save(path, np.stack(list(columns.values()), axis=1))
+        case ".mat":
+            savemat(path, columns)
+        case ".h5" | ".hdf5":
+            import h5py
+
+            with h5py.File(path, "w") as file:
+                for name, samples in columns.items():
+                    file[name] = samples
+        case ".tdms":
+            with TdmsWriter(path) as writer:
+                writer.write_segment(
+                    [ChannelObject("rig", name, samples) for name, samples in columns.items()]
+                )
+        case ".wav":
+            wavfile.write(path, 1000, np.stack(list(columns.values()), axis=1))
+
+
+@pytest.mark.parametrize("suffix", DATASETS)
+def test_every_format_gives_the_same_recording(tmp_path, suffix):
+    path = tmp_path / f"rig{suffix}"
+    _write(path)
+    columns = ("0", "1", "2") if suffix in (".npy", ".tsv", ".wav") else ("acceleration", "speed", "force")
+    recording = _import(path, map="acceleration={},speed={},force={}".format(*columns), rate=1000)
+    for name, samples in {"acceleration": ACC, "speed": SPEED, "force": FORCE}.items():
+        # Excel keeps 15 to 17 digits of a number, every other format all bits.
+        np.testing.assert_allclose(recording[name].samples, samples, rtol=1e-15 if suffix == ".xlsx" else 0)
+        assert (recording[name].rate_hz, recording[name].times_s) == (1000, None)
+
+
+def test_headers_that_leave_no_doubt_need_no_map(tmp_path):
+    path = _csv(
+        tmp_path / "a.csv",
+        "Time (s),Accel [g],Velocity,Normal Force,friction",
+        TIME,
+        ACC,
+        SPEED,
+        FORCE,
+        FORCE,
+    )
+    imported = import_recording([path], ImportOptions())
+    recording = imported.recording
+    assert set(recording.channels) == {"acceleration", "speed", "force"}
+    np.testing.assert_allclose(
+        recording["acceleration"].samples, ACC * 9.80665, rtol=1e-15
+    )  # the header says g
+    assert recording["force"].rate_hz == 1000
+    assert "left out: friction" in imported.decisions
+    assert "acceleration was converted from g to m/s^2" in recording.history
+
+
+def test_headers_that_leave_doubt_are_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"force could be any of force, fn; say which, e.g. --map"):
+        _import(_csv(tmp_path / "a.csv", "acc,force,fn", ACC, FORCE, FORCE), rate=1000)
+    with pytest.raises(
+        ValueError, match=r"no header says.*found 0, 1; say so, e.g. --map acceleration=0,speed=1"
+    ):
+        _import(_csv(tmp_path / "b.csv", "", ACC, FORCE), rate=1000)
+
+
+@pytest.mark.parametrize(
+    ("channel", "unit", "factor"),
+    [
+        (kind if kind in UNITS else f"{kind}_x", unit, factor)
+        for kind in FACTORS
+        if kind != "time"
+        for unit, factor in FACTORS[kind].items()
+    ]
+    + [
+        ("acceleration", "m/s²", 1.0),
+        ("position_y", "µm", 1e-3),
+        ("force", "V*4.9", 4.9),
+        ("force", "*-2", -2.0),
+    ],
+)
+def test_units_are_converted(tmp_path, channel, unit, factor):
+    path = _csv(tmp_path / "a.csv", "a", FORCE)
+    recording = _import(path, map=f"{channel}=a", unit=f"{channel}={unit}", rate=1000)
+    np.testing.assert_allclose(recording[channel].samples, FORCE * factor, rtol=1e-15)
+    assert len(recording.history) == 1 + (factor != 1)  # a conversion is never silent
+
+
+def test_units_have_the_size_that_physics_gives():
+    # 1 g is 9.80665 m/s², 1 gf is the weight of 1 g of mass: 9.80665 mN.
+    assert FACTORS["acceleration"]["g"] == 9.80665
+    assert FACTORS["force"]["gf"] == pytest.approx(9.80665e-3)
+    assert FACTORS["speed"]["m/s"] == FACTORS["position"]["m"] == 1000
+
+
+@pytest.mark.parametrize("digits", [3, 4, 9, None])
+def test_regular_times_become_a_rate(tmp_path, digits):
+    times = 7.25 + np.arange(N) / 3000
+    times = times if digits is None else np.round(times, digits)
+    if digits == 3:  # 1/3000 s does not fit into milliseconds: times repeat
+        with pytest.raises(
+            ValueError, match=r"time repeats at sample 1.*rounded\? Leave time out and give --rate"
+        ):
+            _import(_csv(tmp_path / "a.csv", "t,acc", times, ACC))
+        return
+    channel = _import(_csv(tmp_path / "a.csv", "t,acc", times, ACC))["acceleration"]
+    assert channel.times_s is None
+    assert channel.rate_hz == pytest.approx(3000, rel=1e-9 if digits is None else 1e-4)
+
+
+def test_single_precision_times_become_a_rate(tmp_path):
+    np.savez(tmp_path / "a.npz", time=np.arange(N, dtype=np.float32) / np.float32(10_000), acc=ACC)
+    channel = _import(tmp_path / "a.npz")["acceleration"]
+    assert (channel.rate_hz, channel.times_s) == (10_000, None)
+
+
+def test_irregular_times_are_kept(tmp_path):
+    steps = np.random.default_rng(1).uniform(0.6e-3, 1.4e-3, N)
+    times = np.cumsum(steps)
+    recording = _import(
+        _csv(tmp_path / "a.csv", "t,speed", times * 1000, SPEED), map="time=t,speed=speed", unit="time=ms"
+    )
+    np.testing.assert_allclose(recording["speed"].times_s, times - times[0], atol=1e-12)
+    assert recording["speed"].rate_hz == pytest.approx(1000, rel=0.02)  # the median step
+    assert any("keeps its own times" in line for line in recording.history)
+
+
+def test_a_lost_sample_makes_times_irregular(tmp_path):
+    kept = np.delete(np.arange(N), 700)
+    recording = _import(_csv(tmp_path / "a.csv", "t,speed", TIME[kept], SPEED[kept]))
+    assert recording["speed"].rate_hz == 1000
+    assert recording["speed"].times_s[700] == pytest.approx(0.701)
+
+
+@pytest.mark.parametrize(
+    ("at", "value", "what"),
+    [
+        (50, 0.0, "goes back at sample 50"),
+        (51, 0.05, "repeats at sample 51"),
+        (60, np.nan, "NaN at sample 60"),
+    ],
+)
+def test_impossible_times_are_refused(tmp_path, at, value, what):
+    times = TIME.copy()
+    times[at] = value
+    with pytest.raises(ValueError, match=what):
+        _import(_csv(tmp_path / "a.csv", "t,speed", times, SPEED))
+
+
+def test_files_share_a_clock_and_count_from_the_acceleration(tmp_path):
+    fast = _csv(tmp_path / "fast.csv", "t,acc", 100.25 + TIME, ACC)
+    slow = _csv(tmp_path / "slow.csv", "t,speed,force", 100 + np.arange(300) / 100, SPEED[:300], FORCE[:300])
+    recording = _import([fast, slow], map="time=t,acceleration=acc,speed=speed,force=slow:force")
+    assert recording["acceleration"].times_s is None
+    assert recording["force"].times_s[0] == pytest.approx(-0.25)
+    assert recording["force"].rate_hz == 100
+    late = _csv(tmp_path / "late.csv", "t,force", 1.7e9 + TIME, FORCE)
+    with pytest.raises(ValueError, match="were their clocks different"):
+        _import([fast, late], map="time=t,acceleration=acc,force=force")
+
+
+def test_time_columns_of_one_file_go_by_their_lengths(tmp_path):
+    np.savez(tmp_path / "a.npz", t1=TIME, acc=ACC, t2=np.arange(240) / 120, x=SPEED[:240])
+    recording = _import(tmp_path / "a.npz", map="time=t1,time=t2,acceleration=acc,position_x=x")
+    assert (recording["acceleration"].rate_hz, recording["position_x"].rate_hz) == (1000, 120)
+    with pytest.raises(ValueError, match=r"x has 240 rows and time has t1 2000.*--rate position_x=HZ"):
+        _import(tmp_path / "a.npz", map="time=t1,acceleration=acc,position_x=x")
+
+
+def test_wav_for_acceleration_beside_a_table(tmp_path):
+    wavfile.write(tmp_path / "acc.wav", 10_000, (ACC.repeat(10) * 3000).astype(np.int16))
+    rest = _csv(tmp_path / "rest.csv", "v,f", SPEED, FORCE)
+    mapping = "acceleration=acc.wav:0,speed=rest:v,force=rest.csv:f"
+    with pytest.raises(ValueError, match=r"fractions of full scale; say how many m/s\^2 full scale is"):
+        _import([tmp_path / "acc.wav", rest], map=mapping, rate=1000)
+    recording = _import([tmp_path / "acc.wav", rest], map=mapping, rate=1000, unit="acceleration=*50")
+    assert (recording["acceleration"].rate_hz, recording["force"].rate_hz) == (10_000, 1000)
+    expected = np.trunc(ACC.repeat(10) * 3000) / 32768 * 50
+    np.testing.assert_allclose(recording["acceleration"].samples, expected, rtol=1e-12)
+
+
+def test_a_stated_rate_gives_way_only_by_name_and_not_silently(tmp_path):
+    wavfile.write(tmp_path / "a.wav", 44_100, ACC.repeat(5).astype(np.float32))
+    assert _import(tmp_path / "a.wav", map="acceleration=0", rate=1000)["acceleration"].rate_hz == 44_100
+    recording = _import(tmp_path / "a.wav", map="acceleration=0", rate="acceleration=10000")
+    assert recording["acceleration"].rate_hz == 10_000
+    assert any("states 44100 Hz" in line for line in recording.history)
+
+
+def _with_gaps():
+    x = np.linspace(0, 100, 240)  # two seconds at 120 Hz: a straight line, so filling must restore it
+    gapped = x.copy()
+    gapped[50:53] = np.nan
+    gapped[100] = np.nan
+    return x, gapped
+
+
+def test_marker_drop_outs_are_filled_on_request_and_counted(tmp_path):
+    whole, gapped = _with_gaps()
+    path = _csv(tmp_path / "a.csv", "x", gapped)
+    with pytest.raises(
+        ValueError, match=r"4 samples are NaN or blank in 2 gaps, the first at 50.*--fill-gaps 25"
+    ):
+        _import(path, map="position_x=x", rate=120)
+    with pytest.raises(
+        ValueError, match=r"1 of 2 gaps are longer than 20 ms, the first at sample 50 .* lasts 25 ms"
+    ):
+        _import(path, map="position_x=x", rate=120, fill_gaps_ms=20)
+    recording = _import(path, map="position_x=x", rate=120, fill_gaps_ms=25)
+    np.testing.assert_allclose(recording["position_x"].samples, whole, atol=1e-12)
+    assert any("2 gaps (4 samples, the longest 25 ms) were filled" in line for line in recording.history)
+
+
+def test_gaps_elsewhere_are_never_filled(tmp_path):
+    _, gapped = _with_gaps()
+    for name in ("acceleration", "force"):
+        with pytest.raises(
+            ValueError, match=f"{name}: 4 samples are NaN or blank, the first at 50; only position and"
+        ):
+            _import(_csv(tmp_path / "a.csv", "x", gapped), map=f"{name}=x", rate=120, fill_gaps_ms=1000)
+    gapped[0] = np.nan
+    (tmp_path / "b.csv").write_text("x\n" + "\n".join("nan" if v != v else repr(float(v)) for v in gapped))
+    with pytest.raises(ValueError, match="at the start: nothing to draw a line from"):
+        _import(tmp_path / "b.csv", map="position_x=x", rate=120, fill_gaps_ms=1000)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            {"map": "force=forse"},
+            "force: no column 'forse' in a.csv, which has acc, speed, force; did you mean force",
+        ),
+        ({"map": "acceleration=7"}, "no column '7' in a.csv"),
+        ({"map": "acc=acc"}, "unknown channel 'acc', expected time, acceleration.*"),
+        ({"map": "force=force,force=speed"}, "force is mapped twice"),
+        ({"map": "time=acc"}, "only time is mapped"),
+        ({"map": "acceleration"}, "--map 'acceleration' is not CHANNEL=VALUE"),
+        ({"map": "acceleration=acc", "rate": "fast"}, "--rate 'fast' is not HZ or CHANNEL=HZ"),
+        ({"map": "acceleration=acc", "rate": 0}, "is 0 Hz, expected above 0"),
+        (
+            {"map": "acceleration=acc"},
+            "does not say how fast it was sampled; give --rate 10000.*map its time column",
+        ),
+        ({"map": "acceleration=acc", "unit": "acceleration=inch"}, "'inch' is not one of m/s.*V\\*4.9"),
+        (
+            {"map": "acceleration=acc", "unit": "acceleration=g*2"},
+            "takes no factor; write acceleration=g, or",
+        ),
+        ({"map": "acceleration=acc", "unit": "acceleration=V*x"}, "'x' is not a factor"),
+        ({"map": "acceleration=acc", "unit": "force=N"}, "force has a unit or rate but is not mapped"),
+        ({"map": "acceleration=acc", "rate": 1e6}, "too short: 2000 samples at 1e.06 Hz last 2 ms"),
+    ],
+)
+def test_wrong_usage_is_explained(tmp_path, options, message):
+    path = _csv(tmp_path / "a.csv", "acc,speed,force", ACC, SPEED, FORCE)
+    with pytest.raises(ValueError, match=message):
+        _import(path, **options)
+
+
+@pytest.mark.parametrize(
+    ("channel", "factor", "guess"),
+    [
+        ("speed", 1000, "was it given in um/s|a raw sensor reading"),
+        ("acceleration", 9806.65, "was it given in (mg|mm/s)"),
+        ("force", 1000, "was it given in (mN|gf)"),
+    ],
+)
+def test_absurd_units_are_refused_unless_forced(tmp_path, channel, factor, guess):
+    samples = {"speed": SPEED, "acceleration": ACC * 5, "force": FORCE}[channel] * factor
+    path = _csv(tmp_path / "a.csv", "x", samples)
+    with pytest.raises(ValueError, match=guess):
+        _import(path, map=f"{channel}=x", rate=1000)
+    recording = _import(path, map=f"{channel}=x", rate=1000, force_units=True)
+    np.testing.assert_array_equal(recording[channel].samples, samples)
+    assert any("let through (--force-units)" in line for line in recording.history)
+
+
+def test_single_spikes_are_called_spikes(tmp_path):
+    force = FORCE.copy()
+    force[321] = 505_831
+    with pytest.raises(ValueError, match=r"force reaches 505831 N at sample 321.*1 of 2000 samples: spikes?"):
+        _import(_csv(tmp_path / "a.csv", "force", force), rate=1000)
+
+
+def test_a_pickle_is_refused_unopened(tmp_path):
+    (tmp_path / "a.pkl").write_bytes(b"cos\nsystem\n(S'false'\ntR.")
+    with pytest.raises(ValueError, match="is a pickle, which can run code when opened"):
+        _import(tmp_path / "a.pkl")
+    (tmp_path / "a.abc").touch()
+    with pytest.raises(ValueError, match=r"cannot read a.abc, expected one of .csv"):
+        _import(tmp_path / "a.abc")
+
+
+def test_the_command_writes_a_recording(tmp_path, capsys):
+    path = _csv(tmp_path / "a.csv", "t,acc,speed,force", TIME, ACC, SPEED, FORCE)
+    arguments = [
+        "import",
+        str(path),
+        "-o",
+        str(tmp_path / "a.h5"),
+        "--texture",
+        "denim",
+        "--tool",
+        "ball",
+        "--json",
+    ]
+    assert _status(arguments) == 0
+    captured = capsys.readouterr()
+    document = json.loads(captured.out)
+    assert document["channels"]["force"] == {
+        "unit": "N",
+        "rate_hz": 1000,
+        "regular": True,
+        "n_samples": N,
+        "duration_s": pytest.approx(2),
+        "minimum": FORCE.min(),
+        "maximum": FORCE.max(),
+    }
+    assert "taken from the headers: --map time=t,acceleration=acc,speed=speed,force=force" in captured.err
+    recording = read_recording(tmp_path / "a.h5")
+    assert (recording.texture, recording.tool, recording.sha256()) == ("denim", "ball", document["sha256"])
+    assert re.search(r"force is column force of a.csv \(sha256 [0-9a-f]{16}\)", "\n".join(recording.history))
+    assert str(tmp_path) not in "\n".join(recording.history)  # a recording names files, not machines
+
+
+@pytest.mark.parametrize(
+    ("content", "extra"),
+    [
+        ("", []),
+        ("acc\n1\n2\n", ["--rate", "1000"]),
+        ("acc\n1\nx\n3\n", ["--rate", "1"]),
+        ("acc\n1\n2\n", []),
+        (None, []),
+    ],
+)
+def test_bad_input_is_one_line_exit_2_and_no_file(tmp_path, capsys, content, extra):
+    path = tmp_path / "a.csv"
+    if content is not None:
+        path.write_text(content)
+    assert _status(["import", str(path), "-o", str(tmp_path / "a.h5"), *extra]) == 2
+    captured = capsys.readouterr()
+    assert (captured.out, captured.err.strip().splitlines()[-1][:7]) == ("", "foten: ")
+    assert list(tmp_path.glob("*.h5*")) == []

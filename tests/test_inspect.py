@@ -1,0 +1,299 @@
+"""What a recording says of itself: faults that were put in are found, and nothing is found where none is."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from foten.cli import _status
+from foten.datasets.hdf5 import write_recording
+from foten.datasets.importing import ImportOptions, import_recording, parse_pairs
+from foten.datasets.simulate import simulate
+from foten.recording.inspect import PROBLEM, inspect_recording
+from foten.recording.recording import Channel, Recording
+
+DATA = Path(__file__).parents[1].parent / "shared" / "data"
+GOOD, HOSTILE = DATA / "cdplab-mdtexthapt" / "npz", DATA / "c128391-vibrotactile" / "original"
+needs_good = pytest.mark.skipif(not GOOD.is_dir(), reason="the recordings of ../shared/data are not here")
+needs_hostile = pytest.mark.skipif(
+    not HOSTILE.is_dir(), reason="the recordings of ../shared/data are not here"
+)
+
+RATE = 1000.0
+N = 20_000
+
+
+def _clean():
+    """Return a plausible recording of 20 s at 1 kHz as arrays: a resonance, a hand, a sensor's noise."""
+    from scipy.signal import lfilter
+
+    rng = np.random.default_rng(0)
+    t = np.arange(N) / RATE
+    speed = 120 + 90 * np.sin(2 * np.pi * 0.7 * t) + 15 * np.sin(2 * np.pi * 3.1 * t) + rng.normal(0, 0.05, N)
+    force = (
+        1.6 + 0.9 * np.sin(2 * np.pi * 0.43 * t) + 0.2 * np.sin(2 * np.pi * 5.3 * t) + rng.normal(0, 0.01, N)
+    )
+    excitation = rng.standard_normal(N) * speed / 120
+    # Poles at 0.9 e^{±i·2π·0.12}: a resonance at 120 Hz.
+    vibration = lfilter([1], [1, -1.8 * np.cos(2 * np.pi * 0.12), 0.81], excitation)
+    return {"acceleration": vibration, "speed": speed, "force": force}
+
+
+def _inspect(samples, rates=None, times=None):
+    channels = {
+        name: Channel(np.asarray(x, dtype=np.float64), (rates or {}).get(name, RATE), (times or {}).get(name))
+        for name, x in samples.items()
+    }
+    return inspect_recording(Recording(channels))
+
+
+def _codes(inspection, severity=PROBLEM):
+    return {(f.code, f.channel) for f in inspection.findings if f.severity == severity}
+
+
+def _text(inspection, code, channel=None):
+    return next(f.text for f in inspection.findings if f.code == code and channel in (None, f.channel))
+
+
+def test_nothing_is_wrong_with_a_clean_recording():
+    inspection = _inspect(_clean())
+    assert inspection.problems == ()
+    assert {code for code, _ in _codes(inspection, "note")} <= {"noise", "range", "coverage"}
+
+
+@pytest.mark.parametrize("key", ["cardboard", "artificial-grass", "smooth-rubber", "linear-cloth"])
+def test_a_simulated_recording_is_clean_but_for_its_clipping(key):
+    # The simulated accelerometer has a range of ±3 g, which hard impacts exceed.
+    assert {code for code, _ in _codes(inspect_recording(simulate(key, seconds=12)))} <= {"clipping"}
+
+
+def test_the_numbers_of_a_channel():
+    samples = _clean()
+    report = next(c for c in _inspect(samples).channels if c.name == "force")
+    assert (report.rate_hz, report.n_samples, report.duration_s, report.unit) == (1000, N, 20, "N")
+    assert (report.minimum, report.maximum) == (samples["force"].min(), samples["force"].max())
+    assert report.noise_floor == pytest.approx(
+        0.01, rel=0.05
+    )  # what was put in; the estimate's own error is 1 %
+
+
+def test_noise_floor_of_an_accelerometer_at_rest():
+    samples = _clean()
+    rest = slice(8000, 11_000)
+    samples["speed"][rest] = 0.5
+    samples["acceleration"][rest] = 9.81 + np.random.default_rng(1).normal(0, 0.03, 3000)
+    report = _inspect(samples).channels[0]
+    assert report.noise_floor_from == "rest"
+    assert report.noise_floor == pytest.approx(0.03, rel=0.1)
+
+
+def test_spikes():
+    samples = _clean()
+    samples["force"][[400, 9000]] = 505_831, -30
+    samples["acceleration"][777] += 200
+    inspection = _inspect(samples)
+    assert "2 spikes" in _text(inspection, "spikes", "force")
+    assert "505831 N at sample 400 (0.400 s)" in _text(inspection, "spikes", "force")
+    assert "1 spike of" in _text(inspection, "spikes", "acceleration")
+    assert not any(code == "order" for code, _ in _codes(inspection))
+
+
+def _shuffled(n_rows, seed=3):
+    order = np.arange(N).reshape(-1, n_rows)
+    return np.random.default_rng(seed).permutation(order).ravel()
+
+
+@pytest.mark.parametrize("n_rows", [10, 40, 500])
+def test_pieces_in_a_wrong_order(n_rows):
+    order = _shuffled(n_rows)
+    inspection = _inspect({name: x[order] for name, x in _clean().items()})
+    assert {("order", "speed"), ("order", "force")} <= _codes(inspection)
+    assert f"multiples of {n_rows} samples" in _text(inspection, "order", "speed")
+    assert "at the same rows as in" in _text(inspection, "order", "force")
+    places = np.array(next(f.places_s for f in inspection.findings if f.code == "order"))
+    assert np.mean((np.round(places * RATE).astype(int) + 1) % n_rows == 0) > 0.8
+
+
+def test_single_rows_in_a_wrong_order():
+    order = np.random.default_rng(4).permutation(N)
+    inspection = _inspect({name: x[order] for name, x in _clean().items()})
+    assert {("order", "speed"), ("order", "force"), ("white", "acceleration")} <= _codes(inspection)
+
+
+def test_a_vibration_without_memory_and_with_a_fixed_pattern():
+    samples = _clean()
+    rng = np.random.default_rng(5)
+    samples["acceleration"] = rng.standard_normal(N) + np.tile(rng.standard_normal(10), N // 10)
+    inspection = _inspect(samples)
+    assert "repeats exactly every 10 samples (100 Hz)" in _text(inspection, "pattern")
+    assert {("pattern", "acceleration"), ("white", "acceleration")} <= _codes(inspection)
+
+
+def test_mains_hum_is_a_note():
+    samples = _clean()
+    samples["acceleration"] = samples["acceleration"] + 2 * np.sin(2 * np.pi * 50 * np.arange(N) / RATE)
+    inspection = _inspect(samples)
+    assert inspection.problems == ()
+    assert "mains hum?" in _text(inspection, "pattern")
+
+
+def test_clipping():
+    samples = _clean()
+    samples["acceleration"] = np.clip(samples["acceleration"], -3, 3)
+    inspection = _inspect(samples)
+    assert {f.text.split(":")[0] for f in inspection.problems if f.code == "clipping"} == {
+        "acceleration is clipped"
+    }
+    assert sum(f.code == "clipping" for f in inspection.problems) == 2  # the top and the bottom
+
+
+def test_a_coarse_slow_sensor_is_not_clipped():
+    samples = _clean()
+    samples["force"] = np.round(samples["force"] / 0.05) * 0.05
+    samples["speed"] = np.round(samples["speed"])
+    assert _inspect(samples).problems == ()
+
+
+def test_contact_losses_while_moving():
+    samples = _clean()
+    for start, stop in ((3000, 3200), (9000, 9500)):
+        samples["force"][start:stop] = 0.01
+    text = _text(_inspect(samples), "contact")
+    assert "in 2 places, 0.7 s together, the longest 0.5 s at 9.00 s" in text
+
+
+def test_gaps_in_time():
+    samples = _clean()
+    kept = np.delete(np.arange(N), np.r_[5000:5200, 8000:8003])
+    times = kept / RATE
+    inspection = _inspect(samples | {"speed": samples["speed"][kept]}, times={"speed": times})
+    assert "2 gaps in time, about 203 samples lost; the longest lasts 201 ms at 4.999 s" in _text(
+        inspection, "gaps"
+    )
+
+
+def test_a_sensor_that_fell_silent_and_one_that_repeats():
+    samples = _clean()
+    samples["acceleration"][6000:6300] = samples["acceleration"][6000]
+    samples["force"] = samples["force"][::10].repeat(10)
+    inspection = _inspect(samples)
+    assert ("frozen", "acceleration") in _codes(inspection)
+    assert "captured at 100 Hz and each value repeated" in _text(inspection, "repeated", "force")
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "guess"),
+    [
+        ("speed", 1e-3, r"speed peaks at 0.2\d+, expected mm/s up to about 350; was it given in m/s"),
+        ("force", 1000 / 9.80665, "force peaks at .*was it given in mN or gf"),
+        ("acceleration", 1000, "was it given in mm/s² or mg"),
+        ("acceleration", 1e-4, "was it given in g or V"),
+    ],
+)
+def test_suspicious_units(name, factor, guess):
+    samples = _clean()
+    samples[name] = samples[name] * factor
+    inspection = _inspect(samples)
+    assert ("units", name) in _codes(inspection)
+    with pytest.raises(ValueError, match=guess):
+        raise ValueError(_text(inspection, "units", name))
+
+
+def test_coverage_counts_the_seconds_in_each_cell():
+    n = 4000
+    speed = np.concatenate([np.full(n, 60.0), np.full(n, 210.0), np.full(n, 1.0)])
+    force = np.concatenate([np.full(n, 0.7), np.full(n, 2.2), np.full(n, 2.2)])
+    plane = _inspect(
+        {"acceleration": np.random.default_rng(0).standard_normal(3 * n), "speed": speed, "force": force}
+    ).coverage
+    assert plane.covered == 2  # the third part is at rest
+    assert plane.seconds[2, 1] == pytest.approx(4, abs=0.02)
+    assert plane.seconds[8, 4] == pytest.approx(4, abs=0.02)
+    assert plane.fraction == 2 / plane.seconds.size
+
+
+def test_speed_comes_from_positions_and_force_from_its_normal():
+    t = np.arange(2400) / 120
+    channels = {
+        "position_x": Channel(50 + 40 * np.sin(2 * np.pi * 0.5 * t), 120.0),
+        "position_y": Channel(50 + 40 * np.cos(2 * np.pi * 0.5 * t), 120.0),
+        "force_z": Channel(np.full(20_000, -1.3), 1000.0),
+    }
+    plane = inspect_recording(Recording(channels)).coverage
+    # A circle of 40 mm radius at half a turn a second: 40·π mm/s; central differences at 120 Hz lose 0.01 %.
+    assert plane.speed_range[0] == pytest.approx(40 * np.pi, rel=0.01)
+    assert plane.force_range == (pytest.approx(1.3), pytest.approx(1.3))
+
+
+def test_ranges_that_were_never_visited_are_said():
+    samples = _clean()
+    samples["speed"] = samples["speed"] + 110
+    text = " ".join(f.text for f in _inspect(samples).findings if f.code == "range")
+    assert "never slower than 12" in text
+    assert "force above 2.7 N never visited: rendering will clamp there" in text
+
+
+def test_missing_channels_and_slow_accelerometers_are_problems():
+    samples = _clean()
+    assert ("missing", "acceleration") in _codes(_inspect({k: samples[k] for k in ("speed", "force")}))
+    assert {("missing", "speed"), ("missing", "force")} <= _codes(
+        _inspect({"acceleration": samples["acceleration"]})
+    )
+    assert ("rate", "acceleration") in _codes(_inspect(samples, rates=dict.fromkeys(samples, 500.0)))
+
+
+@needs_good
+@pytest.mark.parametrize("texture", ["copper", "fabric", "leather", "wood"])
+def test_no_false_alarm_on_real_recordings(texture):
+    recording = import_recording([GOOD / f"{texture}.npz"], ImportOptions(rate_hz=10_000)).recording
+    inspection = inspect_recording(recording)
+    assert inspection.problems == ()
+    notes = {code for code, _ in _codes(inspection, "note")}
+    assert {"short", "range"} <= notes <= {"short", "range", "coverage", "noise", "lines"}
+    assert "never slower than" in inspection.to_text()
+
+
+@needs_hostile
+@pytest.mark.parametrize("k", [2, 4, 5])
+def test_a_hostile_recording_is_seen_through(k):
+    paths = [HOSTILE / f"T{k}" / f"{k}-{name}.xlsx" for name in ("acc", "speed", "force")]
+    mapping = tuple(parse_pairs([f"acceleration={k}-acc:0,speed={k}-speed:0,force={k}-force:0"], "--map"))
+    if k == 5:
+        with pytest.raises(ValueError, match=r"speed reaches 39788.1 mm/s at sample 143.*spikes"):
+            import_recording(paths, ImportOptions(mapping, rate_hz=1000))
+    recording = import_recording(paths, ImportOptions(mapping, rate_hz=1000, force_units=True)).recording
+    assert all(channel.samples.size == 10_000 for channel in recording.channels.values())  # the first row too
+    inspection = inspect_recording(recording)
+    for name in ("speed", "force"):
+        assert {("order", name), ("spikes", name)} <= _codes(inspection)
+        assert "at multiples of 10 samples" in _text(inspection, "order", name)
+    assert {("white", "acceleration"), ("pattern", "acceleration")} <= _codes(inspection)
+    assert "every 10 samples" in _text(inspection, "pattern")
+    if k == 5:
+        assert "505831 N at sample 7616" in _text(inspection, "spikes", "force")
+        assert ("sign", "speed") in _codes(inspection)
+
+
+def test_the_command(tmp_path, capsys):
+    samples = _clean()
+    samples["force"][400] = 90
+    recording = Recording({name: Channel(x, RATE) for name, x in samples.items()}, texture="denim")
+    write_recording(recording, tmp_path / "a.h5")
+    assert _status(["inspect", str(tmp_path / "a.h5"), "-o", str(tmp_path / "out")]) == 0
+    captured = capsys.readouterr()
+    assert "problem  force: 1 spike" in captured.out
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {
+        "inspect.json",
+        "overview.png",
+        "coverage.png",
+        "psd.png",
+    }
+    document = json.loads((tmp_path / "out" / "inspect.json").read_text())
+    assert document["recording_sha256"] == recording.sha256()
+    assert _status(["inspect", str(tmp_path / "a.h5"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == document
+    assert _status(["inspect", str(tmp_path / "a.h5"), "--strict"]) == 1
+    capsys.readouterr()
+    assert _status(["inspect", str(tmp_path / "a.csv")]) == 2
+    assert capsys.readouterr().err.startswith("foten: no such file")

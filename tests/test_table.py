@@ -1,0 +1,128 @@
+"""Text tables and Excel sheets: no row lost, no separator asked."""
+
+import openpyxl
+import pytest
+
+from foten.datasets.table import read_delimited, read_excel
+
+
+def _columns(path, text, encoding="utf-8"):
+    path.write_bytes(text.encode(encoding))
+    return {column.name: column.samples.tolist() for column in read_delimited(path)}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time,force\n0,1.5\n1,2.5\n2,3.5\n",
+        "time\tforce\n0\t1.5\n1\t2.5\n2\t3.5\n",
+        "time;force\n0;1,5\n1;2,5\n2;3,5\n",  # decimal comma
+        "time force\n0 1.5\n1 2.5\n2 3.5\n",
+        "# captured on a rig\n# time, force\n0, 1.5\n1, 2.5\n2, 3.5\n",  # as numpy.savetxt writes
+        "Rig,7\nSample rate,10000\n\ntime,force\n0,1.5\n1,2.5\n2,3.5\n",  # lines before the table
+        '"time","force"\r\n0,1.5\r\n1,2.5\r\n2,3.5\r\n\r\n',
+        "\ufefftime,force\n0,1.5\n1,2.5\n2,3.5",
+    ],
+)
+def test_the_same_table_in_many_spellings(tmp_path, text):
+    assert _columns(tmp_path / "a.csv", text) == {"time": [0, 1, 2], "force": [1.5, 2.5, 3.5]}
+
+
+def test_other_encodings(tmp_path):
+    text = "t;Kraft µ²\n0;1\n1;2\n"
+    assert _columns(tmp_path / "a.csv", text, "latin-1") == {"t": [0, 1], "Kraft µ²": [1, 2]}
+    assert _columns(tmp_path / "b.txt", text.replace(";", "\t"), "utf-16") == {
+        "t": [0, 1],
+        "Kraft µ²": [1, 2],
+    }
+
+
+def test_without_a_header_the_first_row_is_kept(tmp_path):
+    assert _columns(tmp_path / "a.csv", "5,6\n7,8\n9,10\n") == {"0": [5, 7, 9], "1": [6, 8, 10]}
+    assert _columns(tmp_path / "b.csv", "5\n7\n9\n") == {"0": [5, 7, 9]}
+
+
+def test_a_row_of_units_below_the_header(tmp_path):
+    (tmp_path / "a.csv").write_text("time,acc,force\n[ms],[g],[N]\n0,1,2\n1,2,3\n")
+    assert [(c.name, c.unit, c.samples[0]) for c in read_delimited(tmp_path / "a.csv")] == [
+        ("time", "ms", 0),
+        ("acc", "g", 1),
+        ("force", "N", 2),
+    ]
+
+
+def test_blanks_within_are_nan_and_blanks_after_the_end_are_counted(tmp_path):
+    (tmp_path / "a.csv").write_text("a,b\n1,1\n2,\n3,3\n4,\n5,\n")
+    a, b = read_delimited(tmp_path / "a.csv")
+    assert a.samples.tolist() == [1, 2, 3, 4, 5]
+    assert b.samples[[0, 2]].tolist() == [1, 3]
+    assert (b.samples[1] != b.samples[1], b.samples.size, b.n_blank, b.n_rows) == (True, 3, 2, 5)
+
+
+def test_a_blank_line_among_numbers_is_a_missing_row(tmp_path):
+    a = _columns(tmp_path / "a.csv", "a\n1\n\n3\n\n\n")["a"]
+    assert (a[0], a[1] != a[1], a[2], len(a)) == (1, True, 3, 3)
+
+
+def test_a_word_among_numbers_spoils_only_its_column(tmp_path):
+    (tmp_path / "a.csv").write_text("a,b\n1,1\n2,oops\n3,3\n")
+    a, b = read_delimited(tmp_path / "a.csv")
+    assert a.fault == ""
+    assert b.fault == "row 3 is 'oops', expected a number"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "is empty"),
+        (b" \n\n", "is empty"),
+        (b"a,b\n", "no row of numbers"),
+        (b"a,b\n1,2\n3,4\n5", r"row 4 has 1 cells, expected 2; was the file cut off"),
+        (b"\x89HDF\x00\x00\x00", "is not text"),
+        (b'a,b\n1,"2\n3,4\n', "quotation mark"),
+    ],
+)
+def test_bad_tables_are_refused(tmp_path, content, message):
+    (tmp_path / "bad.csv").write_bytes(content)
+    with pytest.raises(ValueError, match=message):
+        read_delimited(tmp_path / "bad.csv")
+
+
+def _workbook(path, **sheets):
+    book = openpyxl.Workbook()
+    book.remove(book.active)
+    for title, rows in sheets.items():
+        sheet = book.create_sheet(title)
+        for row in rows:
+            sheet.append(row)
+    book.save(path)
+
+
+def test_an_excel_sheet_with_a_header(tmp_path):
+    _workbook(tmp_path / "a.xlsx", data=[["time", "force"], [0, 1.5], [1, 2.5], [2, None]], empty=[])
+    time, force = read_excel(tmp_path / "a.xlsx")
+    assert (time.name, time.samples.tolist()) == ("time", [0, 1, 2])
+    assert (force.name, force.samples.tolist(), force.n_blank) == ("force", [1.5, 2.5], 1)
+
+
+def test_a_headerless_single_column_of_excel_keeps_its_first_row(tmp_path):
+    _workbook(tmp_path / "a.xlsx", data=[[0.5], [1.5], [2.5]])
+    (column,) = read_excel(tmp_path / "a.xlsx")
+    assert (column.name, column.samples.tolist()) == ("0", [0.5, 1.5, 2.5])
+
+
+def test_several_sheets_name_their_columns(tmp_path):
+    _workbook(tmp_path / "a.xlsx", fast=[["a"], [1], [2], [3]], slow=[["f"], [4], [5]])
+    assert [(c.name, c.samples.size) for c in read_excel(tmp_path / "a.xlsx")] == [
+        ("fast.a", 3),
+        ("slow.f", 2),
+    ]
+
+
+def test_a_truncated_or_foreign_workbook_is_refused(tmp_path):
+    _workbook(tmp_path / "a.xlsx", data=[["force"], *([k] for k in range(500))])
+    whole = (tmp_path / "a.xlsx").read_bytes()
+    for name, content in {"cut": whole[:-200], "text": b"force\n1\n2\n", "none": b""}.items():
+        (tmp_path / f"{name}.xlsx").write_bytes(content)
+        with pytest.raises(ValueError, match=f"{name}.xlsx is (truncated|empty)"):
+            read_excel(tmp_path / f"{name}.xlsx")
