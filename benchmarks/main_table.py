@@ -27,8 +27,8 @@ import numpy as np
 
 from foten.architecture import ARCHITECTURES
 from foten.datasets.simulate import LINEAR_FAMILY, TEXTURES, simulate
-from foten.experiments.truth import truth_for
 from foten.evaluate.evaluate import evaluate
+from foten.experiments.truth import truth_for
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Channel, Recording
 from foten.texture_file import write_texture
@@ -130,7 +130,9 @@ def run_all(arguments: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     commands = parser.add_subparsers(required=True)
     run = commands.add_parser("run")
     run.add_argument("--only", default="*", help="run names to match, as TEXTURE-RATE-MODEL-SEED")

@@ -32,7 +32,9 @@ class FotenArchitecture:
         if self.window < 2:
             raise ValueError(f"window is {self.window} samples, expected 2 or more")
         if self.d_model % self.n_heads or (self.spectral_width > 1 and self.spectral_width % self.n_heads):
-            raise ValueError(f"widths {self.d_model} and {self.spectral_width} do not divide into {self.n_heads} heads")
+            raise ValueError(
+                f"widths {self.d_model} and {self.spectral_width} do not divide into {self.n_heads} heads"
+            )
         if self.phase_input not in ("angle", "cos_sin"):
             raise ValueError(f"phase_input is {self.phase_input!r}, expected 'angle' or 'cos_sin'")
         if not 0 <= self.dropout < 1:
@@ -48,11 +50,16 @@ class FotenPlusArchitecture(FotenArchitecture):
     """
 
     dropout: float = 0.0  # the target is mostly noise already
-    correction_limit: float = 3.0  # in standard deviations of the shortcut's error; |correction| stays below it
+    correction_limit: float = (
+        3.0  # in standard deviations of the shortcut's error; |correction| stays below it
+    )
     excitation_width: int = 16  # hidden units of log σ(speed, force)
 
 
-ARCHITECTURES: dict[str, type[FotenArchitecture]] = {"foten": FotenArchitecture, "foten-plus": FotenPlusArchitecture}
+ARCHITECTURES: dict[str, type[FotenArchitecture]] = {
+    "foten": FotenArchitecture,
+    "foten-plus": FotenPlusArchitecture,
+}
 
 
 def architecture_from(key: str, sizes: Mapping[str, Any]) -> FotenArchitecture:

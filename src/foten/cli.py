@@ -57,7 +57,8 @@ def _print_version(wanted: bool) -> None:
 @app.callback()
 def _common(
     version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and stop.")
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and stop."),
     ] = False,
 ) -> None:
     pass
@@ -105,33 +106,6 @@ def simulate(
         _print_json({"output": str(output), "sha256": recording.sha256(), "simulation": simulation})
     else:
         print(f"{output}: {key}, {recording.duration_s:g} s, {', '.join(recording.channels)}")
-
-
-def main() -> None:
-    """Run the command line and turn every expected failure into one line and an exit status."""
-    sys.exit(_status(sys.argv[1:]))
-
-
-def _status(arguments: list[str]) -> int:
-    if os.environ.get("FOTEN_DEBUG"):  # the whole traceback, for people who mend foten
-        return app(arguments, standalone_mode=False) or 0
-    if not arguments:
-        arguments = ["--help"]
-    try:
-        return app(arguments, standalone_mode=False) or 0
-    except (Abort, KeyboardInterrupt):
-        _say("foten: interrupted")
-        return 130
-    except TyperException as error:
-        _say(f"foten: {' '.join(error.format_message().split())}")
-    except ModuleNotFoundError as error:
-        package = (error.name or "").split(".")[0]
-        if package not in _EXTRAS:
-            raise
-        _say(f"foten: this needs {package}, which is not installed: pip install 'foten[{_EXTRAS[package]}]'")
-    except (ValueError, OSError) as error:
-        _say(f"foten: {' '.join(str(error).split()) or type(error).__name__}")
-    return 2
 
 
 @app.command("import")
@@ -296,6 +270,371 @@ def inspect(
         print(inspection.to_text())
     if strict and inspection.problems:
         raise typer.Exit(1)
+
+
+@app.command()
+def train(
+    recording_file: Annotated[
+        Path, typer.Argument(metavar="REC.h5", help="A recording that foten import wrote.")
+    ],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="T.foten", help="The texture file to write.")
+    ],
+    model: Annotated[str, typer.Option(help="foten-plus (ours) or foten (the paper's).")] = "foten-plus",
+    recipe: Annotated[
+        str, typer.Option(help="default (ours) or paper (Adam 1e-3, batch 16, 100 epochs).")
+    ] = "default",
+    rate: Annotated[
+        float | None, typer.Option(help="Of the model [Hz]; the acceleration's own at most. [1000]")
+    ] = None,
+    trim: Annotated[float | None, typer.Option(help="Discarded at both ends [ms]. [2000]")] = None,
+    block: Annotated[float | None, typer.Option(help="Unit of the split [ms]. [2000]")] = None,
+    window: Annotated[int, typer.Option(help="m, samples that a prediction sees.")] = 20,
+    seed: Annotated[int, typer.Option(help="Of initial weights, order and dropout.")] = 0,
+    split: Annotated[
+        str, typer.Option(help="regrouped by speed and force, or contiguous in time.")
+    ] = "regrouped",
+    split_seed: Annotated[int, typer.Option(help="Of the regrouped split.")] = 0,
+    epochs: Annotated[int | None, typer.Option(help="At most; the recipe's by default.")] = None,
+    loss: Annotated[str | None, typer.Option(help="huber, mse or mae. [huber]")] = None,
+    delta: Annotated[float | None, typer.Option(help="Huber threshold, scaled. [1.6]")] = None,
+    batch: Annotated[int | None, typer.Option(help="Windows a step; the recipe's by default.")] = None,
+    learning_rate: Annotated[float | None, typer.Option(help="Highest; the recipe's by default.")] = None,
+    zero_phase: Annotated[
+        bool, typer.Option("--zero-phase", help="Filter forwards and backwards, as the paper offline.")
+    ] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the run folder's checkpoint.")] = False,
+    run_folder: Annotated[
+        Path | None, typer.Option("--run", metavar="DIR", help="Log, curves, split, checkpoint. [T.run]")
+    ] = None,
+    texture: Annotated[str, typer.Option(help="Name in the card; the recording's by default.")] = "",
+    licence: Annotated[str, typer.Option(help="Licence of the texture, for the card.")] = "",
+    threads: Annotated[int, typer.Option(help="Processor threads, at most the cores.")] = 2,
+    as_json: JsonOption = False,
+) -> None:
+    """Learn a texture file from a recording. Ctrl-C keeps the best so far."""
+    import dataclasses
+
+    from foten.architecture import ARCHITECTURES, architecture_from
+    from foten.datasets.hdf5 import load_recording
+    from foten.recording.preprocess import PreprocessConfig
+    from foten.texture_file import write_texture
+    from foten.train.config import RECIPES
+    from foten.train.run import RunFolder, TrainingDisplay
+    from foten.train.train import train_texture
+
+    if model not in ARCHITECTURES:
+        raise ValueError(f"unknown model {model!r}, expected one of {', '.join(ARCHITECTURES)}")
+    if recipe not in RECIPES:
+        raise ValueError(f"unknown recipe {recipe!r}, expected one of {', '.join(RECIPES)}")
+    if output.suffix != ".foten":
+        raise ValueError(f"a texture file is written as .foten, got -o {output.name}")
+    asked: dict[str, Any] = {
+        "epochs": epochs,
+        "loss": loss,
+        "delta": delta,
+        "batch": batch,
+        "learning_rate": learning_rate,
+    }
+    config = dataclasses.replace(
+        RECIPES[recipe], seed=seed, threads=threads, **{k: v for k, v in asked.items() if v is not None}
+    )
+    # The paper trains with 25 Hz and renders with 20 Hz.
+    cut: dict[str, Any] = {
+        "rate_hz": rate,
+        "trim_ms": trim,
+        "block_ms": block,
+        "lowpass_hz": 25.0 if recipe == "paper" else None,
+    }
+    preprocess_config = PreprocessConfig(
+        zero_phase=zero_phase, **{k: v for k, v in cut.items() if v is not None}
+    )
+    architecture = architecture_from(model, {"window": window})
+    recording = load_recording(recording_file)
+    folder = RunFolder(run_folder or output.with_suffix(".run"))
+    folder.open(
+        {
+            "model": model,
+            "train": dataclasses.asdict(config),
+            "preprocess": dataclasses.asdict(preprocess_config),
+            "architecture": dataclasses.asdict(architecture),
+            "split": split,
+            "split_seed": split_seed,
+            "recording_sha256": recording.sha256(),
+        },
+        resume,
+    )
+    with TrainingDisplay(config.epochs) as display:
+
+        def on_epoch(line: Any) -> None:
+            display.show(line)
+            folder.log(line)
+
+        trained = train_texture(
+            recording,
+            model,
+            architecture,
+            config,
+            preprocess_config,
+            split,
+            split_seed,
+            on_epoch,
+            folder.checkpoint,
+            texture or recording.texture,
+            licence,
+            on_stage=display.stage,
+        )
+    write_texture(trained.texture, output)
+    folder.close(trained)
+    metrics = trained.texture.card["metrics"]
+    found = {
+        "output": str(output),
+        "sha256": trained.texture.sha256(),
+        "interrupted": trained.progress.interrupted,
+        "n_blocks": trained.trace.n_blocks,
+        "n_samples_dropped": trained.trace.n_dropped,
+        "split_sha256": trained.split.sha256(),
+        **metrics,
+    }
+    if as_json:
+        _print_json(found)
+    else:
+        print(
+            f"one-step validation error {metrics['validation_mae_scaled']:.4f} sd (epoch {metrics['best_epoch']})",
+            end="",
+        )
+        alone = metrics["validation_mae_scaled_shortcut"]
+        print("" if alone is None else f", {alone:.4f} sd by its linear shortcut alone")
+        if trained.trace.n_dropped:
+            print(f"{trained.trace.n_dropped} samples at the end did not fill a block and were left out")
+        condition = trained.texture.card["warm_start"]["found"]
+        print(
+            f"warm start recorded at {condition['speed']:.0f} mm/s and {condition['force']:.2f} N (asked: 45 mm/s, 0.8 N)"
+        )
+        print(f"wrote {output} and {folder.path}; next: foten evaluate {output} {recording_file}")
+    if trained.progress.interrupted:
+        raise typer.Exit(130)
+
+
+@app.command()
+def evaluate(
+    texture_file: Annotated[Path, typer.Argument(metavar="T.foten", help="A texture file.")],
+    recording_file: Annotated[
+        Path, typer.Argument(metavar="REC.h5", help="The recording it was trained on, or another.")
+    ],
+    report: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write DIR/report.html and DIR/evaluation.json.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of the excitation.")] = 0,
+    as_json: JsonOption = False,
+) -> None:
+    """Judge a texture on its test blocks: one-step and free-run, beside references and a ceiling."""
+    from foten.datasets.hdf5 import load_recording
+    from foten.evaluate import evaluate as judge
+    from foten.experiments.truth import truth_for
+    from foten.texture_file import read_texture
+
+    texture, recording = read_texture(texture_file), load_recording(recording_file)
+    if report is not None and report.exists() and not report.is_dir():
+        raise ValueError(f"--report {report} is a file, expected a folder")
+    judgement = judge.evaluate(
+        texture, recording, truth_for(recording, texture), seed, on_stage=lambda stage: _say(f"{stage} …")
+    )
+    if report is not None:
+        from foten.evaluate.report import write_report
+
+        report.mkdir(parents=True, exist_ok=True)
+        (report / "evaluation.json").write_text(
+            json.dumps(judgement.document, indent=1, allow_nan=False) + "\n"
+        )
+        _say(f"wrote {write_report(judgement, texture, report)}")
+    if as_json:
+        _print_json(judgement.document)
+    else:
+        print(judge.to_text(judgement.document))
+
+
+@app.command()
+def render(
+    texture_file: Annotated[Path, typer.Argument(metavar="T.foten", help="A texture file.")],
+    output: Annotated[
+        list[Path], typer.Option("-o", "--output", help=".wav (float, m/s²), .csv, .npz or .png; repeatable.")
+    ],
+    stroke: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="S.csv", help="Header t (s), speed (mm/s) or x, y (mm), force (N) or pressure (0 to 1)."
+        ),
+    ] = None,
+    recording_file: Annotated[
+        Path | None, typer.Option("--recording", metavar="REC.h5", help="Take the hand of a recording.")
+    ] = None,
+    speed: Annotated[float | None, typer.Option(help="Constant speed [mm/s].")] = None,
+    force: Annotated[float | None, typer.Option(help="Constant force [N].")] = None,
+    seconds: Annotated[float | None, typer.Option(help="How long, with --speed and --force [s].")] = None,
+    audible: Annotated[
+        Path | None, typer.Option(metavar="FILE.wav", help="Also as sound, 48 kHz, 16 bits.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of the excitation.")] = 0,
+    deterministic: Annotated[bool, typer.Option("--deterministic", help="Without excitation.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Render vibration from a texture and a stroke."""
+    import dataclasses
+
+    from foten.render import sinks
+    from foten.render.stroke import constant_stroke, read_stroke
+    from foten.render.synthesizer import Synthesizer
+    from foten.texture_file import read_texture
+
+    for path in output:
+        sinks.check_suffix(path)
+    texture = read_texture(texture_file)
+    constants = (speed, force, seconds)
+    sources = [stroke is not None, recording_file is not None, any(value is not None for value in constants)]
+    if sum(sources) != 1 or (sources[2] and None in constants):
+        raise ValueError("expected one of --stroke, --recording, or --speed with --force and --seconds")
+    rate = texture.rate_hz
+    about = {
+        "texture": texture.card["texture"],
+        "texture_sha256": texture.sha256(),
+        "seed": seed,
+        "rate_hz": rate,
+    }
+    if recording_file is not None:
+        from foten.datasets.hdf5 import load_recording
+        from foten.evaluate.evaluate import trace_for
+
+        trace = trace_for(texture, load_recording(recording_file))
+        hand = trace.speed, trace.force
+        about["stroke"] = trace.recording_sha256
+    else:
+        if stroke is not None:
+            given = read_stroke(stroke, rate)
+        else:
+            given = constant_stroke(float(speed or 0), float(force or 0), float(seconds or 0), rate)
+        hand = given.conditioned(float(texture.card["lowpass_hz"]))
+        about["stroke"] = stroke.name if stroke is not None else f"{speed:g} mm/s, {force:g} N, {seconds:g} s"
+    synthesizer = Synthesizer(texture, seed, excitation=not deterministic)
+    acceleration = synthesizer.render(*hand)
+    for path in output:
+        sinks.write_rendered(path, acceleration, *hand, rate, about)
+    statistics = dataclasses.asdict(synthesizer.statistics)
+    gain = sinks.write_audible(audible, acceleration, rate) if audible is not None else None
+    rms, peak = float((acceleration**2).mean() ** 0.5), float(abs(acceleration).max())
+    if as_json:
+        _print_json(
+            {
+                "outputs": [str(p) for p in output],
+                "rms_m_s2": rms,
+                "peak_m_s2": peak,
+                "audible_gain": gain,
+                **statistics,
+            }
+        )
+        return
+    print(f"{acceleration.size / rate:g} s at {rate:g} Hz, {rms:.3g} m/s² rms, {peak:.3g} m/s² peak")
+    share = {name: f"{100 * count / statistics['n']:.1f} %" for name, count in statistics.items()}
+    for name, unit in (("speed", "mm/s"), ("force", "N")):
+        if statistics[f"n_{name}_clamped"]:
+            high = texture.trained_range(name)[1]
+            print(
+                f"{name} was above the trained {high:.4g} {unit} for {share[f'n_{name}_clamped']} and clamped"
+            )
+    if statistics["n_below_range"]:
+        print(
+            f"speed or force was below the trained range for {share['n_below_range']}; the vibration fades there"
+        )
+    if statistics["n_saturated"]:
+        _say(f"the saturator cut {statistics['n_saturated']} samples: the loop ran away there")
+    if not texture.has_excitation and not deterministic:
+        _say(
+            f"{texture.card['model']} carries no excitation, so the loop is deterministic and may fall silent"
+        )
+
+
+@app.command()
+def info(
+    texture_file: Annotated[Path, typer.Argument(metavar="T.foten", help="A texture file.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Show what a texture file holds, and prove it on its golden windows."""
+    from foten.render.engine import engine_for
+    from foten.render.synthesizer import prove
+    from foten.texture_file import read_texture
+
+    texture = read_texture(texture_file)
+    prove(texture, engine_for(texture))
+    if as_json:
+        _print_json({"sha256": texture.sha256(), **texture.card})
+        return
+    card = texture.card
+    n_parameters = sum(
+        t.size for name, t in texture.tensors.items() if not name.startswith(("golden.", "warm_start"))
+    )
+    rows = {
+        "texture": card["texture"] or "(unnamed)",
+        "model": f"{card['model']}, {n_parameters} numbers, window {card['window']} samples",
+        "rate": f"{texture.rate_hz:g} Hz",
+        "trained speed": "{:.4g} to {:.4g} mm/s".format(*texture.trained_range("speed")),
+        "trained force": "{:.3g} to {:.3g} N".format(*texture.trained_range("force")),
+        "acceleration": f"{texture.scaling.sd[0]:.4g} m/s² standard deviation",
+        "delay": f"{card['delay_ms']:.1f} ms, of the {card['lowpass_hz']:g} Hz low-pass of speed and force",
+        "excitation": "yes" if texture.has_excitation else "no",
+        "validation": f"{card['metrics']['validation_mae_scaled']:.4f} sd one-step",
+        "licence": card["licence"] or "(not stated)",
+        "sha256": texture.sha256(),
+        "proof": "golden windows replayed",
+    }
+    for name, value in rows.items():
+        print(f"{name:14s}{value}")
+
+
+@app.command()
+def demo(
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for everything it makes.")
+    ] = Path("demo"),
+    key: Annotated[
+        str, typer.Option("--texture", help="Simulated texture; foten simulate --list.")
+    ] = "towel",
+    seconds: Annotated[float, typer.Option(help="Length of the recording [s].")] = 44.0,
+    epochs: Annotated[int, typer.Option(help="Of training.")] = 8,
+    seed: Annotated[int, typer.Option(help="Of everything.")] = 0,
+    threads: Annotated[int, typer.Option(help="Processor threads, at most the cores.")] = 2,
+) -> None:
+    """Go once through everything without data or hardware: simulate, train, judge, render."""
+    from foten.experiments.demo import run_demo
+
+    for name, path in run_demo(output, key, seconds, epochs, seed, threads, _say).items():
+        print(f"{name:10s}{path}")
+
+
+def main() -> None:
+    """Run the command line and turn every expected failure into one line and an exit status."""
+    sys.exit(_status(sys.argv[1:]))
+
+
+def _status(arguments: list[str]) -> int:
+    if os.environ.get("FOTEN_DEBUG"):  # the whole traceback, for people who mend foten
+        return app(arguments, standalone_mode=False) or 0
+    if not arguments:
+        arguments = ["--help"]
+    try:
+        return app(arguments, standalone_mode=False) or 0
+    except (Abort, KeyboardInterrupt):
+        _say("foten: interrupted")
+        return 130
+    except TyperException as error:
+        _say(f"foten: {' '.join(error.format_message().split())}")
+    except ModuleNotFoundError as error:
+        package = (error.name or "").split(".")[0]
+        if package not in _EXTRAS:
+            raise
+        _say(f"foten: this needs {package}, which is not installed: pip install 'foten[{_EXTRAS[package]}]'")
+    except (ValueError, OSError) as error:
+        _say(f"foten: {' '.join(str(error).split()) or type(error).__name__}")
+    return 2
 
 
 if __name__ == "__main__":

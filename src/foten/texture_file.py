@@ -149,7 +149,8 @@ def texture_from_bytes(data: bytes) -> Texture:
     from safetensors import SafetensorError
     from safetensors.numpy import load
 
-    if data[:1] == b"\x80" or data[:4] == b"PK\x03\x04":
+    # A header's length may begin with the very byte that a pickle begins with; the brace after it tells them apart.
+    if data[8:9] != b"{" and (data[:1] == b"\x80" or data[:4] == b"PK\x03\x04"):
         raise ValueError(
             "this is a pickle or a PyTorch checkpoint, expected a texture file; "
             "pickles can run code and are never opened: export with 'foten train'"
@@ -165,7 +166,9 @@ def texture_from_bytes(data: bytes) -> Texture:
     except (SafetensorError, UnicodeDecodeError, json.JSONDecodeError, AttributeError, KeyError) as error:
         raise ValueError(f"this is not a texture file, or it is truncated ({error})") from error
     if "foten" not in metadata:
-        raise ValueError("this is a safetensors file without a texture card, expected one written by 'foten train'")
+        raise ValueError(
+            "this is a safetensors file without a texture card, expected one written by 'foten train'"
+        )
     try:
         card = json.loads(metadata["foten"])
     except json.JSONDecodeError as error:
@@ -191,7 +194,9 @@ def check_card(card: Any) -> None:
         if key not in card:
             raise ValueError(f"the card has no {key!r}")
         if not isinstance(card[key], kind) or isinstance(card[key], bool):
-            raise ValueError(f"{key!r} in the card is {card[key]!r}, expected {getattr(kind, '__name__', 'a number')}")
+            raise ValueError(
+                f"{key!r} in the card is {card[key]!r}, expected {getattr(kind, '__name__', 'a number')}"
+            )
     architecture = architecture_from(card["model"], card["sizes"])
     if architecture.window != card["window"]:
         raise ValueError(f"the card has window {card['window']} and the network {architecture.window}")
@@ -223,5 +228,9 @@ def _check_tensors(texture: Texture) -> None:
         "golden.closed_loop": (64,),
     }.items():
         found = texture.tensors[name].shape if name in texture.tensors else None
-        if found is None or len(found) != len(shape) or any(a not in (None, b) for a, b in zip(shape, found, strict=True)):
+        if (
+            found is None
+            or len(found) != len(shape)
+            or any(a not in (None, b) for a, b in zip(shape, found, strict=True))
+        ):
             raise ValueError(f"tensor {name!r} has shape {found}, expected {shape}")

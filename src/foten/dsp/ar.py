@@ -18,7 +18,7 @@ def least_squares(design: Array, target: Array, ridge: float = 1e-9) -> Array:
     """
     gram = design.T @ design
     gram[np.diag_indices_from(gram)] += ridge * np.trace(gram) / gram.shape[0]
-    return np.linalg.solve(gram, design.T @ target)
+    return np.asarray(np.linalg.solve(gram, design.T @ target), dtype=np.float64)
 
 
 def spectral_radius(taps: Array) -> float:

@@ -16,7 +16,9 @@ def rate_ratio(target_hz: float, source_hz: float) -> Fraction:
     """
     ratio = Fraction(target_hz / source_hz).limit_denominator(1000)
     if ratio.numerator == 0 or abs(float(ratio) * source_hz - target_hz) > 1e-9 * target_hz:
-        raise ValueError(f"cannot go from {source_hz:g} Hz to {target_hz:g} Hz: not a ratio of small integers")
+        raise ValueError(
+            f"cannot go from {source_hz:g} Hz to {target_hz:g} Hz: not a ratio of small integers"
+        )
     return ratio
 
 

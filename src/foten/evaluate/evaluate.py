@@ -92,8 +92,7 @@ def evaluate(
     foreign = trace.recording_sha256 != texture.card["recording_sha256"]
     split: Split | None = None
     if not foreign:
-        fields = dict(texture.card["split"])
-        split = Split(**{k: tuple(v) if isinstance(v, list) else v for k, v in fields.items()})
+        split = Split.from_fields(texture.card["split"])
         if (split.n_blocks, split.block) != (trace.n_blocks, block):
             raise ValueError(
                 f"the split is of {split.n_blocks} blocks of {split.block}, the recording gives {trace.n_blocks} of {block}"
@@ -256,3 +255,25 @@ def _free_run(
             found[name]["n_saturated"] = saturated[name]
     found["ceiling"]["of"] = ceiling_of
     return found, signals
+
+
+def to_text(document: Mapping[str, Any]) -> str:
+    """Return the document's figures as two aligned tables."""
+
+    def cell(value: Any, width: int = 10) -> str:
+        return f"{'–' if value is None else f'{value:.4f}' if abs(value) < 1 else f'{value:.3f}':>{width}}"
+
+    lines = [
+        f"{document['texture'] or 'texture'}, {document['model']} at {document['rate_hz']:g} Hz; split {document['split']}, "
+        f"{document['n_blocks']} blocks of {document['block']} samples",
+        "",
+        f"{'one-step error':22s}{'scaled':>10}{'m/s²':>10}{'GFC':>10}",
+    ]
+    rows = {document["model"]: document["one_step"], **document["references"]}
+    lines += [f"{name:22s}" + "".join(cell(row[key]) for key in ONE_STEP_KEYS) for name, row in rows.items()]
+    heads = ("LSD dB", "long dB", "GFC raw", "Welch", "bias dB", "error dB", "corr", "kurtosis", "max sd")
+    lines += ["", f"{'free run':22s}" + "".join(f"{head:>10}" for head in heads)]
+    names = ("free_run", "free_run_deterministic", "free_run_ar", "ceiling")
+    lines += [f"{name:22s}" + "".join(cell(document[name][key]) for key in FREE_RUN_KEYS) for name in names]
+    lines += [f"{name}: {reason}" for name, reason in document["reasons"].items()]
+    return "\n".join(lines)

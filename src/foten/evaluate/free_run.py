@@ -30,7 +30,12 @@ def scored(block: int) -> slice:
 
 
 def synthesize(
-    texture: Texture, trace: Trace, blocks: tuple[int, ...], excitation: bool, seed: int = 0, n_seeds: int = N_SEEDS
+    texture: Texture,
+    trace: Trace,
+    blocks: tuple[int, ...],
+    excitation: bool,
+    seed: int = 0,
+    n_seeds: int = N_SEEDS,
 ) -> tuple[Array, int]:
     """Return the free run under recorded speed and force, and how often the saturator cut it.
 
@@ -43,7 +48,9 @@ def synthesize(
     m = texture.window
     starts = np.array(blocks) * trace.block + m
     start = windows(texture.scaling.scale(trace.stacked()), starts, m)
-    speed, force = (np.tile(trace.blocks(c)[list(blocks), m:], (n_seeds, 1)) for c in (trace.speed, trace.force))
+    speed, force = (
+        np.tile(trace.blocks(c)[list(blocks), m:], (n_seeds, 1)) for c in (trace.speed, trace.force)
+    )
     synthesizer = Synthesizer(texture, seed, n_seeds * len(blocks), excitation)
     synthesizer.reset(np.tile(start, (n_seeds, 1, 1)))
     rendered = np.atleast_2d(synthesizer.render(speed, force)).reshape(n_seeds, len(blocks), -1)
@@ -52,7 +59,12 @@ def synthesize(
 
 
 def synthesize_linear(
-    predictor: Linear, trace: Trace, blocks: tuple[int, ...], scaling: Scaling, seed: int = 0, n_seeds: int = N_SEEDS
+    predictor: Linear,
+    trace: Trace,
+    blocks: tuple[int, ...],
+    scaling: Scaling,
+    seed: int = 0,
+    n_seeds: int = N_SEEDS,
 ) -> Array:
     """Return the free run of a linear predictor with white noise of one scale: the anchor to beat.
 
@@ -66,7 +78,9 @@ def synthesize_linear(
     loop = ClosedLoop(stable, lambda condition: np.full(len(condition), stable.noise_sd), start)
     noise = np.stack([gaussian(seed, stream, 0, trace.block - m) for stream in range(n_streams)])
     rendered = loop.run(np.zeros((n_streams, trace.block - m, 2)), noise).reshape(n_seeds, len(blocks), -1)
-    recorded = np.broadcast_to(samples[:, 0].reshape(trace.n_blocks, -1)[list(blocks), :m], (n_seeds, len(blocks), m))
+    recorded = np.broadcast_to(
+        samples[:, 0].reshape(trace.n_blocks, -1)[list(blocks), :m], (n_seeds, len(blocks), m)
+    )
     return scaling.unscale_acceleration(np.concatenate([recorded, rendered], axis=2))
 
 
@@ -83,7 +97,9 @@ def nearest_training_blocks(trace: Trace, blocks: tuple[int, ...], train: tuple[
     return trace.blocks(trace.acceleration)[nearest][None]
 
 
-def free_run(recorded: Array, synthesized: Array, speed: Array, force: Array, rate_hz: float, sd: float) -> dict[str, Any]:
+def free_run(
+    recorded: Array, synthesized: Array, speed: Array, force: Array, rate_hz: float, sd: float
+) -> dict[str, Any]:
     """Return the free-run figures of synthesized blocks beside recorded ones.
 
     Args:
@@ -101,7 +117,12 @@ def free_run(recorded: Array, synthesized: Array, speed: Array, force: Array, ra
         speed, of force]; `modulation_db`: distance of envelope spectra, 2 to 50 Hz; `intervals`.
     """
     part = scored(recorded.shape[-1])
-    recorded, synthesized, speed, force = recorded[:, part], synthesized[:, :, part], speed[:, part], force[:, part]
+    recorded, synthesized, speed, force = (
+        recorded[:, part],
+        synthesized[:, :, part],
+        speed[:, part],
+        force[:, part],
+    )
     n_segment = metrics.segment_length(recorded.shape[-1])
     frequencies, p = metrics.welch(recorded, rate_hz, n_segment)
     _, q = metrics.welch(synthesized, rate_hz, n_segment)
@@ -111,8 +132,12 @@ def free_run(recorded: Array, synthesized: Array, speed: Array, force: Array, ra
     level_p = metrics.frame_levels(recorded, rate_hz, reference)
     level_q = metrics.frame_levels(synthesized, rate_hz, reference)
     distance = metrics.log_spectral_distance(p[None], q)
-    raw = np.array([[metrics.goodness_of_fit(a, b) for a, b in zip(recorded, run, strict=True)] for run in synthesized])
-    smooth = np.array([[metrics._cosine(np.sqrt(a), np.sqrt(b)) for a, b in zip(p, run, strict=True)] for run in q])
+    raw = np.array(
+        [[metrics.goodness_of_fit(a, b) for a, b in zip(recorded, run, strict=True)] for run in synthesized]
+    )
+    smooth = np.array(
+        [[metrics._cosine(np.sqrt(a), np.sqrt(b)) for a, b in zip(p, run, strict=True)] for run in q]
+    )
 
     def figures(index: NDArray[np.int64]) -> dict[str, Any]:
         difference = level_q[:, index] - level_p[index]
@@ -134,7 +159,9 @@ def free_run(recorded: Array, synthesized: Array, speed: Array, force: Array, ra
         **figures(np.arange(len(recorded))),
         "max_sd": float(np.abs(synthesized).max() / sd),
         "kurtosis_recorded": metrics.kurtosis(recorded),
-        "band_errors_db": metrics.band_errors(p.mean(axis=0), q.mean(axis=(0, 1)), frequencies[bins], rate_hz),
+        "band_errors_db": metrics.band_errors(
+            p.mean(axis=0), q.mean(axis=(0, 1)), frequencies[bins], rate_hz
+        ),
         "level_slopes": metrics.level_slopes(level_q.mean(axis=0), frame_speed, frame_force),
         "level_slopes_recorded": metrics.level_slopes(level_p, frame_speed, frame_force),
         "modulation_db": float(metrics.log_spectral_distance(modulation[0][1], modulation[1][1]))

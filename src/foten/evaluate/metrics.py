@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,11 +102,13 @@ def band_edges(rate_hz: float) -> Array:
     return np.geomspace(LOWEST_HZ, min(HIGHEST_HZ, 0.45 * rate_hz), N_BANDS + 1)
 
 
-def band_errors(recorded: Array, synthesized: Array, frequencies: Array, rate_hz: float) -> list[float | None]:
+def band_errors(
+    recorded: Array, synthesized: Array, frequencies: Array, rate_hz: float
+) -> list[float | None]:
     """Return the error of each band's energy [dB], from pooled densities (k,); None where a band holds no bin."""
     edges = band_edges(rate_hz)
     errors: list[float | None] = []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         inside = (frequencies >= low) & (frequencies < high if high < edges[-1] else frequencies <= high)
         p, q = float(recorded[inside].sum()), float(synthesized[inside].sum())
         errors.append(10 * math.log10(max(q, _POWER_FLOOR * p) / p) if p > 0 else None)

@@ -19,7 +19,9 @@ from foten.render.engine import Predictor
 Array = NDArray[np.float64]
 
 
-def one_step(predictor: Predictor, samples: Array, blocks: tuple[int, ...], block: int, scaling: Scaling) -> dict[str, Any]:
+def one_step(
+    predictor: Predictor, samples: Array, blocks: tuple[int, ...], block: int, scaling: Scaling
+) -> dict[str, Any]:
     """Return a predictor's one-step figures over the scored samples of some blocks.
 
     Args:
@@ -39,12 +41,17 @@ def predict_blocks(predictor: Predictor, samples: Array, blocks: tuple[int, ...]
     """Return the predictions at the scored samples, scaled, shape (n_blocks, block − 160)."""
     n = targets(blocks, block, FIRST_SCORED)
     predicted = np.concatenate(
-        [predictor.predict(windows(samples, piece, predictor.window)) for piece in np.array_split(n, len(n) // 2048 + 1)]
+        [
+            predictor.predict(windows(samples, piece, predictor.window))
+            for piece in np.array_split(n, len(n) // 2048 + 1)
+        ]
     )
     return predicted.reshape(len(blocks), -1)
 
 
-def _scores(predicted: Array, samples: Array, blocks: tuple[int, ...], block: int, scaling: Scaling) -> dict[str, Any]:
+def _scores(
+    predicted: Array, samples: Array, blocks: tuple[int, ...], block: int, scaling: Scaling
+) -> dict[str, Any]:
     recorded = samples[targets(blocks, block, FIRST_SCORED), 0].reshape(len(blocks), -1)
     error = np.abs(recorded - predicted).mean(axis=1)
     fit = np.array([goodness_of_fit(a, b) for a, b in zip(recorded, predicted, strict=True)])

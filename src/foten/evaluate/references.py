@@ -71,10 +71,14 @@ class Linear:
 
     def stable(self) -> Linear:
         """Return an unscheduled predictor with its poles inside 0.9995, for a closed loop."""
-        return Linear(np.append(stabilised(self.coefficients[:-1], MAX_POLE), self.coefficients[-1]), self.noise_sd)
+        return Linear(
+            np.append(stabilised(self.coefficients[:-1], MAX_POLE), self.coefficients[-1]), self.noise_sd
+        )
 
 
-def fit_linear(samples: Array, blocks: tuple[int, ...], block: int, order: int, scheduled: bool = False) -> Linear | None:
+def fit_linear(
+    samples: Array, blocks: tuple[int, ...], block: int, order: int, scheduled: bool = False
+) -> Linear | None:
     """Return AR(order) by least squares over whole blocks of scaled samples (n, 3).
 
     None where the blocks hold fewer than twice as many windows as coefficients.
@@ -93,7 +97,9 @@ def fit_linear(samples: Array, blocks: tuple[int, ...], block: int, order: int, 
     return Linear(coefficients.reshape(3, order + 1) if scheduled else coefficients, noise_sd)
 
 
-def best_linear(samples: Array, train: tuple[int, ...], validation: tuple[int, ...], block: int) -> Linear | None:
+def best_linear(
+    samples: Array, train: tuple[int, ...], validation: tuple[int, ...], block: int
+) -> Linear | None:
     """Return the AR of any order of `ORDERS`, scheduled or not, with the lowest absolute error on validation."""
     n = targets(validation, block, FIRST_SCORED)
     best: tuple[float, Linear] | None = None

@@ -28,7 +28,12 @@ def truth_for(recording: Recording, texture: Texture) -> Truth:
     ]
     config = PreprocessConfig(**texture.card["preprocess"])
     same_rate = recording["acceleration"].rate_hz == config.rate_hz if "acceleration" in recording else False
-    if recording.simulation["key"] not in LINEAR_FAMILY or not same_rate or config.highpass_order != 2 or config.zero_phase:
+    if (
+        recording.simulation["key"] not in LINEAR_FAMILY
+        or not same_rate
+        or config.highpass_order != 2
+        or config.zero_phase
+    ):
         return Truth(realisations)
     trace = trace_for(texture, recording)
     (b0, b1, b2, a1, a2), *_ = butterworth("highpass", config.highpass_hz, config.rate_hz)

@@ -43,7 +43,7 @@ class EncoderLayer(nn.Module):
         return hidden + fed if self.pre_norm else self.norm_2(hidden + fed)
 
     def _attend(self, normed: Tensor, asked: slice) -> Tensor:
-        b, m, width = normed.shape
+        b, _, width = normed.shape
         heads = (b, -1, self.n_heads, width // self.n_heads)
         weight, bias = self.attention_in.weight, self.attention_in.bias
         query = nn.functional.linear(normed[:, asked], weight[:width], bias[:width])

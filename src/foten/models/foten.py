@@ -18,7 +18,13 @@ class TemporalBranch(nn.Module):
         d = architecture.d_model
         self.embedding = nn.Linear(1, d)
         self.layers = nn.ModuleList(
-            EncoderLayer(d, architecture.n_heads, architecture.d_feedforward, architecture.dropout, architecture.pre_norm)
+            EncoderLayer(
+                d,
+                architecture.n_heads,
+                architecture.d_feedforward,
+                architecture.dropout,
+                architecture.pre_norm,
+            )
             for _ in range(architecture.n_layers)
         )
         self.norm = nn.LayerNorm(d) if architecture.pre_norm else nn.Identity()
@@ -46,7 +52,11 @@ class SpectralBranch(nn.Module):
         for name, n_inputs in inputs.items():
             self.add_module(f"{name}_in", nn.Linear(n_inputs, width) if self.lifted else nn.Identity())
             layer = EncoderLayer(
-                width, architecture.n_heads, architecture.d_feedforward, architecture.dropout, architecture.pre_norm
+                width,
+                architecture.n_heads,
+                architecture.d_feedforward,
+                architecture.dropout,
+                architecture.pre_norm,
             )
             self.add_module(f"{name}_layer", layer)
             self.add_module(f"{name}_out", nn.Linear(width, 1) if self.lifted else nn.Identity())
@@ -69,7 +79,9 @@ class SpectralBranch(nn.Module):
             phase = torch.atan2(imaginary, real)[..., None]
         encoded_magnitude = self._encode("magnitude", magnitude[..., None])
         encoded_phase = self._encode("phase", phase)
-        turned = self.cosine.to(dtype) * torch.cos(encoded_phase) + self.sine.to(dtype) * torch.sin(encoded_phase)
+        turned = self.cosine.to(dtype) * torch.cos(encoded_phase) + self.sine.to(dtype) * torch.sin(
+            encoded_phase
+        )
         return (encoded_magnitude * turned).sum(dim=1)
 
     def _encode(self, name: str, tokens: Tensor) -> Tensor:

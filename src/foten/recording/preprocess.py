@@ -38,7 +38,9 @@ class PreprocessConfig:
         if not self.rate_hz > 0:
             raise ValueError(f"rate is {self.rate_hz:g} Hz, expected a positive number")
         if self.trim_ms < 0 or not self.block_ms > 0:
-            raise ValueError(f"trim is {self.trim_ms:g} ms and block {self.block_ms:g} ms, expected ≥ 0 and > 0")
+            raise ValueError(
+                f"trim is {self.trim_ms:g} ms and block {self.block_ms:g} ms, expected ≥ 0 and > 0"
+            )
         for name in ("highpass_hz", "lowpass_hz", "render_lowpass_hz"):
             if not 0 < getattr(self, name) < self.rate_hz / 2:
                 raise ValueError(
@@ -88,7 +90,7 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None) -> 
     highpass = butterworth("highpass", config.highpass_hz, rate, config.highpass_order)
     lowpass = butterworth("lowpass", config.lowpass_hz, rate)
     delay = 0 if config.zero_phase else round(delay_s(lowpass, rate) * rate)
-    n = int(math.floor(recording.duration_s * rate + 1e-6))
+    n = math.floor(recording.duration_s * rate + 1e-6)
     trim = round(config.trim_ms * rate / 1000)
     usable = min(n - trim, n - delay) - trim
     if usable < config.block:

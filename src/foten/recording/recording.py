@@ -94,7 +94,9 @@ class Recording:
 
     def axes(self, quantity: str) -> list[Channel]:
         """Return the channels of one quantity: its axes x, y, z where recorded, else the scalar, else none."""
-        found = [self.channels[f"{quantity}_{axis}"] for axis in AXES if f"{quantity}_{axis}" in self.channels]
+        found = [
+            self.channels[f"{quantity}_{axis}"] for axis in AXES if f"{quantity}_{axis}" in self.channels
+        ]
         if found:
             return found
         return [self.channels[quantity]] if quantity in self.channels else []

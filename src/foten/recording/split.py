@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -46,10 +48,13 @@ class Split:
     @staticmethod
     def from_json(text: str) -> Split:
         """Return the split that `to_json` wrote."""
-        fields = json.loads(text)
-        for part in ("train", "validation", "test"):
-            fields[part] = tuple(fields[part])
-        return Split(**fields)
+        return Split.from_fields(json.loads(text))
+
+    @staticmethod
+    def from_fields(fields: Mapping[str, Any]) -> Split:
+        """Return the split with the given fields, as a card holds them."""
+        parts = {part: tuple(fields[part]) for part in ("train", "validation", "test")}
+        return Split(**{**fields, **parts})
 
     def save(self, path: Path) -> None:
         """Write the split and its digest as JSON."""
@@ -83,39 +88,42 @@ def split_blocks(trace: Trace, method: str = "regrouped", seed: int = 0) -> Spli
             f"the trace has {n} blocks of {trace.block / trace.rate_hz * 1000:g} ms, expected 5 or more; "
             "a short recording wants a shorter --block and --trim"
         )
-    n_test = n_validation = max(1, round(0.2 * n))
+    n_held = max(1, round(0.2 * n))  # of validation and of test
     if method == "contiguous":
         order = list(range(n))
-        cut = n - n_validation - n_test
-        parts = order[:cut], order[cut : cut + n_validation], order[cut + n_validation :]
+        cut = n - 2 * n_held
+        parts = order[:cut], order[cut : cut + n_held], order[cut + n_held :]
     else:
-        parts = _regroup(trace, n_validation, n_test, np.random.default_rng(seed))
+        parts = _regroup(trace, n_held, np.random.default_rng(seed))
     train, validation, test = (tuple(sorted(part)) for part in parts)
     return Split(train, validation, test, n, trace.block, method, seed, trace.recording_sha256)
 
 
-def _regroup(
-    trace: Trace, n_validation: int, n_test: int, rng: np.random.Generator
-) -> tuple[list[int], list[int], list[int]]:
+def _regroup(trace: Trace, n_held: int, rng: np.random.Generator) -> tuple[list[int], list[int], list[int]]:
     n = trace.n_blocks
     speed, force = trace.blocks(trace.speed).mean(axis=1), trace.blocks(trace.force).mean(axis=1)
     extreme = {int(index) for means in (speed, force) for index in (means.argmin(), means.argmax())}
-    if n - len(extreme) < n_validation + n_test:
+    if n - len(extreme) < 2 * n_held:
         extreme = set()
     cells: list[list[int]] = []
     n_groups = 3 if n >= 18 else 2 if n >= 8 else 1
     for group in np.array_split(np.argsort(speed, kind="stable"), n_groups):
         by_force = group[np.argsort(force[group], kind="stable")]
-        cells += [[int(i) for i in cell if int(i) not in extreme] for cell in np.array_split(by_force, n_groups)]
+        cells += [
+            [int(i) for i in cell if int(i) not in extreme] for cell in np.array_split(by_force, n_groups)
+        ]
     # Walking over shuffled cells in turn and dealing test, validation, train in their ratio spreads each part
     # over the cells and meets the totals exactly, which rounding within cells of three blocks does not.
     for cell in cells:
         rng.shuffle(cell)
     order = [cells[i] for i in rng.permutation(len(cells))]
-    dealt = [block for layer in range(max(map(len, order))) for cell in order if layer < len(cell) for block in [cell[layer]]]
-    picked = dealt[: n_validation + n_test]
-    test, validation = picked[0::2][:n_test], picked[1::2]
-    short = n_test - len(test)
-    test, validation = test + validation[:short], validation[short:]
+    dealt = [
+        block
+        for layer in range(max(map(len, order)))
+        for cell in order
+        if layer < len(cell)
+        for block in [cell[layer]]
+    ]
+    test, validation = dealt[0 : 2 * n_held : 2], dealt[1 : 2 * n_held : 2]
     rest = [block for block in range(n) if block not in set(test) | set(validation)]
     return rest, validation, test

@@ -34,7 +34,9 @@ class NumpyFoten:
     In float64, so that it agrees with PyTorch to rounding whatever the processor.
     """
 
-    def __init__(self, architecture: FotenArchitecture, tensors: Mapping[str, NDArray[Any]], prefix: str = "") -> None:
+    def __init__(
+        self, architecture: FotenArchitecture, tensors: Mapping[str, NDArray[Any]], prefix: str = ""
+    ) -> None:
         self.window = architecture.window
         self._architecture = architecture
         self._w = _Weights(tensors, prefix)
@@ -97,7 +99,11 @@ class NumpyFoten:
         projected = self._w.linear(f"{name}.attention_in", normed)
         query, key, value = (
             part.reshape(b, -1, n_heads, width // n_heads).transpose(0, 2, 1, 3)
-            for part in (projected[:, asked, :width], projected[..., width : 2 * width], projected[..., 2 * width :])
+            for part in (
+                projected[:, asked, :width],
+                projected[..., width : 2 * width],
+                projected[..., 2 * width :],
+            )
         )
         scores = query @ key.transpose(0, 1, 3, 2) / np.sqrt(width // n_heads)
         scores = np.exp(scores - scores.max(axis=-1, keepdims=True))
@@ -133,8 +139,11 @@ class NumpyFotenPlus:
     def _scale(self, name: str, condition: Array) -> Array:
         mean, sd, floor = (self._w[f"{name}.{part}"] for part in ("mean", "sd", "floor"))
         physical = np.maximum(condition * sd + mean, 0.0)
-        features = np.concatenate([condition, np.log((physical + floor) / (mean + floor))], axis=1)
-        return np.exp(self._w.linear(f"{name}.out", np.tanh(self._w.linear(f"{name}.hidden", features)))[:, 0])
+        logs = np.log((physical + floor) / (mean + floor))
+        hidden = np.tanh(self._w.linear(f"{name}.hidden", np.concatenate([condition, logs], axis=1)))
+        return np.exp(
+            (self._w.linear(f"{name}.out", hidden) + logs @ self._w[f"{name}.power_law.weight"].T)[:, 0]
+        )
 
 
 class _Weights:

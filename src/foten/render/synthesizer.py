@@ -111,14 +111,18 @@ class Synthesizer:
         return out[0] if self.n_streams == 1 else out
 
     def _checked(self, speed: Array, force: Array) -> Array:
-        condition = np.stack(np.broadcast_arrays(np.asarray(speed, dtype=float), np.asarray(force, dtype=float)), axis=-1)
+        condition = np.stack(
+            np.broadcast_arrays(np.asarray(speed, dtype=float), np.asarray(force, dtype=float)), axis=-1
+        )
         if condition.ndim == 2:
             condition = np.repeat(condition[None], self.n_streams, axis=0)
         if condition.ndim != 3 or condition.shape[0] != self.n_streams:
             raise ValueError(f"speed has shape {np.shape(speed)}, expected (n,) or ({self.n_streams}, n)")
         if not np.isfinite(condition).all() or (condition < 0).any():
             name, unit = ("speed", "mm/s") if not (condition[..., 0] >= 0).all() else ("force", "N")
-            raise ValueError(f"a {name} is negative, NaN or infinite, expected a finite number of {unit}, 0 or more")
+            raise ValueError(
+                f"a {name} is negative, NaN or infinite, expected a finite number of {unit}, 0 or more"
+            )
         return condition
 
     def _draw(self, n: int) -> Array:
@@ -149,7 +153,14 @@ def prove(texture: Texture, engine: Predictor) -> None:
         ValueError: one step differs by more than 1e-5, or the closed loop by more than 1e-4 (scaled).
     """
     tensors = texture.tensors
-    checks = [("one step", engine.predict(tensors["golden.windows"]), tensors["golden.one_step"], ONE_STEP_TOLERANCE)]
+    checks = [
+        (
+            "one step",
+            engine.predict(tensors["golden.windows"]),
+            tensors["golden.one_step"],
+            ONE_STEP_TOLERANCE,
+        )
+    ]
     sigma = getattr(engine, "sigma", None) if texture.has_excitation else None
     if sigma is not None:
         found = sigma(tensors["golden.windows"][:, -1, 1:])

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from foten.dsp.level import frame_levels
+from foten.dsp.level import frame_levels, frame_means
 from foten.dsp.noise import gaussian
-from foten.models.foten_plus import Excitation
+from foten.models.foten_plus import Excitation, FotenPlus
 from foten.recording.scaling import Scaling
 from foten.recording.trace import Trace
-from foten.render.closed_loop import ClosedLoop, Sigma
-from foten.render.engine import Predictor
+from foten.render.closed_loop import ClosedLoop
 from foten.train.fit import Data
+
+N_SETTLING = 3
 
 
 def fit_excitation(
@@ -42,10 +45,15 @@ def fit_excitation(
         excitation.mean.copy_(torch.tensor(scaling.mean[1:]))
         excitation.sd.copy_(torch.tensor(scaling.sd[1:]))
         excitation.out.weight.zero_()
+        excitation.power_law.weight.zero_()
         excitation.out.bias.fill_(0.5 * math.log(float(squared.mean()) + 1e-12))
     excitation.double().requires_grad_(True)
     optimiser = torch.optim.LBFGS(
-        excitation.parameters(), max_iter=60, history_size=20, line_search_fn="strong_wolfe", tolerance_change=1e-7
+        excitation.parameters(),
+        max_iter=60,
+        history_size=20,
+        line_search_fn="strong_wolfe",
+        tolerance_change=1e-7,
     )
 
     def closure() -> torch.Tensor:
@@ -65,34 +73,53 @@ def fit_excitation(
 
 
 def settle_level(
-    predictor: Predictor, sigma: Sigma, data: Data, trace: Trace, blocks: tuple[int, ...], limit: float, seed: int
-) -> float:
-    """Return the factor on σ with which the closed loop is as loud as the recording, in the mean level of its frames.
+    network: FotenPlus,
+    engine_of: Callable[[FotenPlus], Any],
+    data: Data,
+    trace: Trace,
+    blocks: tuple[int, ...],
+    seed: int,
+) -> list[float]:
+    """Adjust σ until the closed loop is as loud as the recording, at every speed and force.
 
     A likelihood measures the error of one step. In the closed loop the predictor filters the excitation, and small errors
     of its resonances, or innovations that come in bursts, change the level by several dB (measured: +3.6 dB on the real fabric).
-    The level in dB is nearly linear in log σ, so three secant steps settle it.
+    The level in dB is nearly linear in log σ. So the frames' level errors are regressed on the logarithms of speed and force, and
+    what is found is taken off σ's constant and exponents; three times over.
 
     Args:
-        predictor, sigma: the engine.
+        network: its excitation is adjusted in place.
+        engine_of: what renders the network.
         data: scaled samples and window.
         trace: for block length and rate.
         blocks: training and validation blocks; the loop runs under their speed and force, the first fifth not counted.
-        limit: of the saturator, scaled.
         seed: of the excitation.
+
+    Returns:
+        The mean level error before each adjustment [dB].
     """
-    m, picked = data.window, list(blocks)
+    m, picked, rate = data.window, list(blocks), trace.rate_hz
     by_block = data.samples.reshape(trace.n_blocks, trace.block, 3)[picked]
     settled = round(0.2 * trace.block)
     recorded = by_block[:, settled:, 0]
     reference = float(np.sqrt(np.square(recorded).mean()))
-    level = frame_levels(recorded, trace.rate_hz, reference)
+    level = frame_levels(recorded, rate, reference)
     noise = np.stack([gaussian(seed, stream, 0, trace.block - m) for stream in range(len(picked))])
-    gain_db = 0.0
-    for _ in range(3):
-        gain = 10 ** (gain_db / 20)
-        loop = ClosedLoop(predictor, lambda condition, gain=gain: gain * sigma(condition), by_block[:, :m].copy(), limit)
+    means = np.stack([frame_means(by_block[:, settled:, channel], rate) for channel in (1, 2)], axis=-1)
+    logs = network.excitation.logarithms(torch.from_numpy(means.reshape(-1, 2)).float()).double().numpy()
+    # Ridge: a recording at one condition has no slopes to adjust.
+    design = np.concatenate([np.ones((len(logs), 1)), logs], axis=1)
+    gram = design.T @ design + 0.01 * len(logs) * np.diag([0.0, 1.0, 1.0])
+    errors = []
+    for _ in range(N_SETTLING):
+        engine = engine_of(network)
+        loop = ClosedLoop(engine, engine.sigma, by_block[:, :m].copy())
         rendered = loop.run(by_block[:, m:, 1:], noise)[:, settled - m :]
-        bias = float((frame_levels(rendered, trace.rate_hz, reference) - level).mean())
-        gain_db = float(np.clip(gain_db - bias, -12.0, 12.0))
-    return 10 ** (gain_db / 20)
+        error = (frame_levels(rendered, rate, reference) - level).ravel()
+        errors.append(float(error.mean()))
+        step = -np.linalg.solve(gram, design.T @ error) * math.log(10) / 20
+        step = np.clip(step, -1.0, 1.0)
+        with torch.no_grad():
+            network.excitation.out.bias += float(step[0])
+            network.excitation.power_law.weight += torch.from_numpy(step[None, 1:]).float()
+    return errors

@@ -61,9 +61,7 @@ def export(
     Raises:
         ValueError: the engine does not reproduce the network.
     """
-    tensors = {
-        name: tensor.detach().cpu().numpy().copy() for name, tensor in network.state_dict().items()
-    }
+    tensors = {name: tensor.detach().cpu().numpy().copy() for name, tensor in network.state_dict().items()}
     # The reference reads the same rounded tensors that the file holds.
     predictor = TorchPredictor(network, architecture.window)
     excited = hasattr(network, "excitation")

@@ -114,13 +114,17 @@ def fit(
     train, validation = (torch.from_numpy(n).to(device) for n in (data.train, data.validation))
     offsets = torch.from_numpy(window_indices(np.zeros(1, dtype=np.int64), data.window)).to(device)
     trained = [parameter for parameter in network.parameters() if parameter.requires_grad]
-    optimiser = torch.optim.AdamW(trained, lr=config.learning_rate, weight_decay=config.weight_decay, fused=True)
+    optimiser = torch.optim.AdamW(
+        trained, lr=config.learning_rate, weight_decay=config.weight_decay, fused=True
+    )
     steps = max(1, math.ceil(len(train) / config.batch))
     scheduler = torch.optim.lr_scheduler.LambdaLR(optimiser, _schedule(config, steps * max(1, config.epochs)))
     criterion = loss_of(config)
     progress = Progress()
     if checkpoint is not None and checkpoint.exists():
         progress = _resume(checkpoint, config, network, optimiser, scheduler)
+        for line in progress.epochs:
+            on_epoch(line)
 
     def windows(n: Tensor) -> Tensor:
         return samples[n[:, None] + offsets]
@@ -130,8 +134,12 @@ def fit(
         best = validation_loss < progress.best_loss
         if best:
             progress.best_loss = validation_loss
-            progress.best_state = {name: tensor.detach().clone() for name, tensor in network.state_dict().items()}
-        progress.epochs.append(Epoch(epoch, train_loss, validation_loss, mae, time.perf_counter() - started, best))
+            progress.best_state = {
+                name: tensor.detach().clone() for name, tensor in network.state_dict().items()
+            }
+        progress.epochs.append(
+            Epoch(epoch, train_loss, validation_loss, mae, time.perf_counter() - started, best)
+        )
         on_epoch(progress.epochs[-1])
 
     try:
@@ -221,7 +229,9 @@ def _validate(
     return loss / len(validation), mae / len(validation)
 
 
-def _save(path: Path, config: TrainConfig, network: nn.Module, optimiser: Any, scheduler: Any, progress: Progress) -> None:
+def _save(
+    path: Path, config: TrainConfig, network: nn.Module, optimiser: Any, scheduler: Any, progress: Progress
+) -> None:
     temporary = path.with_name(path.name + ".part")
     torch.save(
         {

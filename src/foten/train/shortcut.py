@@ -11,7 +11,9 @@ from foten.models.foten_plus import FotenPlus
 from foten.recording.windows import window_indices
 from foten.train.fit import Data
 
-MAX_POLE = 0.9995  # a memory of 2000 samples, 0.2 s at 10 kHz; least squares on real textures gives up to 0.9999
+MAX_POLE = (
+    0.9995  # a memory of 2000 samples, 0.2 s at 10 kHz; least squares on real textures gives up to 0.9999
+)
 
 
 def fit_shortcut(network: FotenPlus, data: Data) -> NDArray[np.float64]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -58,6 +57,7 @@ def train_texture(
     checkpoint: Path | None = None,
     texture_name: str = "",
     licence: str = "",
+    on_stage: Callable[[str], None] = lambda stage: None,
 ) -> Trained:
     """Return a texture learned from a recording.
 
@@ -65,6 +65,7 @@ def train_texture(
         ValueError: the recording does not fit the configuration; the message names the option.
     """
     preprocess_config = preprocess_config or PreprocessConfig()
+    on_stage("preprocessing")
     trace = preprocess(recording, preprocess_config)
     split = split_blocks(trace, split_method, split_seed)
     m = architecture.window
@@ -80,6 +81,7 @@ def train_texture(
         network = build(key, architecture).to(pick_device())
         shortcut_mae = None
         if isinstance(network, FotenPlus):
+            on_stage("fitting the linear shortcut")
             fit_excitation(network.level, data, scaling, fit_shortcut(network, data), config.seed)
             level = _scale_at(network.level, samples)
             mean_level = float(np.exp(np.log(level[data.train]).mean()))
@@ -93,21 +95,23 @@ def train_texture(
         # For safety only: well beyond what was recorded.
         saturation = max(12.0, 1.5 * peak)
         progress = fit(network, data, config, on_epoch, checkpoint)
-        likelihood = gain = None
+        likelihood = level_errors = None
         if isinstance(network, FotenPlus):
+            on_stage("fitting the excitation")
             residual = samples[data.train, 0] - predict(network, data, data.train)
             likelihood = fit_excitation(network.excitation, data, scaling, residual, config.seed)
-            engine = NumpyFotenPlus(architecture, {name: t.cpu().numpy() for name, t in network.state_dict().items()})
-            gain = settle_level(
-                engine, engine.sigma, data, trace, (*split.train, *split.validation), saturation, config.seed
+            on_stage("settling the level in the closed loop")
+            level_errors = settle_level(
+                network, _engine, data, trace, (*split.train, *split.validation), config.seed
             )
-            with torch.no_grad():
-                network.excitation.out.bias += math.log(gain)
         warm_start, condition = pick_warm_start(trace, split, scaling, m)
         best = max((line for line in progress.epochs if line.best), key=lambda line: line.epoch)
         card: dict[str, Any] = {
             "rate_hz": trace.rate_hz,
-            "trained_range": {"speed": [float(low[1]), float(high[1])], "force": [float(low[2]), float(high[2])]},
+            "trained_range": {
+                "speed": [float(low[1]), float(high[1])],
+                "force": [float(low[2]), float(high[2])],
+            },
             "saturation": saturation,
             "lowpass_hz": preprocess_config.render_lowpass_hz,
             "delay_ms": preprocess_config.delay_ms,
@@ -131,11 +135,12 @@ def train_texture(
                 "validation_mae_scaled": best.validation_mae,
                 "validation_mae_scaled_shortcut": shortcut_mae,
                 "train_nll": likelihood,
-                "excitation_gain": gain,
+                "level_errors_db": level_errors,
                 "best_epoch": best.epoch,
                 "n_epochs": progress.epochs[-1].epoch,
             },
         }
+        on_stage("proving the texture file")
         some = windows(samples, data.validation[:: max(1, len(data.validation) // 4096)], m)
         texture = export(network, key, architecture, scaling, some, warm_start, card)
     return Trained(texture, trace, split, progress, shortcut_mae)
@@ -151,7 +156,8 @@ def pick_warm_start(
     """
     ends = targets(split.train, trace.block, m)
     distance = np.hypot(
-        (trace.speed[ends - 1] - WARM_START[0]) / scaling.sd[1], (trace.force[ends - 1] - WARM_START[1]) / scaling.sd[2]
+        (trace.speed[ends - 1] - WARM_START[0]) / scaling.sd[1],
+        (trace.force[ends - 1] - WARM_START[1]) / scaling.sd[2],
     )
     end = ends[int(distance.argmin())]
     window = windows(scaling.scale(trace.stacked()), np.array([end]), m)[0]
@@ -160,6 +166,13 @@ def pick_warm_start(
         "found": {"speed": float(trace.speed[end - 1]), "force": float(trace.force[end - 1])},
     }
     return window, condition
+
+
+def _engine(network: FotenPlus) -> NumpyFotenPlus:
+    """Return what renders a network that is not in a file yet."""
+    return NumpyFotenPlus(
+        network.architecture, {name: t.cpu().numpy() for name, t in network.state_dict().items()}
+    )
 
 
 def _scale_at(excitation: Excitation, samples: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,0 +1,80 @@
+"""Everything once, without data or hardware."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+from foten.architecture import FotenPlusArchitecture
+from foten.datasets.hdf5 import write_recording
+from foten.datasets.simulate import simulate
+from foten.evaluate.evaluate import evaluate, trace_for
+from foten.evaluate.report import write_report
+from foten.experiments.truth import truth_for
+from foten.recording.inspect import inspect_recording
+from foten.recording.pictures import write_pictures
+from foten.render.sinks import write_audible, write_rendered
+from foten.render.synthesizer import Synthesizer
+from foten.texture_file import write_texture
+from foten.train.config import RECIPES
+from foten.train.fit import Epoch
+from foten.train.train import train_texture
+
+
+def run_demo(
+    directory: Path,
+    key: str,
+    seconds: float,
+    epochs: int,
+    seed: int,
+    threads: int,
+    say: Callable[[str], None],
+) -> dict[str, Path]:
+    """Simulate a recording, train on it, judge the texture and render it.
+
+    Returns:
+        What to open and listen to, by name.
+    """
+    if directory.exists() and not directory.is_dir():
+        raise ValueError(f"{directory} is a file, expected a folder")
+    directory.mkdir(parents=True, exist_ok=True)
+    say(f"1/5 simulating {seconds:g} s of stroking over {key}")
+    recording = simulate(key, seconds, seed)
+    paths = {"recording": directory / f"{key}.h5", "texture": directory / f"{key}.foten"}
+    write_recording(recording, paths["recording"])
+    say("2/5 inspecting it")
+    write_pictures(recording, inspect_recording(recording), directory / "inspect")
+    say(f"3/5 training foten-plus, at most {epochs} epochs")
+    config = dataclasses.replace(RECIPES["default"], epochs=epochs, seed=seed, threads=threads)
+
+    def on_epoch(line: Epoch) -> None:
+        say(
+            f"    epoch {line.epoch}: one-step validation error {line.validation_mae:.4f} sd, {line.seconds:.1f} s"
+        )
+
+    trained = train_texture(
+        recording, "foten-plus", FotenPlusArchitecture(), config, on_epoch=on_epoch, texture_name=key
+    )
+    write_texture(trained.texture, paths["texture"])
+    say("4/5 judging it on its test blocks")
+    judgement = evaluate(trained.texture, recording, truth_for(recording, trained.texture), seed)
+    report = directory / "report"
+    report.mkdir(exist_ok=True)
+    (report / "evaluation.json").write_text(json.dumps(judgement.document, indent=1, allow_nan=False) + "\n")
+    paths["report"] = write_report(judgement, trained.texture, report)
+    say("5/5 rendering ten seconds of a fresh hand")
+    hand = simulate(key, max(20.0, 10.0 + 2 * 2.5), seed + 1)
+    trace = trace_for(trained.texture, hand)
+    n = round(10.0 * trained.texture.rate_hz)
+    speed, force = trace.speed[:n], trace.force[:n]
+    acceleration = Synthesizer(trained.texture, seed).render(speed, force)
+    about = {"texture": key, "texture_sha256": trained.texture.sha256(), "seed": seed}
+    for name, suffix in (("vibration", "wav"), ("picture", "png")):
+        paths[name] = directory / f"rendered.{suffix}"
+        write_rendered(paths[name], acceleration, speed, force, trained.texture.rate_hz, about)
+    paths["sound"] = directory / "rendered-48k.wav"
+    write_audible(paths["sound"], acceleration, trained.texture.rate_hz)
+    paths["pictures"] = directory / "inspect"
+    return paths

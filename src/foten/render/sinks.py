@@ -1,0 +1,153 @@
+"""Where a rendered vibration goes: WAV, CSV, NPZ and a picture, each written under a temporary name first."""
+
+from __future__ import annotations
+
+import json
+import struct
+import wave
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.dsp.resample import interpolate, rate_ratio
+
+Array = NDArray[np.float64]
+
+AUDIBLE_HZ = 48_000
+AUDIBLE_PEAK = 0.7  # of full scale
+
+
+def write_rendered(
+    path: Path, acceleration: Array, speed: Array, force: Array, rate_hz: float, about: Mapping[str, Any]
+) -> None:
+    """Write a rendered stroke in the format that the suffix names: .wav (float32, m/s²), .csv, .npz or .png.
+
+    Args:
+        path: where to.
+        acceleration: [m/s²], shape (n,); speed: [mm/s]; force: [N], likewise.
+        rate_hz: samples a second.
+        about: what made it (texture, seed, stroke), kept in the file where its format has room.
+
+    Raises:
+        ValueError: the suffix is unknown.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".wav":
+        _atomically(path, lambda part: part.write_bytes(_float_wav(acceleration, rate_hz, about)))
+    elif suffix == ".csv":
+        _atomically(path, lambda part: _write_csv(part, acceleration, rate_hz))
+    elif suffix == ".npz":
+        _atomically(path, lambda part: _write_npz(part, acceleration, speed, force, rate_hz, about))
+    elif suffix == ".png":
+        _atomically(path, lambda part: _write_picture(part, acceleration, speed, force, rate_hz, about))
+    else:
+        check_suffix(path)
+
+
+def check_suffix(path: Path) -> None:
+    """Raise ValueError where a path's suffix is none of the known formats."""
+    if path.suffix.lower() not in (".wav", ".csv", ".npz", ".png"):
+        raise ValueError(f"cannot write {path.name}: expected .wav, .csv, .npz or .png")
+
+
+def write_audible(path: Path, acceleration: Array, rate_hz: float) -> float:
+    """Write the vibration as sound, 48 kHz and 16 bits, its peak at 0.7 of full scale.
+
+    Returns:
+        The gain, full scale per m/s²: sounds of two textures compare only at the same one.
+    """
+    factor = rate_ratio(float(AUDIBLE_HZ), rate_hz)
+    sound = interpolate(acceleration, factor) if factor >= 1 else acceleration
+    peak = float(np.abs(sound).max(initial=0.0))
+    gain = AUDIBLE_PEAK / peak if peak > 0 else 1.0
+    pcm = np.round(sound * gain * 32767).astype("<i2").tobytes()
+
+    def write(part: Path) -> None:
+        with wave.open(str(part), "wb") as file:
+            file.setnchannels(1)
+            file.setsampwidth(2)
+            file.setframerate(AUDIBLE_HZ)
+            file.writeframes(pcm)
+
+    _atomically(path, write)
+    return gain
+
+
+def _atomically(path: Path, write: Callable[[Path], Any]) -> None:
+    part = path.with_name(f".{path.name}.part")
+    try:
+        write(part)
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _float_wav(samples: Array, rate_hz: float, about: Mapping[str, Any]) -> bytes:
+    """Return a mono IEEE-float WAV with a comment; the standard library's `wave` writes integers only."""
+    if rate_hz != round(rate_hz):
+        raise ValueError(f"a WAV file has a whole rate, not {rate_hz} Hz")
+    data = samples.astype("<f4").tobytes()
+    comment = json.dumps({"unit": "m/s^2", **about}, sort_keys=True).encode() + b"\0"
+    comment += b"\0" * (len(comment) % 2)
+    info = b"INFO" + b"ICMT" + struct.pack("<I", len(comment)) + comment
+    rate = round(rate_hz)
+    chunks = [
+        (b"fmt ", struct.pack("<HHIIHHH", 3, 1, rate, 4 * rate, 4, 32, 0)),
+        (b"fact", struct.pack("<I", samples.size)),
+        (b"data", data),
+        (b"LIST", info),
+    ]
+    body = b"".join(name + struct.pack("<I", len(content)) + content for name, content in chunks)
+    return b"RIFF" + struct.pack("<I", 4 + len(body)) + b"WAVE" + body
+
+
+def _write_csv(part: Path, acceleration: Array, rate_hz: float) -> None:
+    with part.open("w") as file:
+        file.write("t,accel\n")
+        for i, value in enumerate(acceleration):
+            file.write(f"{i / rate_hz:.9g},{value:.9g}\n")
+
+
+def _write_npz(
+    part: Path, acceleration: Array, speed: Array, force: Array, rate_hz: float, about: Mapping[str, Any]
+) -> None:
+    with part.open("wb") as file:
+        np.savez_compressed(
+            file,
+            acceleration=acceleration,
+            speed=speed,
+            force=force,
+            rate_hz=np.array(rate_hz),
+            about=np.array(json.dumps(dict(about), sort_keys=True)),
+        )
+
+
+def _write_picture(
+    part: Path, acceleration: Array, speed: Array, force: Array, rate_hz: float, about: Mapping[str, Any]
+) -> None:
+    from matplotlib.figure import Figure
+
+    t = np.arange(acceleration.size) / rate_hz
+    figure = Figure(figsize=(9, 7), layout="constrained")
+    waveform, spectrum, hand = figure.subplots(3, 1)
+    waveform.plot(t, acceleration, lw=0.5, color="#0072B2")
+    waveform.set(
+        ylabel="acceleration [m/s²]",
+        title=f"{about.get('texture') or 'texture'}, rendered",
+        xlim=(0, t[-1] or 1),
+    )
+    if acceleration.size >= 64:
+        n = min(256, acceleration.size)
+        spectrum.specgram(acceleration + 1e-9, NFFT=n, noverlap=n // 2, Fs=rate_hz, cmap="magma")
+    spectrum.set(ylabel="frequency [Hz]", ylim=(0, min(1000, rate_hz / 2)))
+    hand.plot(t, speed, color="#009E73")
+    hand.set(ylabel="speed [mm/s]", xlabel="time [s]", xlim=(0, t[-1] or 1), ylim=(0, None))
+    hand.yaxis.label.set_color("#009E73")
+    press = hand.twinx()
+    press.plot(t, force, color="#D55E00")
+    press.set(ylabel="force [N]", ylim=(0, None))
+    press.yaxis.label.set_color("#D55E00")
+    figure.savefig(part, format="png", dpi=120, metadata={"Software": None})

@@ -1,0 +1,135 @@
+"""Strokes to render: from a table, from constants, or from a trace."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.dsp.kinematics import at_rate, tangential_speed
+from foten.recording.preprocess import condition
+
+Array = NDArray[np.float64]
+
+COLUMNS = "t (s), and speed (mm/s) or x, y (mm), and force (N) or pressure (0 to 1)"
+
+
+@dataclass(frozen=True)
+class PressureCalibration:
+    """A stylus's normalised pressure to force, F = a·exp(b·p); no force where the stylus does not touch (p = 0).
+
+    Source: Eq. 12, for one tablet; refit it for another.
+    Differs from the paper: p = 0 gives 0 N and not 0.13 N, since lifting off must be silent.
+    """
+
+    a: float = 0.13  # N
+    b: float = 3.32
+
+    def force(self, pressure: Array) -> Array:
+        """Return the force [N] of pressures in 0 … 1, any shape."""
+        return np.where(pressure > 0, self.a * np.exp(self.b * pressure), 0.0)
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """Speed [mm/s] and force [N] at a rate, shapes (n,), as the hand gave them: not yet low-passed."""
+
+    speed: Array
+    force: Array
+    rate_hz: float
+
+    def conditioned(self, lowpass_hz: float) -> tuple[Array, Array]:
+        """Return speed and force through the causal low-pass of rendering, shapes (n,)."""
+        return condition(self.speed, self.force, self.rate_hz, lowpass_hz)
+
+
+def constant_stroke(speed: float, force: float, seconds: float, rate_hz: float) -> Stroke:
+    """Return a stroke at one speed [mm/s] and force [N].
+
+    Raises:
+        ValueError: something is negative, not finite, or lasts less than a sample.
+    """
+    for name, value in (("speed", speed), ("force", force), ("seconds", seconds)):
+        if not (math.isfinite(value) and value >= 0):
+            raise ValueError(f"{name} is {value}, expected a finite number, 0 or more")
+    n = round(seconds * rate_hz)
+    if n < 1:
+        raise ValueError(f"{seconds:g} s are less than one sample at {rate_hz:g} Hz")
+    return Stroke(np.full(n, float(speed)), np.full(n, float(force)), rate_hz)
+
+
+def read_stroke(path: Path, rate_hz: float, calibration: PressureCalibration | None = None) -> Stroke:
+    """Return the stroke in a CSV file at a model's rate: as many samples as it lasts × rate, rounded.
+
+    The header names `t` [s], and `speed` [mm/s] or `x`, `y` [mm], and `force` [N] or `pressure` [0 … 1]; other columns are
+    ignored. Values between rows are interpolated linearly, as positions of a recording are.
+
+    Raises:
+        ValueError: a column is missing, a value is no finite number, or time does not increase.
+    """
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
+    if not rows:
+        raise ValueError(f"{path.name} is empty, expected a header with {COLUMNS}")
+    header = [cell.strip().lower() for cell in rows[0]]
+    columns = {name: _column(path, rows[1:], header, name) for name in header if name in _KNOWN}
+    if "t" not in columns or not (
+        ("speed" in columns or {"x", "y"} <= columns.keys()) and ("force" in columns or "pressure" in columns)
+    ):
+        raise ValueError(f"{path.name} has the columns {', '.join(rows[0])}; expected {COLUMNS}")
+    times = columns["t"]
+    if times.size < 2:
+        raise ValueError(f"{path.name} has {times.size} rows below its header, expected two or more")
+    wrong = np.flatnonzero(np.diff(times) <= 0)
+    if wrong.size:
+        raise ValueError(f"{path.name}: t does not increase at row {int(wrong[0]) + 3}")
+    times = times - times[0]
+    speed = columns.get("speed")
+    if speed is None:
+        speed = tangential_speed(np.stack([columns["x"], columns["y"]]), times)
+    force = columns.get("force")
+    if force is None:
+        pressure = columns["pressure"]
+        if pressure.min() < 0 or pressure.max() > 1:
+            raise ValueError(f"{path.name}: pressure runs to {pressure.max():g}, expected 0 to 1")
+        force = (calibration or PressureCalibration()).force(pressure)
+    _check_size(path, speed, force)
+    n = round(times[-1] * rate_hz)
+    if n < 1:
+        raise ValueError(
+            f"{path.name} lasts {times[-1]:g} s, less than one sample at {rate_hz:g} Hz; is t in seconds?"
+        )
+    return Stroke(at_rate(speed, times, rate_hz, n), at_rate(force, times, rate_hz, n), rate_hz)
+
+
+_KNOWN = ("t", "speed", "x", "y", "force", "pressure")
+
+
+def _column(path: Path, rows: list[list[str]], header: list[str], name: str) -> Array:
+    index = header.index(name)
+    values = []
+    for number, row in enumerate(rows, start=2):
+        try:
+            value = float(row[index])
+        except (ValueError, IndexError) as error:
+            found = repr(row[index]) if index < len(row) else "nothing"
+            raise ValueError(f"{path.name}: {name} at row {number} is {found}, expected a number") from error
+        if not math.isfinite(value):
+            raise ValueError(f"{path.name}: {name} at row {number} is {value}, expected a finite number")
+        values.append(value)
+    return np.array(values)
+
+
+def _check_size(path: Path, speed: Array, force: Array) -> None:
+    if speed.min() < 0 or force.min() < 0:
+        raise ValueError(
+            f"{path.name}: speed and force are magnitudes, found {min(speed.min(), force.min()):g}"
+        )
+    if speed.max() > 5000:
+        raise ValueError(f"{path.name}: speed reaches {speed.max():g} mm/s; is it, or t, in another unit?")
+    if force.max() > 100:
+        raise ValueError(f"{path.name}: force reaches {force.max():g} N; is it in mN or grams?")

@@ -1,0 +1,177 @@
+"""The run folder of one training and its display on the terminal."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from foten.train.fit import Epoch, write_log
+
+if TYPE_CHECKING:
+    from foten.train.train import Trained
+
+
+class RunFolder:
+    """Everything about one training but its result: configuration, log, curves, split, checkpoint.
+
+    ``config.json``, ``log.csv`` and, at the end, ``split.json`` and ``curves.png``; ``checkpoint.pt`` while
+    it runs; TensorBoard events where tensorboard is installed.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.checkpoint = path / "checkpoint.pt"
+        self._config = ""
+        self._epochs: list[Epoch] = []
+        self._events: Any = None
+
+    def open(self, config: Mapping[str, Any], resume: bool) -> None:
+        """Check that this run may use the folder; nothing is written before the first line of the log.
+
+        Args:
+            config: resolved, JSON values.
+            resume: go on from the checkpoint of a run with the same configuration.
+
+        Raises:
+            ValueError: the path is a file, or there is nothing to resume, or the settings differ.
+        """
+        if self.path.exists() and not self.path.is_dir():
+            raise ValueError(f"the run folder {self.path} is a file")
+        self._config = json.dumps(config, indent=1, sort_keys=True) + "\n"
+        if not resume:
+            self.checkpoint.unlink(missing_ok=True)
+        elif not self.checkpoint.exists():
+            raise ValueError(f"nothing to resume: {self.checkpoint} does not exist")
+        elif (self.path / "config.json").read_text() != self._config:
+            raise ValueError(
+                f"{self.path} was trained with other settings, see its config.json; resume with the same"
+            )
+
+    def log(self, epoch: Epoch) -> None:
+        """Add one line to the log on disk."""
+        if not self._epochs:
+            self.path.mkdir(parents=True, exist_ok=True)
+            (self.path / "config.json").write_text(self._config)
+            self._events = _tensorboard(self.path)
+        self._epochs.append(epoch)
+        write_log(self.path / "log.csv", self._epochs)
+        if self._events is not None:
+            for name in ("train_loss", "validation_loss", "validation_mae"):
+                if not math.isnan(getattr(epoch, name)):
+                    self._events.add_scalar(name, getattr(epoch, name), epoch.epoch)
+
+    def close(self, trained: Trained) -> None:
+        """Write the whole log, the split and the curves; the checkpoint goes unless the run was interrupted."""
+        write_log(self.path / "log.csv", trained.progress.epochs)
+        trained.split.save(self.path / "split.json")
+        _draw_curves(self.path / "curves.png", trained.progress.epochs, trained.shortcut_mae)
+        if not trained.progress.interrupted:
+            self.checkpoint.unlink(missing_ok=True)
+        if self._events is not None:
+            self._events.close()
+
+
+def _tensorboard(path: Path) -> Any:
+    """Return a writer of TensorBoard events where tensorboard is installed, else None."""
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        return None
+    return SummaryWriter(str(path))
+
+
+def _draw_curves(path: Path, epochs: list[Epoch], shortcut_mae: float | None) -> None:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 4), layout="constrained")
+    loss, error = figure.subplots(1, 2)
+    numbers = [line.epoch for line in epochs]
+    loss.plot(numbers, [line.train_loss for line in epochs], "o-", ms=3, color="#0072B2", label="training")
+    loss.plot(
+        numbers, [line.validation_loss for line in epochs], "s-", ms=3, color="#D55E00", label="validation"
+    )
+    loss.set(xlabel="epoch", ylabel="one-step loss, scaled", yscale="log")
+    loss.legend()
+    error.plot(
+        numbers, [line.validation_mae for line in epochs], "s-", ms=3, color="#D55E00", label="network"
+    )
+    if shortcut_mae is not None:
+        error.axhline(shortcut_mae, ls="--", color="#009E73", label="linear shortcut alone")
+    error.set(xlabel="epoch", ylabel="one-step validation error, scaled")
+    error.legend()
+    part = path.with_name(f".{path.name}.part")
+    figure.savefig(part, format="png", dpi=120, metadata={"Software": None})
+    part.replace(path)
+
+
+class TrainingDisplay:
+    """A live table of the training on stderr: on a terminal the last lines, elsewhere one line an epoch."""
+
+    def __init__(self, epochs: int) -> None:
+        self._epochs = epochs
+        self._console = Console(stderr=True)
+        self._live = Live(console=self._console, auto_refresh=False, transient=False)
+        self._lines: list[Epoch] = []
+        self._started = time.perf_counter()
+        self._stage = "reading"
+
+    def __enter__(self) -> TrainingDisplay:
+        if self._console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._console.is_terminal:
+            self._live.stop()
+
+    def stage(self, name: str) -> None:
+        """Say what is being done beside epochs."""
+        self._stage = name
+        self._refresh(f"{name} …")
+
+    def show(self, line: Epoch) -> None:
+        """Show one more epoch."""
+        self._lines.append(line)
+        self._stage = "training"
+        train = "        " if math.isnan(line.train_loss) else f"{line.train_loss:.6f}"
+        self._refresh(
+            f"epoch {line.epoch:3d}/{self._epochs}  loss {train} {line.validation_loss:.6f}  "
+            f"error {line.validation_mae:.4f} sd  {line.seconds:5.1f} s{'  best' if line.best else ''}"
+        )
+
+    def _refresh(self, plain: str) -> None:
+        if not self._console.is_terminal:
+            self._console.print(plain, highlight=False)
+            return
+        table = Table(
+            box=None,
+            title=f"{self._stage}, {time.perf_counter() - self._started:.0f} s",
+            title_justify="left",
+        )
+        for column in ("epoch", "training loss", "validation loss", "error [sd]", "seconds", ""):
+            table.add_column(column, justify="right")
+        best = [line for line in self._lines if line.best][-1:]
+        shown = self._lines[-8:]
+        for line in [*(b for b in best if b not in shown), *shown]:
+            train = "" if math.isnan(line.train_loss) else f"{line.train_loss:.6f}"
+            mark = "best" if line in best else ""
+            table.add_row(
+                f"{line.epoch}/{self._epochs}",
+                train,
+                f"{line.validation_loss:.6f}",
+                f"{line.validation_mae:.4f}",
+                f"{line.seconds:.1f}",
+                mark,
+            )
+        self._live.update(table, refresh=True)

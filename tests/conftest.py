@@ -1,0 +1,101 @@
+"""What several tests need: textures of untrained networks with a known shortcut, made in milliseconds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from foten.architecture import ARCHITECTURES, FotenArchitecture
+from foten.recording.scaling import Scaling
+from foten.texture_file import Texture
+
+SMALL: dict[str, Any] = {
+    "d_model": 8,
+    "n_heads": 2,
+    "n_layers": 2,
+    "d_feedforward": 12,
+    "head": (10, 6),
+    "spectral_width": 4,
+}
+"""Sizes of a network that is quick to run and has every part."""
+SCALING = Scaling(mean=(0.1, 100.0, 1.0), sd=(2.0, 60.0, 0.5))
+CARD: dict[str, Any] = {
+    "rate_hz": 1000.0,
+    "trained_range": {"speed": [8.0, 220.0], "force": [0.3, 2.5]},
+    "saturation": 12.0,
+    "lowpass_hz": 20.0,
+    "delay_ms": 11.3,
+    "warm_start": {"asked": {"speed": 45.0, "force": 0.8}, "found": {"speed": 45.0, "force": 0.8}},
+    "texture": "untrained",
+    "tool": "",
+    "sensors": "",
+    "notes": "",
+    "licence": "",
+    "recording_sha256": "",
+    "preprocess": {},
+    "split": {},
+    "split_sha256": "",
+    "training": {},
+    "metrics": {},
+}
+
+
+def resonance(hz: float, radius: float, m: int, rate_hz: float = 1000.0) -> np.ndarray:
+    """Return m taps, oldest first, of a stable AR(2) with poles at ±hz."""
+    taps = np.zeros(m)
+    taps[-2:] = -(radius**2), 2 * radius * np.cos(2 * np.pi * hz / rate_hz)
+    return taps
+
+
+def untrained(key: str, architecture: FotenArchitecture | None = None, seed: int = 0) -> Any:
+    """Return a seeded network whose every tensor matters; foten-plus resonates at 120 Hz through its shortcut."""
+    import torch
+
+    from foten.models import build
+
+    torch.manual_seed(seed)
+    architecture = architecture or ARCHITECTURES[key]()
+    network = build(key, architecture)
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter += 0.05 * torch.randn_like(parameter)
+        if key == "foten-plus":
+            network.shortcut.copy_(torch.from_numpy(resonance(120.0, 0.95, architecture.window)))
+            network.shortcut_bias.fill_(0.01)
+            network.mean_level.fill_(0.3)
+            for scale in (network.level, network.excitation):
+                scale.mean.copy_(torch.tensor(SCALING.mean[1:]))
+                scale.sd.copy_(torch.tensor(SCALING.sd[1:]))
+                scale.out.weight *= 0.3
+                scale.out.bias.fill_(float(np.log(0.3)))
+                scale.power_law.weight.copy_(torch.tensor([[0.7, 0.4]]))
+            # A small correction leaves the loop as stable as its shortcut.
+            network.network.head_3.weight *= 0.3
+    return network.eval()
+
+
+def exported(key: str, architecture: FotenArchitecture | None = None, **card: Any) -> Texture:
+    """Return an untrained network as a proved texture."""
+    from foten.train.export import export
+
+    architecture = architecture or ARCHITECTURES[key]()
+    rng = np.random.default_rng(1)
+    windows = rng.standard_normal((64, architecture.window, 3))
+    warm_start = 0.5 * rng.standard_normal((architecture.window, 3))
+    return export(
+        untrained(key, architecture), key, architecture, SCALING, windows, warm_start, {**CARD, **card}
+    )
+
+
+@pytest.fixture(scope="session")
+def texture() -> Texture:
+    """Return a foten-plus texture: rings at 120 Hz, excited, trained for 8–220 mm/s and 0.3–2.5 N."""
+    return exported("foten-plus", ARCHITECTURES["foten-plus"](**{**SMALL, "n_layers": 1}))
+
+
+@pytest.fixture(scope="session")
+def plain_texture() -> Texture:
+    """Return a texture of the paper's network, without excitation."""
+    return exported("foten", ARCHITECTURES["foten"](**SMALL))

@@ -1,0 +1,73 @@
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from foten.dsp.ar import least_squares, spectral_radius, stabilised
+
+
+def taps_of(poles: list[complex]) -> np.ndarray:
+    """Return the taps, oldest first, of the process with these poles."""
+    return -np.poly(poles).real[:0:-1]
+
+
+def test_it_minimises_the_squares() -> None:
+    """Oracle: numpy.linalg.lstsq."""
+    rng = np.random.default_rng(0)
+    design, target = rng.standard_normal((500, 7)), rng.standard_normal(500)
+    expected = np.linalg.lstsq(design, target, rcond=None)[0]
+    # The ridge of 1e-9 shifts the solution by that share.
+    np.testing.assert_allclose(least_squares(design, target), expected, atol=1e-8)
+
+
+def test_collinear_columns_still_have_an_answer() -> None:
+    column = np.random.default_rng(0).standard_normal(100)
+    found = least_squares(np.stack([column, column], axis=1), 3 * column)
+    # The ridge shares alike between equals; 1e-9 of noise is amplified by 1 over it, times rounding 1e-16.
+    np.testing.assert_allclose(found, 1.5, atol=1e-5)
+
+
+def test_a_known_process_is_recovered() -> None:
+    taps = taps_of([0.95 * np.exp(0.7j), 0.95 * np.exp(-0.7j), 0.6])
+    n = 100_000
+    noise = np.random.default_rng(0).standard_normal(n)
+    x = lfilter([1.0], np.concatenate([[1.0], -taps[::-1]]), noise)
+    design = np.stack([x[i : n - 3 + i] for i in range(3)], axis=1)
+    # Standard errors are below 1/√n = 0.003 each; four of them.
+    np.testing.assert_allclose(least_squares(design, x[3:]), taps, atol=4 / np.sqrt(n))
+
+
+@pytest.mark.parametrize("radius", [0.3, 0.99, 1.2])
+def test_the_radius_is_the_largest_poles(radius: float) -> None:
+    taps = taps_of([radius * np.exp(1j), radius * np.exp(-1j), 0.2])
+    assert spectral_radius(taps) == pytest.approx(radius, rel=1e-9)  # roots of a cubic: rounding
+
+
+def test_the_radius_is_how_fast_it_rings_out() -> None:
+    taps = taps_of([0.9 * np.exp(0.5j), 0.9 * np.exp(-0.5j)])
+    ringing = lfilter([1.0], np.concatenate([[1.0], -taps[::-1]]), np.eye(1, 400)[0])
+    slope = np.log(np.abs(ringing[300:]).max() / np.abs(ringing[100:200]).max()) / 200
+    assert np.exp(slope) == pytest.approx(0.9, rel=0.01)  # where the maxima fall within a period of 12
+
+
+def test_no_taps_have_no_poles() -> None:
+    assert spectral_radius(np.zeros(5)) == 0.0
+
+
+def test_zeros_as_oldest_taps_change_nothing() -> None:
+    taps = taps_of([0.9, -0.5])
+    assert spectral_radius(np.concatenate([np.zeros(6), taps])) == pytest.approx(0.9, rel=1e-9)
+
+
+def test_stable_taps_are_left_alone() -> None:
+    taps = taps_of([0.9 * np.exp(1j), 0.9 * np.exp(-1j)])
+    np.testing.assert_array_equal(stabilised(taps, 0.9995), taps)
+
+
+def test_unstable_poles_are_pulled_in_and_keep_their_frequency() -> None:
+    poles = [1.05 * np.exp(0.8j), 1.05 * np.exp(-0.8j), 0.5]
+    found = np.roots(np.concatenate([[1.0], -stabilised(taps_of(poles), 0.9995)[::-1]]))
+    expected = np.array(poles) * 0.9995 / 1.05
+    np.testing.assert_allclose(
+        np.sort_complex(found), np.sort_complex(expected), atol=1e-9
+    )  # roots: rounding
+    assert spectral_radius(stabilised(taps_of(poles), 0.9995)) == pytest.approx(0.9995, rel=1e-9)

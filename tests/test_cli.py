@@ -1,0 +1,248 @@
+"""The commands' contract, called as a user would."""
+
+from __future__ import annotations
+
+import csv
+import json
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from foten.cli import _status
+from foten.texture_file import read_texture
+
+FAST = ["--trim", "0", "--block", "500", "--epochs", "1", "--threads", "1", "--window", "12"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("cli")
+
+
+@pytest.fixture(scope="module")
+def recording(folder: Path) -> Path:
+    path = folder / "rec.h5"
+    assert _status(["simulate", "linear-twin", "--seconds", "8", "-o", str(path)]) == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def texture(folder: Path, recording: Path) -> Path:
+    path = folder / "t.foten"
+    assert _status(["train", str(recording), "-o", str(path), *FAST]) == 0
+    return path
+
+
+def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+    out, err = capsys.readouterr()
+    assert out == ""
+    lines = [line for line in err.splitlines() if line.startswith("foten: ")]
+    assert len(lines) == 1
+    return lines[0]
+
+
+def test_train_writes_a_texture_and_a_run_folder(folder: Path, texture: Path) -> None:
+    assert read_texture(texture).card["model"] == "foten-plus"
+    run = folder / "t.run"
+    assert {p.name for p in run.iterdir()} >= {"config.json", "log.csv", "split.json", "curves.png"}
+    lines = (run / "log.csv").read_text().splitlines()
+    assert [line.split(",")[0] for line in lines] == ["epoch", "0", "1"]
+    split = json.loads((run / "split.json").read_text())
+    assert split["sha256"] == read_texture(texture).card["split_sha256"]
+
+
+def test_evaluate_prints_the_contracts_keys(
+    texture: Path, recording: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    capsys.readouterr()
+    assert _status(["evaluate", str(texture), str(recording), "--json", "--report", str(tmp_path / "r")]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (tmp_path / "r" / "report.html").exists()
+    references = ("zero", "persistence", "ar", "ar_scheduled", "ar_best", "shortcut", "bound", "bound_window")
+    assert set(document["references"]) == set(references)
+    for figures in (document["one_step"], *document["references"].values()):
+        assert {"mae_scaled", "mae_m_s2", "gfc"} <= set(figures)
+    assert {"order", "scheduled"} <= set(document["references"]["ar_best"])
+    for name in ("free_run", "free_run_deterministic", "free_run_ar", "ceiling"):
+        assert {
+            *("lsd_db", "lsd_long_db", "gfc_raw", "gfc_welch", "level_bias_db", "level_error_db"),
+            *("level_corr", "kurtosis", "max_sd"),
+        } <= set(document[name])
+    assert document["split"] == "regrouped"
+    assert document["split_sha256"] == read_texture(texture).card["split_sha256"]
+    assert document["seed"] == 0
+    # The bound of the infinite past lies below that of a window, and no predictor below either but by chance.
+    assert (
+        document["references"]["bound"]["mae_scaled"] < document["references"]["bound_window"]["mae_scaled"]
+    )
+    assert document["references"]["ar"]["mae_scaled"] > 0.9 * document["references"]["bound"]["mae_scaled"]
+
+
+def test_a_foreign_recording_is_scored_whole(
+    texture: Path, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = folder / "other.h5"
+    assert _status(["simulate", "linear-twin", "--seconds", "4", "--seed", "5", "-o", str(other)]) == 0
+    capsys.readouterr()
+    assert _status(["evaluate", str(texture), str(other), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["split"] == "foreign"
+    assert document["split_sha256"] is None
+    assert document["n_blocks"] == 7  # 4 s less the low-pass's delay, in blocks of 0.5 s
+    assert document["references"]["ar"]["mae_scaled"] is None
+    assert "references.ar" in document["reasons"]
+
+
+def test_render_csv_has_as_many_rows_as_the_stroke_lasts(texture: Path, tmp_path: Path) -> None:
+    stroke = tmp_path / "s.csv"
+    stroke.write_text("t,x,y,pressure\n0,0,0,0.5\n0.5,50,0,0.5\n0.7504,80,0,0.4\n")
+    out = tmp_path / "o.csv"
+    assert _status(["render", str(texture), "--stroke", str(stroke), "-o", str(out)]) == 0
+    with out.open() as file:
+        rows = list(csv.reader(file))
+    assert rows[0] == ["t", "accel"]
+    assert len(rows) - 1 == 750
+    assert float(rows[1][0]) == 0.0
+    assert float(rows[-1][0]) == pytest.approx(0.749)
+
+
+def test_render_formats_agree(texture: Path, tmp_path: Path) -> None:
+    wav, table, arrays, picture = (tmp_path / f"o.{suffix}" for suffix in ("wav", "csv", "npz", "png"))
+    outputs = [word for path in (wav, table, arrays, picture) for word in ("-o", str(path))]
+    constants = ["--speed", "100", "--force", "1", "--seconds", "0.5"]
+    assert _status(["render", str(texture), *constants, *outputs, "--audible", str(tmp_path / "a.wav")]) == 0
+    from scipy.io import wavfile
+
+    rate, samples = wavfile.read(wav)
+    assert (rate, samples.dtype) == (1000, np.float32)
+    with np.load(arrays, allow_pickle=False) as stored:
+        exact = stored["acceleration"]
+    assert np.array_equal(exact.astype(np.float32), samples)
+    written = np.loadtxt(table, delimiter=",", skiprows=1)
+    np.testing.assert_allclose(written[:, 1], exact, rtol=1e-8)  # nine digits
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+    rate, sound = wavfile.read(tmp_path / "a.wav")
+    assert (rate, sound.size, sound.dtype) == (48000, 24000, np.int16)
+
+
+def test_render_depends_on_the_seed_alone(texture: Path, tmp_path: Path) -> None:
+    constants = ["--speed", "100", "--force", "1", "--seconds", "0.2"]
+    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
+        assert (
+            _status(
+                ["render", str(texture), *constants, "--seed", str(seed), "-o", str(tmp_path / f"{name}.csv")]
+            )
+            == 0
+        )
+    a, b, c = ((tmp_path / f"{name}.csv").read_bytes() for name in "abc")
+    assert a == b
+    assert a != c
+
+
+def test_info_shows_units(texture: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    capsys.readouterr()
+    assert _status(["info", str(texture)]) == 0
+    out = capsys.readouterr().out
+    assert "mm/s" in out
+    assert "m/s²" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        (["train", "{rec}", "-o", "{out}.foten"], "wants a shorter --block and --trim"),
+        (["train", "{rec}", "-o", "{out}.foten", *FAST, "--rate", "5000"], "never upsampled"),
+        (
+            ["train", "{rec}", "-o", "{out}.foten", *FAST, "--model", "fotan"],
+            "expected one of foten, foten-plus",
+        ),
+        (
+            ["train", "{rec}", "-o", "{out}.foten", *FAST, "--recipe", "mine"],
+            "expected one of default, paper",
+        ),
+        (["train", "{rec}", "-o", "{out}.pt", *FAST], "written as .foten"),
+        (["train", "{missing}", "-o", "{out}.foten"], "no such file"),
+        (["train", "{rec}", "-o", "{out}.foten", *FAST, "--resume"], "nothing to resume"),
+        (
+            ["render", "{tex}", "-o", "{out}.mp3", "--speed", "1", "--force", "1", "--seconds", "1"],
+            "expected .wav",
+        ),
+        (["render", "{tex}", "-o", "{out}.wav"], "expected one of --stroke, --recording, or --speed"),
+        (["render", "{tex}", "-o", "{out}.wav", "--speed", "1"], "--speed with --force and --seconds"),
+        (
+            ["render", "{tex}", "-o", "{out}.wav", "--speed", "nan", "--force", "1", "--seconds", "1"],
+            "expected a finite number",
+        ),
+        (
+            ["render", "{pickle}", "-o", "{out}.wav", "--speed", "1", "--force", "1", "--seconds", "1"],
+            "pickle",
+        ),
+        (
+            ["render", "{cut}", "-o", "{out}.wav", "--speed", "1", "--force", "1", "--seconds", "1"],
+            "truncated",
+        ),
+        (["info", "{rec}"], "not a texture file"),
+        (["evaluate", "{tex}", "{tex}"], "foten import"),
+        (["nonsense"], "No such command"),
+        (["train", "{rec}"], "Missing option"),
+    ],
+)
+def test_bad_input_is_one_line_and_writes_nothing(
+    arguments: list[str],
+    match: str,
+    texture: Path,
+    recording: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "p.foten").write_bytes(pickle.dumps({"a": 1}))
+    (tmp_path / "cut.foten").write_bytes(texture.read_bytes()[:-1000])
+    before = set(tmp_path.iterdir())
+    names = {
+        "rec": recording,
+        "tex": texture,
+        "out": tmp_path / "out",
+        "missing": tmp_path / "missing.h5",
+        "pickle": tmp_path / "p.foten",
+        "cut": tmp_path / "cut.foten",
+    }
+    capsys.readouterr()
+    assert _status([word.format(**names) for word in arguments]) == 2
+    assert match in one_line(capsys)
+    assert set(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("text", "match"),
+    [
+        ("", "is empty"),
+        ("t,speed\n0,1\n1,1\n", "expected t (s)"),
+        ("t,speed,force\n0,1,1\n0,1,1\n", "does not increase at row 3"),
+        ("t,speed,force\n0,1,1\n1,x,1\n", "expected a number"),
+        ("t,speed,force\n0,1,1\n1,nan,1\n", "expected a finite number"),
+        ("t,speed,force\n0,1,1\n1,-3,1\n", "are magnitudes"),
+        ("t,speed,force\n0,1,1\n1,9000,1\n", "in another unit"),
+        ("t,speed,pressure\n0,1,1\n1,1,3\n", "expected 0 to 1"),
+        ("t,speed,force\n0,1,1\n0.0001,1,1\n", "is t in seconds"),
+    ],
+)
+def test_bad_strokes(
+    text: str, match: str, texture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stroke, out = tmp_path / "s.csv", tmp_path / "o.wav"
+    stroke.write_text(text)
+    capsys.readouterr()
+    assert _status(["render", str(texture), "--stroke", str(stroke), "-o", str(out)]) == 2
+    assert match in one_line(capsys)
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    "command", ["simulate", "import", "inspect", "train", "evaluate", "render", "info", "demo"]
+)
+def test_help_says_what_each_command_does(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    capsys.readouterr()
+    assert _status([command, "--help"]) == 0
+    assert len(capsys.readouterr().out) > 200

@@ -1,0 +1,127 @@
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from conftest import SMALL, exported, untrained
+
+from foten.architecture import ARCHITECTURES, FotenArchitecture
+from foten.models import MODELS
+from foten.render.engine import ENGINES, engine_for
+from foten.texture_file import Texture
+
+VARIANTS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "post-norm": {**SMALL, "pre_norm": False},
+    "cos-sin": {**SMALL, "phase_input": "cos_sin"},
+    "bin-embedding": {**SMALL, "bin_embedding": True},
+    "all-of-them": {**SMALL, "pre_norm": False, "phase_input": "cos_sin", "bin_embedding": True},
+    "literal-width": {**SMALL, "spectral_width": 1},
+    "window-5": {**SMALL, "window": 5},
+    "window-30": {**SMALL, "window": 30},
+    "one-layer": {**SMALL, "n_layers": 1},
+    "one-head": {**SMALL, "n_heads": 1},
+}
+
+
+def test_the_registries_have_the_same_models() -> None:
+    assert set(ARCHITECTURES) == set(MODELS) == set(ENGINES)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("key", ENGINES)
+def test_the_engine_is_the_network(key: str, variant: str) -> None:
+    """Seam: PyTorch in float64 on the same tensors."""
+    architecture = ARCHITECTURES[key](**VARIANTS[variant])
+    network = untrained(key, architecture)
+    tensors = {name: tensor.numpy() for name, tensor in network.state_dict().items()}
+    engine = ENGINES[key](architecture, tensors)
+    rng = np.random.default_rng(0)
+    m = architecture.window
+    rows = rng.standard_normal((60, m, 3))
+    constant = np.repeat(rng.standard_normal((5, 1, 3)), m, axis=1)  # a spectrum of zeros but one
+    alternating = rows[:5] * 0
+    alternating[:, :, 0] = (-1.0) ** np.arange(m)  # Nyquist alone, on the negative axis for odd phase
+    windows = np.concatenate(
+        [rows, 10 * rows[:5], 1e-6 * rows[:5], 0 * rows[:1], constant, -constant, alternating]
+    )
+    with torch.no_grad():
+        expected = network.double()(torch.from_numpy(windows)).numpy()
+    smooth = np.arange(len(windows)) < 70  # where no bin is zero but for rounding, which has any phase
+    found = engine.predict(windows)
+    assert found.shape == (len(windows),)
+    assert expected[smooth].std() > 1e-3
+    np.testing.assert_allclose(found[smooth], expected[smooth], atol=1e-10)  # rounding through six layers
+    assert np.isfinite(found).all()
+
+
+@pytest.mark.parametrize("key", ENGINES)
+def test_it_is_stateless_and_takes_windows_in_any_number(key: str) -> None:
+    texture = exported(key)
+    engine = engine_for(texture)
+    windows = np.random.default_rng(0).standard_normal((9, texture.window, 3))
+    before = windows.copy()
+    together = engine.predict(windows)
+    alone = np.concatenate([engine.predict(window[None]) for window in windows[::-1]])[::-1]
+    # Products of other shapes sum in another order.
+    np.testing.assert_allclose(alone, together, atol=1e-12)
+    np.testing.assert_array_equal(windows, before)
+
+
+def test_the_excitations_scale_is_the_networks(texture: Texture) -> None:
+    network = untrained("foten-plus", texture.architecture).double()
+    condition = 2 * np.random.default_rng(0).standard_normal((50, 2))
+    with torch.no_grad():
+        expected = network.excitation(torch.from_numpy(condition)).numpy()
+    engine: Any = engine_for(texture)
+    np.testing.assert_allclose(engine.sigma(condition), expected, rtol=1e-12)  # rounding
+    assert expected.std() > 1e-3
+
+
+@pytest.mark.parametrize("key", ENGINES)
+def test_every_tensor_of_the_network_is_needed(key: str) -> None:
+    texture = exported(key)
+    needed = [
+        name for name in texture.tensors if not name.startswith(("golden.", "warm_start", "excitation."))
+    ]
+    for name in needed:
+        without = {other: tensor for other, tensor in texture.tensors.items() if other != name}
+        with pytest.raises(ValueError, match=r"do not fit the sizes.*has no tensor"):
+            engine_for(dataclasses.replace(texture, tensors=without))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "head_1.weight",
+        "temporal.layers.1.attention_in.weight",
+        "spectral.phase_in.weight",
+        "temporal.norm.weight",
+    ],
+)
+def test_a_tensor_of_another_size_is_refused(plain_texture: Texture, name: str) -> None:
+    tensors = {**plain_texture.tensors, name: plain_texture.tensors[name][:-2]}
+    with pytest.raises(ValueError, match="do not fit the sizes in the card"):
+        engine_for(dataclasses.replace(plain_texture, tensors=tensors))
+
+
+def test_a_model_without_an_engine_is_named(plain_texture: Texture) -> None:
+    unknown = dataclasses.replace(plain_texture, card={**plain_texture.card, "model": "gan"})
+    with pytest.raises(ValueError, match="no engine runs model 'gan', expected one of foten, foten-plus"):
+        engine_for(unknown)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"window": 1}, "window is 1"),
+        ({"d_model": 30}, "do not divide into 4 heads"),
+        ({"spectral_width": 6}, "do not divide into 4 heads"),
+        ({"phase_input": "sine"}, "expected 'angle' or 'cos_sin'"),
+        ({"dropout": 1.0}, "dropout is 1.0"),
+    ],
+)
+def test_sizes_are_checked(fields: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        FotenArchitecture(**fields)

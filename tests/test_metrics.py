@@ -1,0 +1,202 @@
+import math
+
+import numpy as np
+import pytest
+
+from foten.evaluate import metrics
+
+RATE_HZ = 1000.0
+
+
+def noise(*shape: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal(shape)
+
+
+def tone(hz: float, n: int = 4000, rate_hz: float = RATE_HZ) -> np.ndarray:
+    return np.sin(2 * np.pi * hz * np.arange(n) / rate_hz)
+
+
+def test_absolute_error_is_the_mean_over_everything() -> None:
+    recorded = noise(3, 40)
+    assert metrics.mean_absolute_error(recorded, recorded) == 0.0
+    assert metrics.mean_absolute_error(recorded, recorded - 0.25) == pytest.approx(0.25, rel=1e-12)  # rounding
+    # E|x| of a unit normal is √(2/π), its standard error 0.6/√n.
+    assert metrics.mean_absolute_error(noise(100_000), np.zeros(100_000)) == pytest.approx(
+        math.sqrt(2 / math.pi), abs=4 * 0.6 / math.sqrt(100_000)
+    )
+
+
+def gfc_by_eq_13(measured: np.ndarray, reconstructed: np.ndarray) -> float:
+    """Return Eq. 13 as sums over bins of a direct transform."""
+    n = measured.size
+    turn = np.exp(-2j * np.pi * np.outer(np.arange(n // 2 + 1), np.arange(n)) / n)
+    a_d, a_m = np.abs(turn @ measured), np.abs(turn @ reconstructed)
+    return abs(sum(a_d * a_m)) / (math.sqrt(abs(sum(a_d**2))) * math.sqrt(abs(sum(a_m**2))))
+
+
+def test_gfc_is_eq_13() -> None:
+    """Oracle: Eq. 13 by direct sums."""
+    a, b = noise(2, 200)
+    assert metrics.goodness_of_fit(a, b) == pytest.approx(gfc_by_eq_13(a, b), abs=1e-12)  # rounding
+
+
+def test_gfc_is_blind_to_gain_sign_and_phase() -> None:
+    a = noise(500)
+    for twin in (a, 3.7 * a, -a, a[::-1], np.roll(a, 123)):
+        assert metrics.goodness_of_fit(a, twin) == pytest.approx(1.0, abs=1e-12)  # rounding
+
+
+def test_gfc_of_tones_apart_is_zero_and_of_silence_too() -> None:
+    assert metrics.goodness_of_fit(tone(50.0), tone(120.0)) < 1e-12  # whole periods: no leakage, only rounding
+    assert metrics.goodness_of_fit(tone(50.0), np.zeros(4000)) == 0.0
+    assert metrics.goodness_of_fit(np.zeros(4000), tone(50.0)) == 0.0
+
+
+def test_gfc_of_two_realisations_is_a_quarter_of_pi() -> None:
+    """Amplitudes of white noise are Rayleigh: E[r]²/E[r²] = π/4."""
+    scores = [metrics.goodness_of_fit(*noise(2, 2000, seed=seed)) for seed in range(20)]
+    # Each mean over 1000 bins scatters by 0.5/√1000 or less; twenty of them, four standard errors.
+    assert np.mean(scores) == pytest.approx(math.pi / 4, abs=4 * 0.5 / math.sqrt(20 * 1000))
+
+
+def test_welch_keeps_the_power() -> None:
+    """Parseval: the density integrates to the variance."""
+    frequencies, density = metrics.welch(noise(20, 2000), RATE_HZ, 256)
+    assert density.shape == (20, 129)
+    total = density.mean(axis=0).sum() * (frequencies[1] - frequencies[0])
+    # The variance of 40 000 samples is known to √(2/40000) = 0.7 %; each segment loses its mean, 1/256 of it.
+    assert total == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.parametrize("gain", [0.1, 0.5, 1.0, 2.0, 10.0])
+def test_the_spectral_distance_of_a_gain_is_the_gain(gain: float) -> None:
+    p = np.abs(noise(4, 60)) + 0.01
+    found = metrics.log_spectral_distance(p, gain**2 * p)
+    np.testing.assert_allclose(found, abs(20 * math.log10(gain)), atol=1e-9)  # rounding
+
+
+def test_the_spectral_distance_is_the_rms_over_bins() -> None:
+    p = np.ones(4)
+    q = 10 ** (np.array([0.3, -0.3, 0.0, 0.4]))  # 3, −3, 0 and 4 dB
+    assert metrics.log_spectral_distance(p, q) == pytest.approx(math.sqrt((9 + 9 + 16) / 4), rel=1e-9)
+    assert metrics.log_spectral_distance(p, q) == pytest.approx(metrics.log_spectral_distance(q, p), rel=1e-9)
+
+
+def test_silence_is_far_and_not_infinitely() -> None:
+    assert metrics.log_spectral_distance(np.full(9, 3.0), np.zeros(9)) == pytest.approx(120.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(("rate_hz", "highest_hz"), [(1000.0, 450.0), (2500.0, 1000.0), (10_000.0, 1000.0)])
+def test_the_scored_range(rate_hz: float, highest_hz: float) -> None:
+    frequencies = np.arange(0.0, rate_hz / 2, 0.5)
+    scored = frequencies[metrics.scored_bins(frequencies, rate_hz)]
+    assert (scored.min(), scored.max()) == (20.0, highest_hz)
+    edges = metrics.band_edges(rate_hz)
+    assert edges.shape == (10,)
+    assert (edges[0], edges[-1]) == pytest.approx((20.0, highest_hz), rel=1e-12)
+    np.testing.assert_allclose(edges[1:] / edges[:-1], (highest_hz / 20) ** (1 / 9), rtol=1e-12)  # equal in log
+
+
+@pytest.mark.parametrize("block", [8, 100, 1023, 1600, 8000])
+def test_a_segment_fits_its_block(block: int) -> None:
+    assert metrics.segment_length(block) == min(256, max(8, block // 4)) <= block
+
+
+@pytest.mark.parametrize("rate_hz", [1000.0, 10_000.0])
+def test_levels_of_a_sine(rate_hz: float) -> None:
+    n = round(2.03 * rate_hz)
+    levels = metrics.frame_levels(3.0 * tone(100.0, n, rate_hz), rate_hz, 1.5)
+    assert levels.shape == (50,)  # 40 ms each; 30 ms are left over
+    # Four whole periods in each frame: RMS 3/√2 against 1.5.
+    np.testing.assert_allclose(levels, 20 * math.log10(3 / math.sqrt(2) / 1.5), atol=1e-9)
+
+
+def test_levels_have_a_floor_and_follow_a_burst() -> None:
+    blocks = np.zeros((2, 400))
+    blocks[1, 200:] = 1.0
+    levels = metrics.frame_levels(blocks, RATE_HZ, 1.0)
+    np.testing.assert_allclose(levels, [[-30.0] * 10, [-30.0] * 5 + [0.0] * 5], atol=1e-9)  # rounding
+
+
+def test_frames_of_a_condition_are_those_of_its_levels() -> None:
+    blocks = np.tile(np.repeat(np.arange(5.0), 40), (3, 1))[:, :190]
+    np.testing.assert_allclose(metrics.frame_means(blocks, RATE_HZ), np.tile(np.arange(4.0), (3, 1)), atol=1e-12)
+
+
+def test_kurtosis_of_known_shapes() -> None:
+    n = 400_000
+    rng = np.random.default_rng(0)
+    assert metrics.kurtosis(tone(50.0)) == pytest.approx(1.5, abs=1e-9)
+    # Standard errors: √(24/n) for a normal; for Laplace, whose eighth moment is 8!, about √(8!/4·/n) = 0.16.
+    assert metrics.kurtosis(5 + 3 * rng.standard_normal(n)) == pytest.approx(3.0, abs=4 * math.sqrt(24 / n))
+    assert metrics.kurtosis(rng.laplace(size=n)) == pytest.approx(6.0, abs=0.65)
+    assert metrics.kurtosis(np.full(9, 2.0)) == 0.0
+
+
+def test_a_band_that_is_louder_shows_in_its_band_alone() -> None:
+    frequencies = np.arange(0.0, 501.0)
+    edges = metrics.band_edges(RATE_HZ)
+    p = np.ones(frequencies.size)
+    q = np.where((frequencies >= edges[4]) & (frequencies < edges[5]), 4.0, 1.0)
+    found = metrics.band_errors(p, q, frequencies, RATE_HZ)
+    expected = [0.0] * 9
+    expected[4] = 10 * math.log10(4)
+    np.testing.assert_allclose(np.array(found, dtype=float), expected, atol=1e-9)  # rounding
+    silent = metrics.band_errors(p, 0 * p, frequencies, RATE_HZ)
+    np.testing.assert_allclose(np.array(silent, dtype=float), -120.0, atol=1e-9)
+
+
+def test_a_band_without_a_bin_is_unknown() -> None:
+    frequencies = np.arange(0.0, 501.0, 50.0)
+    found = metrics.band_errors(np.ones(11), np.ones(11), frequencies, RATE_HZ)
+    assert found[0] is None  # 20 to 28 Hz
+    assert found[-1] == pytest.approx(0.0)  # the last holds its upper edge, 450 Hz
+
+
+def test_the_modulation_of_a_tone_is_found_at_its_frequency() -> None:
+    times_s = np.arange(8000) / RATE_HZ
+    blocks = (tone(200.0, 8000) * (1 + 0.5 * np.sin(2 * np.pi * 10.0 * times_s)))[None]
+    found = metrics.modulation_spectrum(blocks, RATE_HZ)
+    assert found is not None
+    frequencies, density = found
+    assert frequencies[density.argmax()] == pytest.approx(10.0, abs=1.0)  # bins of 2 Hz
+    assert (frequencies.min(), frequencies.max()) == (2.0, 50.0)
+    # The envelope is 1 + 0.5 sin: its variance is 0.125, all of it in 2 to 50 Hz.
+    assert density.sum() * (frequencies[1] - frequencies[0]) == pytest.approx(0.125, rel=0.02)  # ends of the record
+    louder = metrics.modulation_spectrum(7 * blocks, RATE_HZ)
+    assert louder is not None
+    np.testing.assert_allclose(louder[1], density, rtol=1e-9)  # blind to gain
+
+
+def test_modulation_wants_a_second() -> None:
+    assert metrics.modulation_spectrum(np.zeros((2, 999)), RATE_HZ) is None
+
+
+@pytest.mark.parametrize(("alpha", "beta"), [(0.7, 0.35), (0.0, 1.0), (-0.3, 0.0)])
+def test_the_slopes_of_a_power_law_are_recovered(alpha: float, beta: float) -> None:
+    rng = np.random.default_rng(0)
+    speed, force = rng.uniform(10, 200, (20, 40)), rng.uniform(0.2, 3, (20, 40))
+    level = 20 * np.log10(speed**alpha * force**beta)
+    found = metrics.level_slopes(level, speed, force)
+    assert found is not None
+    assert found == pytest.approx((20 * alpha, 20 * beta), abs=1e-9)  # dB per decade; least squares: rounding
+    noisy = metrics.level_slopes(level + rng.standard_normal(level.shape), speed, force)
+    # 1 dB over √800 frames and a spread of 0.3 decades: 0.12 dB a decade; four of them.
+    assert noisy == pytest.approx((20 * alpha, 20 * beta), abs=0.5)
+
+
+def test_a_slope_over_nothing_is_unknown() -> None:
+    rng = np.random.default_rng(0)
+    speed, force, level = rng.uniform(10, 200, 100), rng.uniform(0.2, 3, 100), rng.standard_normal(100)
+    assert metrics.level_slopes(level, np.full(100, 80.0), force) is None
+    assert metrics.level_slopes(level, speed, 1 + 0.01 * force) is None
+    assert metrics.level_slopes(level, 0 * speed, force) is None
+    assert metrics.level_slopes(level[:10], speed[:10], force[:10]) is None
+
+
+def test_frames_at_rest_do_not_bend_the_slope() -> None:
+    rng = np.random.default_rng(0)
+    speed, force = rng.uniform(10, 200, 200), rng.uniform(0.2, 3, 200)
+    level = 14 * np.log10(speed) + 7 * np.log10(force)
+    speed[::4], level[::4] = 0.5, -30.0
+    assert metrics.level_slopes(level, speed, force) == pytest.approx((14, 7), abs=1e-9)

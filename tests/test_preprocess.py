@@ -1,0 +1,256 @@
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+from foten.dsp.dft321 import dft321
+from foten.recording.preprocess import PreprocessConfig, condition, preprocess
+from foten.recording.recording import Channel, Recording
+
+SHORT = PreprocessConfig(trim_ms=500.0, block_ms=500.0)
+
+
+def recording(
+    acceleration: Mapping[str, np.ndarray], seconds: float = 6.0, rate_hz: float = 1000.0, **channels: Channel
+) -> Recording:
+    """Return acceleration at `rate_hz` with a steady hand unless channels say otherwise."""
+    n = round(seconds * rate_hz)
+    rest = {"speed": Channel(np.full(n, 80.0), rate_hz), "force": Channel(np.full(n, 1.0), rate_hz)}
+    if any(name.startswith("position") for name in channels):
+        del rest["speed"]
+    return Recording({**{k: Channel(v, rate_hz) for k, v in acceleration.items()}, **rest, **channels})
+
+
+def tone(hz: float, seconds: float = 6.0, rate_hz: float = 1000.0) -> np.ndarray:
+    return np.sin(2 * np.pi * hz * np.arange(round(seconds * rate_hz)) / rate_hz)
+
+
+def amplitude(samples: np.ndarray) -> float:
+    return float(np.sqrt(2 * np.square(samples).mean()))
+
+
+@pytest.mark.parametrize("rate_hz", [1000.0, 10_000.0])
+@pytest.mark.parametrize("zero_phase", [False, True])
+def test_the_hand_and_gravity_go_and_the_vibration_stays(rate_hz: float, zero_phase: bool) -> None:
+    config = dataclasses.replace(SHORT, zero_phase=zero_phase)
+
+    def through(samples: np.ndarray) -> float:
+        return amplitude(
+            preprocess(recording({"acceleration": samples}, rate_hz=rate_hz), config).acceleration
+        )
+
+    # Second order: the square of the frequency's share of 20 Hz; forwards and backwards twice that.
+    assert through(tone(5.0, rate_hz=rate_hz)) < (1.05 * (5 / 20) ** 2) ** (1 + zero_phase)
+    assert through(tone(100.0, rate_hz=rate_hz)) == pytest.approx(
+        1.0, abs=2e-3
+    )  # 1/√(1 + (20/100)⁴) = 0.9992
+    assert through(tone(300.0, rate_hz=rate_hz)) == pytest.approx(1.0, abs=1e-3)
+    assert through(np.full(round(6 * rate_hz), 9.81)) < 1e-9  # rounding
+    tilted = 9.81 * np.cos(0.3 * tone(0.5, rate_hz=rate_hz))  # a wrist that turns
+    assert through(tilted) < 0.01
+
+
+def test_what_lies_above_the_new_rate_does_not_come_back_as_an_alias() -> None:
+    trace = preprocess(recording({"acceleration": tone(930.0, rate_hz=10_000.0)}, rate_hz=10_000.0), SHORT)
+    assert amplitude(trace.acceleration) < 1e-4  # 80 dB; unfiltered it would stand at 70 Hz with amplitude 1
+
+
+@pytest.mark.parametrize("rate_hz", [1000.0, 2500.0, 10_000.0])
+def test_any_rate_up_to_the_accelerometers_own(rate_hz: float) -> None:
+    trace = preprocess(
+        recording({"acceleration": tone(100.0, rate_hz=10_000.0)}, rate_hz=10_000.0),
+        dataclasses.replace(SHORT, rate_hz=rate_hz),
+    )
+    assert trace.block == 0.5 * rate_hz
+    assert len(trace) == 5 * rate_hz - trace.n_dropped
+    assert amplitude(trace.acceleration) == pytest.approx(1.0, abs=2e-3)
+
+
+def test_it_never_upsamples() -> None:
+    with pytest.raises(ValueError, match=r"captured at 800 Hz and 1000 Hz is asked for.*--rate 800 or lower"):
+        preprocess(recording({"acceleration": tone(100.0, rate_hz=800.0)}, rate_hz=800.0), SHORT)
+
+
+def bump(seconds: float, rate_hz: float, at_s: float = 3.0, width_s: float = 0.1) -> np.ndarray:
+    times_s = np.arange(round(seconds * rate_hz)) / rate_hz
+    return np.exp(-0.5 * ((times_s - at_s) / width_s) ** 2)
+
+
+def centre_ms(weight: np.ndarray, rate_hz: float = 1000.0) -> float:
+    return float((np.arange(weight.size) * weight).sum() / weight.sum() / rate_hz * 1000)
+
+
+@pytest.mark.parametrize("zero_phase", [False, True])
+@pytest.mark.parametrize("source", ["speed", "position"])
+def test_speed_force_and_the_vibration_they_cause_stay_side_by_side(zero_phase: bool, source: str) -> None:
+    """A burst of all three, as the sensors of Sec. III-c see it: 10 kHz, 10 kHz and 120 Hz."""
+    vibration = np.sqrt(bump(6.0, 10_000.0)) * tone(100.0, rate_hz=10_000.0)  # its energy has one centre
+    slow = bump(6.0, 120.0)
+    if source == "speed":
+        channels = {"speed": Channel(100 * slow, 120.0)}
+    else:
+        fine = (
+            np.cumsum(100 * bump(6.0, 12_000.0)) / 12_000.0
+        )  # the path, of which the tracker sees one in 100
+        channels = {
+            "position_x": Channel(0.6 * fine[::100], 120.0),
+            "position_y": Channel(-0.8 * fine[::100], 120.0),
+        }
+    trace = preprocess(
+        recording(
+            {"acceleration": vibration},
+            rate_hz=10_000.0,
+            force=Channel(bump(6.0, 10_000.0), 10_000.0),
+            **channels,
+        ),
+        PreprocessConfig(trim_ms=500.0, block_ms=5000.0, zero_phase=zero_phase),
+    )
+    # A linear filter moves a centre of mass by its delay at 0 Hz exactly, here known to half a sample.
+    assert centre_ms(trace.speed) == pytest.approx(2500.0, abs=1.0)
+    assert centre_ms(trace.force) == pytest.approx(2500.0, abs=1.0)
+    # The high-pass delays the envelope of a tone by its group delay, 0.5 ms at 100 Hz and less above.
+    assert centre_ms(np.square(trace.acceleration)) == pytest.approx(2500.0, abs=1.0)
+
+
+@pytest.mark.parametrize("zero_phase", [False, True])
+def test_three_axes_become_one_in_each_block_by_itself(zero_phase: bool) -> None:
+    rng = np.random.default_rng(0)
+    axes = {f"acceleration_{axis}": rng.standard_normal(6000) for axis in "xyz"}
+    config = dataclasses.replace(SHORT, zero_phase=zero_phase)
+    before = preprocess(recording(axes), config)
+    # One sample of the fifth block; the high-pass carries it on, but never back.
+    changed = {**axes, "acceleration_y": axes["acceleration_y"].copy()}
+    changed["acceleration_y"][500 + 4 * 500 + 250] += 5.0
+    after = preprocess(recording(changed), config)
+    moved = np.abs(after.blocks(after.acceleration) - before.blocks(before.acceleration)).max(axis=1)
+    assert moved[4] > 1.0
+    # The poles at 20 Hz have fallen by e^(-0.25·89) over a quarter of a second: nothing is left.
+    assert moved[[0, 1, 2, 3, 5, 6, 7]].max() < 1e-6
+    if not zero_phase:
+        assert moved[:4].max() == 0.0
+
+
+def test_the_one_axis_has_the_energy_of_all() -> None:
+    rng = np.random.default_rng(0)
+    axes = {
+        f"acceleration_{axis}": gain * rng.standard_normal(6000)
+        for axis, gain in zip("xyz", (1, 2, 3), strict=True)
+    }
+    together = preprocess(recording(axes), SHORT)
+    alone = [preprocess(recording({"acceleration": samples}), SHORT) for samples in axes.values()]
+    energy = sum(np.square(trace.blocks(trace.acceleration)).sum(axis=1) for trace in alone)
+    np.testing.assert_allclose(
+        np.square(together.blocks(together.acceleration)).sum(axis=1), energy, rtol=1e-9
+    )
+    stacked = np.stack([trace.blocks(trace.acceleration) for trace in alone], axis=1)
+    np.testing.assert_allclose(together.acceleration, dft321(stacked).ravel(), atol=1e-12)  # rounding
+
+
+@pytest.mark.parametrize("name", ["force", "force_z"])
+def test_pressing_counts_positive(name: str) -> None:
+    pressing = np.abs(1.0 + 0.5 * tone(0.7))
+
+    def through(samples: np.ndarray) -> np.ndarray:
+        channels: dict[str, Any] = {name: Channel(samples, 1000.0)}
+        made = recording({"acceleration": tone(100.0)}, **channels)
+        if name != "force":
+            made = Recording({k: v for k, v in made.channels.items() if k != "force"})
+        return preprocess(made, SHORT).force
+
+    np.testing.assert_array_equal(through(-pressing), through(pressing))
+    assert through(pressing).mean() == pytest.approx(1.0, abs=0.05)
+
+
+def test_speed_and_force_are_never_negative() -> None:
+    step = np.where(np.arange(6000) < 3000, 200.0, 0.0)  # a second-order low-pass undershoots by 4 %
+    trace = preprocess(
+        recording(
+            {"acceleration": tone(100.0)}, speed=Channel(step, 1000.0), force=Channel(step / 100, 1000.0)
+        ),
+        SHORT,
+    )
+    assert trace.speed.min() == 0.0
+    assert trace.force.min() == 0.0
+
+
+def test_rendering_conditions_a_stroke_as_training_does() -> None:
+    """One low-pass on both sides: a recorded stroke, conditioned for rendering, is the trace before its delay is cut."""
+    rng = np.random.default_rng(0)
+    speed = np.abs(100 + np.cumsum(rng.standard_normal(6000)))
+    force = np.abs(1 + 0.01 * np.cumsum(rng.standard_normal(6000)))
+    trace = preprocess(
+        recording({"acceleration": tone(100.0)}, speed=Channel(speed, 1000.0), force=Channel(force, 1000.0)),
+        SHORT,
+    )
+    rendered = condition(speed, force, 1000.0, SHORT.render_lowpass_hz)
+    delay = round(SHORT.delay_ms)
+    for found, expected in zip(rendered, (trace.speed, trace.force), strict=True):
+        # SciPy and ours sum the same products in another order.
+        np.testing.assert_allclose(found[500 + delay :][: len(trace)], expected, rtol=1e-9)
+
+
+def test_the_default_delay_is_what_the_card_will_say() -> None:
+    assert PreprocessConfig().delay_ms == pytest.approx(
+        1000 * np.sqrt(2) / (2 * np.pi * 20), rel=2e-3
+    )  # prewarping
+
+
+def test_whole_blocks_and_what_was_dropped() -> None:
+    trace = preprocess(recording({"acceleration": tone(100.0, 6.3)}, seconds=6.3), SHORT)
+    # 6.3 s less twice 0.5 s is 5.3 s: ten blocks and 300 samples.
+    assert (trace.n_blocks, trace.n_dropped) == (10, 300)
+
+
+def test_the_trace_says_where_it_came_from() -> None:
+    made = recording({"acceleration": tone(100.0)})
+    trace = preprocess(made, SHORT)
+    assert trace.recording_sha256 == made.sha256()
+    assert PreprocessConfig(**trace.preprocess) == SHORT
+
+
+def test_a_short_recording_names_the_options() -> None:
+    with pytest.raises(ValueError, match=r"lasts 5 s; a trim of 2000 ms.*leaves 1 s.*use --trim and --block"):
+        preprocess(recording({"acceleration": tone(100.0, 5.0)}, seconds=5.0))
+    with pytest.raises(ValueError, match=r"leaves 0 s.*use --trim and --block"):
+        preprocess(recording({"acceleration": tone(100.0, 1.0)}, seconds=1.0))
+
+
+def test_an_irregular_acceleration_is_refused() -> None:
+    times_s = np.arange(6000) / 1000.0
+    made = recording({})
+    irregular = Recording({**made.channels, "acceleration": Channel(tone(100.0), 1000.0, times_s)})
+    with pytest.raises(ValueError, match="irregular times, expected a steady rate"):
+        preprocess(irregular, SHORT)
+
+
+@pytest.mark.parametrize(
+    ("missing", "message"),
+    [
+        ("acceleration", "no acceleration"),
+        ("speed", "no speed and no position_x"),
+        ("force", "no force and no force_z"),
+    ],
+)
+def test_what_is_missing_is_named(missing: str, message: str) -> None:
+    made = recording({"acceleration": tone(100.0)})
+    with pytest.raises(ValueError, match=message):
+        preprocess(Recording({k: v for k, v in made.channels.items() if k != missing}), SHORT)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"rate_hz": 0.0}, "rate is 0 Hz"),
+        ({"trim_ms": -1.0}, "trim is -1 ms"),
+        ({"block_ms": 0.0}, "block 0 ms"),
+        ({"highpass_hz": 500.0}, "highpass_hz is 500 Hz"),
+        ({"lowpass_hz": 0.0}, "lowpass_hz is 0 Hz"),
+        ({"rate_hz": 40.0}, "half the rate, 20 Hz"),
+        ({"highpass_order": 3}, "order is 3"),
+    ],
+)
+def test_a_config_is_checked(fields: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        PreprocessConfig(**fields)

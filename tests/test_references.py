@@ -1,0 +1,118 @@
+import numpy as np
+import pytest
+from conftest import resonance
+from scipy.signal import lfilter
+
+from foten.dsp.ar import spectral_radius
+from foten.evaluate.references import MAX_POLE, ORDERS, Linear, Persistence, Zero, best_linear, fit_linear
+
+BLOCK = 400
+
+
+def process(taps: np.ndarray, n_blocks: int, sd: float = 0.5, seed: int = 0) -> np.ndarray:
+    """Return scaled samples (n, 3) of an AR process (taps oldest first) under a wandering hand."""
+    rng = np.random.default_rng(seed)
+    n = n_blocks * BLOCK
+    x = lfilter([sd], np.concatenate([[1.0], -taps[::-1]]), rng.standard_normal(n + 500))[500:]
+    return np.column_stack([x, rng.standard_normal((n, 2))])
+
+
+def test_zero_and_persistence() -> None:
+    windows = np.random.default_rng(0).standard_normal((6, 4, 3))
+    np.testing.assert_array_equal(Zero().predict(windows), np.zeros(6))
+    np.testing.assert_array_equal(Persistence().predict(windows), windows[:, -1, 0])
+
+
+def test_a_known_process_and_its_noise_are_recovered() -> None:
+    taps = resonance(120.0, 0.95, 5)
+    samples = process(taps, 100)
+    samples[:, 0] += 0.4 * (1 - taps.sum())  # a constant input, which a constant mean of 0.4 needs
+    fitted = fit_linear(samples - [0.4 * (1 - taps.sum()) - 0.4, 0, 0], tuple(range(100)), BLOCK, 5)
+    assert fitted is not None
+    # Standard errors are at most about 1/√n = 0.005 a tap; four of them.
+    error = 4 / np.sqrt(len(samples))
+    np.testing.assert_allclose(fitted.coefficients[:-1], taps, atol=error)
+    assert fitted.coefficients[-1] == pytest.approx(0.4 * (1 - taps.sum()), abs=error)
+    assert fitted.noise_sd == pytest.approx(0.5, rel=4 / np.sqrt(2 * len(samples)))
+
+
+def test_other_blocks_have_no_say_and_none_is_straddled() -> None:
+    samples = process(resonance(120.0, 0.95, 5), 10)
+    spoilt = samples.copy()
+    spoilt.reshape(10, BLOCK, 3)[[1, 4]] = 1e3
+    train = (0, 2, 3, 5)
+    first, second = (fit_linear(s, train, BLOCK, 20) for s in (samples, spoilt))
+    assert first is not None
+    assert second is not None
+    np.testing.assert_array_equal(first.coefficients, second.coefficients)
+
+
+def scheduled_process(n_blocks: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Return samples whose taps are affine in the speed and force of the sample before, and those coefficients."""
+    rng = np.random.default_rng(seed)
+    coefficients = np.array([[-0.6, 0.9, 0.1], [0.1, -0.15, 0.0], [-0.05, 0.05, 0.2]])
+    n = n_blocks * BLOCK
+    condition = rng.uniform(-1, 1, (n, 2))
+    x = np.zeros(n)
+    noise = 0.3 * rng.standard_normal(n)
+    for i in range(2, n):
+        now = coefficients[0] + condition[i - 1] @ coefficients[1:]
+        x[i] = now[0] * x[i - 2] + now[1] * x[i - 1] + now[2] + noise[i]
+    return np.column_stack([x, condition]), coefficients
+
+
+def test_coefficients_that_follow_the_hand_are_recovered() -> None:
+    samples, coefficients = scheduled_process(60)
+    fitted = fit_linear(samples, tuple(range(60)), BLOCK, 2, scheduled=True)
+    assert fitted is not None
+    assert fitted.scheduled
+    assert fitted.window == 2
+    # 24 000 samples; the condition's variance of 1/3 and the noise's 0.3 against a unit signal: 0.011 at most each.
+    np.testing.assert_allclose(fitted.coefficients, coefficients, atol=4 * np.sqrt(3) / np.sqrt(len(samples)))
+    assert fitted.noise_sd == pytest.approx(0.3, rel=0.02)  # 4/√(2n)
+
+
+def test_a_linear_predictor_looks_at_the_end_of_a_longer_window() -> None:
+    samples, coefficients = scheduled_process(2)
+    windows = np.stack([samples[i - 9 : i] for i in range(9, 100)])
+    for fitted in (Linear(coefficients, 0.3), Linear(coefficients[0], 0.3)):
+        np.testing.assert_array_equal(fitted.predict(windows), fitted.predict(windows[:, -2:]))
+    by_hand = [
+        (coefficients[0] + w[-1, 1] * coefficients[1] + w[-1, 2] * coefficients[2]) @ [w[-2, 0], w[-1, 0], 1.0]
+        for w in windows
+    ]
+    np.testing.assert_allclose(Linear(coefficients, 0.3).predict(windows), by_hand, atol=1e-12)  # rounding
+
+
+@pytest.mark.parametrize(("lag", "order"), [(4, 5), (9, 10), (17, 20), (33, 40)])
+def test_the_best_order_is_the_least_that_sees_the_process(lag: int, order: int) -> None:
+    taps = np.zeros(lag)
+    taps[0], taps[-1] = 0.6, 0.3
+    samples = process(taps, 30)
+    fitted = best_linear(samples, tuple(range(20)), tuple(range(20, 30)), BLOCK)
+    assert fitted is not None
+    assert (fitted.window, fitted.scheduled) == (order, False)
+
+
+def test_the_best_is_scheduled_where_the_hand_matters() -> None:
+    samples, _ = scheduled_process(30)
+    fitted = best_linear(samples, tuple(range(20)), tuple(range(20, 30)), BLOCK)
+    assert fitted is not None
+    assert (fitted.window, fitted.scheduled) == (ORDERS[0], True)
+
+
+def test_too_few_windows_are_no_fit() -> None:
+    samples = process(resonance(120.0, 0.9, 5), 4)
+    assert fit_linear(samples[:100], (0,), 40, 20) is None  # 20 windows for 21 coefficients
+    assert fit_linear(samples, (0,), 20, 20) is None
+    assert fit_linear(samples, (0,), BLOCK, 160, scheduled=True) is None
+    assert best_linear(samples[:400], (0, 1, 2), (3,), 100) is None  # blocks shorter than what is not scored
+
+
+def test_an_unstable_fit_is_made_stable_for_the_closed_loop() -> None:
+    taps = resonance(120.0, 1.02, 6)
+    stable = Linear(np.append(taps, 0.1), 0.5).stable()
+    assert spectral_radius(stable.coefficients[:-1]) == pytest.approx(MAX_POLE, rel=1e-9)
+    assert (stable.coefficients[-1], stable.noise_sd) == (0.1, 0.5)
+    poles = np.roots(np.concatenate([[1.0], -stable.coefficients[-2::-1]]))
+    assert np.abs(np.angle(poles[np.abs(poles) > 0.5])) == pytest.approx(2 * np.pi * 0.12, rel=1e-9)

@@ -1,0 +1,405 @@
+"""The report stands alone, shows the document's own numbers, and says what is missing."""
+
+import base64
+import copy
+import io
+import json
+import re
+import wave
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from foten.evaluate import figures
+from foten.evaluate.evaluate import FREE_RUN_KEYS, Judgement
+from foten.evaluate.free_run import free_run, scored
+from foten.evaluate.one_step import one_step
+from foten.evaluate.references import Persistence, Zero, fit_linear
+from foten.evaluate.report import AUDIO_HZ, REFERENCES, cautions, page, reason, sounds, verdict, write_report
+from foten.recording.scaling import fit_scaling
+from foten.recording.trace import Trace
+from foten.texture_file import Texture
+
+N_BLOCKS, TRAIN, TEST = 6, (0, 1, 2, 5), (3, 4)
+ONE_STEP = ("mae_scaled", "mae_m_s2", "gfc")
+RUNS = ("free_run", "free_run_deterministic", "free_run_ar", "ceiling")
+
+
+def _vibration(rng, *shape):
+    white = rng.standard_normal((*shape[:-1], shape[-1] + 7))
+    return np.lib.stride_tricks.sliding_window_view(white, 8, axis=-1).mean(axis=-1) * 2
+
+
+def _judgement(rate_hz=1000.0, block=2000):
+    rng = np.random.default_rng(0)
+    n = N_BLOCKS * block
+    t = np.arange(n) / rate_hz
+    speed, force = 120 + 60 * np.sin(5 * t), 1 + 0.4 * np.sin(3 * t)
+    trace = Trace(_vibration(rng, n) * speed / 120, speed, force, rate_hz, block, "ab" * 32)
+    scaling = fit_scaling(trace, TRAIN)
+    samples = scaling.scale(trace.stacked())
+    synthesized = {
+        "free_run": 1.3 * _vibration(rng, 3, 2, block),
+        "free_run_deterministic": np.zeros((1, 2, block)),
+        "free_run_ar": _vibration(rng, 3, 2, block),
+        "ceiling": _vibration(rng, 2, 2, block),
+    }
+    recorded, v, f = (trace.blocks(c)[list(TEST)] for c in (trace.acceleration, trace.speed, trace.force))
+    free = {
+        name: free_run(recorded, signal, v, f, rate_hz, scaling.sd[0]) for name, signal in synthesized.items()
+    }
+    scores = {
+        name: one_step(predictor, samples, TEST, block, scaling)
+        for name, predictor in {
+            "own": fit_linear(samples, TRAIN, block, 40),
+            "ar": fit_linear(samples, TRAIN, block, 20),
+            "ar_best": fit_linear(samples, TRAIN, block, 20),
+            "persistence": Persistence(),
+            "zero": Zero(),
+        }.items()
+    }
+    own = scores.pop("own")
+    references = {name: dict.fromkeys(ONE_STEP) for name in REFERENCES} | scores
+    references["ar_best"].update(order=20, scheduled=False)
+    references["bound"] = {"mae_scaled": 0.1, "mae_m_s2": 0.1 * scaling.sd[0], "gfc": None}
+    document = {
+        "texture": "denim",
+        "model": "foten-plus",
+        "rate_hz": rate_hz,
+        "split": "regrouped",
+        "split_sha256": "cd" * 32,
+        "seed": 7,
+        "n_blocks": 2,
+        "block": block,
+        "sd_m_s2": scaling.sd[0],
+        "one_step": own,
+        "references": references,
+        **free,
+        "reasons": {
+            "references.shortcut": "foten has none",
+            "references.ar_scheduled": "fewer than two training windows for each coefficient",
+            "references.bound_window": "known for simulated textures alone",
+            "free_run": "it carries no excitation",
+            "free_run_ar": "no training blocks",
+            "ceiling": "a foreign recording",
+            "free_run_deterministic.level_corr": "the level does not vary",
+        },
+        "texture_sha256": "ef" * 32,
+        "recording_sha256": trace.recording_sha256,
+        "validation": {"mae_scaled": 0.5, "mae_scaled_shortcut": None},
+    }
+    document["ceiling"]["of"] = "2 further realisations of the same stroke"
+    return Judgement(document, trace, TEST, synthesized)
+
+
+def _texture(**card):
+    fields = {
+        "tool": "steel ball",
+        "sensors": "",
+        "notes": "",
+        "licence": "",
+        "trained_range": {"speed": [60.0, 180.0], "force": [0.6, 1.4]},
+        "split": {"train": list(TRAIN)},
+    }
+    return Texture(card=fields | card, tensors={})
+
+
+@pytest.fixture(scope="module")
+def judged():
+    return _judgement()
+
+
+@pytest.fixture(scope="module")
+def written(judged):
+    return page(judged, _texture())
+
+
+class _Page(HTMLParser):
+    """Tags with their attributes, cells of the tables by row, and all text."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.rows, self.words, self._cell = [], {}, [], None
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        attrs = dict(attrs)
+        self.tags.append((tag, attrs))
+        if tag == "tr":
+            self.rows[attrs.get("id")] = self._row = []
+        elif tag == "td":
+            self._cell = {"value": None, "text": "", "why": None}
+            self._row.append(self._cell)
+        elif tag == "data":
+            self._cell["value"] = float(attrs["value"])
+        elif tag == "abbr":
+            self._cell["why"] = attrs["title"]
+
+    def handle_endtag(self, tag):
+        if tag in ("td", "data", "abbr"):
+            self._cell = self._cell if tag == "td" else None
+
+    def handle_data(self, data):
+        self.words.append(data)
+        if self._cell is not None:
+            self._cell["text"] += data
+
+
+def _check(cell, value):
+    if value is None:
+        assert (cell["text"], cell["value"]) == ("–", None)
+        assert cell["why"]
+        return
+    assert cell["value"] == value
+    shown = cell["text"].replace("−", "-")
+    digits = len(shown.partition(".")[2])
+    assert float(shown) == pytest.approx(value, abs=0.5001 * 10**-digits)
+
+
+def test_one_file_that_asks_for_nothing_else(written):
+    assert "http" not in written
+    assert "@import" not in written
+    tags = _Page(written).tags
+    assert not {tag for tag, _ in tags} & {"script", "link", "iframe", "object", "embed", "base", "img"}
+    for _, attributes in tags:
+        assert not [name for name in attributes if name.startswith("on")]
+        for name in ("src", "href", "xlink:href", "srcset", "data"):
+            assert attributes.get(name, "#").startswith(("data:", "#"))
+    assert all(target.startswith("#") for target in re.findall(r"url\(([^)]*)\)", written))
+
+
+def test_identifiers_are_unique_and_every_reference_is_met(written):
+    identifiers = re.findall(r'\sid="([^"]*)"', written)
+    assert len(identifiers) == len(set(identifiers))
+    used = re.findall(r'(?:url\(#|href="#)([^)"]*)', written)
+    assert used
+    assert set(used) <= set(identifiers)
+
+
+def test_the_tables_show_the_numbers_of_the_document(judged, written):
+    rows, document = _Page(written).rows, judged.document
+    for key in FREE_RUN_KEYS:
+        cells = rows[f"free_run.{key}"][1:]
+        for run, cell in zip(RUNS, cells, strict=True):
+            _check(cell, document[run][key])
+    named = {"one_step": document["one_step"]} | {
+        f"references.{k}": v for k, v in document["references"].items()
+    }
+    for key, scores in named.items():
+        error, _, ratio, physical, fit = rows[key]
+        for cell, figure in ((error, "mae_scaled"), (physical, "mae_m_s2"), (fit, "gfc")):
+            _check(cell, scores[figure])
+        if scores["mae_scaled"] is not None:
+            expected = 100 * (scores["mae_scaled"] / document["references"]["ar"]["mae_scaled"] - 1)
+            assert float(ratio["text"].replace("−", "-").removesuffix(" %")) == pytest.approx(
+                expected, abs=0.051
+            )
+    low, high = document["one_step"]["intervals"]["mae_scaled"]
+    assert f"{low:.3f} … {high:.3f}" in written
+    assert json.dumps(document["one_step"]["mae_m_s2"]) in written  # the raw document, in full
+
+
+def test_what_is_unknown_is_a_dash_with_its_reason(judged, written):
+    rows = _Page(written).rows
+    whole = "".join(_Page(written).words)
+    expected = {
+        "references.shortcut": (0, "foten has none"),
+        "references.ar_scheduled": (0, "fewer than two training windows for each coefficient"),
+        "references.bound": (4, "a bound on the error says nothing of the spectrum"),
+        "free_run.level_corr": (2, "the level does not vary"),
+    }
+    for row, (column, why) in expected.items():
+        assert rows[row][column]["why"] == why
+        assert whole.count(why) >= 1  # as a footnote too: paper has no tooltips
+    assert reason(judged.document, "free_run.lsd_db", "free_run") == "it carries no excitation"
+
+
+def test_names_and_notes_cannot_break_the_page(judged):
+    name, notes = '<b title="x">& µ</b>', "</pre><script>alert(1)</script>"
+    document = copy.deepcopy(judged.document) | {"texture": name}
+    document["reasons"]["references.shortcut"] = '"><script>'
+    parsed = _Page(
+        page(replace(judged, document=document, synthesized={}), _texture(notes=notes, tool="<i>"))
+    )
+    assert "script" not in {tag for tag, _ in parsed.tags}
+    assert name in parsed.words
+    assert notes in parsed.words
+    assert parsed.rows["references.shortcut"][0]["why"] == '"><script>'
+
+
+def test_the_same_judgement_gives_the_same_bytes(judged, written, tmp_path):
+    path = write_report(judged, _texture(), tmp_path)
+    assert path == tmp_path / "report.html"
+    assert path.read_bytes() == written.encode()
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+
+
+def _players(text):
+    found = re.findall(r'<audio [^>]*src="data:audio/wav;base64,([^"]*)"', text)
+    players = []
+    for data in found:
+        with wave.open(io.BytesIO(base64.b64decode(data))) as file:
+            assert (file.getframerate(), file.getsampwidth(), file.getnchannels()) == (AUDIO_HZ, 2, 1)
+            players.append(np.frombuffer(file.readframes(file.getnframes()), dtype="<i2").astype(float))
+    return players
+
+
+@pytest.mark.parametrize("rate_hz", [1000.0, 2500.0, 10_000.0])
+def test_both_players_have_one_gain(judged, rate_hz):
+    judgement = replace(judged, trace=replace(judged.trace, rate_hz=rate_hz))
+    recorded = judgement.trace.blocks(judgement.trace.acceleration)[list(TEST)]
+    louder = replace(judgement, synthesized={"free_run": 2 * recorded[None]})
+    first, second, full_scale = sounds(louder, "free_run")
+    one, two = (np.frombuffer(data[44:], dtype="<i2").astype(float) for data in (first, second))
+    np.testing.assert_allclose(two, 2 * one, atol=1.5)  # rounding to 16 bit
+    assert np.abs(two).max() == pytest.approx(0.9 * 32767, abs=1)
+    assert len(one) == pytest.approx(2 * 1600 / rate_hz * AUDIO_HZ, abs=2)
+    power = np.square(recorded[:, scored(2000)]).mean()
+    if rate_hz <= AUDIO_HZ:  # nothing is lost upwards but the fades
+        assert np.square(one / 32767 * full_scale).mean() == pytest.approx(power, rel=0.05)
+
+
+def test_a_tone_sounds_at_its_own_pitch(judged, written):
+    assert len(_players(written)) == 2
+    tone = np.sin(2 * np.pi * 130.0 * np.arange(2000) / 1000.0)
+    _, sound, _ = sounds(replace(judged, synthesized={"free_run": np.tile(tone, (1, 2, 1))}), "free_run")
+    samples = np.frombuffer(sound[44:], dtype="<i2")[: AUDIO_HZ * 8 // 10]
+    peak = np.abs(np.fft.rfft(samples)).argmax() * AUDIO_HZ / len(samples)
+    assert peak == pytest.approx(130.0, abs=AUDIO_HZ / len(samples))
+
+
+def test_long_recordings_are_cut_to_eight_seconds_and_twelve_blocks(judged):
+    many = replace(
+        judged,
+        trace=Trace(*(np.tile(c, 10) for c in judged.trace.stacked().T), 1000.0, 2000),
+        blocks=tuple(range(60)),
+        synthesized={"free_run": np.tile(judged.synthesized["free_run"], (1, 30, 1))},
+    )
+    first, second, _ = sounds(many, "free_run")
+    assert len(first) == len(second) == 44 + 2 * 8 * AUDIO_HZ
+    which = figures.shown_blocks(many)
+    assert (len(which), which[0], which[-1]) == (12, 0, 59)
+
+
+def test_the_figures_draw_what_was_scored(judged):
+    """The pooled spectra give the document's distance, the levels its bias, the bars its bands."""
+    _, pooled = figures.densities(judged)
+    floor = 1e-12 * pooled["recorded"].max()
+    for name in RUNS:
+        ratio = 10 * np.log10(pooled["recorded"] / np.maximum(pooled[name], floor))
+        assert np.sqrt(np.square(ratio).mean()) == pytest.approx(judged.document[name]["lsd_long_db"])
+        assert figures.level_errors(judged, name).mean() == pytest.approx(
+            judged.document[name]["level_bias_db"]
+        )
+    axes = figures.bands(judged).axes[0]
+    known = [
+        e
+        for n in ("free_run", "free_run_ar", "ceiling")
+        for e in judged.document[n]["band_errors_db"]
+        if e is not None
+    ]
+    assert [bar.get_height() for bar in axes.patches] == pytest.approx(known)
+    (line, _), *_ = (axes.lines for axes in figures.waveform(judged).axes)
+    block = judged.blocks[figures.typical_block(judged)]
+    np.testing.assert_array_equal(line.get_ydata(), judged.trace.acceleration[2000 * block + 400 :][:400])
+
+
+def test_spectrograms_share_a_scale_and_show_a_tone_where_it_is(judged):
+    tone = np.sin(2 * np.pi * 200.0 * np.arange(2000) / 1000.0)
+    figure = figures.over_time(replace(judged, synthesized={"free_run": np.tile(tone, (1, 2, 1))}))
+    recorded, synthesized = (axes.images[0] for axes in figure.axes[:2])
+    assert recorded.get_clim() == synthesized.get_clim()
+    cells = np.asarray(synthesized.get_array())
+    low, high = synthesized.get_extent()[2:]
+    bin_hz = (high - low) / len(cells)
+    centre = (low + (cells.argmax(axis=0) + 0.5) * bin_hz).reshape(2, -1)
+    np.testing.assert_allclose(
+        centre[:, 4:-4], 200.0, atol=bin_hz / 2
+    )  # mirroring bends the tone at the borders
+    assert figure.axes[0].lines[0].get_xdata()[0] == pytest.approx(1.6)  # the border of two blocks
+
+
+def _without(judgement, *names, **changed):
+    document = (
+        copy.deepcopy(judgement.document) | {name: dict.fromkeys(FREE_RUN_KEYS) for name in names} | changed
+    )
+    synthesized = {name: signal for name, signal in judgement.synthesized.items() if name not in names}
+    return replace(judgement, document=document, synthesized=synthesized)
+
+
+def test_without_excitation_the_silent_run_stands_in_and_is_called_so(judged):
+    judgement = _without(judged, "free_run", model="foten")
+    text = page(judgement, _texture())
+    assert figures.shown_run(judgement) == "free_run_deterministic"
+    spectrum, level = verdict(judgement.document)[1:3]
+    assert spectrum.tone == level.tone == "bad"
+    assert "without excitation" in spectrum.sentence
+    assert "silent" in level.sentence
+    assert "it carries no excitation" in text
+    assert "synthesized (without excitation)" in text
+
+
+def test_a_foreign_recording_without_ceiling_or_linear_fit_is_reported(judged):
+    judgement = _without(judged, "free_run_ar", "ceiling", split="foreign", split_sha256=None)
+    for name in ("ar", "ar_scheduled", "ar_best"):
+        judgement.document["references"][name] = dict.fromkeys(ONE_STEP) | {"order": None, "scheduled": None}
+    judgement.document["reasons"]["references.ar"] = "no training blocks to fit on"
+    text = page(judgement, _texture(split={"train": [99]}))
+    assert any("not the recording" in note for note in cautions(judgement.document))
+    step, spectrum, *_ = verdict(judgement.document)
+    assert "below persistence" in step.sentence
+    assert (spectrum.tone, spectrum.beside) == ("unknown", "no ceiling known")
+    assert _Page(text).rows["references.ar_best"][0]["why"] == "no training blocks to fit on"
+
+
+def test_blocks_too_short_to_score_leave_dashes_and_words(judged):
+    document = copy.deepcopy(judged.document)
+    document |= {name: dict.fromkeys(FREE_RUN_KEYS) for name in RUNS} | {"one_step": dict.fromkeys(ONE_STEP)}
+    document["references"] = {name: dict.fromkeys(ONE_STEP) for name in REFERENCES}
+    document["references"]["ar_best"].update(order=None, scheduled=None)
+    document["reasons"] = {"one_step": "blocks of 70 samples", "free_run": "too short for a spectrum"}
+    parsed = _Page(page(replace(judged, document=document, synthesized={}), _texture()))
+    assert not [tag for tag, _ in parsed.tags if tag in ("svg", "audio", "data")]
+    assert parsed.rows["references.ar"][0]["why"] == "blocks of 70 samples"
+    assert parsed.rows["free_run.kurtosis"][4]["why"] == "too short for a spectrum"
+    assert {finding.tone for finding in verdict(document)} == {"unknown"}
+
+
+@pytest.mark.parametrize(
+    ("error", "best", "tone", "words"),
+    [
+        (0.5, 0.9, "good", "50 % below AR(20)"),
+        (0.995, 1.0, "even", "within 1 % of AR(20)"),
+        (1.3, 1.0, "bad", "30 % above AR(20). A linear predictor does this better."),
+        (0.8, 0.5, "even", "The best linear predictor, AR(20), does this better."),
+    ],
+)
+def test_the_verdict_says_who_is_better(judged, error, best, tone, words):
+    document = copy.deepcopy(judged.document)
+    document["references"]["bound"] = dict.fromkeys(ONE_STEP)
+    document["one_step"]["mae_scaled"] = error
+    document["references"]["ar"]["mae_scaled"] = 1.0
+    document["references"]["ar_best"]["mae_scaled"] = best
+    step = verdict(document)[0]
+    assert step.tone == tone
+    assert words in step.sentence
+
+
+def test_the_verdict_reads_the_free_run(judged):
+    document = copy.deepcopy(judged.document)
+    document["free_run"] |= {"lsd_db": 2.4, "level_bias_db": -0.3, "level_error_db": 0.8, "level_corr": 0.9}
+    document["free_run"]["n_saturated"] = 3
+    document["ceiling"] |= {"lsd_db": 2.3, "level_corr": 0.95}
+    document["free_run_ar"]["lsd_db"] = 3.0
+    _, spectrum, level, dynamics = verdict(document)
+    assert spectrum.beside == "1.04 × the ceiling's 2.30 dB"
+    assert "0.60 dB below AR(20)" in spectrum.sentence
+    assert level.sentence.startswith("Level: 0.3 dB too low")
+    assert {spectrum.tone, level.tone, dynamics.tone} == {"good"}
+    assert any("saturator cut 3 samples" in note for note in cautions(document))
+    document["free_run_ar"]["lsd_db"] = 2.0  # a baseline is closer: never a full mark
+    assert verdict(document)[1].tone == "even"
+    document["ceiling"]["level_corr"] = -0.2  # says nothing of this hand
+    assert verdict(document)[3].tone == "unknown"

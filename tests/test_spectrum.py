@@ -1,0 +1,61 @@
+import math
+
+import numpy as np
+import pytest
+
+from foten.dsp.spectrum import dft_matrices, last_sample_row, position_encoding
+
+SIZES = [2, 3, 4, 5, 10, 15, 20, 25, 30]
+
+
+@pytest.mark.parametrize("m", SIZES)
+def test_the_matrices_are_the_transform(m: int) -> None:
+    """Oracle: numpy.fft.fft."""
+    a = np.random.default_rng(m).standard_normal((7, m))
+    real, imaginary = dft_matrices(m)
+    np.testing.assert_allclose(a @ real + 1j * (a @ imaginary), np.fft.fft(a), atol=1e-12)  # m roundings
+
+
+@pytest.mark.parametrize("m", SIZES)
+def test_what_is_zero_is_exactly_zero(m: int) -> None:
+    real, imaginary = dft_matrices(m)
+    for matrix in (real, imaginary):
+        assert not np.any((matrix != 0) & (np.abs(matrix) < 0.05))  # sin(2π/120) is the least that can be
+    assert not imaginary[:, 0].any()
+    if m % 2 == 0:
+        assert not imaginary[:, m // 2].any()
+
+
+@pytest.mark.parametrize("m", SIZES)
+def test_the_phase_of_a_real_bin_does_not_hang_on_rounding(m: int) -> None:
+    a = np.random.default_rng(m).standard_normal((200, m))
+    imaginary = a @ dft_matrices(m)[1] + 0.0
+    assert np.all(imaginary[:, [0, m // 2] if m % 2 == 0 else [0]] == 0)
+
+
+@pytest.mark.parametrize("m", SIZES)
+def test_the_last_row_is_the_inverse_transforms_last_sample(m: int) -> None:
+    """Oracle: numpy.fft.ifft of M̂·e^{iφ̂} (Eq. 8, 9)."""
+    rng = np.random.default_rng(m)
+    magnitude, phase = rng.standard_normal((2, 9, m))  # encoded ones are any real number
+    expected = np.fft.ifft(magnitude * np.exp(1j * phase)).real[:, -1]
+    cosine, sine = last_sample_row(m)
+    found = (magnitude * (cosine * np.cos(phase) + sine * np.sin(phase))).sum(axis=1)
+    np.testing.assert_allclose(found, expected, atol=1e-14)  # m roundings over m
+
+
+@pytest.mark.parametrize(("m", "d_model"), [(20, 32), (5, 8), (30, 6)])
+def test_positions_are_eq_2(m: int, d_model: int) -> None:
+    """Oracle: Eq. 2, term by term."""
+    found = position_encoding(m, d_model)
+    assert found.shape == (m, d_model)
+    for pos in range(m):
+        for i in range(d_model // 2):
+            angle = pos * 10000 ** (-2 * i / d_model)
+            assert found[pos, 2 * i] == pytest.approx(math.sin(angle), abs=1e-13)  # rounding of the angle
+            assert found[pos, 2 * i + 1] == pytest.approx(math.cos(angle), abs=1e-13)
+
+
+def test_an_odd_width_ends_with_a_sine() -> None:
+    found = position_encoding(4, 5)
+    np.testing.assert_allclose(found[:, 4], np.sin(np.arange(4) * 10000 ** (-4 / 5)), atol=1e-13)

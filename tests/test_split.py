@@ -1,0 +1,125 @@
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from foten.recording.split import METHODS, Split, split_blocks
+from foten.recording.trace import Trace
+
+BLOCK = 10
+
+
+def trace(n_blocks: int, seed: int = 0) -> Trace:
+    """Return a trace whose blocks each have their own speed and force."""
+    rng = np.random.default_rng(seed)
+    speed, force = rng.uniform(10, 200, n_blocks), rng.uniform(0.2, 3, n_blocks)
+    ripple = np.tile(np.linspace(-1, 1, BLOCK), n_blocks)
+    return Trace(
+        rng.standard_normal(n_blocks * BLOCK),
+        np.repeat(speed, BLOCK) + ripple,
+        np.repeat(force, BLOCK) + 0.1 * ripple,
+        1000.0,
+        BLOCK,
+        recording_sha256="abc",
+    )
+
+
+def parts(split: Split) -> tuple[set[int], set[int], set[int]]:
+    return set(split.train), set(split.validation), set(split.test)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@given(n_blocks=st.integers(5, 120), seed=st.integers(0, 1000))
+@settings(max_examples=30, deadline=None)
+def test_every_block_has_one_part_and_the_totals_are_60_20_20(method: str, n_blocks: int, seed: int) -> None:
+    split = split_blocks(trace(n_blocks, seed), method, seed)
+    together = [*split.train, *split.validation, *split.test]
+    assert sorted(together) == list(range(n_blocks))  # disjoint and complete
+    for part in (split.validation, split.test):
+        assert abs(len(part) - 0.2 * n_blocks) <= 0.5  # the nearest whole number
+    assert len(split.train) >= len(split.test)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_papers_56_seconds(method: str) -> None:
+    assert [len(part) for part in parts(split_blocks(trace(28), method))] == [16, 6, 6]
+
+
+@given(n_blocks=st.integers(8, 60), seed=st.integers(0, 1000))
+@settings(max_examples=30, deadline=None)
+def test_the_extremes_of_speed_and_force_train(n_blocks: int, seed: int) -> None:
+    given_trace = trace(n_blocks, seed)
+    train = parts(split_blocks(given_trace, seed=seed))[0]
+    for channel in (given_trace.speed, given_trace.force):
+        means = given_trace.blocks(channel).mean(axis=1)
+        assert {int(means.argmin()), int(means.argmax())} <= train
+
+
+def test_every_third_of_speed_is_tested() -> None:
+    """Regrouping is there to spread the test over the conditions; a plain draw misses a third now and then."""
+    for seed in range(20):
+        given_trace = trace(45, seed)
+        thirds = np.array_split(np.argsort(given_trace.blocks(given_trace.speed).mean(axis=1)), 3)
+        _, validation, test = parts(split_blocks(given_trace, seed=seed))
+        for part in (validation, test):
+            # Nine of each over three groups of speed: three when dealt in turn, one less where the cut falls.
+            assert min(len(part & set(third.tolist())) for third in thirds) >= 2
+
+
+def test_contiguous_parts_are_one_stretch_each_in_order() -> None:
+    split = split_blocks(trace(20), "contiguous")
+    assert (split.train, split.validation, split.test) == (
+        tuple(range(12)),
+        tuple(range(12, 16)),
+        tuple(range(16, 20)),
+    )
+
+
+def test_a_seed_is_a_split() -> None:
+    drawn = [split_blocks(trace(28), seed=seed) for seed in (1, 1, 2)]
+    assert drawn[0] == drawn[1]
+    assert drawn[0].test != drawn[2].test
+
+
+def test_acceleration_has_no_say() -> None:
+    one = trace(28)
+    other = dataclasses.replace(one, acceleration=one.acceleration[::-1] ** 2)
+    assert split_blocks(one, seed=3) == split_blocks(other, seed=3)
+
+
+def test_the_digest_is_of_everything() -> None:
+    split = split_blocks(trace(28))
+    changed = [
+        dataclasses.replace(split, seed=1),
+        dataclasses.replace(split, method="contiguous"),
+        dataclasses.replace(split, block=11),
+        dataclasses.replace(split, n_blocks=29),
+        dataclasses.replace(split, recording_sha256="abd"),
+        dataclasses.replace(split, test=split.validation, validation=split.test),
+        dataclasses.replace(split, train=split.train[:-1]),
+    ]
+    assert len({s.sha256() for s in (split, *changed)}) == 1 + len(changed)
+
+
+def test_json_round_trip(tmp_path: Path) -> None:
+    split = split_blocks(trace(28), seed=5)
+    assert Split.from_json(split.to_json()) == split
+    split.save(tmp_path / "split.json")
+    document = json.loads((tmp_path / "split.json").read_text())
+    assert document.pop("sha256") == split.sha256() == Split.from_json(json.dumps(document)).sha256()
+    assert [path.name for path in tmp_path.iterdir()] == ["split.json"]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_too_few_blocks_name_the_options(method: str) -> None:
+    with pytest.raises(ValueError, match=r"4 blocks of 10 ms, expected 5 or more.*--block and --trim"):
+        split_blocks(trace(4), method)
+
+
+def test_an_unknown_method_is_refused() -> None:
+    with pytest.raises(ValueError, match="'random', expected one of regrouped, contiguous"):
+        split_blocks(trace(10), "random")

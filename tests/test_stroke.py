@@ -1,0 +1,63 @@
+"""Strokes: from tables and constants to speed and force at the model's rate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from foten.render.stroke import PressureCalibration, constant_stroke, read_stroke
+
+
+def written(path: Path, columns: dict[str, np.ndarray]) -> Path:
+    rows = np.stack(list(columns.values()), axis=1)
+    np.savetxt(path, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.9g")
+    return path
+
+
+def test_a_circle_has_its_speed(tmp_path: Path) -> None:
+    """20 mm radius, one turn a second: 40π mm/s everywhere, sampled at 120 Hz."""
+    t = np.arange(0, 2, 1 / 120)
+    x, y = 20 * np.cos(2 * np.pi * t), 20 * np.sin(2 * np.pi * t)
+    stroke = read_stroke(written(tmp_path / "c.csv", {"t": t, "x": x, "y": y, "force": 0 * t + 1}), 1000.0)
+    # Central differences at 120 Hz take sinc(2π/120) = 0.05 % off; the ends are one-sided.
+    assert stroke.speed[20:-20] == pytest.approx(40 * np.pi, rel=1e-3)
+
+
+def test_time_may_start_anywhere_and_be_uneven(tmp_path: Path) -> None:
+    t = 7.5 + np.array([0.0, 0.1, 0.15, 0.4, 1.0])
+    stroke = read_stroke(written(tmp_path / "u.csv", {"t": t, "speed": 100 * (t - 7.5), "force": t}), 500.0)
+    assert stroke.speed.size == 500
+    np.testing.assert_allclose(stroke.speed, 100 * np.arange(500) / 500, atol=1e-6)
+
+
+def test_columns_come_in_any_order_and_case(tmp_path: Path) -> None:
+    path = tmp_path / "o.csv"
+    path.write_text("Note,Force,T,Speed\na,1,0,10\n\nb,2,1,20\n")
+    stroke = read_stroke(path, 100.0)
+    assert stroke.speed[50] == pytest.approx(15)
+    assert stroke.force[50] == pytest.approx(1.5)
+
+
+def test_pressure_is_equation_12_and_lifting_is_no_force() -> None:
+    force = PressureCalibration().force(np.array([0.0, 0.1, 0.5, 1.0]))
+    assert force[0] == 0.0
+    assert force[1:] == pytest.approx(0.13 * np.exp(3.32 * np.array([0.1, 0.5, 1.0])), rel=1e-12)
+
+
+def test_conditioning_keeps_a_constant_and_slows_a_step() -> None:
+    speed, force = constant_stroke(80.0, 1.2, 0.3, 1000.0).conditioned(20.0)
+    assert speed == pytest.approx(80.0, rel=1e-9)
+    assert force == pytest.approx(1.2, rel=1e-9)
+    stroke = constant_stroke(80.0, 1.2, 0.3, 1000.0)
+    stroke.speed[:100] = 0.0
+    speed, _ = stroke.conditioned(20.0)
+    half = int(np.argmax(speed > 40.0)) - 100
+    assert 8 <= half <= 16  # ms; the low-pass's delay at 0 Hz is 11.2
+
+
+@pytest.mark.parametrize("values", [(-1.0, 1.0, 1.0), (1.0, float("inf"), 1.0), (1.0, 1.0, 0.0)])
+def test_impossible_constants_are_refused(values: tuple[float, float, float]) -> None:
+    with pytest.raises(ValueError, match=r"expected a finite number|less than one sample"):
+        constant_stroke(*values, 1000.0)

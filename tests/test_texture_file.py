@@ -1,0 +1,262 @@
+import dataclasses
+import json
+import pickle
+import struct
+import zipfile
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import SCALING, SMALL
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from safetensors.numpy import save
+
+from foten.architecture import FotenPlusArchitecture
+from foten.texture_file import Texture, read_texture, texture_from_bytes, write_texture
+
+
+def raw(card: Any, tensors: dict[str, np.ndarray]) -> bytes:
+    """Return a file with any card, valid or not."""
+    text = card if isinstance(card, str) else json.dumps(card)
+    return bytes(save({name: np.ascontiguousarray(t) for name, t in tensors.items()}, metadata={"foten": text}))
+
+
+def with_tensor(texture: Texture, name: str, tensor: np.ndarray) -> bytes:
+    return raw(dict(texture.card), {**texture.tensors, name: tensor})
+
+
+def test_a_round_trip_keeps_everything(texture: Texture, tmp_path: Path) -> None:
+    path = tmp_path / "mesh.foten"
+    write_texture(texture, path)
+    found = read_texture(path)
+    assert found.card == texture.card
+    assert set(found.tensors) == set(texture.tensors)
+    for name, tensor in texture.tensors.items():
+        assert found.tensors[name].dtype == tensor.dtype
+        np.testing.assert_array_equal(found.tensors[name], tensor)
+    assert found.sha256() == texture.sha256()
+    assert [p.name for p in tmp_path.iterdir()] == ["mesh.foten"]
+    assert read_texture(str(path)).sha256() == texture.sha256()
+
+
+def test_the_same_texture_is_the_same_bytes(texture: Texture) -> None:
+    shuffled = Texture(
+        card=dict(reversed(texture.card.items())), tensors=dict(reversed(texture.tensors.items()))
+    )
+    assert shuffled.to_bytes() == texture.to_bytes() == texture_from_bytes(texture.to_bytes()).to_bytes()
+
+
+def test_a_header_of_any_length_is_read(texture: Texture) -> None:
+    """The first byte of the file is that of a length, and may be the first of a pickle too."""
+    seen = set()
+    for n in range(0, 256, 8):
+        data = dataclasses.replace(texture, card={**texture.card, "notes": "x" * n}).to_bytes()
+        seen.add(data[0])
+        assert texture_from_bytes(data).card["notes"] == "x" * n
+    assert seen == set(range(0, 256, 8))
+
+
+def test_it_says_what_it_holds(texture: Texture, plain_texture: Texture) -> None:
+    assert (texture.rate_hz, texture.window) == (1000.0, 20)
+    assert texture.architecture == FotenPlusArchitecture(**{**SMALL, "n_layers": 1})
+    assert texture.scaling == SCALING
+    assert texture.trained_range("speed") == (8.0, 220.0)
+    assert texture.trained_range("force") == (0.3, 2.5)
+    assert texture.has_excitation
+    assert not plain_texture.has_excitation
+
+
+def test_every_truncation_is_refused(texture: Texture) -> None:
+    data = texture.to_bytes()
+    header = 8 + struct.unpack("<Q", data[:8])[0]
+    rng = np.random.default_rng(0)
+    lengths = {0, 1, 7, 8, 9, header - 1, header, header + 1, len(data) - 1}
+    lengths |= {int(n) for n in rng.integers(0, header, 20)} | {int(n) for n in rng.integers(header, len(data), 20)}
+    for length in lengths:
+        with pytest.raises(ValueError, match="truncated"):
+            texture_from_bytes(data[:length])
+
+
+def test_the_message_names_the_file(texture: Texture, tmp_path: Path) -> None:
+    path = tmp_path / "half.foten"
+    path.write_bytes(texture.to_bytes()[:1000])
+    with pytest.raises(ValueError, match=r"^half\.foten: .*truncated"):
+        read_texture(path)
+    with pytest.raises(FileNotFoundError):
+        read_texture(tmp_path / "none.foten")
+
+
+def test_pickles_and_checkpoints_are_never_opened(tmp_path: Path) -> None:
+    import torch
+
+    zipped = BytesIO()
+    with zipfile.ZipFile(zipped, "w") as archive:
+        archive.writestr("a", "b")
+    checkpoint = BytesIO()
+    torch.save({"weight": torch.zeros(3)}, checkpoint)
+    touched = tmp_path / "touched"
+
+    class Malicious:
+        def __reduce__(self) -> tuple[Any, ...]:
+            return (Path.touch, (touched,))
+
+    for data in (pickle.dumps(Malicious()), zipped.getvalue(), checkpoint.getvalue()):
+        with pytest.raises(ValueError, match=r"pickle or a PyTorch checkpoint.*never opened"):
+            texture_from_bytes(data)
+    assert not touched.exists()
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"RIFF....WAVEfmt ", b"\x89HDF\r\n\x1a\n" + bytes(100), b"a,b\n1,2\n" * 50, bytes(64), b"\xff" * 64],
+    ids=["empty", "wav", "hdf5", "csv", "zeros", "ones"],
+)
+def test_other_files_are_refused(data: bytes) -> None:
+    with pytest.raises(ValueError, match="texture file"):
+        texture_from_bytes(data)
+
+
+def test_foreign_safetensors_are_refused() -> None:
+    for metadata in (None, {"format": "pt"}):
+        with pytest.raises(ValueError, match="safetensors file without a texture card"):
+            texture_from_bytes(bytes(save({"weight": np.zeros(3)}, metadata=metadata)))
+
+
+@pytest.mark.parametrize(("card", "message"), [("{not json", "not JSON"), ("[1, 2]", "not a JSON object"), ("3", "not a JSON")])
+def test_a_card_that_is_no_card_is_refused(texture: Texture, card: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        texture_from_bytes(raw(card, dict(texture.tensors)))
+
+
+def test_every_key_of_the_card_is_needed_and_has_its_type(texture: Texture) -> None:
+    for key in set(texture.card) - {"format_version"}:
+        without = {k: v for k, v in texture.card.items() if k != key}
+        with pytest.raises(ValueError, match=f"the card has no '{key}'"):
+            texture_from_bytes(raw(without, dict(texture.tensors)))
+        with pytest.raises(ValueError, match=f"'{key}' in the card is True, expected"):
+            texture_from_bytes(raw({**texture.card, key: True}, dict(texture.tensors)))
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"format_version": 2}, "format version 2, expected 1; update foten"),
+        ({"format_version": None}, "format version None"),
+        ({"model": "gan"}, "unknown model 'gan', expected one of foten, foten-plus"),
+        ({"window": 21}, "window 21 and the network 20"),
+        ({"sizes": {"width": 3}}, "the sizes of 'foten-plus' do not fit"),
+        ({"sizes": {"window": 1}}, "window is 1 samples"),
+        ({"sizes": {"window": "20"}}, "do not fit"),
+        ({"rate_hz": 0}, "'rate_hz' in the card is 0"),
+        ({"rate_hz": float("nan")}, "'rate_hz' in the card is nan"),
+        ({"saturation": -1.0}, "'saturation' in the card is -1.0"),
+        ({"lowpass_hz": float("inf")}, "'lowpass_hz' in the card is inf"),
+        ({"trained_range": {"speed": [8.0, 220.0]}}, "trained range of force is None"),
+        ({"trained_range": {"speed": [220.0, 8.0], "force": [0, 1]}}, "trained range of speed"),
+        ({"trained_range": {"speed": [-1.0, 8.0], "force": [0, 1]}}, "trained range of speed"),
+        ({"trained_range": {"speed": [float("nan"), 8.0], "force": [0, 1]}}, "trained range of speed"),
+        ({"trained_range": {"speed": [1, 8, 9], "force": [0, 1]}}, "trained range of speed"),
+        ({"scaling": {"mean": [0, 0, 0]}}, "three means and three standard deviations"),
+        ({"scaling": {"mean": [0, 0], "sd": [1, 1]}}, "three means"),
+        ({"scaling": {"mean": [0, 0, 0], "sd": [1, 0, 1]}}, "speed has mean 0 and standard deviation 0"),
+    ],
+)
+def test_a_card_that_does_not_fit_is_refused(texture: Texture, fields: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        texture_from_bytes(raw({**texture.card, **fields}, dict(texture.tensors)))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("name", ["warm_start", "shortcut", "golden.one_step", "network.head_1.weight"])
+def test_a_tensor_with_nan_is_refused(texture: Texture, name: str, value: float) -> None:
+    tensor = texture.tensors[name].copy()
+    tensor.flat[-1] = value
+    with pytest.raises(ValueError, match=f"tensor '{name}' holds NaN or infinity"):
+        texture_from_bytes(with_tensor(texture, name, tensor))
+
+
+@pytest.mark.parametrize("dtype", [np.int64, np.float16, np.bool_])
+def test_only_floats_of_32_and_64_bits(texture: Texture, dtype: type) -> None:
+    with pytest.raises(ValueError, match="expected float32 or float64"):
+        texture_from_bytes(with_tensor(texture, "shortcut", np.zeros(20, dtype)))
+
+
+@pytest.mark.parametrize(
+    ("name", "shape"),
+    [
+        ("warm_start", (19, 3)),
+        ("warm_start", (20, 2)),
+        ("warm_start", (60,)),
+        ("golden.windows", (34, 21, 3)),
+        ("golden.one_step", (34, 1)),
+        ("golden.condition", (63, 2)),
+        ("golden.closed_loop", (65,)),
+    ],
+)
+def test_a_tensor_of_another_shape_is_refused(texture: Texture, name: str, shape: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match=rf"tensor '{name}' has shape \({shape[0]}.*expected"):
+        texture_from_bytes(with_tensor(texture, name, np.zeros(shape)))
+
+
+@pytest.mark.parametrize(
+    "name", ["warm_start", "golden.windows", "golden.one_step", "golden.condition", "golden.closed_loop"]
+)
+def test_the_proof_cannot_be_left_out(texture: Texture, name: str) -> None:
+    tensors = {other: tensor for other, tensor in texture.tensors.items() if other != name}
+    with pytest.raises(ValueError, match=f"tensor '{name}' has shape None"):
+        texture_from_bytes(raw(dict(texture.card), tensors))
+
+
+@given(position=st.floats(0, 1), value=st.integers(0, 255))
+@settings(max_examples=60, deadline=None)
+def test_a_damaged_header_is_a_value_error_or_none(texture: Texture, position: float, value: int) -> None:
+    data = bytearray(texture.to_bytes())
+    header = 8 + struct.unpack("<Q", data[:8])[0]
+    data[int(position * (header - 1))] = value
+    try:
+        texture_from_bytes(bytes(data))
+    except ValueError as error:
+        assert str(error)
+
+
+def test_a_failing_write_leaves_nothing_behind(texture: Texture, tmp_path: Path) -> None:
+    unwritable = dataclasses.replace(texture, card={**texture.card, "metrics": {"mae": float("nan")}})
+    with pytest.raises(ValueError, match="JSON compliant"):
+        write_texture(unwritable, tmp_path / "a.foten")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_failing_write_keeps_what_was_there(
+    texture: Texture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.foten"
+    write_texture(texture, path)
+    before = path.read_bytes()
+    incomplete = dataclasses.replace(texture, card={k: v for k, v in texture.card.items() if k != "licence"})
+    with pytest.raises(ValueError, match="no 'licence'"):
+        write_texture(incomplete, path)
+
+    def full_disk(self: Path, data: bytes) -> int:
+        with open(self, "wb") as file:
+            file.write(data[:100])
+        raise OSError("no space left")
+
+    monkeypatch.setattr(Path, "write_bytes", full_disk)
+    with pytest.raises(OSError, match="no space"):
+        write_texture(texture, path)
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["a.foten"]
+
+
+def test_a_header_whose_length_begins_like_a_pickle_is_read(texture: Texture) -> None:
+    """Notes of every length in a row give headers of every length mod 256, 0x80 among them."""
+    first_bytes = set()
+    for n in range(0, 256, 8):
+        padded = Texture({**texture.card, "notes": "x" * n}, texture.tensors)
+        data = padded.to_bytes()
+        first_bytes.add(data[0])
+        assert texture_from_bytes(data).card["notes"] == "x" * n
+    assert 0x80 in first_bytes

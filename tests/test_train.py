@@ -1,0 +1,258 @@
+"""Training: what is fitted is found, what is written is reproducible, what is interrupted goes on."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from foten.architecture import FotenArchitecture, FotenPlusArchitecture
+from foten.datasets.simulate import simulate
+from foten.dsp.ar import spectral_radius
+from foten.models import build
+from foten.models.foten_plus import Excitation
+from foten.recording.preprocess import PreprocessConfig
+from foten.recording.recording import Recording
+from foten.recording.scaling import Scaling
+from foten.texture_file import texture_from_bytes
+from foten.train.config import RECIPES, TrainConfig
+from foten.train.excitation import fit_excitation
+from foten.train.fit import Data, Epoch, fit, loss_of, predict
+from foten.train.run import RunFolder
+from foten.train.shortcut import MAX_POLE, fit_shortcut
+from foten.train.train import Trained, train_texture
+
+SMALL = {
+    "d_model": 8,
+    "n_heads": 2,
+    "n_layers": 2,
+    "d_feedforward": 16,
+    "head": (16, 8),
+    "spectral_width": 8,
+    "window": 12,
+}
+QUICK = TrainConfig(epochs=2, batch=512, threads=1)
+SHORT = PreprocessConfig(trim_ms=0, block_ms=500)
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return simulate("linear-twin", 12.0)
+
+
+@pytest.fixture(scope="module")
+def trained(recording: Recording) -> Trained:
+    return train_texture(recording, "foten-plus", FotenPlusArchitecture(**SMALL), QUICK, SHORT)
+
+
+def data_of(samples: np.ndarray, m: int = 12) -> Data:
+    n = np.arange(m, len(samples))
+    return Data(samples, n[: len(n) // 2], n[len(n) // 2 :], m)
+
+
+def test_losses_are_those_of_equation_14() -> None:
+    r = torch.linspace(-5, 5, 101, dtype=torch.float64)
+    huber = loss_of(TrainConfig(delta=1.6))(r, torch.zeros_like(r))
+    expected = torch.where(r.abs() <= 1.6, r**2 / 2, 1.6 * r.abs() - 1.6**2 / 2).mean()
+    assert float(huber) == pytest.approx(float(expected), rel=1e-12)
+    assert float(loss_of(TrainConfig(loss="mae"))(r, 0 * r)) == pytest.approx(
+        float(r.abs().mean()), rel=1e-12
+    )
+    assert float(loss_of(TrainConfig(loss="mse"))(r, 0 * r)) == pytest.approx(float((r**2).mean()), rel=1e-12)
+
+
+def test_paper_recipe_is_the_papers() -> None:
+    paper = RECIPES["paper"]
+    assert (paper.epochs, paper.patience, paper.batch, paper.learning_rate) == (100, 10, 16, 1e-3)
+    assert (paper.loss, paper.delta, paper.schedule, paper.weight_decay, paper.clip_norm) == (
+        "huber",
+        1.6,
+        "constant",
+        0.0,
+        0.0,
+    )
+    assert FotenArchitecture() == FotenArchitecture(20, 32, 4, 3, 128, (256, 64), 0.2)
+
+
+def test_shortcut_recovers_a_known_autoregression() -> None:
+    rng = np.random.default_rng(0)
+    x = np.zeros(20_000)
+    for i in range(2, len(x)):
+        x[i] = 1.5 * x[i - 1] - 0.8 * x[i - 2] + rng.standard_normal()
+    samples = np.stack([x / x.std(), rng.standard_normal(len(x)), rng.standard_normal(len(x))], axis=1)
+    network = build("foten-plus", FotenPlusArchitecture(**SMALL))
+    error = fit_shortcut(network, data_of(samples))
+    taps = network.shortcut.numpy()
+    # 10 000 windows: the standard error of a coefficient is about 1/√10000.
+    assert taps[-1] == pytest.approx(1.5, abs=0.04)
+    assert taps[-2] == pytest.approx(-0.8, abs=0.04)
+    assert np.abs(taps[:-2]).max() < 0.05
+    assert error.std() * x.std() == pytest.approx(1.0, rel=0.02)
+
+
+def test_shortcut_of_a_growing_signal_is_stable() -> None:
+    t = np.arange(3000)
+    x = np.exp(0.001 * t) * np.sin(0.3 * t) + 1e-3 * np.random.default_rng(1).standard_normal(3000)
+    network = build("foten-plus", FotenPlusArchitecture(**SMALL))
+    fit_shortcut(network, data_of(np.stack([x, 0 * x, 0 * x], axis=1)))
+    assert spectral_radius(network.shortcut.numpy()) <= MAX_POLE + 1e-9
+
+
+def test_network_starts_at_its_shortcut() -> None:
+    network = build("foten-plus", FotenPlusArchitecture(**SMALL))
+    network.shortcut.copy_(torch.linspace(-1, 1, 12))
+    windows = torch.randn(5, 12, 3)
+    assert torch.equal(network(windows), network.linear(windows))
+
+
+def test_correction_is_bounded_by_the_level() -> None:
+    torch.manual_seed(0)
+    network = build("foten-plus", FotenPlusArchitecture(**SMALL))
+    torch.nn.init.normal_(network.network.head_3.weight, std=100.0)
+    windows = 50 * torch.randn(200, 12, 3)
+    level = network.level(windows[:, -1, 1:])
+    assert (network.correction(windows).abs() <= 3.0 * level * (1 + 1e-6)).all()
+
+
+def test_excitation_recovers_a_power_law() -> None:
+    rng = np.random.default_rng(2)
+    n = 40_000
+    speed, force = rng.uniform(5, 300, n), rng.uniform(0.2, 4, n)
+    scaling = Scaling((0.0, speed.mean(), force.mean()), (1.0, speed.std(), force.std()))
+    samples = scaling.scale(np.stack([np.zeros(n), speed, force], axis=1))
+    true = 0.3 * (speed / 100) ** 0.8 * force**0.4
+    data = Data(samples, np.arange(1, n), np.arange(1, 2), 1)
+    excitation = Excitation(16)
+    residual = true[:-1] * rng.standard_normal(n - 1)
+    nll = fit_excitation(excitation, data, scaling, residual, seed=0)
+    with torch.no_grad():
+        found = excitation(torch.from_numpy(samples[:, 1:]).float()).numpy()
+    # 40 000 residuals estimate a scale within 1/√(2·40000) = 0.4 %; a flexible σ costs some of it.
+    assert np.abs(np.log(found / true)).mean() < 0.04
+    entropy = float(np.log(true).mean()) + 0.5 * math.log(2 * math.pi * math.e)
+    assert nll == pytest.approx(entropy, abs=0.02)
+
+
+def test_weights_of_the_loss_scale_the_errors() -> None:
+    """Weighting every error by 10 under an absolute loss is ten times the loss."""
+    samples = np.random.default_rng(3).standard_normal((400, 3))
+    config = TrainConfig(epochs=0, loss="mae", threads=1)
+    losses = []
+    for weight in (None, np.full(400, 10.0)):
+        torch.manual_seed(0)
+        network = build("foten", FotenArchitecture(**SMALL))
+        data = dataclasses.replace(data_of(samples), weight=weight)
+        losses.append(fit(network, data, config).epochs[0].validation_loss)
+    assert losses[1] == pytest.approx(10 * losses[0], rel=1e-5)
+
+
+def test_fit_keeps_the_best_epoch_and_stops_by_patience() -> None:
+    samples = np.random.default_rng(4).standard_normal((600, 3))
+    torch.manual_seed(0)
+    network = build("foten", FotenArchitecture(**SMALL))
+    data = data_of(samples)
+    progress = fit(
+        network, data, TrainConfig(epochs=60, patience=3, batch=64, schedule="constant", threads=1)
+    )
+    best = min(progress.epochs, key=lambda line: line.validation_loss)
+    assert progress.epochs[-1].epoch == best.epoch + 3  # white noise: only overfitting is left
+    error = np.abs(samples[data.validation, 0] - predict(network, data, data.validation)).mean()
+    assert error == pytest.approx(best.validation_mae, rel=1e-5)
+
+
+def test_interrupted_training_keeps_the_best(recording: Recording) -> None:
+    def interrupt(line: Epoch) -> None:
+        if line.epoch == 1:
+            raise KeyboardInterrupt
+
+    result = train_texture(
+        recording, "foten-plus", FotenPlusArchitecture(**SMALL), QUICK, SHORT, on_epoch=interrupt
+    )
+    assert result.progress.interrupted
+    assert [line.epoch for line in result.progress.epochs] == [0, 1]
+    assert result.texture.has_excitation
+
+
+def test_resumed_training_gives_the_same_bytes(recording: Recording, trained: Trained, tmp_path) -> None:
+    architecture = FotenPlusArchitecture(**SMALL)
+    checkpoint = tmp_path / "checkpoint.pt"
+
+    def stop(line: Epoch) -> None:
+        if line.epoch == 2:
+            raise KeyboardInterrupt
+
+    train_texture(recording, "foten-plus", architecture, QUICK, SHORT, on_epoch=stop, checkpoint=checkpoint)
+    assert checkpoint.exists()
+    again = train_texture(recording, "foten-plus", architecture, QUICK, SHORT, checkpoint=checkpoint)
+    assert again.texture.to_bytes() == trained.texture.to_bytes()
+
+
+def test_same_seed_gives_the_same_bytes_and_another_does_not(recording: Recording, trained: Trained) -> None:
+    architecture = FotenPlusArchitecture(**SMALL)
+    again = train_texture(recording, "foten-plus", architecture, QUICK, SHORT)
+    assert again.texture.to_bytes() == trained.texture.to_bytes()
+    other = train_texture(recording, "foten-plus", architecture, dataclasses.replace(QUICK, seed=1), SHORT)
+    assert other.texture.to_bytes() != trained.texture.to_bytes()
+
+
+def test_card_says_how_it_came_about(trained: Trained) -> None:
+    card = trained.texture.card
+    assert card["split_sha256"] == trained.split.sha256()
+    assert card["recording_sha256"] == trained.trace.recording_sha256
+    assert card["training"]["seed"] == 0
+    assert (
+        card["metrics"]["validation_mae_scaled"] <= card["metrics"]["validation_mae_scaled_shortcut"] * 1.001
+    )
+    text = json.dumps(card)
+    assert texture_from_bytes(trained.texture.to_bytes()).card == json.loads(text)
+
+
+def test_level_is_settled_in_the_closed_loop(trained: Trained) -> None:
+    errors = trained.texture.card["metrics"]["level_errors_db"]
+    assert abs(errors[-1]) < max(0.3, abs(errors[0]))  # dB; the last is measured before the last adjustment
+
+
+def test_statistics_come_from_the_training_blocks_only(trained: Trained) -> None:
+    trace, split = trained.trace, trained.split
+    blocks = trace.blocks(trace.acceleration)
+    assert trained.texture.scaling.sd[0] == pytest.approx(blocks[list(split.train)].std(), rel=1e-12)
+    assert trained.texture.scaling.sd[0] != pytest.approx(blocks.std(), rel=1e-6)
+
+
+def test_run_folder_writes_nothing_before_the_first_line(tmp_path) -> None:
+    folder = RunFolder(tmp_path / "a.run")
+    folder.open({"x": 1}, resume=False)
+    assert not folder.path.exists()
+    folder.log(Epoch(0, math.nan, 1.0, 1.0, 0.1, True))
+    assert json.loads((folder.path / "config.json").read_text()) == {"x": 1}
+    with pytest.raises(ValueError, match="nothing to resume"):
+        RunFolder(folder.path).open({"x": 1}, resume=True)
+    folder.checkpoint.write_bytes(b"")
+    with pytest.raises(ValueError, match="other settings"):
+        RunFolder(folder.path).open({"x": 2}, resume=True)
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"loss": "l2"}, "expected one of huber, mse, mae"),
+        ({"schedule": "step"}, "one_cycle"),
+        ({"batch": 0}, "batch is 0"),
+        ({"epochs": -1}, "epochs is -1"),
+        ({"learning_rate": 0.0}, "must be positive"),
+    ],
+)
+def test_configuration_refuses(change: dict, match: str) -> None:
+    with pytest.raises(ValueError, match=match):
+        TrainConfig(**change)
+
+
+def test_blocks_shorter_than_two_windows_are_refused(recording: Recording) -> None:
+    with pytest.raises(ValueError, match="longer --block or a shorter --window"):
+        train_texture(
+            recording, "foten", FotenArchitecture(), QUICK, PreprocessConfig(trim_ms=0, block_ms=40)
+        )

@@ -1,0 +1,48 @@
+"""What the judge is told of a simulated recording."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from foten.architecture import FotenPlusArchitecture
+from foten.datasets.simulate import simulate
+from foten.evaluate.evaluate import evaluate
+from foten.experiments.truth import truth_for
+from foten.recording.preprocess import PreprocessConfig
+from foten.train.config import TrainConfig
+from foten.train.train import train_texture
+
+SMALL = FotenPlusArchitecture(
+    window=20, d_model=8, n_heads=2, n_layers=1, d_feedforward=16, head=(16, 8), spectral_width=8
+)
+
+
+def test_a_linear_process_is_predicted_at_its_bound_and_synthesized_at_its_ceiling() -> None:
+    recording = simulate("linear-hum", 24.0)
+    config = TrainConfig(epochs=1, batch=512, threads=1)
+    trained = train_texture(recording, "foten-plus", SMALL, config, PreprocessConfig(block_ms=1000))
+    truth = truth_for(recording, trained.texture)
+    assert len(truth.realisations) == 5
+    document = evaluate(trained.texture, recording, truth).document
+    bound = document["references"]["bound_window"]["mae_scaled"]
+    # Four test blocks of 840 scored samples: the mean absolute error of a Gaussian is known to 0.76/√3360 = 1.3 %.
+    assert 0.96 * bound < document["references"]["ar"]["mae_scaled"] < 1.05 * bound
+    assert document["references"]["bound"]["mae_scaled"] < bound
+    assert document["ceiling"]["of"].startswith("5 further realisations")
+    assert document["free_run"]["lsd_db"] < 1.3 * document["ceiling"]["lsd_db"]
+    assert abs(document["ceiling"]["level_bias_db"]) < 1.0
+
+
+def test_a_recording_that_was_not_simulated_has_no_truth() -> None:
+    recording = dataclasses.replace(simulate("linear-hum", 24.0), simulation=None)
+    config = TrainConfig(epochs=0, threads=1)
+    trained = train_texture(recording, "foten-plus", SMALL, config, PreprocessConfig(block_ms=1000))
+    truth = truth_for(recording, trained.texture)
+    assert truth.bound is None
+    assert not truth.realisations
+    document = evaluate(trained.texture, recording, truth).document
+    assert document["references"]["bound"]["mae_scaled"] is None
+    assert document["ceiling"]["of"] == "the training block nearest in speed and force"
+    assert np.isfinite(document["ceiling"]["lsd_db"])
