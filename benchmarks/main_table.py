@@ -129,6 +129,77 @@ def run_all(arguments: argparse.Namespace) -> None:
         )
 
 
+def _row(documents: list[dict[str, Any]], figure: Any) -> tuple[float, float | None]:
+    """Return mean and standard error over split seeds; no error for one."""
+    values = np.array([figure(document) for document in documents], dtype=float)
+    return float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else None
+
+
+def _cell(value: tuple[float, float | None], digits: int) -> str:
+    mean, error = value
+    return f"{mean:.{digits}f}" + ("" if error is None else f" ± {error:.{digits}f}")
+
+
+def table() -> str:
+    """Return the table as Markdown, from the result files alone."""
+    groups: dict[tuple[str, float], dict[str, list[dict[str, Any]]]] = {}
+    for path in sorted(RESULTS.glob("*.json")):
+        document = json.loads(path.read_text())
+        run = document["run"]
+        groups.setdefault((run["texture"], run["rate_hz"]), {}).setdefault(run["model"], []).append(document)
+    lines = [
+        "| texture | rate | splits | zero | AR(20) | best AR | bound | `foten` | `foten-plus` | ÷ AR(20) "
+        "| LSD | AR(20) | ceiling | level bias | worst sample |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    order = [*REAL, *LINEAR_FAMILY, *TEXTURES]
+    for texture, rate in sorted(groups, key=lambda key: (order.index(key[0]), key[1])):
+        models = groups[texture, rate]
+        plus, paper = models.get("foten-plus", []), models.get("foten", [])
+        if not plus:
+            continue
+
+        def reference(name: str, documents: list[dict[str, Any]] = plus) -> str:
+            if documents[0]["references"][name]["mae_scaled"] is None:
+                return "–"
+            return _cell(_row(documents, lambda d: d["references"][name]["mae_scaled"]), 4)
+
+        def free(name: str, key: str, documents: list[dict[str, Any]] = plus, digits: int = 2) -> str:
+            return _cell(_row(documents, lambda d: d[name][key]), digits)
+
+        ratio = _row(plus, lambda d: d["one_step"]["mae_scaled"] / d["references"]["ar"]["mae_scaled"])
+        cells = [
+            texture,
+            f"{rate / 1000:g} kHz",
+            str(len(plus)),
+            reference("zero"),
+            reference("ar"),
+            reference("ar_best"),
+            reference("bound_window"),
+            _cell(_row(paper, lambda d: d["one_step"]["mae_scaled"]), 4) if paper else "–",
+            _cell(_row(plus, lambda d: d["one_step"]["mae_scaled"]), 4),
+            _cell(ratio, 3),
+            free("free_run", "lsd_db"),
+            free("free_run_ar", "lsd_db"),
+            free("ceiling", "lsd_db"),
+            free("free_run", "level_bias_db"),
+            f"{max(d['free_run']['max_sd'] for d in plus):.1f}",
+        ]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def write_table(arguments: argparse.Namespace) -> None:
+    text = table()
+    if arguments.readme is None:
+        print(text)
+        return
+    begin, end = "<!-- main_table -->", "<!-- /main_table -->"
+    before, _, rest = arguments.readme.read_text().partition(begin)
+    _, _, after = rest.partition(end)
+    arguments.readme.write_text(f"{before}{begin}\n{text}\n{end}{after}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -140,6 +211,9 @@ def main() -> None:
     run.add_argument("--keep", type=Path, help="directory for the texture files")
     run.add_argument("--epochs", type=int)
     run.set_defaults(command=run_all)
+    tabulate = commands.add_parser("table")
+    tabulate.add_argument("--readme", type=Path, help="put the table between its markers in this file")
+    tabulate.set_defaults(command=write_table)
     arguments = parser.parse_args()
     arguments.command(arguments)
 

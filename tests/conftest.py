@@ -60,7 +60,7 @@ def untrained(key: str, architecture: FotenArchitecture | None = None, seed: int
     network = build(key, architecture)
     with torch.no_grad():
         for parameter in network.parameters():
-            parameter += 0.05 * torch.randn_like(parameter)
+            parameter += 0.1 * torch.randn_like(parameter)
         if key == "foten-plus":
             network.shortcut.copy_(torch.from_numpy(resonance(120.0, 0.95, architecture.window)))
             network.shortcut_bias.fill_(0.01)
@@ -71,8 +71,6 @@ def untrained(key: str, architecture: FotenArchitecture | None = None, seed: int
                 scale.out.weight *= 0.3
                 scale.out.bias.fill_(float(np.log(0.3)))
                 scale.power_law.weight.copy_(torch.tensor([[0.7, 0.4]]))
-            # A small correction leaves the loop as stable as its shortcut.
-            network.network.head_3.weight *= 0.3
     return network.eval()
 
 

@@ -1,9 +1,9 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from conftest import resonance
 from scipy.signal import lfilter
 
+from conftest import resonance
 from foten.render.closed_loop import ClosedLoop
 
 
@@ -76,7 +76,9 @@ def test_the_saturator_cuts_counts_and_feeds_back_what_it_cut() -> None:
     start[0, -1, 0], start[1, -1, 0] = 1.0, -1.0
     loop = ClosedLoop(growing, None, start, limit=5.0)
     found = loop.run(np.zeros((2, 4, 2)), None)
-    np.testing.assert_array_equal(found, [[2, 4, 5, 5], [-2, -4, -5, -5]])  # 8 and 10 are cut, 5 doubles again
+    np.testing.assert_array_equal(
+        found, [[2, 4, 5, 5], [-2, -4, -5, -5]]
+    )  # 8 and 10 are cut, 5 doubles again
     assert loop.n_saturated == 4
 
 

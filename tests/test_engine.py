@@ -4,12 +4,12 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from conftest import SMALL, exported, untrained
 
+from conftest import SMALL, exported, untrained
 from foten.architecture import ARCHITECTURES, FotenArchitecture
 from foten.models import MODELS
 from foten.render.engine import ENGINES, engine_for
-from foten.texture_file import Texture
+from foten.texture_file import ONE_STEP_TOLERANCE, Texture
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "default": {},
@@ -52,7 +52,11 @@ def test_the_engine_is_the_network(key: str, variant: str) -> None:
     found = engine.predict(windows)
     assert found.shape == (len(windows),)
     assert expected[smooth].std() > 1e-3
-    np.testing.assert_allclose(found[smooth], expected[smooth], atol=1e-10)  # rounding through six layers
+    # float32 against float64: what the golden windows allow, and as a share where ten-fold windows answer louder.
+    np.testing.assert_allclose(
+        found[smooth], expected[smooth], rtol=ONE_STEP_TOLERANCE, atol=ONE_STEP_TOLERANCE
+    )
+    assert np.abs(found - expected)[smooth].mean() < ONE_STEP_TOLERANCE / 5
     assert np.isfinite(found).all()
 
 
@@ -64,8 +68,8 @@ def test_it_is_stateless_and_takes_windows_in_any_number(key: str) -> None:
     before = windows.copy()
     together = engine.predict(windows)
     alone = np.concatenate([engine.predict(window[None]) for window in windows[::-1]])[::-1]
-    # Products of other shapes sum in another order.
-    np.testing.assert_allclose(alone, together, atol=1e-12)
+    # Products of other shapes sum in another order, in float32.
+    np.testing.assert_allclose(alone, together, atol=ONE_STEP_TOLERANCE)
     np.testing.assert_array_equal(windows, before)
 
 

@@ -3,10 +3,10 @@ import math
 import numpy as np
 import pytest
 import torch
-from conftest import SMALL, untrained
 from torch import Tensor
 from torch.nn.functional import layer_norm, linear
 
+from conftest import SMALL, untrained
 from foten.architecture import FotenArchitecture, FotenPlusArchitecture
 from foten.models import build
 from foten.models.foten_plus import Excitation

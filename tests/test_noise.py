@@ -1,4 +1,5 @@
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -62,7 +63,7 @@ def test_every_sample_is_that_of_plain_integers(key: int, stream: int, first: in
 def test_any_cut_gives_the_same_numbers(cuts: list[int], first: int) -> None:
     whole = gaussian(7, 3, first, 400)
     edges = [0, *sorted(cuts), 400]
-    pieces = [gaussian(7, 3, first + a, b - a) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    pieces = [gaussian(7, 3, first + a, b - a) for a, b in pairwise(edges)]
     np.testing.assert_array_equal(np.concatenate(pieces), whole)
 
 

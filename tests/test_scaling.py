@@ -59,7 +59,7 @@ def test_one_condition_still_scales_to_order_one() -> None:
 
 @pytest.mark.parametrize("value", [0.0, 9.81, 1e6])
 def test_a_constant_acceleration_is_refused(value: float) -> None:
-    with pytest.raises(ValueError, match="acceleration is constant.*right column"):
+    with pytest.raises(ValueError, match=r"acceleration is constant.*right column"):
         fit_scaling(dataclasses.replace(trace(), acceleration=np.full(600, value)), (0, 1))
 
 

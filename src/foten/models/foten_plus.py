@@ -74,14 +74,23 @@ class Excitation(nn.Module):
         self.register_buffer("mean", torch.zeros(2))
         self.register_buffer("sd", torch.ones(2))
         self.register_buffer("floor", torch.tensor([2.0, 0.05]))
+        # A corner of the plane that the hand never visited is no louder than the loudest place that it did.
+        self.register_buffer("highest", torch.full((1,), 1e6))
 
     def forward(self, condition: Tensor) -> Tensor:
         """Return σ, scaled: speed and force (b, 2) scaled → (b,)."""
         logs = self.logarithms(condition)
         features = torch.cat([condition, logs], dim=1)
-        return torch.exp((self.out(torch.tanh(self.hidden(features))) + self.power_law(logs))[:, 0])
+        log_scale = (self.out(torch.tanh(self.hidden(features))) + self.power_law(logs))[:, 0]
+        return torch.minimum(torch.exp(log_scale), self.highest)
 
     def logarithms(self, condition: Tensor) -> Tensor:
         """Return log speed and log force re their means: (b, 2) scaled → (b, 2)."""
         physical = torch.clamp(condition * self.sd + self.mean, min=0.0)
         return torch.log((physical + self.floor) / (self.mean + self.floor))
+
+    @torch.no_grad()
+    def bound(self, condition: Tensor) -> None:
+        """Let σ nowhere exceed its highest value at some conditions (b, 2) scaled, those of the training blocks."""
+        self.highest.fill_(1e6)
+        self.highest.copy_(self(condition).max())

@@ -15,10 +15,10 @@ class TrainConfig:
     """
 
     recipe: str = "default"
-    epochs: int = 20  # at most
+    epochs: int = 16  # at most
     patience: int = 10  # epochs without a better validation loss; Sec. IV-e
-    batch: int = 256  # windows
-    learning_rate: float = 3e-3  # at its highest
+    batch: int = 128  # windows
+    learning_rate: float = 4e-3  # at its highest
     schedule: str = "one_cycle"  # or "constant"
     weight_decay: float = 1e-4
     clip_norm: float = 1.0  # of the gradient; 0 for none

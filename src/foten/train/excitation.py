@@ -46,6 +46,7 @@ def fit_excitation(
         excitation.sd.copy_(torch.tensor(scaling.sd[1:]))
         excitation.out.weight.zero_()
         excitation.power_law.weight.zero_()
+        excitation.highest.fill_(1e6)
         excitation.out.bias.fill_(0.5 * math.log(float(squared.mean()) + 1e-12))
     excitation.double().requires_grad_(True)
     optimiser = torch.optim.LBFGS(
@@ -67,6 +68,7 @@ def fit_excitation(
 
     optimiser.step(closure)
     excitation.float().requires_grad_(False)
+    excitation.bound(condition.float())
     with torch.no_grad():
         sigma = excitation(condition.float()).double()
         return float((torch.log(sigma) + squared / (2 * sigma**2)).mean()) + 0.5 * math.log(2 * math.pi)
@@ -122,4 +124,5 @@ def settle_level(
         with torch.no_grad():
             network.excitation.out.bias += float(step[0])
             network.excitation.power_law.weight += torch.from_numpy(step[None, 1:]).float()
+        network.excitation.bound(torch.from_numpy(data.samples[data.train - 1, 1:]).float())
     return errors

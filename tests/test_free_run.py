@@ -1,0 +1,189 @@
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from scipy.special import polygamma
+
+from conftest import SCALING, resonance
+from foten.evaluate.free_run import free_run, nearest_training_blocks, scored, synthesize, synthesize_linear
+from foten.evaluate.references import fit_linear
+from foten.recording.scaling import Scaling
+from foten.recording.trace import Trace
+from foten.texture_file import ONE_STEP_TOLERANCE, Texture
+
+RATE_HZ, BLOCK = 1000.0, 2000
+
+
+def resonant(*shape: int, seed: int) -> np.ndarray:
+    """Return realisations of one AR(2) process, settled."""
+    noise = np.random.default_rng(seed).standard_normal((*shape[:-1], shape[-1] + 500))
+    return np.asarray(lfilter([1.0], [1.0, *-resonance(120.0, 0.9, 2)[::-1]], noise))[..., 500:]
+
+
+def hand(n_blocks: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    speed = np.repeat(rng.uniform(20, 200, (n_blocks, BLOCK // 40)), 40, axis=1)
+    force = np.repeat(rng.uniform(0.4, 2.4, (n_blocks, BLOCK // 40)), 40, axis=1)
+    return speed, force
+
+
+def figures(recorded: np.ndarray, synthesized: np.ndarray) -> dict[str, Any]:
+    return free_run(recorded, synthesized, *hand(len(recorded)), RATE_HZ, float(recorded.std()))
+
+
+def test_two_realisations_of_one_process_are_as_far_as_chance_sets_them() -> None:
+    """Oracle: the spread of the logarithm of Welch's estimate, a χ² with 2K/(1 + 2(K−1)/(36K)) degrees of freedom."""
+    found = figures(resonant(12, BLOCK, seed=0), resonant(3, 12, BLOCK, seed=1))
+    k = (1600 - 256) // 128 + 1  # Hann segments, half overlapping, over the scored 1600 samples
+    freedom = 2 * k / (1 + 2 * (k - 1) / (36 * k))
+    sd_db = 10 / math.log(10) * math.sqrt(2 * polygamma(1, freedom / 2))
+    # The RMS over about 110 bins, a third of them independent, lies 2 % below that; 36 of them scatter by 2 %.
+    assert found["lsd_db"] == pytest.approx(sd_db, rel=0.06)
+    assert found["lsd_long_db"] < found["lsd_db"] / 2  # pooled over blocks and runs chance shrinks
+    # Frames of 40 samples with poles at 0.9 hold 40·(1 − 0.9⁴)/… ≈ 10 independent values: levels scatter by 2 dB.
+    assert found["level_bias_db"] == pytest.approx(0.0, abs=0.3)
+    assert found["gfc_raw"] == pytest.approx(
+        math.pi / 4, abs=0.03
+    )  # Rayleigh amplitudes; the spectrum's shape
+    assert found["gfc_welch"] > 0.97
+    assert found["kurtosis"] == pytest.approx(3.0, abs=0.15)
+    assert abs(found["level_corr"]) < 0.15  # 4/√480 independent frames each, three runs
+
+
+def test_the_same_signal_is_perfect() -> None:
+    recorded = resonant(4, BLOCK, seed=0)
+    found = figures(recorded, np.stack([recorded, recorded]))
+    for key in ("lsd_db", "lsd_long_db", "level_bias_db", "level_error_db", "modulation_db"):
+        assert found[key] == pytest.approx(0.0, abs=1e-9), key
+    for key in ("gfc_raw", "gfc_welch", "level_corr"):
+        assert found[key] == pytest.approx(1.0, abs=1e-9), key
+    assert found["kurtosis"] == pytest.approx(found["kurtosis_recorded"], rel=1e-12)
+    assert found["level_slopes"] == pytest.approx(found["level_slopes_recorded"], abs=1e-9)
+
+
+@pytest.mark.parametrize("gain", [2.0, 0.5])
+def test_a_gain_shows_as_level_and_as_nothing_else(gain: float) -> None:
+    recorded = resonant(4, BLOCK, seed=0)
+    found = figures(recorded, gain * recorded[None])
+    gain_db = 20 * math.log10(gain)
+    assert found["level_bias_db"] == pytest.approx(gain_db, abs=1e-9)
+    assert found["level_error_db"] == pytest.approx(abs(gain_db), abs=1e-9)
+    assert found["lsd_db"] == pytest.approx(abs(gain_db), abs=1e-9)
+    np.testing.assert_allclose(found["band_errors_db"], gain_db, atol=1e-9)
+    assert found["gfc_raw"] == pytest.approx(1.0, abs=1e-9)
+    assert found["level_corr"] == pytest.approx(1.0, abs=1e-9)
+    assert found["modulation_db"] == pytest.approx(0.0, abs=1e-9)
+    assert found["max_sd"] == pytest.approx(
+        gain * np.abs(recorded[:, scored(BLOCK)]).max() / recorded.std(), rel=1e-9
+    )
+
+
+def test_silence_is_judged_and_not_divided_by() -> None:
+    recorded = resonant(4, BLOCK, seed=0)
+    found = figures(recorded, np.zeros((1, 4, BLOCK)))
+    assert found["lsd_db"] > 60
+    assert found["level_bias_db"] < -25  # the floor is 30 dB below the recorded level
+    assert found["gfc_raw"] == 0.0
+    assert found["level_corr"] is None
+    assert found["max_sd"] == 0.0
+
+
+def test_settling_is_not_scored() -> None:
+    recorded = resonant(4, BLOCK, seed=0)
+    started = recorded[None].copy()
+    started[..., : BLOCK // 5] = 1e3
+    assert figures(recorded, started) == figures(recorded, recorded[None])
+    assert scored(BLOCK) == slice(400, None)
+
+
+def test_a_level_that_follows_the_hand_is_told_from_one_that_does_not() -> None:
+    speed, force = hand(8)
+    level = (speed / 100) ** 0.7 * force**0.35
+    recorded = level * resonant(8, BLOCK, seed=0)
+    faithful, dull = level * resonant(2, 8, BLOCK, seed=1), 1.5 * resonant(2, 8, BLOCK, seed=2)
+    good, bad = (free_run(recorded, s, speed, force, RATE_HZ, 1.0) for s in (faithful, dull))
+    assert good["level_corr"] > 0.75 > 0.2 > abs(bad["level_corr"])
+    # 2 dB a frame over 320 frames and a spread of 0.25 decades: 0.5 dB a decade, in mean over two runs; three of them.
+    assert good["level_slopes"] == pytest.approx((14.0, 7.0), abs=1.5)
+    assert good["level_slopes_recorded"] == pytest.approx((14.0, 7.0), abs=2.0)
+    assert bad["level_slopes"] == pytest.approx((0.0, 0.0), abs=1.5)
+
+
+def test_intervals_hold_their_figures() -> None:
+    found = figures(resonant(10, BLOCK, seed=0), resonant(2, 10, BLOCK, seed=1))
+    for key in ("lsd_db", "gfc_raw", "gfc_welch", "level_bias_db", "level_error_db", "kurtosis"):
+        low, high = found["intervals"][key]
+        assert low <= found[key] <= high
+
+
+def trace(n_blocks: int, block: int = 300, seed: int = 0) -> Trace:
+    rng = np.random.default_rng(seed)
+    return Trace(
+        SCALING.mean[0] + SCALING.sd[0] * resonant(n_blocks * block, seed=seed) / 4,
+        np.repeat(rng.uniform(20, 200, n_blocks), block),
+        np.repeat(rng.uniform(0.4, 2.4, n_blocks), block),
+        RATE_HZ,
+        block,
+    )
+
+
+def test_a_texture_starts_from_each_blocks_own_window(texture: Texture) -> None:
+    recorded = trace(4)
+    out, n_saturated = synthesize(texture, recorded, (1, 3), excitation=True, n_seeds=3)
+    assert out.shape == (3, 2, 300)
+    assert n_saturated == 0
+    expected = recorded.blocks(recorded.acceleration)[[1, 3], :20]
+    np.testing.assert_array_equal(out[:, :, :20], np.broadcast_to(expected, (3, 2, 20)))
+    flat = out[:, :, 20:].reshape(6, -1)
+    assert np.abs(np.corrcoef(flat) - np.eye(6)).max() < 0.9  # six streams of noise, all different
+    again, _ = synthesize(texture, recorded, (1, 3), excitation=True, n_seeds=3)
+    np.testing.assert_array_equal(again, out)
+    other, _ = synthesize(texture, recorded, (1, 3), excitation=True, seed=1, n_seeds=3)
+    assert not np.array_equal(other, out)
+
+
+def test_without_excitation_there_is_one_run(texture: Texture, plain_texture: Texture) -> None:
+    for given in (texture, plain_texture):
+        out, _ = synthesize(given, trace(3), (0, 2), excitation=False)
+        assert out.shape == (1, 2, 300)
+
+
+def test_the_first_free_sample_is_the_one_step_prediction(texture: Texture) -> None:
+    from foten.render.engine import engine_for
+
+    recorded = trace(3)
+    out, _ = synthesize(texture, recorded, (0, 1, 2), excitation=False)
+    windows = texture.scaling.scale(recorded.stacked()).reshape(3, 300, 3)[:, :20]
+    expected = texture.scaling.unscale_acceleration(engine_for(texture).predict(windows))
+    np.testing.assert_allclose(out[0, :, 20], expected, atol=ONE_STEP_TOLERANCE * SCALING.sd[0])
+
+
+def test_a_linear_predictor_with_noise_gives_its_process_back() -> None:
+    process = resonant(30_000, seed=5)
+    rest = np.zeros(30_000)
+    recorded = Trace(3 + 2 * process, rest, rest, RATE_HZ, 1000)
+    scaling = Scaling((3.0, 0.0, 0.0), (2.0, 1.0, 1.0))
+    fitted = fit_linear(scaling.scale(recorded.stacked()), tuple(range(20)), 1000, 5)
+    assert fitted is not None
+    out = synthesize_linear(fitted, recorded, tuple(range(20, 30)), scaling, n_seeds=4)
+    assert out.shape == (4, 10, 1000)
+    np.testing.assert_allclose(out[0, :, :5], recorded.blocks(recorded.acceleration)[20:, :5], rtol=1e-12)
+    # Poles at 0.9 leave 0.2 independent values a sample: the recorded RMS is known to 1/√(2·0.2·20 000) = 1.1 %.
+    assert out.std() == pytest.approx(recorded.acceleration.std(), rel=0.04)
+    assert out.mean() == pytest.approx(3.0, abs=0.1)
+
+
+def test_the_nearest_training_block_is_nearest_in_speed_and_force() -> None:
+    block = 50
+    speed, force = (
+        np.repeat([10.0, 100.0, 100.0, 98.0, 15.0], block),
+        np.repeat([1.0, 1.0, 2.0, 1.9, 1.1], block),
+    )
+    recorded = Trace(np.repeat(np.arange(5.0), block), speed, force, RATE_HZ, block)
+    found = nearest_training_blocks(recorded, (3, 4), (0, 1, 2))
+    assert found.shape == (1, 2, block)
+    np.testing.assert_array_equal(found[0, :, 0], [2, 0])
+    still = Trace(recorded.acceleration, np.full(250, 80.0), force, RATE_HZ, block)
+    np.testing.assert_array_equal(nearest_training_blocks(still, (3,), (0, 1, 2))[0, :, 0], [2])
