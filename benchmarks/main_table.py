@@ -140,6 +140,16 @@ def _cell(value: tuple[float, float | None], digits: int) -> str:
     return f"{mean:.{digits}f}" + ("" if error is None else f" ± {error:.{digits}f}")
 
 
+def _reference(documents: list[dict[str, Any]], name: str) -> str:
+    if documents[0]["references"][name]["mae_scaled"] is None:
+        return "–"
+    return _cell(_row(documents, lambda d: d["references"][name]["mae_scaled"]), 4)
+
+
+def _free(documents: list[dict[str, Any]], name: str, key: str) -> str:
+    return _cell(_row(documents, lambda d: d[name][key]), 2)
+
+
 def table() -> str:
     """Return the table as Markdown, from the result files alone."""
     groups: dict[tuple[str, float], dict[str, list[dict[str, Any]]]] = {}
@@ -159,30 +169,22 @@ def table() -> str:
         if not plus:
             continue
 
-        def reference(name: str, documents: list[dict[str, Any]] = plus) -> str:
-            if documents[0]["references"][name]["mae_scaled"] is None:
-                return "–"
-            return _cell(_row(documents, lambda d: d["references"][name]["mae_scaled"]), 4)
-
-        def free(name: str, key: str, documents: list[dict[str, Any]] = plus, digits: int = 2) -> str:
-            return _cell(_row(documents, lambda d: d[name][key]), digits)
-
         ratio = _row(plus, lambda d: d["one_step"]["mae_scaled"] / d["references"]["ar"]["mae_scaled"])
         cells = [
             texture,
             f"{rate / 1000:g} kHz",
             str(len(plus)),
-            reference("zero"),
-            reference("ar"),
-            reference("ar_best"),
-            reference("bound_window"),
+            _reference(plus, "zero"),
+            _reference(plus, "ar"),
+            _reference(plus, "ar_best"),
+            _reference(plus, "bound_window"),
             _cell(_row(paper, lambda d: d["one_step"]["mae_scaled"]), 4) if paper else "–",
             _cell(_row(plus, lambda d: d["one_step"]["mae_scaled"]), 4),
             _cell(ratio, 3),
-            free("free_run", "lsd_db"),
-            free("free_run_ar", "lsd_db"),
-            free("ceiling", "lsd_db"),
-            free("free_run", "level_bias_db"),
+            _free(plus, "free_run", "lsd_db"),
+            _free(plus, "free_run_ar", "lsd_db"),
+            _free(plus, "ceiling", "lsd_db"),
+            _free(plus, "free_run", "level_bias_db"),
             f"{max(d['free_run']['max_sd'] for d in plus):.1f}",
         ]
         lines.append("| " + " | ".join(cells) + " |")

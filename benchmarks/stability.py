@@ -39,9 +39,13 @@ def into(values: np.ndarray, low: float, high: float) -> np.ndarray:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("textures", nargs="+", type=Path)
-    parser.add_argument("--minutes", type=float, default=10.0, help="in each of the two kinds of strokes together")
+    parser.add_argument(
+        "--minutes", type=float, default=10.0, help="in each of the two kinds of strokes together"
+    )
     parser.add_argument("--streams", type=int, default=60)
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()

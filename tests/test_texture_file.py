@@ -162,8 +162,8 @@ def test_every_key_of_the_card_is_needed_and_has_its_type(texture: Texture) -> N
         ({"model": "gan"}, "unknown model 'gan', expected one of foten, foten-plus"),
         ({"window": 21}, "window 21 and the network 20"),
         ({"sizes": {"width": 3}}, "the sizes of 'foten-plus' do not fit"),
-        ({"sizes": {"window": 1}}, "window is 1 samples"),
-        ({"sizes": {"window": "20"}}, "do not fit"),
+        ({"sizes": {"window": 1}}, "window is 1"),
+        ({"sizes": {"window": "20"}}, "window is '20'"),
         ({"rate_hz": 0}, "'rate_hz' in the card is 0"),
         ({"rate_hz": float("nan")}, "'rate_hz' in the card is nan"),
         ({"saturation": -1.0}, "'saturation' in the card is -1.0"),
@@ -220,8 +220,30 @@ def test_a_tensor_of_another_shape_is_refused(texture: Texture, name: str, shape
 )
 def test_the_proof_cannot_be_left_out(texture: Texture, name: str) -> None:
     tensors = {other: tensor for other, tensor in texture.tensors.items() if other != name}
-    with pytest.raises(ValueError, match=f"tensor '{name}' has shape None"):
+    with pytest.raises(ValueError, match=f"tensor '{name}' has shape None|proves nothing"):
         texture_from_bytes(raw(dict(texture.card), tensors))
+
+
+@pytest.mark.parametrize(
+    ("fields", "match"),
+    [
+        ({"sizes": {"n_heads": 0}}, "n_heads is 0"),
+        ({"trained_range": {"speed": ["a", "b"], "force": [0, 1]}}, "trained range of speed"),
+        ({"trained_range": {"speed": [None, 1], "force": [0, 1]}}, "trained range of speed"),
+        ({"scaling": {"mean": ["a", 0, 0], "sd": [1, 1, 1]}}, "three means"),
+        ({"scaling": {"mean": [None, 0, 0], "sd": [1, 1, 1]}}, "three means"),
+        ({"rate_hz": 10**400}, "expected a positive number"),
+    ],
+)
+def test_a_card_of_wrong_types_is_a_value_error(texture: Texture, fields: dict, match: str) -> None:
+    with pytest.raises(ValueError, match=match):
+        texture_from_bytes(raw({**texture.card, **fields}, dict(texture.tensors)))
+
+
+def test_an_unknown_tensor_is_refused(plain_texture: Texture) -> None:
+    tensors = {**plain_texture.tensors, "golden.sigma": plain_texture.tensors["golden.one_step"]}
+    with pytest.raises(ValueError, match="'golden.sigma' that 'foten' does not have"):
+        texture_from_bytes(raw(dict(plain_texture.card), tensors))
 
 
 @given(position=st.floats(0, 1), value=st.integers(0, 255))

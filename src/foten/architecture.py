@@ -29,16 +29,28 @@ class FotenArchitecture:
     phase_input: str = "angle"  # or "cos_sin"
 
     def __post_init__(self) -> None:
-        if self.window < 2:
-            raise ValueError(f"window is {self.window} samples, expected 2 or more")
+        least = {
+            "window": 2,
+            "d_model": 1,
+            "n_heads": 1,
+            "n_layers": 1,
+            "d_feedforward": 1,
+            "spectral_width": 1,
+        }
+        for name, minimum in least.items():
+            _check_count(name, getattr(self, name), minimum)
+        if not isinstance(self.head, list | tuple) or len(self.head) != 2:
+            raise ValueError(f"head is {self.head!r}, expected the widths of two layers")
+        for width in self.head:
+            _check_count("head", width, 1)
         if self.d_model % self.n_heads or (self.spectral_width > 1 and self.spectral_width % self.n_heads):
             raise ValueError(
                 f"widths {self.d_model} and {self.spectral_width} do not divide into {self.n_heads} heads"
             )
         if self.phase_input not in ("angle", "cos_sin"):
             raise ValueError(f"phase_input is {self.phase_input!r}, expected 'angle' or 'cos_sin'")
-        if not 0 <= self.dropout < 1:
-            raise ValueError(f"dropout is {self.dropout}, expected from 0 to below 1")
+        if type(self.dropout) not in (int, float) or not 0 <= self.dropout < 1:
+            raise ValueError(f"dropout is {self.dropout!r}, expected from 0 to below 1")
         object.__setattr__(self, "head", tuple(self.head))
 
 
@@ -54,6 +66,18 @@ class FotenPlusArchitecture(FotenArchitecture):
         3.0  # in standard deviations of the shortcut's error; |correction| stays below it
     )
     excitation_width: int = 16  # hidden units of log σ(speed, force)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_count("excitation_width", self.excitation_width, 1)
+        if type(self.correction_limit) not in (int, float) or not 0 < self.correction_limit < 1e6:
+            raise ValueError(f"correction_limit is {self.correction_limit!r}, expected a positive number")
+
+
+def _check_count(name: str, value: object, minimum: int) -> None:
+    # 65536 bounds what a damaged file can make a program allocate.
+    if type(value) is not int or not minimum <= value <= 65536:
+        raise ValueError(f"{name} is {value!r}, expected a whole number, {minimum} or more")
 
 
 ARCHITECTURES: dict[str, type[FotenArchitecture]] = {
@@ -80,3 +104,54 @@ def sizes(architecture: FotenArchitecture) -> dict[str, Any]:
     """Return the sizes as plain JSON values."""
     fields = asdict(architecture)
     return {**fields, "head": list(fields["head"])}
+
+
+def tensor_shapes(key: str, architecture: FotenArchitecture) -> dict[str, tuple[int, ...]]:
+    """Return the name and shape of every tensor of a network, as a texture file holds them.
+
+    Linear maps are (outputs, inputs), as in PyTorch.
+    """
+    if isinstance(architecture, FotenPlusArchitecture):
+        shapes = {f"network.{name}": shape for name, shape in _foten_shapes(architecture).items()}
+        shapes |= {"shortcut": (architecture.window,), "shortcut_bias": (1,), "mean_level": (1,)}
+        for name in ("level", "excitation"):
+            shapes |= _linear(f"{name}.hidden", architecture.excitation_width, 4)
+            shapes |= _linear(f"{name}.out", 1, architecture.excitation_width)
+            shapes |= {f"{name}.power_law.weight": (1, 2), f"{name}.highest": (1,)}
+            shapes |= {f"{name}.{part}": (2,) for part in ("mean", "sd", "floor")}
+        return shapes
+    return _foten_shapes(architecture)
+
+
+def _linear(name: str, outputs: int, inputs: int) -> dict[str, tuple[int, ...]]:
+    return {f"{name}.weight": (outputs, inputs), f"{name}.bias": (outputs,)}
+
+
+def _encoder(name: str, width: int, d_feedforward: int) -> dict[str, tuple[int, ...]]:
+    shapes = _linear(f"{name}.attention_in", 3 * width, width) | _linear(
+        f"{name}.attention_out", width, width
+    )
+    shapes |= _linear(f"{name}.feedforward_in", d_feedforward, width)
+    shapes |= _linear(f"{name}.feedforward_out", width, d_feedforward)
+    return shapes | {
+        f"{name}.{norm}.{part}": (width,) for norm in ("norm_1", "norm_2") for part in ("weight", "bias")
+    }
+
+
+def _foten_shapes(architecture: FotenArchitecture) -> dict[str, tuple[int, ...]]:
+    d, width, (first, second) = architecture.d_model, architecture.spectral_width, architecture.head
+    shapes = _linear("temporal.embedding", d, 1)
+    for layer in range(architecture.n_layers):
+        shapes |= _encoder(f"temporal.layers.{layer}", d, architecture.d_feedforward)
+    if architecture.pre_norm:
+        shapes |= {"temporal.norm.weight": (d,), "temporal.norm.bias": (d,)}
+    for name, n_inputs in (("magnitude", 1), ("phase", 2 if architecture.phase_input == "cos_sin" else 1)):
+        shapes |= _encoder(f"spectral.{name}_layer", width, architecture.d_feedforward)
+        if width > 1:
+            shapes |= _linear(f"spectral.{name}_in", width, n_inputs) | _linear(
+                f"spectral.{name}_out", 1, width
+            )
+    if architecture.bin_embedding:
+        shapes["spectral.bins"] = (architecture.window, width)
+    shapes |= _linear("spectral_embedding", d, 1) | _linear("head_1", first, 2 * d + 2)
+    return shapes | _linear("head_2", second, first) | _linear("head_3", 1, second)

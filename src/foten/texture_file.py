@@ -27,12 +27,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.architecture import FotenArchitecture, architecture_from
+from foten.architecture import FotenArchitecture, FotenPlusArchitecture, architecture_from, tensor_shapes
 from foten.recording.scaling import Scaling
 
 FORMAT_VERSION = 1
 ONE_STEP_TOLERANCE = 1e-5  # scaled; float32 arithmetic of the network
 CLOSED_LOOP_TOLERANCE = 1e-4  # scaled, after 64 steps
+MIN_GOLDEN = 8  # windows
 _MAX_HEADER = 100_000_000  # bytes; the safetensors limit
 
 _CARD: Mapping[str, type | tuple[type, ...]] = {
@@ -99,7 +100,7 @@ class Texture:
     @property
     def has_excitation(self) -> bool:
         """Return whether the file carries σ(speed, force)."""
-        return "golden.sigma" in self.tensors
+        return isinstance(self.architecture, FotenPlusArchitecture)
 
     def trained_range(self, channel: str) -> tuple[float, float]:
         """Return the lowest and highest trained `speed` [mm/s] or `force` [N]."""
@@ -201,16 +202,23 @@ def check_card(card: Any) -> None:
     if architecture.window != card["window"]:
         raise ValueError(f"the card has window {card['window']} and the network {architecture.window}")
     for key in ("rate_hz", "saturation", "lowpass_hz"):
-        if not (np.isfinite(card[key]) and card[key] > 0):
+        if not (_are_numbers([card[key]], 1) and card[key] > 0):
             raise ValueError(f"{key!r} in the card is {card[key]}, expected a positive number")
     for channel in ("speed", "force"):
         bounds = card["trained_range"].get(channel)
-        if not (isinstance(bounds, list) and len(bounds) == 2 and 0 <= bounds[0] <= bounds[1] < np.inf):
+        if not (_are_numbers(bounds, 2) and 0 <= bounds[0] <= bounds[1]):
             raise ValueError(f"the trained range of {channel} is {bounds!r}, expected [low, high]")
     scaling = card["scaling"]
-    if not all(isinstance(scaling.get(key), list) and len(scaling[key]) == 3 for key in ("mean", "sd")):
+    if not all(_are_numbers(scaling.get(key), 3) for key in ("mean", "sd")):
         raise ValueError("the scaling in the card is not three means and three standard deviations")
     Scaling(mean=tuple(scaling["mean"]), sd=tuple(scaling["sd"]))
+
+
+def _are_numbers(values: Any, n: int) -> bool:
+    """Return whether a JSON value is a list of n numbers that a float64 holds."""
+    if not isinstance(values, list) or len(values) != n:
+        return False
+    return all(type(v) in (int, float) and abs(v) < 1e300 for v in values)  # NaN compares false
 
 
 def _check_tensors(texture: Texture) -> None:
@@ -220,17 +228,27 @@ def _check_tensors(texture: Texture) -> None:
         if not np.isfinite(tensor).all():
             raise ValueError(f"tensor {name!r} holds NaN or infinity")
     m = texture.window
-    for name, shape in {
+    n_golden = len(texture.tensors.get("golden.one_step", ()))
+    if n_golden < MIN_GOLDEN:
+        raise ValueError(
+            f"the file holds {n_golden} golden windows, expected {MIN_GOLDEN} or more: it proves nothing"
+        )
+    shapes = {
+        **tensor_shapes(texture.card["model"], texture.architecture),
         "warm_start": (m, 3),
-        "golden.windows": (None, m, 3),
-        "golden.one_step": (None,),
+        "golden.windows": (n_golden, m, 3),
+        "golden.one_step": (n_golden,),
         "golden.condition": (64, 2),
         "golden.closed_loop": (64,),
-    }.items():
+    }
+    if texture.has_excitation:
+        shapes["golden.sigma"] = (n_golden,)
+    for name, shape in shapes.items():
         found = texture.tensors[name].shape if name in texture.tensors else None
-        if (
-            found is None
-            or len(found) != len(shape)
-            or any(a not in (None, b) for a, b in zip(shape, found, strict=True))
-        ):
+        if found != shape:
             raise ValueError(f"tensor {name!r} has shape {found}, expected {shape}")
+    unknown = sorted(set(texture.tensors) - set(shapes))
+    if unknown:
+        raise ValueError(
+            f"the file holds a tensor {unknown[0]!r} that {texture.card['model']!r} does not have"
+        )

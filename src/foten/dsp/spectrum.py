@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+WEAKEST_BIN = 1e-10  # of a window's energy; float32 rounding leaves about 1e-13 in a bin that should be empty
+
 
 def dft_matrices(m: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the real and imaginary part of Eq. 6 as matrices: Z = a @ real + i · a @ imaginary, each (m, m).

@@ -26,8 +26,9 @@ def intervals(
     rng = np.random.default_rng(seed)
     drawn = [figures(rng.integers(0, n_blocks, n_blocks)) for _ in range(N_RESAMPLES)]
     found: dict[str, list[float]] = {}
-    for name, value in drawn[0].items():
-        if isinstance(value, float):
-            low, high = np.percentile([d[name] for d in drawn if d[name] is not None], [2.5, 97.5])
+    for name in drawn[0]:
+        values = [d[name] for d in drawn if isinstance(d[name], float)]
+        if values:
+            low, high = np.percentile(values, [2.5, 97.5])
             found[name] = [float(low), float(high)]
     return found

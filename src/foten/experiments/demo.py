@@ -45,6 +45,7 @@ def run_demo(
     paths = {"recording": directory / f"{key}.h5", "texture": directory / f"{key}.foten"}
     write_recording(recording, paths["recording"])
     say("2/5 inspecting it")
+    (directory / "inspect").mkdir(exist_ok=True)
     write_pictures(recording, inspect_recording(recording), directory / "inspect")
     say(f"3/5 training foten-plus, at most {epochs} epochs")
     config = dataclasses.replace(RECIPES["default"], epochs=epochs, seed=seed, threads=threads)

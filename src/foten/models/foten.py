@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from foten.architecture import FotenArchitecture
-from foten.dsp.spectrum import dft_matrices, last_sample_row, position_encoding
+from foten.dsp.spectrum import WEAKEST_BIN, dft_matrices, last_sample_row, position_encoding
 from foten.models.encoder import EncoderLayer
 
 
@@ -72,7 +72,11 @@ class SpectralBranch(nn.Module):
         real = acceleration @ self.real.to(dtype)
         # −0 would turn the angle of a negative real bin from π to −π.
         imaginary = acceleration @ self.imaginary.to(dtype) + 0.0
-        magnitude = torch.sqrt(real * real + imaginary * imaginary + 1e-16)
+        power = real * real + imaginary * imaginary
+        # A bin that holds nothing but rounding has no phase: it would differ from one processor to the next.
+        heard = power > WEAKEST_BIN * power.sum(dim=1, keepdim=True)
+        real, imaginary = torch.where(heard, real, 0.0), torch.where(heard, imaginary, 0.0)
+        magnitude = torch.sqrt(power + 1e-16)
         if self.phase_input == "cos_sin":
             phase = torch.stack([real / magnitude, imaginary / magnitude], dim=-1)
         else:

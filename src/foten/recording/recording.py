@@ -111,7 +111,7 @@ class Recording:
         digest = hashlib.sha256()
         for name in sorted(self.channels):
             channel = self.channels[name]
-            digest.update(f"{name} {channel.rate_hz!r} {channel.samples.size}\n".encode())
+            digest.update(f"{name} {float(channel.rate_hz)!r} {channel.samples.size}\n".encode())
             digest.update(np.ascontiguousarray(channel.samples, dtype="<f8").tobytes())
             if channel.times_s is not None:
                 digest.update(np.ascontiguousarray(channel.times_s, dtype="<f8").tobytes())

@@ -20,7 +20,7 @@ def fit_shortcut(network: FotenPlus, data: Data) -> NDArray[np.float64]:
     """Set the shortcut to the least-squares linear prediction from the acceleration window, made stable.
 
     Returns:
-        Its error on the training blocks, scaled, shape (len(data.train),).
+        Its error at the training, then the validation indices, scaled.
     """
     windows = data.samples[window_indices(data.train, data.window), 0]
     design = np.concatenate([windows, np.ones((len(windows), 1))], axis=1)
@@ -29,4 +29,5 @@ def fit_shortcut(network: FotenPlus, data: Data) -> NDArray[np.float64]:
     device = network.shortcut.device
     network.shortcut.copy_(torch.from_numpy(taps).to(device))
     network.shortcut_bias.copy_(torch.from_numpy(coefficients[-1:]).to(device))
-    return data.samples[data.train, 0] - windows @ taps - coefficients[-1]
+    n = np.concatenate([data.train, data.validation])
+    return data.samples[n, 0] - data.samples[window_indices(n, data.window), 0] @ taps - coefficients[-1]

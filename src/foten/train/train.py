@@ -82,13 +82,13 @@ def train_texture(
         shortcut_mae = None
         if isinstance(network, FotenPlus):
             on_stage("fitting the linear shortcut")
-            fit_excitation(network.level, data, scaling, fit_shortcut(network, data), config.seed)
+            linear_error = fit_shortcut(network, data)
+            shortcut_mae = float(np.abs(linear_error[len(data.train) :]).mean())
+            fit_excitation(network.level, data, scaling, linear_error, config.seed)
             level = _scale_at(network.level, samples)
             mean_level = float(np.exp(np.log(level[data.train]).mean()))
             network.mean_level.fill_(mean_level)
             data = replace(data, weight=(mean_level / level) ** LEVELLING)
-            linear = samples[data.validation, 0] - _shortcut(network, data, data.validation)
-            shortcut_mae = float(np.abs(linear).mean())
         training_samples = trace.stacked().reshape(trace.n_blocks, trace.block, 3)[list(split.train)]
         low, high = training_samples.min(axis=(0, 1)), training_samples.max(axis=(0, 1))
         peak = float(np.abs(scaling.scale(training_samples)[..., 0]).max())
@@ -98,7 +98,8 @@ def train_texture(
         likelihood = level_errors = None
         if isinstance(network, FotenPlus):
             on_stage("fitting the excitation")
-            residual = samples[data.train, 0] - predict(network, data, data.train)
+            both = np.concatenate([data.train, data.validation])
+            residual = samples[both, 0] - predict(network, data, both)
             likelihood = fit_excitation(network.excitation, data, scaling, residual, config.seed)
             on_stage("settling the level in the closed loop")
             level_errors = settle_level(
@@ -134,7 +135,7 @@ def train_texture(
                 "validation_loss": best.validation_loss,
                 "validation_mae_scaled": best.validation_mae,
                 "validation_mae_scaled_shortcut": shortcut_mae,
-                "train_nll": likelihood,
+                "validation_nll": likelihood,
                 "level_errors_db": level_errors,
                 "best_epoch": best.epoch,
                 "n_epochs": progress.epochs[-1].epoch,
@@ -180,8 +181,3 @@ def _scale_at(excitation: Excitation, samples: NDArray[np.float64]) -> NDArray[n
     condition = np.concatenate([samples[:1, 1:], samples[:-1, 1:]])
     with torch.no_grad():
         return excitation(torch.from_numpy(condition).to(excitation.out.weight)).cpu().double().numpy()
-
-
-def _shortcut(network: FotenPlus, data: Data, n: NDArray[np.int64]) -> NDArray[np.float64]:
-    taps = network.shortcut.cpu().numpy()
-    return windows(data.samples, n, data.window)[:, :, 0] @ taps + float(network.shortcut_bias)

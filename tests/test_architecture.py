@@ -1,0 +1,63 @@
+"""The sizes of the networks and the tensors that follow from them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from foten.architecture import ARCHITECTURES, architecture_from, sizes, tensor_shapes
+from foten.models import build
+
+VARIANTS: list[dict[str, Any]] = [
+    {},
+    {"pre_norm": False, "n_layers": 1},
+    {"phase_input": "cos_sin", "bin_embedding": True, "window": 7},
+    {"spectral_width": 1},
+]
+
+
+@pytest.mark.parametrize("key", ARCHITECTURES)
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_tensor_shapes_are_the_networks(key: str, variant: dict[str, Any]) -> None:
+    architecture = ARCHITECTURES[key](**variant)
+    state = build(key, architecture).state_dict()
+    assert tensor_shapes(key, architecture) == {name: tuple(tensor.shape) for name, tensor in state.items()}
+
+
+@pytest.mark.parametrize("key", ARCHITECTURES)
+def test_sizes_round_trip(key: str) -> None:
+    architecture = ARCHITECTURES[key](window=9, head=(12, 5))
+    assert architecture_from(key, sizes(architecture)) == architecture
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"window": 1}, "window is 1"),
+        ({"n_heads": 0}, "n_heads is 0"),
+        ({"n_heads": -2}, "n_heads is -2"),
+        ({"n_layers": 0}, "n_layers is 0"),
+        ({"n_layers": 2.0}, "n_layers is 2.0"),
+        ({"d_model": 10**9}, "d_model is 1000000000"),
+        ({"d_model": 30}, "do not divide"),
+        ({"spectral_width": 0}, "spectral_width is 0"),
+        ({"head": [10]}, "two layers"),
+        ({"head": "ab"}, "two layers"),
+        ({"head": [10, 0]}, "head is 0"),
+        ({"dropout": 1.0}, "dropout is 1.0"),
+        ({"phase_input": "sine"}, "cos_sin"),
+        ({"excitation_width": 0}, "excitation_width is 0"),
+        ({"correction_limit": 0}, "correction_limit is 0"),
+        ({"correction_limit": "3"}, "correction_limit is '3'"),
+        ({"width": 3}, "do not fit"),
+    ],
+)
+def test_impossible_sizes_are_refused(change: dict[str, Any], match: str) -> None:
+    with pytest.raises(ValueError, match=match):
+        architecture_from("foten-plus", change)
+
+
+def test_unknown_models_are_refused() -> None:
+    with pytest.raises(ValueError, match="expected one of foten, foten-plus"):
+        architecture_from("fotan", {})
