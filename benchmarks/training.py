@@ -33,7 +33,7 @@ from foten.train.fit import Data, Epoch, fit, pick_device, reproducible
 
 def history(key: str, data: Data, config: TrainConfig) -> list[Epoch]:
     """Return the log of one training from the same initial weights."""
-    with reproducible(config.threads):
+    with reproducible():
         torch.manual_seed(config.seed)
         network = build(key, ARCHITECTURES[key]()).to(pick_device())
 

@@ -262,7 +262,7 @@ def test_the_excitation_is_a_power_law_where_its_network_is_silent() -> None:
         sigma.sd.copy_(torch.tensor([60.0, 0.5]))
         sigma.out.weight.zero_()
         sigma.out.bias.zero_()
-        sigma.power_law.weight.copy_(torch.tensor([[0.7, 0.4]]))
+        sigma.power_law.weight.copy_(torch.tensor([[0.7, 0.4, 0.0, 0.0, 0.0]]))
         scaled = torch.from_numpy(np.stack([(speed - 100) / 60, (force - 1) / 0.5], axis=1))
         expected = ((speed + 2) / 102) ** 0.7 * ((force + 0.05) / 1.05) ** 0.4
         # Exponents and floors come from float32.

@@ -117,7 +117,7 @@ def tensor_shapes(key: str, architecture: FotenArchitecture) -> dict[str, tuple[
         for name in ("level", "excitation"):
             shapes |= _linear(f"{name}.hidden", architecture.excitation_width, 4)
             shapes |= _linear(f"{name}.out", 1, architecture.excitation_width)
-            shapes |= {f"{name}.power_law.weight": (1, 2), f"{name}.highest": (1,)}
+            shapes |= {f"{name}.power_law.weight": (1, 5), f"{name}.highest": (1,)}
             shapes |= {f"{name}.{part}": (2,) for part in ("mean", "sd", "floor")}
         return shapes
     return _foten_shapes(architecture)

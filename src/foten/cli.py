@@ -309,7 +309,7 @@ def train(
     ] = None,
     texture: Annotated[str, typer.Option(help="Name in the card; the recording's by default.")] = "",
     licence: Annotated[str, typer.Option(help="Licence of the texture, for the card.")] = "",
-    threads: Annotated[int, typer.Option(help="Processor threads, at most the cores.")] = 2,
+    threads: Annotated[int, typer.Option(help="Share each batch among so many cores.")] = 2,
     as_json: JsonOption = False,
 ) -> None:
     """Learn a texture file from a recording. Ctrl-C keeps the best so far."""
@@ -601,7 +601,7 @@ def demo(
     seconds: Annotated[float, typer.Option(help="Length of the recording [s].")] = 44.0,
     epochs: Annotated[int, typer.Option(help="Of training.")] = 8,
     seed: Annotated[int, typer.Option(help="Of everything.")] = 0,
-    threads: Annotated[int, typer.Option(help="Processor threads, at most the cores.")] = 2,
+    threads: Annotated[int, typer.Option(help="Share each batch among so many cores.")] = 2,
 ) -> None:
     """Go once through everything without data or hardware: simulate, train, judge, render."""
     from foten.experiments.demo import run_demo
@@ -612,6 +612,9 @@ def demo(
 
 def main() -> None:
     """Run the command line and turn every expected failure into one line and an exit status."""
+    # Read when NumPy and PyTorch load their libraries: small matrices only lose by more threads.
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
     sys.exit(_status(sys.argv[1:]))
 
 

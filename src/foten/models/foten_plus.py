@@ -69,28 +69,30 @@ class Excitation(nn.Module):
         super().__init__()
         self.hidden = nn.Linear(4, width)
         self.out = nn.Linear(width, 1)
-        self.power_law = nn.Linear(2, 1, bias=False)  # exponents of speed and force
+        self.power_law = nn.Linear(5, 1, bias=False)  # exponents of speed and force, and how they change
         # Speed [mm/s] and force [N]: what undoes the scaling, and what a logarithm starts from.
         self.register_buffer("mean", torch.zeros(2))
         self.register_buffer("sd", torch.ones(2))
         self.register_buffer("floor", torch.tensor([2.0, 0.05]))
-        # A corner of the plane that the hand never visited is no louder than the loudest place that it did.
+        # A corner of the plane that the hand hardly visited is no louder than the loudest 3 % of where it was. Ten minutes
+        # on jeans: 13.0 standard deviations with the 99th percentile, 11.4 with the 97th; the recording reaches 11.1.
         self.register_buffer("highest", torch.full((1,), 1e6))
 
     def forward(self, condition: Tensor) -> Tensor:
         """Return σ, scaled: speed and force (b, 2) scaled → (b,)."""
         logs = self.logarithms(condition)
-        features = torch.cat([condition, logs], dim=1)
+        features = torch.cat([condition, logs[:, :2]], dim=1)
         log_scale = (self.out(torch.tanh(self.hidden(features))) + self.power_law(logs))[:, 0]
         return torch.minimum(torch.exp(log_scale), self.highest)
 
     def logarithms(self, condition: Tensor) -> Tensor:
-        """Return log speed and log force re their means: (b, 2) scaled → (b, 2)."""
+        """Return log speed x and log force y re their means, and x², xy, y²: (b, 2) scaled → (b, 5)."""
         physical = torch.clamp(condition * self.sd + self.mean, min=0.0)
-        return torch.log((physical + self.floor) / (self.mean + self.floor))
+        x, y = torch.log((physical + self.floor) / (self.mean + self.floor)).unbind(dim=1)
+        return torch.stack([x, y, x * x, x * y, y * y], dim=1)
 
     @torch.no_grad()
     def bound(self, condition: Tensor) -> None:
-        """Let σ nowhere exceed its highest value at some conditions (b, 2) scaled, those of the training blocks."""
+        """Let σ nowhere exceed its 97th percentile over some conditions (b, 2) scaled, those of the training blocks."""
         self.highest.fill_(1e6)
-        self.highest.copy_(self(condition).max())
+        self.highest.copy_(torch.quantile(self(condition), 0.97))

@@ -145,7 +145,9 @@ class NumpyFotenPlus:
         physical = np.maximum(condition * sd + mean, 0.0)
         logs = np.log((physical + floor) / (mean + floor))
         hidden = np.tanh(self._w.linear(f"{name}.hidden", np.concatenate([condition, logs], axis=1)))
-        log_scale = self._w.linear(f"{name}.out", hidden) + logs @ self._w[f"{name}.power_law.weight"].T
+        x, y = logs.T
+        powers = np.stack([x, y, x * x, x * y, y * y], axis=1)
+        log_scale = self._w.linear(f"{name}.out", hidden) + powers @ self._w[f"{name}.power_law.weight"].T
         return np.minimum(np.exp(log_scale[:, 0]), self._w[f"{name}.highest"])
 
 

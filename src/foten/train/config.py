@@ -25,7 +25,7 @@ class TrainConfig:
     loss: str = "huber"
     delta: float = 1.6  # Huber threshold, scaled; Sec. VI-b
     seed: int = 0  # of the initial weights, the order of windows and dropout
-    threads: int = 2  # more than the machine has cores costs a factor of fifty
+    threads: int = 2  # each takes a share of every batch; part of what makes a file reproducible
 
     def __post_init__(self) -> None:
         if self.loss not in LOSSES:

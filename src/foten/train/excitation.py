@@ -108,8 +108,8 @@ def settle_level(
 
     A likelihood measures the error of one step. In the closed loop the predictor filters the excitation, and small errors
     of its resonances, or innovations that come in bursts, change the level by several dB (measured: +3.6 dB on the real fabric).
-    The level in dB is nearly linear in log σ. So the frames' level errors are regressed on the logarithms of speed and force, and
-    what is found is taken off σ's constant and exponents; three times over.
+    The level in dB is nearly linear in log σ. So the frames' level errors are regressed on the logarithms of speed and force and
+    their squares, and what is found is taken off σ's; three times over.
 
     Args:
         network: its excitation is adjusted in place.
@@ -133,7 +133,7 @@ def settle_level(
     logs = network.excitation.logarithms(torch.from_numpy(means.reshape(-1, 2)).float()).double().numpy()
     # Ridge: a recording at one condition has no slopes to adjust, one that varies (log-variance 0.5 and more) has.
     design = np.concatenate([np.ones((len(logs), 1)), logs], axis=1)
-    gram = design.T @ design + 0.05 * len(logs) * np.diag([0.0, 1.0, 1.0])
+    gram = design.T @ design + 0.05 * len(logs) * np.diag([0.0, 1.0, 1.0, 1.0, 1.0, 1.0])
     errors = []
     for _ in range(N_SETTLING):
         engine = engine_of(network)

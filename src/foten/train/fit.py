@@ -6,6 +6,7 @@ import csv
 import math
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -66,10 +67,14 @@ def pick_device() -> torch.device:
 
 
 @contextmanager
-def reproducible(threads: int) -> Iterator[None]:
-    """Fix thread count and algorithms, so that one seed gives one network; restored afterwards."""
+def reproducible() -> Iterator[None]:
+    """Fix the algorithms, so that one seed gives one network, and PyTorch's own threads to one; restored afterwards.
+
+    The matrices are too small to share among threads: two gained 15 % on two idle cores, and lost a factor of ten when
+    another program kept one of them busy. `fit` shares out the batch instead.
+    """
     before = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
-    torch.set_num_threads(threads)
+    torch.set_num_threads(1)
     torch.use_deterministic_algorithms(True, warn_only=True)
     try:
         yield
@@ -113,6 +118,10 @@ def fit(
     weight = weight.to(device, torch.float32)
     train, validation = (torch.from_numpy(n).to(device) for n in (data.train, data.validation))
     offsets = torch.from_numpy(window_indices(np.zeros(1, dtype=np.int64), data.window)).to(device)
+    # Threads that draw dropout masks would take them in an order of their own.
+    draws = any(isinstance(module, nn.Dropout) and module.p > 0 for module in network.modules())
+    n_threads = 1 if draws or device.type != "cpu" else config.threads
+    pool = ThreadPoolExecutor(n_threads)
     trained = [parameter for parameter in network.parameters() if parameter.requires_grad]
     optimiser = torch.optim.AdamW(
         trained, lr=config.learning_rate, weight_decay=config.weight_decay, fused=True
@@ -128,6 +137,24 @@ def fit(
 
     def windows(n: Tensor) -> Tensor:
         return samples[n[:, None] + offsets]
+
+    def gradients(share: Tensor, n: int) -> tuple[Tensor, tuple[Tensor, ...]]:
+        """Return the loss and gradients of one thread's share of a batch of n."""
+        predicted, target = network(windows(share)), samples[share, 0]
+        loss = criterion(weight[share] * predicted, weight[share] * target) * (len(share) / n)
+        return loss.detach(), torch.autograd.grad(loss, trained)
+
+    def step(batch: Tensor) -> Tensor:
+        shares = batch.chunk(n_threads)
+        losses, parts = zip(*pool.map(gradients, shares, [len(batch)] * len(shares)), strict=True)
+        # Added in the order of the shares, whichever thread was first.
+        for parameter, *pieces in zip(trained, *parts, strict=True):
+            parameter.grad = sum(pieces[1:], start=pieces[0])
+        if config.clip_norm > 0:
+            nn.utils.clip_grad_norm_(trained, config.clip_norm)
+        optimiser.step()
+        scheduler.step()
+        return torch.stack(losses).sum()
 
     def finish(epoch: int, train_loss: float, started: float) -> None:
         validation_loss, mae = _validate(network, windows, samples, weight, validation, criterion)
@@ -157,14 +184,7 @@ def fit(
             network.train()
             total = torch.zeros((), device=device)
             for batch in order.split(config.batch):
-                optimiser.zero_grad(set_to_none=True)
-                loss = criterion(weight[batch] * network(windows(batch)), weight[batch] * samples[batch, 0])
-                loss.backward()
-                if config.clip_norm > 0:
-                    nn.utils.clip_grad_norm_(trained, config.clip_norm)
-                optimiser.step()
-                scheduler.step()
-                total += loss.detach() * len(batch)
+                total += step(batch) * len(batch)
             finish(epoch, float(total) / len(train), started)
             if not math.isfinite(progress.epochs[-1].train_loss):
                 raise ValueError("the training loss is not finite; is the acceleration full of outliers?")
@@ -172,6 +192,8 @@ def fit(
                 _save(checkpoint, config, network, optimiser, scheduler, progress)
     except KeyboardInterrupt:
         progress.interrupted = True
+    finally:
+        pool.shutdown()
     if progress.best_state:
         network.load_state_dict(progress.best_state)
     network.eval()

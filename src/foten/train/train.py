@@ -76,7 +76,7 @@ def train_texture(
     scaling = fit_scaling(trace, split.train)
     samples = scaling.scale(trace.stacked())
     data = Data(samples, targets(split.train, trace.block, m), targets(split.validation, trace.block, m), m)
-    with reproducible(config.threads):
+    with reproducible():
         torch.manual_seed(config.seed)
         network = build(key, architecture).to(pick_device())
         shortcut_mae = None
@@ -103,7 +103,7 @@ def train_texture(
             likelihood = fit_excitation(network.excitation, data, scaling, residual, config.seed)
             on_stage("settling the level in the closed loop")
             level_errors = settle_level(
-                network, _engine, data, trace, (*split.train, *split.validation), config.seed
+                network, engine_of, data, trace, (*split.train, *split.validation), config.seed
             )
         warm_start, condition = pick_warm_start(trace, split, scaling, m)
         best = max((line for line in progress.epochs if line.best), key=lambda line: line.epoch)
@@ -169,7 +169,7 @@ def pick_warm_start(
     return window, condition
 
 
-def _engine(network: FotenPlus) -> NumpyFotenPlus:
+def engine_of(network: FotenPlus) -> NumpyFotenPlus:
     """Return what renders a network that is not in a file yet."""
     return NumpyFotenPlus(
         network.architecture, {name: t.cpu().numpy() for name, t in network.state_dict().items()}
