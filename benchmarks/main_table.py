@@ -158,9 +158,9 @@ def table() -> str:
         run = document["run"]
         groups.setdefault((run["texture"], run["rate_hz"]), {}).setdefault(run["model"], []).append(document)
     lines = [
-        "| texture | rate | splits | zero | AR(20) | best AR | bound | `foten` | `foten-plus` | ÷ AR(20) "
+        "| texture | rate | splits | zero | AR(20) | best AR | bound | `foten` | `foten-plus` | ÷ AR(20) | ÷ shortcut "
         "| LSD | AR(20) | ceiling | level bias | worst sample |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     order = [*REAL, *LINEAR_FAMILY, *TEXTURES]
     for texture, rate in sorted(groups, key=lambda key: (order.index(key[0]), key[1])):
@@ -170,6 +170,7 @@ def table() -> str:
             continue
 
         ratio = _row(plus, lambda d: d["one_step"]["mae_scaled"] / d["references"]["ar"]["mae_scaled"])
+        earned = _row(plus, lambda d: d["validation"]["mae_scaled"] / d["validation"]["mae_scaled_shortcut"])
         cells = [
             texture,
             f"{rate / 1000:g} kHz",
@@ -181,6 +182,7 @@ def table() -> str:
             _cell(_row(paper, lambda d: d["one_step"]["mae_scaled"]), 4) if paper else "–",
             _cell(_row(plus, lambda d: d["one_step"]["mae_scaled"]), 4),
             _cell(ratio, 3),
+            _cell(earned, 3),
             _free(plus, "free_run", "lsd_db"),
             _free(plus, "free_run_ar", "lsd_db"),
             _free(plus, "ceiling", "lsd_db"),

@@ -14,6 +14,8 @@ VARIANTS: list[dict[str, Any]] = [
     {"pre_norm": False, "n_layers": 1},
     {"phase_input": "cos_sin", "bin_embedding": True, "window": 7},
     {"spectral_width": 1},
+    {"bins": "half", "bin_embedding": True, "window": 9},
+    {"bins": "half", "magnitude_input": "log"},
 ]
 
 
@@ -47,6 +49,10 @@ def test_sizes_round_trip(key: str) -> None:
         ({"head": [10, 0]}, "head is 0"),
         ({"dropout": 1.0}, "dropout is 1.0"),
         ({"phase_input": "sine"}, "cos_sin"),
+        ({"magnitude_input": "db"}, "'linear' or 'log'"),
+        ({"bins": "some"}, "'all' or 'half'"),
+        ({"spectral_width": 1, "phase_input": "cos_sin"}, "needs a spectral_width above 1"),
+        ({"pre_norm": 1}, "true or false"),
         ({"excitation_width": 0}, "excitation_width is 0"),
         ({"correction_limit": 0}, "correction_limit is 0"),
         ({"correction_limit": "3"}, "correction_limit is '3'"),

@@ -22,6 +22,9 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "window-30": {**SMALL, "window": 30},
     "one-layer": {**SMALL, "n_layers": 1},
     "one-head": {**SMALL, "n_heads": 1},
+    "half-of-the-bins": {**SMALL, "bins": "half"},
+    "half-of-odd-bins": {**SMALL, "bins": "half", "window": 9, "bin_embedding": True},
+    "log-magnitude": {**SMALL, "magnitude_input": "log"},
 }
 
 

@@ -59,3 +59,13 @@ def test_positions_are_eq_2(m: int, d_model: int) -> None:
 def test_an_odd_width_ends_with_a_sine() -> None:
     found = position_encoding(4, 5)
     np.testing.assert_allclose(found[:, 4], np.sin(np.arange(4) * 10000 ** (-4 / 5)), atol=1e-13)
+
+
+@pytest.mark.parametrize("m", [5, 8, 9, 20])
+def test_half_of_the_bins_is_the_hermitian_inverse(m: int) -> None:
+    rng = np.random.default_rng(m)
+    magnitude, phase = rng.standard_normal((2, m // 2 + 1))
+    cosine, sine = last_sample_row(m, half=True)
+    found = (magnitude * (cosine * np.cos(phase) + sine * np.sin(phase))).sum()
+    # NumPy's irfft ignores the imaginary part of the bins that are real, as taking the real part does.
+    assert found == pytest.approx(np.fft.irfft(magnitude * np.exp(1j * phase), n=m)[-1], abs=1e-12)

@@ -27,6 +27,8 @@ class FotenArchitecture:
     pre_norm: bool = True  # False normalises after each sub-layer, as [17]
     bin_embedding: bool = False  # a learned vector for each bin; the paper has none (Sec. IV-d)
     phase_input: str = "angle"  # or "cos_sin"
+    magnitude_input: str = "linear"  # or "log", log(1 + M)
+    bins: str = "all"  # or "half": 0 … m/2 with a Hermitian inverse, so that a_spec is real by itself
 
     def __post_init__(self) -> None:
         least = {
@@ -47,11 +49,28 @@ class FotenArchitecture:
             raise ValueError(
                 f"widths {self.d_model} and {self.spectral_width} do not divide into {self.n_heads} heads"
             )
-        if self.phase_input not in ("angle", "cos_sin"):
-            raise ValueError(f"phase_input is {self.phase_input!r}, expected 'angle' or 'cos_sin'")
+        known = {
+            "phase_input": ("angle", "cos_sin"),
+            "magnitude_input": ("linear", "log"),
+            "bins": ("all", "half"),
+        }
+        for name, values in known.items():
+            if getattr(self, name) not in values:
+                raise ValueError(
+                    f"{name} is {getattr(self, name)!r}, expected {values[0]!r} or {values[1]!r}"
+                )
+        if self.spectral_width == 1 and self.phase_input == "cos_sin":
+            raise ValueError("phase_input 'cos_sin' has two numbers a bin and needs a spectral_width above 1")
+        if not isinstance(self.pre_norm, bool) or not isinstance(self.bin_embedding, bool):
+            raise ValueError("pre_norm and bin_embedding are true or false")
         if type(self.dropout) not in (int, float) or not 0 <= self.dropout < 1:
             raise ValueError(f"dropout is {self.dropout!r}, expected from 0 to below 1")
         object.__setattr__(self, "head", tuple(self.head))
+
+    @property
+    def n_bins(self) -> int:
+        """Return how many bins the spectral branch sees."""
+        return self.window if self.bins == "all" else self.window // 2 + 1
 
 
 @dataclass(frozen=True)
@@ -152,6 +171,6 @@ def _foten_shapes(architecture: FotenArchitecture) -> dict[str, tuple[int, ...]]
                 f"spectral.{name}_out", 1, width
             )
     if architecture.bin_embedding:
-        shapes["spectral.bins"] = (architecture.window, width)
+        shapes["spectral.bins"] = (architecture.n_bins, width)
     shapes |= _linear("spectral_embedding", d, 1) | _linear("head_1", first, 2 * d + 2)
     return shapes | _linear("head_2", second, first) | _linear("head_3", 1, second)

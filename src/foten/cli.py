@@ -300,6 +300,16 @@ def train(
     delta: Annotated[float | None, typer.Option(help="Huber threshold, scaled. [1.6]")] = None,
     batch: Annotated[int | None, typer.Option(help="Windows a step; the recipe's by default.")] = None,
     learning_rate: Annotated[float | None, typer.Option(help="Highest; the recipe's by default.")] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="SIZE=VALUE",
+            help="Another size or reading of the network; repeatable: d_model, n_heads, n_layers, d_feedforward, head=[256,64], "
+            "dropout, spectral_width (1 is the literal reading), pre_norm=false, bins=half, phase_input=cos_sin, "
+            "magnitude_input=log, bin_embedding=true.",
+        ),
+    ] = None,
     zero_phase: Annotated[
         bool, typer.Option("--zero-phase", help="Filter forwards and backwards, as the paper offline.")
     ] = False,
@@ -349,7 +359,7 @@ def train(
     preprocess_config = PreprocessConfig(
         zero_phase=zero_phase, **{k: v for k, v in cut.items() if v is not None}
     )
-    architecture = architecture_from(model, {"window": window})
+    architecture = architecture_from(model, {"window": window, **_settings(settings or [])})
     recording = load_recording(recording_file)
     folder = RunFolder(run_folder or output.with_suffix(".run"))
     folder.open(
@@ -602,12 +612,31 @@ def demo(
     epochs: Annotated[int, typer.Option(help="Of training.")] = 8,
     seed: Annotated[int, typer.Option(help="Of everything.")] = 0,
     threads: Annotated[int, typer.Option(help="Share each batch among so many cores.")] = 2,
+    as_json: JsonOption = False,
 ) -> None:
     """Go once through everything without data or hardware: simulate, train, judge, render."""
     from foten.experiments.demo import run_demo
 
-    for name, path in run_demo(output, key, seconds, epochs, seed, threads, _say).items():
+    paths = run_demo(output, key, seconds, epochs, seed, threads, _say)
+    if as_json:
+        _print_json({name: str(path) for name, path in paths.items()})
+        return
+    for name, path in paths.items():
         print(f"{name:10s}{path}")
+
+
+def _settings(pairs: list[str]) -> dict[str, Any]:
+    """Return SIZE=VALUE pairs as a mapping, values read as JSON where they are, else as words."""
+    found: dict[str, Any] = {}
+    for pair in pairs:
+        name, equals, value = pair.partition("=")
+        if not equals or not name or not value:
+            raise ValueError(f"--set {pair}: expected SIZE=VALUE, such as --set n_layers=2")
+        try:
+            found[name.strip()] = json.loads(value)
+        except json.JSONDecodeError:
+            found[name.strip()] = value.strip()
+    return found
 
 
 def main() -> None:

@@ -22,14 +22,18 @@ def dft_matrices(m: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return real, imaginary
 
 
-def last_sample_row(m: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return (c, s), shapes (m,), with Re a_spec[m−1] = Σ_k M̂_k·(c_k·cos φ̂_k + s_k·sin φ̂_k).
+def last_sample_row(m: int, half: bool = False) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return (c, s) with Re a_spec[m−1] = Σ_k M̂_k·(c_k·cos φ̂_k + s_k·sin φ̂_k), shapes (m,) or (m // 2 + 1,).
 
     Only this row of Eq. 9 reaches the output: the head reads the last token alone. With
-    e^{i2πk(m−1)/m} = e^{−i2πk/m}, c_k = cos(2πk/m)/m and s_k = sin(2πk/m)/m.
+    e^{i2πk(m−1)/m} = e^{−i2πk/m}, c_k = cos(2πk/m)/m and s_k = sin(2πk/m)/m. With half of the bins, those
+    between 0 and m/2 stand for their mirror images too.
     """
-    angle = 2 * np.pi * np.arange(m) / m
-    return np.cos(angle) / m, np.sin(angle) / m
+    angle = 2 * np.pi * np.arange(m // 2 + 1 if half else m) / m
+    weight = np.full(angle.size, 1 / m)
+    if half:
+        weight[1 : (m + 1) // 2] *= 2
+    return weight * np.cos(angle), weight * np.sin(angle)
 
 
 def position_encoding(m: int, d_model: int) -> NDArray[np.float64]:

@@ -46,7 +46,7 @@ class SpectralBranch(nn.Module):
     def __init__(self, architecture: FotenArchitecture) -> None:
         super().__init__()
         m, width = architecture.window, architecture.spectral_width
-        self.phase_input = architecture.phase_input
+        self.phase_input, self.magnitude_input = architecture.phase_input, architecture.magnitude_input
         self.lifted = width > 1
         inputs = {"magnitude": 1, "phase": 2 if architecture.phase_input == "cos_sin" else 1}
         for name, n_inputs in inputs.items():
@@ -60,9 +60,11 @@ class SpectralBranch(nn.Module):
             )
             self.add_module(f"{name}_layer", layer)
             self.add_module(f"{name}_out", nn.Linear(width, 1) if self.lifted else nn.Identity())
-        self.bins = nn.Parameter(torch.zeros(m, width)) if architecture.bin_embedding else None
-        real, imaginary = dft_matrices(m)
-        cosine, sine = last_sample_row(m)
+        self.bins = (
+            nn.Parameter(torch.zeros(architecture.n_bins, width)) if architecture.bin_embedding else None
+        )
+        real, imaginary = (matrix[:, : architecture.n_bins] for matrix in dft_matrices(m))
+        cosine, sine = last_sample_row(m, half=architecture.bins == "half")
         for name, matrix in {"real": real, "imaginary": imaginary, "cosine": cosine, "sine": sine}.items():
             self.register_buffer(name, torch.from_numpy(matrix), persistent=False)
 
@@ -81,6 +83,8 @@ class SpectralBranch(nn.Module):
             phase = torch.stack([real / magnitude, imaginary / magnitude], dim=-1)
         else:
             phase = torch.atan2(imaginary, real)[..., None]
+        if self.magnitude_input == "log":
+            magnitude = torch.log1p(magnitude)
         encoded_magnitude = self._encode("magnitude", magnitude[..., None])
         encoded_phase = self._encode("phase", phase)
         turned = self.cosine.to(dtype) * torch.cos(encoded_phase) + self.sine.to(dtype) * torch.sin(

@@ -41,7 +41,11 @@ class NumpyFoten:
         self._architecture = architecture
         self._w = _Weights(tensors, prefix, np.float32)
         m = architecture.window
-        matrices = (position_encoding(m, architecture.d_model), *dft_matrices(m), *last_sample_row(m))
+        matrices = (
+            position_encoding(m, architecture.d_model),
+            *(matrix[:, : architecture.n_bins] for matrix in dft_matrices(m)),
+            *last_sample_row(m, half=architecture.bins == "half"),
+        )
         self._positions, self._real, self._imaginary, self._cosine, self._sine = (
             matrix.astype(np.float32) for matrix in matrices
         )
@@ -72,6 +76,8 @@ class NumpyFoten:
             phase = np.stack([real / magnitude, imaginary / magnitude], axis=-1)
         else:
             phase = np.arctan2(imaginary, real)[..., None]
+        if self._architecture.magnitude_input == "log":
+            magnitude = np.log1p(magnitude)
         encoded_phase = self._encode("phase", phase)
         turned = self._cosine * np.cos(encoded_phase) + self._sine * np.sin(encoded_phase)
         return (self._encode("magnitude", magnitude[..., None]) * turned).sum(axis=1)
