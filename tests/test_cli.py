@@ -6,6 +6,7 @@ import csv
 import json
 import pickle
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -93,6 +94,48 @@ def test_a_foreign_recording_is_scored_whole(
     assert document["n_blocks"] == 7  # 4 s less the low-pass's delay, in blocks of 0.5 s
     assert document["references"]["ar"]["mae_scaled"] is None
     assert "references.ar" in document["reasons"]
+
+
+def test_ctrl_c_keeps_the_best_and_resume_goes_on(
+    recording: Path,
+    texture: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    from foten.train.run import RunFolder
+
+    log = RunFolder.log
+
+    def interrupt(folder: RunFolder, line: Any) -> None:
+        log(folder, line)
+        if line.epoch == 1:
+            raise KeyboardInterrupt
+
+    out = tmp_path / "i.foten"
+    command = ["train", str(recording), "-o", str(out), *FAST]
+    monkeypatch.setattr(RunFolder, "log", interrupt)
+    assert _status(command) == 130
+    assert read_texture(out).card["metrics"]["n_epochs"] == 1
+    monkeypatch.setattr(RunFolder, "log", log)
+    capsys.readouterr()
+    assert (
+        _status([*command, "--resume"]) == 2
+    )  # one epoch was all there was, and its checkpoint not yet written
+    assert "nothing to resume" in one_line(capsys)
+
+
+def test_settings_change_the_network(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "s.foten"
+    small = ["--set", "d_model=8", "--set", "n_layers=1", "--set", "head=[16,8]", "--set", "bins=half"]
+    assert _status(["train", str(recording), "-o", str(out), *FAST, *small]) == 0
+    sizes = read_texture(out).card["sizes"]
+    assert (sizes["d_model"], sizes["n_layers"], sizes["head"], sizes["bins"]) == (8, 1, [16, 8], "half")
+    capsys.readouterr()
+    assert _status(["train", str(recording), "-o", str(out), *FAST, "--set", "depth=3"]) == 2
+    assert "depth" in one_line(capsys)
 
 
 def test_render_csv_has_as_many_rows_as_the_stroke_lasts(texture: Path, tmp_path: Path) -> None:

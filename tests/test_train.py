@@ -14,6 +14,7 @@ from foten.architecture import FotenArchitecture, FotenPlusArchitecture
 from foten.datasets.simulate import simulate
 from foten.dsp.ar import spectral_radius
 from foten.models import build
+from foten.models.dropout import Dropout
 from foten.models.foten_plus import Excitation
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
@@ -215,6 +216,28 @@ def test_same_seed_gives_the_same_bytes_and_another_does_not(recording: Recordin
     assert again.texture.to_bytes() == trained.texture.to_bytes()
     other = train_texture(recording, "foten-plus", architecture, dataclasses.replace(QUICK, seed=1), SHORT)
     assert other.texture.to_bytes() != trained.texture.to_bytes()
+
+
+def test_dropout_on_two_threads_gives_the_same_network_twice() -> None:
+    samples = np.random.default_rng(6).standard_normal((600, 3))
+    states = []
+    for _ in range(3):
+        torch.manual_seed(0)
+        network = build("foten", FotenArchitecture(**SMALL, dropout=0.5))
+        fit(network, data_of(samples), TrainConfig(epochs=1, batch=64, threads=2))
+        states.append(network.head_1.weight.detach().numpy().copy())
+    assert np.array_equal(states[0], states[1])
+    assert np.array_equal(states[0], states[2])
+
+
+def test_dropout_keeps_the_mean_and_drops_its_share() -> None:
+    dropout = Dropout(0.2)
+    values = torch.ones(100_000)
+    dropped = dropout(values)
+    # 100 000 draws of a share of 0.2: standard error 0.0013.
+    assert float((dropped == 0).float().mean()) == pytest.approx(0.2, abs=0.006)
+    assert float(dropped.max()) == pytest.approx(1.25)
+    assert torch.equal(dropout.eval()(values), values)
 
 
 def test_card_says_how_it_came_about(trained: Trained) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,9 +18,19 @@ def least_squares(design: Array, target: Array, ridge: float = 1e-9) -> Array:
         target: shape (b,).
         ridge: added to the diagonal, as a share of the mean diagonal; neighbouring samples at 10 kHz are nearly collinear.
     """
-    gram = design.T @ design
+    return least_squares_in_parts([(design, target)], ridge)
+
+
+def least_squares_in_parts(parts: Iterable[tuple[Array, Array]], ridge: float = 1e-9) -> Array:
+    """Return the same for a design that comes in pieces, of which only one is held at a time."""
+    gram, moment = np.zeros((0, 0)), np.zeros(0)
+    for design, target in parts:
+        if not gram.size:
+            gram, moment = np.zeros((design.shape[1],) * 2), np.zeros(design.shape[1])
+        gram += design.T @ design
+        moment += design.T @ target
     gram[np.diag_indices_from(gram)] += ridge * np.trace(gram) / gram.shape[0]
-    return np.asarray(np.linalg.solve(gram, design.T @ target), dtype=np.float64)
+    return np.asarray(np.linalg.solve(gram, moment), dtype=np.float64)
 
 
 def spectral_radius(taps: Array) -> float:

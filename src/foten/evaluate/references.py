@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.dsp.ar import least_squares, stabilised
+from foten.dsp.ar import least_squares_in_parts, stabilised
 from foten.recording.windows import targets, windows
 
 Array = NDArray[np.float64]
@@ -87,14 +88,27 @@ def fit_linear(
     n_coefficients = (order + 1) * (3 if scheduled else 1)
     if block <= order or len(n) < 2 * n_coefficients:
         return None
+    # A minute at 10 kHz and order 160 would take gigabytes at once.
+    pieces = np.array_split(n, -(-len(n) * n_coefficients // 4_000_000))
+
+    def parts() -> Iterator[tuple[Array, Array]]:
+        for piece in pieces:
+            yield _design(samples, piece, order, scheduled), samples[piece, 0]
+
+    coefficients = least_squares_in_parts(parts())
+    squared = sum(float(np.square(target - design @ coefficients).sum()) for design, target in parts())
+    shaped = coefficients.reshape(3, order + 1) if scheduled else coefficients
+    return Linear(shaped, float(np.sqrt(squared / len(n))))
+
+
+def _design(samples: Array, n: NDArray[np.int64], order: int, scheduled: bool) -> Array:
+    """Return what the coefficients multiply: history and a constant, then both times speed and times force."""
     history = windows(samples, n, order)
     design = np.concatenate([history[:, :, 0], np.ones((len(n), 1))], axis=1)
-    if scheduled:
-        condition = history[:, -1, 1:]
-        design = np.concatenate([design, design * condition[:, :1], design * condition[:, 1:]], axis=1)
-    coefficients = least_squares(design, samples[n, 0])
-    noise_sd = float((samples[n, 0] - design @ coefficients).std())
-    return Linear(coefficients.reshape(3, order + 1) if scheduled else coefficients, noise_sd)
+    if not scheduled:
+        return design
+    condition = history[:, -1, 1:]
+    return np.concatenate([design, design * condition[:, :1], design * condition[:, 1:]], axis=1)
 
 
 def best_linear(
@@ -108,7 +122,11 @@ def best_linear(
             fitted = fit_linear(samples, train, block, order, scheduled)
             if fitted is None or not len(n):
                 continue
-            error = float(np.abs(samples[n, 0] - fitted.predict(windows(samples, n, order))).mean())
+            pieces = np.array_split(n, len(n) // 16384 + 1)
+            missed = [
+                np.abs(samples[piece, 0] - fitted.predict(windows(samples, piece, order))) for piece in pieces
+            ]
+            error = float(np.concatenate(missed).mean())
             if best is None or error < best[0]:
                 best = error, fitted
     return best[1] if best else None

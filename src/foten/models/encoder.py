@@ -6,6 +6,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import scaled_dot_product_attention
 
+from foten.models.dropout import Dropout
+
 
 class EncoderLayer(nn.Module):
     """Self-attention and a feed-forward network, each with its residual and normalisation.
@@ -24,7 +26,7 @@ class EncoderLayer(nn.Module):
         self.feedforward_out = nn.Linear(d_feedforward, width)
         self.norm_1 = nn.LayerNorm(width)
         self.norm_2 = nn.LayerNorm(width)
-        self.dropout = nn.Dropout(dropout)
+        self.dropout = Dropout(dropout)
 
     def forward(self, tokens: Tensor, last_only: bool = False) -> Tensor:
         """Return the encoded tokens: (b, m, width) → (b, m, width), or (b, 1, width) of the last token alone.

@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from foten.architecture import FotenArchitecture
 from foten.dsp.spectrum import WEAKEST_BIN, dft_matrices, last_sample_row, position_encoding
+from foten.models.dropout import Dropout
 from foten.models.encoder import EncoderLayer
 
 
@@ -28,7 +29,7 @@ class TemporalBranch(nn.Module):
             for _ in range(architecture.n_layers)
         )
         self.norm = nn.LayerNorm(d) if architecture.pre_norm else nn.Identity()
-        self.dropout = nn.Dropout(architecture.dropout)
+        self.dropout = Dropout(architecture.dropout)
         positions = torch.from_numpy(position_encoding(architecture.window, d))
         self.register_buffer("positions", positions, persistent=False)
 
@@ -113,7 +114,7 @@ class Foten(nn.Module):
         self.head_1 = nn.Linear(2 * d + 2, first)
         self.head_2 = nn.Linear(first, second)
         self.head_3 = nn.Linear(second, 1)
-        self.dropout = nn.Dropout(architecture.dropout)
+        self.dropout = Dropout(architecture.dropout)
 
     def forward(self, windows: Tensor) -> Tensor:
         """Return the next samples: windows (b, m, 3) of scaled acceleration, speed, force → (b,) scaled."""

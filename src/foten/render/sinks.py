@@ -142,7 +142,7 @@ def _write_picture(
     if acceleration.size >= 64:
         n = min(256, acceleration.size // 4)
         spectrum.specgram(acceleration + 1e-9, NFFT=n, noverlap=n // 2, Fs=rate_hz, cmap="magma")
-    spectrum.set(ylabel="frequency [Hz]", ylim=(0, min(1000, rate_hz / 2)))
+    spectrum.set(ylabel="frequency [Hz]", ylim=(0, min(1000, rate_hz / 2)), xlim=(0, t[-1] or 1))
     hand.plot(t, speed, color="#009E73")
     hand.set(ylabel="speed [mm/s]", xlabel="time [s]", xlim=(0, t[-1] or 1), ylim=(0, None))
     hand.yaxis.label.set_color("#009E73")

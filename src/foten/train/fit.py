@@ -17,6 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from foten.models.dropout import masks_from
 from foten.recording.windows import window_indices
 from foten.train.config import TrainConfig
 
@@ -118,9 +119,7 @@ def fit(
     weight = weight.to(device, torch.float32)
     train, validation = (torch.from_numpy(n).to(device) for n in (data.train, data.validation))
     offsets = torch.from_numpy(window_indices(np.zeros(1, dtype=np.int64), data.window)).to(device)
-    # Threads that draw dropout masks would take them in an order of their own.
-    draws = any(isinstance(module, nn.Dropout) and module.p > 0 for module in network.modules())
-    n_threads = 1 if draws or device.type != "cpu" else config.threads
+    n_threads = config.threads if device.type == "cpu" else 1
     pool = ThreadPoolExecutor(n_threads)
     trained = [parameter for parameter in network.parameters() if parameter.requires_grad]
     optimiser = torch.optim.AdamW(
@@ -138,15 +137,18 @@ def fit(
     def windows(n: Tensor) -> Tensor:
         return samples[n[:, None] + offsets]
 
-    def gradients(share: Tensor, n: int) -> tuple[Tensor, tuple[Tensor, ...]]:
+    def gradients(share: Tensor, n: int, mask_seed: int) -> tuple[Tensor, tuple[Tensor, ...]]:
         """Return the loss and gradients of one thread's share of a batch of n."""
-        predicted, target = network(windows(share)), samples[share, 0]
+        masks = torch.Generator().manual_seed(mask_seed) if device.type == "cpu" else None
+        with masks_from(masks):
+            predicted, target = network(windows(share)), samples[share, 0]
         loss = criterion(weight[share] * predicted, weight[share] * target) * (len(share) / n)
         return loss.detach(), torch.autograd.grad(loss, trained)
 
-    def step(batch: Tensor) -> Tensor:
+    def step(batch: Tensor, seed: int) -> Tensor:
         shares = batch.chunk(n_threads)
-        losses, parts = zip(*pool.map(gradients, shares, [len(batch)] * len(shares)), strict=True)
+        seeds = [seed * n_threads + i for i in range(len(shares))]
+        losses, parts = zip(*pool.map(gradients, shares, [len(batch)] * len(shares), seeds), strict=True)
         # Added in the order of the shares, whichever thread was first.
         for parameter, *pieces in zip(trained, *parts, strict=True):
             parameter.grad = sum(pieces[1:], start=pieces[0])
@@ -183,8 +185,9 @@ def fit(
             torch.manual_seed(config.seed * 100_003 + epoch)
             network.train()
             total = torch.zeros((), device=device)
-            for batch in order.split(config.batch):
-                total += step(batch) * len(batch)
+            for number, batch in enumerate(order.split(config.batch)):
+                # Seeds of masks: none comes twice in any run of fewer than a million steps.
+                total += step(batch, (config.seed * 1_000 + epoch) * 1_000_000 + number) * len(batch)
             finish(epoch, float(total) / len(train), started)
             if not math.isfinite(progress.epochs[-1].train_loss):
                 raise ValueError("the training loss is not finite; is the acceleration full of outliers?")

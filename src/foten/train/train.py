@@ -101,6 +101,7 @@ def train_texture(
             both = np.concatenate([data.train, data.validation])
             residual = samples[both, 0] - predict(network, data, both)
             likelihood = fit_excitation(network.excitation, data, scaling, residual, config.seed)
+            network.cpu()  # the closed loop is rendered by the engine, which knows no GPU
             on_stage("settling the level in the closed loop")
             level_errors = settle_level(
                 network, engine_of, data, trace, (*split.train, *split.validation), config.seed
