@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,9 @@ import pytest
 import torch
 
 from foten.architecture import ARCHITECTURES, FotenArchitecture
+from foten.recording.preprocess import PreprocessConfig
 from foten.recording.scaling import Scaling
+from foten.recording.split import Split
 from foten.texture_file import Texture
 
 torch.set_num_threads(1)  # small matrices only lose by more
@@ -37,11 +40,11 @@ CARD: dict[str, Any] = {
     "notes": "",
     "licence": "",
     "recording_sha256": "",
-    "preprocess": {},
-    "split": {},
+    "preprocess": asdict(PreprocessConfig()),
+    "split": asdict(Split((0, 1, 2), (3,), (4,), 5, 2000, "regrouped", 0)),
     "split_sha256": "",
     "training": {},
-    "metrics": {},
+    "metrics": {"validation_mae_scaled": 0.5},
 }
 
 

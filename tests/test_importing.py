@@ -224,6 +224,20 @@ def test_time_columns_of_one_file_go_by_their_lengths(tmp_path):
         _import(tmp_path / "a.npz", map="time=t1,acceleration=acc,position_x=x")
 
 
+def test_a_rate_that_is_not_used_is_said_once_per_file(tmp_path):
+    path = _csv(tmp_path / "a.csv", "t,acc,force", TIME, ACC, FORCE)
+    wavfile.write(tmp_path / "b.wav", 44_100, SPEED.repeat(40).astype(np.float32))
+    mapping = (("time", "a:t"), ("acceleration", "a:acc"), ("force", "a:force"), ("speed", "b:0"))
+    options = ImportOptions(mapping, rate_hz=500.0)
+    imported = import_recording([path, tmp_path / "b.wav"], options)
+    assert imported.recording["force"].rate_hz == 1000
+    assert imported.decisions == (
+        "rate 500 Hz not used: a.csv has a time column, 1000 Hz",
+        "rate 500 Hz not used: b.wav states 44100 Hz",
+    )
+    assert import_recording([path], ImportOptions(mapping[:3], rate_hz=1000.0)).decisions == ()
+
+
 def test_wav_for_acceleration_beside_a_table(tmp_path):
     wavfile.write(tmp_path / "acc.wav", 10_000, (ACC.repeat(10) * 3000).astype(np.int16))
     rest = _csv(tmp_path / "rest.csv", "v,f", SPEED, FORCE)

@@ -184,7 +184,7 @@ def test_rendering_conditions_a_stroke_as_training_does() -> None:
         recording({"acceleration": tone(100.0)}, speed=Channel(speed, 1000.0), force=Channel(force, 1000.0)),
         SHORT,
     )
-    rendered = condition(speed, force, 1000.0, SHORT.render_lowpass_hz)
+    rendered = condition(speed[None], force, 1000.0, SHORT.render_lowpass_hz)
     delay = round(SHORT.delay_ms)
     for found, expected in zip(rendered, (trace.speed, trace.force), strict=True):
         # SciPy and ours sum the same products in another order.
@@ -211,9 +211,11 @@ def test_the_trace_says_where_it_came_from() -> None:
 
 
 def test_a_short_recording_names_the_options() -> None:
-    with pytest.raises(ValueError, match=r"lasts 5 s; a trim of 2000 ms.*leaves 1 s.*use --trim and --block"):
+    with pytest.raises(
+        ValueError, match=r"^5 s are covered.*a trim of 2000 ms.*leaves 1 s.*a shorter --trim and --block"
+    ):
         preprocess(recording({"acceleration": tone(100.0, 5.0)}, seconds=5.0))
-    with pytest.raises(ValueError, match=r"leaves 0 s.*use --trim and --block"):
+    with pytest.raises(ValueError, match=r"leaves 0 s.*a shorter --trim and --block"):
         preprocess(recording({"acceleration": tone(100.0, 1.0)}, seconds=1.0))
 
 
@@ -254,3 +256,44 @@ def test_what_is_missing_is_named(missing: str, message: str) -> None:
 def test_a_config_is_checked(fields: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         PreprocessConfig(**fields)
+
+
+def test_a_signed_velocity_is_refused_and_a_ringing_filter_is_not() -> None:
+    signed = 100 * np.sin(2 * np.pi * 1.0 * np.arange(6000) / 1000)
+    made = recording(
+        {"acceleration": tone(100.0)}, speed=Channel(signed, 1000.0), force=Channel(np.ones(6000), 1000.0)
+    )
+    with pytest.raises(ValueError, match="one axis of a velocity"):
+        preprocess(made, SHORT)
+    stop = np.where(np.arange(60_000) < 30_000, 210.0, 1.0)
+    made = recording(
+        {"acceleration": tone(100.0)}, speed=Channel(stop, 10_000.0), force=Channel(np.ones(6000), 1000.0)
+    )
+    assert preprocess(made, SHORT).speed.min() >= 0.0
+
+
+def test_what_not_every_channel_covers_is_left_out_and_counted() -> None:
+    """Speed and force from 2 to 6 s beside 6 s of acceleration: nothing is invented for the first two."""
+    times = 2.0 + np.arange(400) / 100
+    hand = {
+        name: Channel(values, 100.0, times)
+        for name, values in (("speed", 50 * times), ("force", 0 * times + 1))
+    }
+    trace = preprocess(
+        recording({"acceleration": tone(100.0)}, **hand), PreprocessConfig(trim_ms=0, block_ms=500)
+    )
+    assert trace.n_uncovered == 2000
+    # The first sample of the trace is at 2 s, where the speed is 100 mm/s, to within the low-pass's settling.
+    assert trace.speed[200] == pytest.approx(50 * 2.2, rel=0.02)
+
+
+def test_a_stroke_along_one_axis_has_a_speed_both_ways() -> None:
+    position = 20 * np.sin(2 * np.pi * 1.0 * np.arange(720) / 120)
+    made = recording(
+        {"acceleration": tone(100.0)},
+        position_x=Channel(position, 120.0),
+        force=Channel(np.ones(6000), 1000.0),
+    )
+    trace = preprocess(made, SHORT)
+    # The mean of |cos| is 2/π.
+    assert trace.speed.mean() == pytest.approx(20 * 2 * np.pi * 2 / np.pi, rel=0.05)

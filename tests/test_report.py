@@ -20,6 +20,7 @@ from foten.evaluate.references import Persistence, Zero, fit_linear
 from foten.evaluate.report import AUDIO_HZ, REFERENCES, cautions, page, reason, sounds, verdict, write_report
 from foten.recording.scaling import fit_scaling
 from foten.recording.trace import Trace
+from foten.recording.windows import targets
 from foten.texture_file import Texture
 
 N_BLOCKS, TRAIN, TEST = 6, (0, 1, 2, 5), (3, 4)
@@ -51,7 +52,7 @@ def _judgement(rate_hz=1000.0, block=2000):
         name: free_run(recorded, signal, v, f, rate_hz, scaling.sd[0]) for name, signal in synthesized.items()
     }
     scores = {
-        name: one_step(predictor, samples, TEST, block, scaling)
+        name: one_step(predictor, samples, targets(TEST, block, 160).reshape(len(TEST), -1), scaling)
         for name, predictor in {
             "own": fit_linear(samples, TRAIN, block, 40),
             "ar": fit_linear(samples, TRAIN, block, 20),

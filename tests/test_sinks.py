@@ -60,8 +60,8 @@ def test_same_arrays_same_bytes(tmp_path: Path) -> None:
 
 
 def test_a_failed_write_leaves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="whole rate"):
-        write_rendered(tmp_path / "a.wav", signal(), signal(), signal(), 1000.5, ABOUT)
+    with pytest.raises(ValueError, match="at most 48000 Hz"):
+        write_audible(tmp_path / "a.wav", signal(), 96_000.0)
     with pytest.raises(ValueError, match=r"expected \.wav, \.csv, \.npz or \.png"):
         write_rendered(tmp_path / "a.flac", signal(), signal(), signal(), 1000.0, ABOUT)
     assert not list(tmp_path.iterdir())

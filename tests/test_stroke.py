@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from foten.render.stroke import PressureCalibration, constant_stroke, read_stroke
+from foten.recording.recording import Channel, Recording
+from foten.render.stroke import PressureCalibration, constant_stroke, read_stroke, recorded_stroke
 
 
 def written(path: Path, columns: dict[str, np.ndarray]) -> Path:
@@ -21,22 +22,23 @@ def test_a_circle_has_its_speed(tmp_path: Path) -> None:
     t = np.arange(0, 2, 1 / 120)
     x, y = 20 * np.cos(2 * np.pi * t), 20 * np.sin(2 * np.pi * t)
     stroke = read_stroke(written(tmp_path / "c.csv", {"t": t, "x": x, "y": y, "force": 0 * t + 1}), 1000.0)
-    # Central differences at 120 Hz take sinc(2π/120) = 0.05 % off; the ends are one-sided.
-    assert stroke.speed[20:-20] == pytest.approx(40 * np.pi, rel=1e-3)
+    speed, _ = stroke.conditioned(20.0)
+    # Chords for arcs take (2π/120)²/6 = 0.05 % off, the low-pass at 1 Hz next to nothing; it settles in 50 ms.
+    assert speed[100:-20] == pytest.approx(40 * np.pi, rel=2e-3)
 
 
 def test_time_may_start_anywhere_and_be_uneven(tmp_path: Path) -> None:
     t = 7.5 + np.array([0.0, 0.1, 0.15, 0.4, 1.0])
     stroke = read_stroke(written(tmp_path / "u.csv", {"t": t, "speed": 100 * (t - 7.5), "force": t}), 500.0)
-    assert stroke.speed.size == 500
-    np.testing.assert_allclose(stroke.speed, 100 * np.arange(500) / 500, atol=1e-6)
+    assert stroke.force.size == 500
+    np.testing.assert_allclose(stroke.moved[0], 100 * np.arange(500) / 500, atol=1e-6)
 
 
 def test_columns_come_in_any_order_and_case(tmp_path: Path) -> None:
     path = tmp_path / "o.csv"
     path.write_text("Note,Force,T,Speed\na,1,0,10\n\nb,2,1,20\n")
     stroke = read_stroke(path, 100.0)
-    assert stroke.speed[50] == pytest.approx(15)
+    assert stroke.moved[0, 50] == pytest.approx(15)
     assert stroke.force[50] == pytest.approx(1.5)
 
 
@@ -51,7 +53,7 @@ def test_conditioning_keeps_a_constant_and_slows_a_step() -> None:
     assert speed == pytest.approx(80.0, rel=1e-9)
     assert force == pytest.approx(1.2, rel=1e-9)
     stroke = constant_stroke(80.0, 1.2, 0.3, 1000.0)
-    stroke.speed[:100] = 0.0
+    stroke.moved[0, :100] = 0.0
     speed, _ = stroke.conditioned(20.0)
     half = int(np.argmax(speed > 40.0)) - 100
     assert 8 <= half <= 16  # ms; the low-pass's delay at 0 Hz is 11.2
@@ -61,3 +63,23 @@ def test_conditioning_keeps_a_constant_and_slows_a_step() -> None:
 def test_impossible_constants_are_refused(values: tuple[float, float, float]) -> None:
     with pytest.raises(ValueError, match=r"expected a finite number|less than one sample"):
         constant_stroke(*values, 1000.0)
+
+
+def test_a_hole_in_the_table_is_told(tmp_path: Path) -> None:
+    t = np.concatenate([np.arange(0, 1, 0.01), [5.0]])
+    assert read_stroke(
+        written(tmp_path / "h.csv", {"t": t, "speed": t, "force": t}), 100.0
+    ).gap_s == pytest.approx(4.01)
+    assert (
+        read_stroke(written(tmp_path / "n.csv", {"t": t[:-1], "speed": t[:-1], "force": t[:-1]}), 100.0).gap_s
+        == 0
+    )
+
+
+def test_a_recorded_hand_needs_no_acceleration() -> None:
+    recording = Recording(
+        {"speed": Channel(np.full(1000, 80.0), 1000.0), "force": Channel(np.ones(120), 120.0)}
+    )
+    speed, force = recorded_stroke(recording, 500.0).conditioned(20.0)
+    assert speed.size == force.size == 500
+    assert speed == pytest.approx(80.0)

@@ -1,4 +1,5 @@
 import dataclasses
+from dataclasses import asdict
 from itertools import pairwise
 from typing import Any
 
@@ -8,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conftest import SCALING, exported
+from foten.recording.preprocess import PreprocessConfig
 from foten.render.engine import engine_for
 from foten.render.synthesizer import FADE_FORCE, FADE_SPEED, Synthesizer, prove
 from foten.texture_file import CLOSED_LOOP_TOLERANCE, Texture
@@ -313,6 +315,6 @@ def test_an_engine_that_answers_nan_is_refused(texture: Texture) -> None:
 
 @pytest.mark.parametrize("rate_hz", [1000.0, 2500.0, 10_000.0])
 def test_the_rate_is_the_cards(rate_hz: float) -> None:
-    made = exported("foten-plus", rate_hz=rate_hz)
+    made = exported("foten-plus", rate_hz=rate_hz, preprocess=asdict(PreprocessConfig(rate_hz=rate_hz)))
     assert made.rate_hz == rate_hz
     assert np.isfinite(Synthesizer(made).render(*steady(20))).all()

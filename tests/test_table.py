@@ -71,6 +71,35 @@ def test_a_word_among_numbers_spoils_only_its_column(tmp_path):
     assert b.fault == "row 3 is 'oops', expected a number"
 
 
+@pytest.mark.parametrize("units", ["", "s,N,,m/s\n"])
+def test_a_word_in_the_first_row_of_data_loses_no_row(tmp_path, units):
+    rows = "0.000000,OVL,0.0,1.0\n0.000100,OVL,0.5,1.5\n0.000200,2,1,2\n0.000300,3,2,3\n0.000400,4,2,3\n"
+    (tmp_path / "a.csv").write_text("t,force,b,c\n" + units + rows)
+    t, force, b, _ = read_delimited(tmp_path / "a.csv")
+    assert t.samples.tolist() == [0, 0.0001, 0.0002, 0.0003, 0.0004]
+    assert (b.name, b.samples.tolist()) == ("b", [0, 0.5, 1, 2, 2])
+    assert force.fault == f"row {3 if units else 2} is 'OVL', expected a number"
+
+
+def test_a_word_in_the_first_row_without_a_header_is_refused(tmp_path):
+    (tmp_path / "a.csv").write_text("0.0,OVL,0,1\n0.1,2,1,2\n0.2,3,2,3\n")
+    with pytest.raises(ValueError, match=r"row 1 holds numbers and words: is it a header, or data"):
+        read_delimited(tmp_path / "a.csv")
+
+
+def test_a_word_in_the_first_row_of_excel_loses_no_row(tmp_path):
+    _workbook(tmp_path / "a.xlsx", data=[["Rig", 7], ["t", "force"], [0, "OVL"], [1, 2], [2, 3], [3, 4]])
+    t, force = read_excel(tmp_path / "a.xlsx")
+    assert (t.name, t.samples.tolist()) == ("t", [0, 1, 2, 3])
+    assert force.fault == "row 3 is 'OVL', expected a number"
+
+
+@pytest.mark.parametrize("top", ["# fs 1000\n", "Rate 1000\n", "x force\n# offset 3\n"])
+def test_numbers_above_a_table_are_not_data(tmp_path, top):
+    columns = list(_columns(tmp_path / "a.txt", top + "0 1.5\n1 2.5\n2 3.5\n").values())
+    assert columns == [[0, 1, 2], [1.5, 2.5, 3.5]]
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [

@@ -257,7 +257,7 @@ def test_a_damaged_header_is_a_value_error_or_none(texture: Texture, position: f
 
 
 def test_a_failing_write_leaves_nothing_behind(texture: Texture, tmp_path: Path) -> None:
-    unwritable = dataclasses.replace(texture, card={**texture.card, "metrics": {"mae": float("nan")}})
+    unwritable = dataclasses.replace(texture, card={**texture.card, "training": {"loss": float("nan")}})
     with pytest.raises(ValueError, match="JSON compliant"):
         write_texture(unwritable, tmp_path / "a.foten")
     assert list(tmp_path.iterdir()) == []

@@ -206,7 +206,9 @@ def test_resumed_training_gives_the_same_bytes(recording: Recording, trained: Tr
 
     train_texture(recording, "foten-plus", architecture, QUICK, SHORT, on_epoch=stop, checkpoint=checkpoint)
     assert checkpoint.exists()
-    again = train_texture(recording, "foten-plus", architecture, QUICK, SHORT, checkpoint=checkpoint)
+    again = train_texture(
+        recording, "foten-plus", architecture, QUICK, SHORT, checkpoint=checkpoint, resume=True
+    )
     assert again.texture.to_bytes() == trained.texture.to_bytes()
 
 
@@ -289,6 +291,8 @@ def test_run_folder_writes_nothing_before_the_first_line(tmp_path) -> None:
     with pytest.raises(ValueError, match="nothing to resume"):
         RunFolder(folder.path).open({"x": 1}, resume=True)
     folder.checkpoint.write_bytes(b"")
+    with pytest.raises(ValueError, match="go on with --resume, or delete"):
+        RunFolder(folder.path).open({"x": 1}, resume=False)
     with pytest.raises(ValueError, match="other settings"):
         RunFolder(folder.path).open({"x": 2}, resume=True)
 

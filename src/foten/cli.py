@@ -95,6 +95,7 @@ def simulate(
         return
     if key is None or output is None:
         raise ValueError("expected a key and -o FILE; --list shows the keys")
+    _check_folders([output])
     recording = simulator.simulate(
         key, seconds, seed, noise_seed=noise_seed, stroke_seed=stroke_seed, accelerometer_hz=accelerometer_hz
     )
@@ -290,11 +291,13 @@ def train(
     trim: Annotated[float | None, typer.Option(help="Discarded at both ends [ms]. [2000]")] = None,
     block: Annotated[float | None, typer.Option(help="Unit of the split [ms]. [2000]")] = None,
     window: Annotated[int, typer.Option(help="m, samples that a prediction sees.")] = 20,
-    seed: Annotated[int, typer.Option(help="Of initial weights, order and dropout.")] = 0,
+    seed: Annotated[
+        int, typer.Option(min=0, max=2**32 - 1, help="Of initial weights, order and dropout.")
+    ] = 0,
     split: Annotated[
         str, typer.Option(help="regrouped by speed and force, or contiguous in time.")
     ] = "regrouped",
-    split_seed: Annotated[int, typer.Option(help="Of the regrouped split.")] = 0,
+    split_seed: Annotated[int, typer.Option(min=0, help="Of the regrouped split.")] = 0,
     epochs: Annotated[int | None, typer.Option(help="At most; the recipe's by default.")] = None,
     loss: Annotated[str | None, typer.Option(help="huber, mse or mae. [huber]")] = None,
     delta: Annotated[float | None, typer.Option(help="Huber threshold, scaled. [1.6]")] = None,
@@ -319,7 +322,9 @@ def train(
     ] = None,
     texture: Annotated[str, typer.Option(help="Name in the card; the recording's by default.")] = "",
     licence: Annotated[str, typer.Option(help="Licence of the texture, for the card.")] = "",
-    threads: Annotated[int, typer.Option(help="Share each batch among so many cores.")] = 2,
+    threads: Annotated[
+        int, typer.Option(help="Share each batch among so many cores (on a GPU there is one share).")
+    ] = 2,
     as_json: JsonOption = False,
 ) -> None:
     """Learn a texture file from a recording. Ctrl-C keeps the best so far."""
@@ -339,6 +344,7 @@ def train(
         raise ValueError(f"unknown recipe {recipe!r}, expected one of {', '.join(RECIPES)}")
     if output.suffix != ".foten":
         raise ValueError(f"a texture file is written as .foten, got -o {output.name}")
+    _check_folders([output, run_folder or output])
     asked: dict[str, Any] = {
         "epochs": epochs,
         "loss": loss,
@@ -390,6 +396,7 @@ def train(
             split_seed,
             on_epoch,
             folder.checkpoint,
+            resume,
             texture or recording.texture,
             licence,
             on_stage=display.stage,
@@ -415,6 +422,8 @@ def train(
         )
         alone = metrics["validation_mae_scaled_shortcut"]
         print("" if alone is None else f", {alone:.4f} sd by its linear shortcut alone")
+        if trained.trace.n_uncovered:
+            print(f"{trained.trace.n_uncovered} samples that not every channel covers were left out")
         if trained.trace.n_dropped:
             print(f"{trained.trace.n_dropped} samples at the end did not fill a block and were left out")
         condition = trained.texture.card["warm_start"]["found"]
@@ -435,10 +444,11 @@ def evaluate(
     report: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write DIR/report.html and DIR/evaluation.json.")
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of the excitation.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Of the excitation.")] = 0,
     as_json: JsonOption = False,
 ) -> None:
     """Judge a texture on its test blocks: one-step and free-run, beside references and a ceiling."""
+    from foten import __version__
     from foten.datasets.hdf5 import load_recording
     from foten.evaluate import evaluate as judge
     from foten.experiments.truth import truth_for
@@ -454,9 +464,10 @@ def evaluate(
         from foten.evaluate.report import write_report
 
         report.mkdir(parents=True, exist_ok=True)
-        (report / "evaluation.json").write_text(
-            json.dumps(judgement.document, indent=1, allow_nan=False) + "\n"
-        )
+        document = {"foten": __version__, **judgement.document}
+        part = report / "evaluation.json.part"
+        part.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+        part.replace(report / "evaluation.json")
         _say(f"wrote {write_report(judgement, texture, report)}")
     if as_json:
         _print_json(judgement.document)
@@ -485,46 +496,51 @@ def render(
     audible: Annotated[
         Path | None, typer.Option(metavar="FILE.wav", help="Also as sound, 48 kHz, 16 bits.")
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of the excitation.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Of the excitation.")] = 0,
     deterministic: Annotated[bool, typer.Option("--deterministic", help="Without excitation.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Render vibration from a texture and a stroke."""
     import dataclasses
 
+    from foten import __version__
     from foten.render import sinks
-    from foten.render.stroke import constant_stroke, read_stroke
+    from foten.render.stroke import constant_stroke, read_stroke, recorded_stroke
     from foten.render.synthesizer import Synthesizer
     from foten.texture_file import read_texture
 
     for path in output:
         sinks.check_suffix(path)
+    _check_folders([*output, *([audible] if audible else [])])
     texture = read_texture(texture_file)
+    rate = texture.rate_hz
+    if audible is not None:
+        sinks.audible_factor(rate)
     constants = (speed, force, seconds)
     sources = [stroke is not None, recording_file is not None, any(value is not None for value in constants)]
     if sum(sources) != 1 or (sources[2] and None in constants):
         raise ValueError("expected one of --stroke, --recording, or --speed with --force and --seconds")
-    rate = texture.rate_hz
+    if recording_file is not None:
+        from foten.datasets.hdf5 import load_recording
+
+        recording = load_recording(recording_file)
+        given, told = recorded_stroke(recording, rate), recording.sha256()
+    elif stroke is not None:
+        given, told = read_stroke(stroke, rate), stroke.name
+    else:
+        given = constant_stroke(float(speed or 0), float(force or 0), float(seconds or 0), rate)
+        told = f"{speed:g} mm/s, {force:g} N, {seconds:g} s"
+    if given.gap_s:
+        _say(f"the stroke has a hole of {given.gap_s:.3g} s, bridged in a straight line")
+    hand = given.conditioned(float(texture.card["lowpass_hz"]))
     about = {
+        "foten": __version__,
         "texture": texture.card["texture"],
         "texture_sha256": texture.sha256(),
+        "stroke": told,
         "seed": seed,
         "rate_hz": rate,
     }
-    if recording_file is not None:
-        from foten.datasets.hdf5 import load_recording
-        from foten.evaluate.evaluate import trace_for
-
-        trace = trace_for(texture, load_recording(recording_file))
-        hand = trace.speed, trace.force
-        about["stroke"] = trace.recording_sha256
-    else:
-        if stroke is not None:
-            given = read_stroke(stroke, rate)
-        else:
-            given = constant_stroke(float(speed or 0), float(force or 0), float(seconds or 0), rate)
-        hand = given.conditioned(float(texture.card["lowpass_hz"]))
-        about["stroke"] = stroke.name if stroke is not None else f"{speed:g} mm/s, {force:g} N, {seconds:g} s"
     synthesizer = Synthesizer(texture, seed, excitation=not deterministic)
     acceleration = synthesizer.render(*hand)
     for path in output:
@@ -610,8 +626,10 @@ def demo(
     ] = "towel",
     seconds: Annotated[float, typer.Option(help="Length of the recording [s].")] = 44.0,
     epochs: Annotated[int, typer.Option(help="Of training.")] = 8,
-    seed: Annotated[int, typer.Option(help="Of everything.")] = 0,
-    threads: Annotated[int, typer.Option(help="Share each batch among so many cores.")] = 2,
+    seed: Annotated[int, typer.Option(min=0, max=2**31, help="Of everything.")] = 0,
+    threads: Annotated[
+        int, typer.Option(help="Share each batch among so many cores (on a GPU there is one share).")
+    ] = 2,
     as_json: JsonOption = False,
 ) -> None:
     """Go once through everything without data or hardware: simulate, train, judge, render."""
@@ -623,6 +641,15 @@ def demo(
         return
     for name, path in paths.items():
         print(f"{name:10s}{path}")
+
+
+def _check_folders(paths: list[Path]) -> None:
+    """Refuse an output whose folder does not exist, before any work is done."""
+    for path in paths:
+        if not path.parent.is_dir():
+            raise ValueError(f"cannot write {path}: there is no folder {path.parent}")
+        if path.is_dir() and path.suffix:
+            raise ValueError(f"cannot write {path}: it is a folder")
 
 
 def _settings(pairs: list[str]) -> dict[str, Any]:

@@ -28,7 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.architecture import FotenArchitecture, FotenPlusArchitecture, architecture_from, tensor_shapes
+from foten.recording.preprocess import PreprocessConfig
 from foten.recording.scaling import Scaling
+from foten.recording.split import Split
 
 FORMAT_VERSION = 1
 ONE_STEP_TOLERANCE = 1e-5  # scaled; float32 arithmetic of the network
@@ -212,6 +214,17 @@ def check_card(card: Any) -> None:
     if not all(_are_numbers(scaling.get(key), 3) for key in ("mean", "sd")):
         raise ValueError("the scaling in the card is not three means and three standard deviations")
     Scaling(mean=tuple(scaling["mean"]), sd=tuple(scaling["sd"]))
+    try:
+        made = PreprocessConfig(**card["preprocess"])
+        Split.from_fields(card["split"])
+    except (TypeError, KeyError) as error:
+        raise ValueError(f"the preprocessing or the split in the card is incomplete ({error})") from error
+    if made.rate_hz != card["rate_hz"]:
+        raise ValueError(
+            f"the card has a rate of {card['rate_hz']} Hz and preprocessing to {made.rate_hz} Hz"
+        )
+    if not _are_numbers([card["metrics"].get("validation_mae_scaled")], 1):
+        raise ValueError("the card has no 'validation_mae_scaled' among its metrics")
 
 
 def _are_numbers(values: Any, n: int) -> bool:

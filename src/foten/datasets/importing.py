@@ -244,6 +244,11 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> Import:
         times[channel] = _times(channel, path, column, clocks, options)
         rates[channel], said = _rate(channel, path, column, times[channel], options, files[path])
         history += [said] if said else []
+        overall = options.rate_hz if channel not in options.rates_hz else None
+        if overall is not None and abs(overall - rates[channel]) > 1e-6 * overall:
+            why = "states" if times[channel] is None else "has a time column,"
+            unused = f"rate {overall:g} Hz not used: {path.name} {why} {rates[channel]:g} Hz"
+            decisions += [unused] if unused not in decisions else []
 
     origin = _origin(times)
     if origin:

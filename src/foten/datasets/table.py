@@ -34,18 +34,18 @@ def read_delimited(path: Path) -> list[Column]:
     filled = [line for line in lines if line.strip()]
     sample = filled[len(filled) // 2]
     delimiter = next((mark for mark in "\t;," if mark in sample), None)
+    remarks = frozenset(i for i, line in enumerate(lines) if line.startswith(("#", "%")))
     if delimiter is None:
         rows: list[list[Any]] = [line.lstrip("#% ").split() for line in lines]
     else:
         rows = [list(row) for row in csv.reader(lines, delimiter=delimiter)]
         if len(rows) != len(lines):
             raise ValueError(f"{path.name}: a quotation mark opens and never closes; was the file cut off?")
-        for line, row in zip(lines, rows, strict=True):
-            if line.startswith(("#", "%")):
-                row[0] = row[0].lstrip("#% ")
+        for i in remarks:
+            rows[i][0] = rows[i][0].lstrip("#% ")
     if delimiter != "," and any(_DECIMAL_COMMA.fullmatch(cell.strip()) for cell in sample.split(delimiter)):
         rows = [[cell.replace(",", ".") for cell in row] for row in rows]
-    return _table(rows, path.name)
+    return _table(rows, path.name, remarks)
 
 
 def read_excel(path: Path) -> list[Column]:
@@ -125,8 +125,11 @@ def _is_number(cell: Any) -> bool:
     return True
 
 
-def _table(rows: list[list[Any]], where: str) -> list[Column]:
-    """Return the columns below the header of a table. Rows are counted from 1, as editors do."""
+def _table(rows: list[list[Any]], where: str, remarks: frozenset[int] = frozenset()) -> list[Column]:
+    """Return the columns below the header of a table. Rows are counted from 1, as editors do.
+
+    Rows in `remarks`, counted from 0, may name the columns but hold no data.
+    """
     rows = list(rows)
     while rows and not _width(rows[-1]):
         rows.pop()
@@ -142,6 +145,28 @@ def _table(rows: list[list[Any]], where: str) -> list[Column]:
         return any(map(_is_number, cells)) and all(_is_number(cell) or _is_blank(cell) for cell in cells)
 
     start = next((i for i, row in enumerate(rows) if fits(row)), 0)
+    worded = [
+        i
+        for i in range(start)
+        if len(rows[i]) == width and _width(rows[i]) and not any(map(_is_number, rows[i]))
+    ]
+    # A row that does not fit is still data where it cannot be anything else: an overflow in the first row is no
+    # header, and to skip it would shift this table against all others.
+    skipped = [
+        i
+        for i in range(worded[-1] + 1 if worded else 0, start)
+        if i not in remarks and any(map(_is_number, rows[i]))
+    ]
+    if worded:
+        start = min([start, *skipped])
+    else:
+        for i in skipped:
+            among = [_is_number(cell) for cell in rows[i]]
+            # What stands above a table without a header begins with a word: `Sample rate, 10000`.
+            if len(among) == width and (among[0] or sum(among) > width / 2):
+                raise ValueError(
+                    f"{where}, row {i + 1} holds numbers and words: is it a header, or data? Correct or remove it"
+                )
     for i in range(start, len(rows)):
         if not _width(rows[i]):
             rows[i] = [None] * width  # a blank line among the data is a row that is missing, not no row
@@ -150,9 +175,7 @@ def _table(rows: list[list[Any]], where: str) -> list[Column]:
                 f"{where}, row {i + 1} has {len(rows[i])} cells, expected {width}; was the file cut off?"
             )
     names, units = [str(k) for k in range(width)], [""] * width
-    heads = [
-        row for row in rows[max(0, start - 2) : start] if len(row) == width and not any(map(_is_number, row))
-    ]
+    heads = [rows[i] for i in worded[-2:] if i >= worded[-1] - 1]
     if (
         len(heads) == 2
         and any(map(_words, heads[1]))

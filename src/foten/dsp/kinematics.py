@@ -1,27 +1,53 @@
-"""Speed from positions, the same way for a recording and for a stroke to be rendered."""
+"""The hand's movement: slow signals at a higher rate, and speed from positions, the same way for recordings and strokes."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
 
-def tangential_speed(positions: NDArray[np.float64], times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the speed in the surface plane [mm/s], shape (n,).
 
-    Central differences of second order, also at uneven times; at 120 Hz they pass a 5 Hz hand movement within 2 %.
+def at_rate(values: Array, times_s: Array, rate_hz: float, n: int) -> Array:
+    """Return a signal at `n` samples of a rate from time 0, linearly interpolated, ends held.
+
+    Where the signal is denser than the rate, each sample is the mean over one period around it, so that its noise is
+    averaged and not picked up.
 
     Args:
-        positions: in the surface plane [mm], shape (n_axes, n).
-        times_s: increasing, shape (n,).
+        values: shape (k,).
+        times_s: increasing, shape (k,).
+        rate_hz: of the result.
+        n: samples of the result.
     """
-    if times_s.size < 2:
-        return np.zeros(times_s.size)
-    return np.sqrt(sum(np.gradient(axis, times_s) ** 2 for axis in positions))
+    grid = np.arange(n) / rate_hz
+    if times_s.size < 2 or np.median(np.diff(times_s)) >= 0.75 / rate_hz:
+        return np.interp(grid, times_s, values)
+    # The mean of the piecewise linear signal over [a, b] is the difference of its integral, over b − a.
+    integral = np.concatenate([[0.0], np.cumsum(np.diff(times_s) * (values[1:] + values[:-1]) / 2)])
+    edges = np.clip(np.append(grid, n / rate_hz) - 0.5 / rate_hz, times_s[0], times_s[-1])
+    at_edges = np.interp(edges, times_s, integral)
+    width = np.diff(edges)
+    mean = np.divide(np.diff(at_edges), width, out=np.zeros(n), where=width > 0)
+    return np.where(width > 0, mean, np.interp(grid, times_s, values))
 
 
-def at_rate(
-    values: NDArray[np.float64], times_s: NDArray[np.float64], rate_hz: float, n: int
-) -> NDArray[np.float64]:
-    """Return a slow signal at `n` samples of a higher rate from time 0, linearly interpolated, ends held."""
-    return np.interp(np.arange(n) / rate_hz, times_s, values)
+def velocity(positions: Array, rate_hz: float) -> Array:
+    """Return the velocity of each axis [mm/s], shape (n_axes, n), of positions [mm] at a rate, (n_axes, n).
+
+    Central differences; low-pass it before taking the norm (`speed_of`).
+    """
+    if positions.shape[1] < 2:
+        return np.zeros(positions.shape)
+    return np.asarray(np.gradient(positions, 1 / rate_hz, axis=1))
+
+
+def speed_of(velocity: Array) -> Array:
+    """Return the speed [mm/s], shape (n,), of low-passed velocities (n_axes, n); a single row is a speed already.
+
+    Low-passed, because the norm is never negative and noise adds to it: a still pen whose position wavers by 0.05 mm at 1 kHz
+    read 44 mm/s when the norm came first.
+    """
+    if velocity.shape[0] == 1:
+        return np.maximum(velocity[0], 0.0)  # a second-order low-pass undershoots by 4 %
+    return np.sqrt(np.square(velocity).sum(axis=0))

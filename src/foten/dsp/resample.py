@@ -8,16 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def rate_ratio(target_hz: float, source_hz: float) -> Fraction:
+def rate_ratio(target_hz: float, source_hz: float, tolerance: float = 1e-9) -> Fraction:
     """Return target over source rate as a small fraction.
+
+    Args:
+        target_hz, source_hz: the rates.
+        tolerance: relative error allowed; 1e-4 is inaudible.
 
     Raises:
         ValueError: the rates are not in a ratio of integers up to 1000.
     """
     ratio = Fraction(target_hz / source_hz).limit_denominator(1000)
-    if ratio.numerator == 0 or abs(float(ratio) * source_hz - target_hz) > 1e-9 * target_hz:
+    if ratio.numerator == 0 or abs(float(ratio) * source_hz - target_hz) > tolerance * target_hz:
+        nearest = source_hz / max(1, round(source_hz / target_hz))
         raise ValueError(
-            f"cannot go from {source_hz:g} Hz to {target_hz:g} Hz: not a ratio of small integers"
+            f"cannot go from {source_hz:.9g} Hz to {target_hz:g} Hz: not a ratio of small integers; ask for {nearest:.9g} Hz"
         )
     return ratio
 

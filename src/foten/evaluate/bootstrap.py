@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,22 +13,34 @@ N_RESAMPLES = 400
 
 def intervals(
     figures: Callable[[NDArray[np.int64]], Mapping[str, Any]], n_blocks: int, seed: int = 0
-) -> dict[str, list[float]]:
-    """Return the 95 % percentile interval of each scalar figure, resampling blocks with replacement.
+) -> dict[str, Any]:
+    """Return the 95 % percentile interval of each figure, resampling blocks with replacement.
 
     Args:
-        figures: block numbers → figures; those that are None or no number are left out.
+        figures: block numbers → figures, numbers or lists of numbers; what is None in a draw is left out of it.
         n_blocks: blocks to draw from; with fewer than 2 there is nothing to resample and the result is empty.
         seed: of the draw.
+
+    Returns:
+        By figure [low, high]; for a list, one such pair for each entry, None where it never was a number.
     """
     if n_blocks < 2:
         return {}
     rng = np.random.default_rng(seed)
     drawn = [figures(rng.integers(0, n_blocks, n_blocks)) for _ in range(N_RESAMPLES)]
-    found: dict[str, list[float]] = {}
+    found: dict[str, Any] = {}
     for name in drawn[0]:
-        values = [d[name] for d in drawn if isinstance(d[name], float)]
-        if values:
-            low, high = np.percentile(values, [2.5, 97.5])
-            found[name] = [float(low), float(high)]
+        values = [draw[name] for draw in drawn if draw[name] is not None]
+        if values and isinstance(values[0], float):
+            found[name] = _percentiles(values)
+        elif values and isinstance(values[0], list | tuple):
+            entries = zip(*values, strict=True)
+            found[name] = [_percentiles([v for v in entry if v is not None]) for entry in entries]
     return found
+
+
+def _percentiles(values: Sequence[float]) -> list[float] | None:
+    if not values:
+        return None
+    low, high = np.percentile(values, [2.5, 97.5])
+    return [float(low), float(high)]

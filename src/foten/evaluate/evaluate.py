@@ -19,6 +19,7 @@ from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.recording.windows import targets
 from foten.render.engine import engine_for
+from foten.render.synthesizer import FADE_FORCE, FADE_SPEED
 from foten.texture_file import Texture
 
 Array = NDArray[np.float64]
@@ -157,17 +158,21 @@ def _one_step(
     names = ("zero", "persistence", "ar", "ar_scheduled", "ar_best", "shortcut", "bound", "bound_window")
     references: dict[str, Any] = {name: dict(empty) for name in names}
     references["ar_best"].update(order=None, scheduled=None)
-    if block < FIRST_SCORED + 8:
-        reasons["one_step"] = f"blocks of {block} samples; the first {FIRST_SCORED} of each are history"
+    first = max(FIRST_SCORED, texture.window)
+    if block < first + 8:
+        reasons["one_step"] = f"blocks of {block} samples; the first {first} of each are history"
         return {"one_step": dict(empty), "references": references}
+    n = targets(blocks, block, first).reshape(len(blocks), -1)
     engine: Any = engine_for(texture)
 
     def score(predictor: Any) -> dict[str, Any]:
-        return one_step(predictor, samples, blocks, block, scaling)
+        return one_step(predictor, samples, n, scaling)
 
     result = score(engine)
     if texture.has_excitation:
-        result.update(excitation_scores(engine, engine.sigma, samples, blocks, block))
+        heard = (trace.speed[n] >= FADE_SPEED) & (trace.force[n] >= FADE_FORCE)
+        scores = excitation_scores(engine, engine.sigma, samples, n, heard)
+        result = {**result, **scores, "intervals": {**result["intervals"], **scores["intervals"]}}
     references["zero"], references["persistence"] = score(Zero()), score(Persistence())
     if hasattr(engine, "linear"):
         references["shortcut"] = score(_Shortcut(engine))
@@ -190,7 +195,6 @@ def _one_step(
         references["ar_best"].update(
             order=best.window if best else None, scheduled=best.scheduled if best else None
         )
-    n = targets(blocks, block, FIRST_SCORED)
     for name, bound in (("bound", truth.bound), ("bound_window", truth.bound_window)):
         if bound is None:
             reasons[f"references.{name}"] = "known for simulated textures of the linear family alone"

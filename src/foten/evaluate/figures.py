@@ -119,7 +119,7 @@ def densities(judgement: Judgement) -> tuple[Array, dict[str, Array]]:
     """
     rate_hz, part = judgement.trace.rate_hz, scored(judgement.trace.block)
     recorded, _, _ = scored_channels(judgement)
-    n_segment = metrics.segment_length(recorded.shape[-1])
+    n_segment = metrics.segment_length(judgement.trace.block)
     frequencies, density = metrics.welch(recorded, rate_hz, n_segment)
     bins = metrics.scored_bins(frequencies, rate_hz)
     pooled = {"recorded": density.mean(axis=0)[bins]}

@@ -113,17 +113,19 @@ def free_run(
         `lsd_db`: log-spectral distance, mean over blocks and seeds; `lsd_long_db`: the same on spectra pooled over all
         of them; `gfc_raw`, `gfc_welch`: Eq. 13 on raw and on Welch amplitudes, means; `level_bias_db`,
         `level_error_db`, `level_corr`: of levels in frames of 40 ms; `kurtosis` of all samples, and `kurtosis_recorded`;
-        `max_sd`: largest sample over `sd`; `band_errors_db`; `level_slopes` and `level_slopes_recorded` [dB per decade of
-        speed, of force]; `modulation_db`: distance of envelope spectra, 2 to 50 Hz; `intervals`.
+        `max_sd`: largest sample over `sd`, the first fifth included; `band_errors_db`; `level_slopes` and
+        `level_slopes_recorded` [dB per decade of speed, of force]; `modulation_db`: distance of envelope spectra, 2 to 50 Hz;
+        `intervals`.
     """
+    n_segment = metrics.segment_length(recorded.shape[-1])
     part = scored(recorded.shape[-1])
+    worst = np.abs(synthesized).max(axis=(0, 2)) / sd
     recorded, synthesized, speed, force = (
         recorded[:, part],
         synthesized[:, :, part],
         speed[:, part],
         force[:, part],
     )
-    n_segment = metrics.segment_length(recorded.shape[-1])
     frequencies, p = metrics.welch(recorded, rate_hz, n_segment)
     _, q = metrics.welch(synthesized, rate_hz, n_segment)
     bins = metrics.scored_bins(frequencies, rate_hz)
@@ -139,6 +141,10 @@ def free_run(
         [[metrics._cosine(np.sqrt(a), np.sqrt(b)) for a, b in zip(p, run, strict=True)] for run in q]
     )
 
+    frame_speed, frame_force = metrics.frame_means(speed, rate_hz), metrics.frame_means(force, rate_hz)
+    envelope_p = metrics.modulation_spectra(recorded, rate_hz)
+    envelope_q = metrics.modulation_spectra(synthesized, rate_hz)
+
     def figures(index: NDArray[np.int64]) -> dict[str, Any]:
         difference = level_q[:, index] - level_p[index]
         pooled = metrics.log_spectral_distance(p[index].mean(axis=0), q[:, index].mean(axis=(0, 1)))
@@ -151,22 +157,27 @@ def free_run(
             "level_error_db": float(np.abs(difference).mean()),
             "level_corr": _correlation(level_p[index], level_q[:, index]),
             "kurtosis": metrics.kurtosis(synthesized[:, index]),
+            "max_sd": float(worst[index].max()),
+            "band_errors_db": metrics.band_errors(
+                p[index].mean(axis=0), q[:, index].mean(axis=(0, 1)), frequencies[bins], rate_hz
+            ),
+            "level_slopes": metrics.level_slopes(
+                level_q[:, index].mean(axis=0), frame_speed[index], frame_force[index]
+            ),
+            "modulation_db": None
+            if envelope_p is None or envelope_q is None
+            else float(
+                metrics.log_spectral_distance(
+                    envelope_p[1][index].mean(axis=0), envelope_q[1][:, index].mean(axis=(0, 1))
+                )
+            ),
         }
 
-    modulation = [metrics.modulation_spectrum(x, rate_hz) for x in (recorded, synthesized)]
-    frame_speed, frame_force = metrics.frame_means(speed, rate_hz), metrics.frame_means(force, rate_hz)
+    every = np.arange(len(recorded))
     return {
-        **figures(np.arange(len(recorded))),
-        "max_sd": float(np.abs(synthesized).max() / sd),
+        **figures(every),
         "kurtosis_recorded": metrics.kurtosis(recorded),
-        "band_errors_db": metrics.band_errors(
-            p.mean(axis=0), q.mean(axis=(0, 1)), frequencies[bins], rate_hz
-        ),
-        "level_slopes": metrics.level_slopes(level_q.mean(axis=0), frame_speed, frame_force),
         "level_slopes_recorded": metrics.level_slopes(level_p, frame_speed, frame_force),
-        "modulation_db": float(metrics.log_spectral_distance(modulation[0][1], modulation[1][1]))
-        if modulation[0] is not None and modulation[1] is not None
-        else None,
         "intervals": intervals(figures, len(recorded)),
     }
 

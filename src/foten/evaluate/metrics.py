@@ -115,8 +115,8 @@ def band_errors(
     return errors
 
 
-def modulation_spectrum(blocks: Array, rate_hz: float) -> tuple[Array, Array] | None:
-    """Return frequencies [Hz] and the mean power spectrum of the envelope, 2 to 50 Hz: blocks (…, n) → (k,), (k,).
+def modulation_spectra(blocks: Array, rate_hz: float) -> tuple[Array, Array] | None:
+    """Return frequencies [Hz], 2 to 50, and the power spectrum of each block's envelope: blocks (…, n) → (k,), (…, k).
 
     The envelope is the magnitude of the analytic signal, divided by its mean in each block. None for blocks under 1 s.
     """
@@ -128,4 +128,4 @@ def modulation_spectrum(blocks: Array, rate_hz: float) -> tuple[Array, Array] | 
     envelope = envelope / np.maximum(envelope.mean(axis=-1, keepdims=True), 1e-12)
     frequencies, density = signal.welch(envelope, rate_hz, nperseg=int(0.5 * rate_hz), axis=-1)
     inside = (frequencies >= 2.0) & (frequencies <= 50.0)
-    return frequencies[inside], density[..., inside].reshape(-1, int(inside.sum())).mean(axis=0)
+    return frequencies[inside], density[..., inside]

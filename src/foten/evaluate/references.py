@@ -8,14 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.dsp.ar import least_squares_in_parts, stabilised
+from foten.dsp.ar import MAX_POLE, least_squares_in_parts, stabilised
 from foten.recording.windows import targets, windows
 
 Array = NDArray[np.float64]
 
 ORDERS = (5, 10, 20, 40, 80, 160)
 FIRST_SCORED = 160  # samples of each block that no method is scored on: the longest order's history
-MAX_POLE = 0.9995  # as the shortcut of foten-plus
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,13 @@ from pathlib import Path
 from foten.architecture import FotenPlusArchitecture
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
-from foten.evaluate.evaluate import evaluate, trace_for
+from foten.evaluate.evaluate import evaluate
 from foten.evaluate.report import write_report
 from foten.experiments.truth import truth_for
 from foten.recording.inspect import inspect_recording
 from foten.recording.pictures import write_pictures
 from foten.render.sinks import write_audible, write_rendered
+from foten.render.stroke import recorded_stroke
 from foten.render.synthesizer import Synthesizer
 from foten.texture_file import write_texture
 from foten.train.config import RECIPES
@@ -66,10 +67,8 @@ def run_demo(
     (report / "evaluation.json").write_text(json.dumps(judgement.document, indent=1, allow_nan=False) + "\n")
     paths["report"] = write_report(judgement, trained.texture, report)
     say("5/5 rendering ten seconds of a fresh hand")
-    hand = simulate(key, max(20.0, 10.0 + 2 * 2.5), seed + 1)
-    trace = trace_for(trained.texture, hand)
-    n = round(10.0 * trained.texture.rate_hz)
-    speed, force = trace.speed[:n], trace.force[:n]
+    hand = recorded_stroke(simulate(key, 10.0, seed + 1), trained.texture.rate_hz)
+    speed, force = hand.conditioned(float(trained.texture.card["lowpass_hz"]))
     acceleration = Synthesizer(trained.texture, seed).render(speed, force)
     about = {"texture": key, "texture_sha256": trained.texture.sha256(), "seed": seed}
     for name, suffix in (("vibration", "wav"), ("picture", "png")):

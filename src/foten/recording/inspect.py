@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.dsp.kinematics import tangential_speed
-from foten.recording.preprocess import PreprocessConfig
+from foten.dsp.filters import butterworth, filter_recorded
+from foten.dsp.kinematics import speed_of
+from foten.recording.preprocess import WRONG_SIGN, PreprocessConfig, hand_of, times_of
 from foten.recording.recording import UNITS, Channel, Recording
 
 CONTACT_N = 0.05  # less force is lift-off
@@ -22,7 +23,7 @@ MOVING_MM_S = 5.0  # less speed is rest
 SHORTEST_LOSS_S = 0.005  # a shorter loss of contact is noise of the force sensor
 HAND_HZ = 20.0  # a hand holds nothing above; the low-pass of Sec. V-b
 FRAME_S = 0.05  # of the search for the quietest stretch
-PLANE_HZ = 200.0  # at which speed and force are put side by side: ten times what a hand holds
+TRAINING_HZ = PreprocessConfig().rate_hz  # at which training puts speed and force side by side
 CELL_S = 0.05  # a cell of the plane counts as covered from here on
 CELL_MM_S, CELL_N = 25.0, 0.5
 PLANE_MM_S, PLANE_N = 300.0, 5.0  # the plane that users of textures reach; larger where the recording is
@@ -30,6 +31,8 @@ FEWEST_BLOCKS = 5  # that a split needs
 N_PLACES = 200  # that a finding lists
 
 PROBLEM, NOTE = "problem", "note"
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -177,7 +180,12 @@ class Inspection:
 def inspect_recording(recording: Recording) -> Inspection:
     """Return what a recording holds and what is wrong with it."""
     findings: list[Finding] = []
-    rest = _rest(recording)
+    hand = None
+    try:
+        hand = _hand(recording)
+    except ValueError as error:
+        findings.append(Finding(PROBLEM, "refused", "", f"training refuses it: {error}"))
+    rest = None if hand is None else (hand[0], (hand[1] < MOVING_MM_S) | (hand[2] < CONTACT_N))
     reports = tuple(_report(name, channel, rest) for name, channel in recording.channels.items())
     findings += _missing(recording)
     findings += _durations(recording)
@@ -196,23 +204,18 @@ def inspect_recording(recording: Recording) -> Inspection:
                 psd[name] = _density(channel)
                 findings += _lines(name, *psd[name])
     findings += _signs(recording)
-    findings += _contact(recording)
+    findings += _contact(recording, hand)
     findings += _above_noise(reports)
-    coverage = _coverage(recording)
+    coverage = None if hand is None else _coverage(*hand[1:])
     if coverage is not None:
         findings += _unvisited(coverage)
     return Inspection(reports, tuple(findings), coverage, psd, recording.sha256())
 
 
-def channel_times(channel: Channel) -> NDArray[np.float64]:
-    """Return when each sample was taken [s], shape (n,)."""
-    return np.arange(channel.samples.size) / channel.rate_hz if channel.times_s is None else channel.times_s
-
-
 def _places(channel: Channel, indices: NDArray[np.int64]) -> tuple[float, ...]:
     if indices.size > N_PLACES:
         indices = indices[np.linspace(0, indices.size - 1, N_PLACES).astype(np.int64)]
-    return tuple(round(float(t), 6) for t in channel_times(channel)[indices])
+    return tuple(round(float(t), 6) for t in times_of(channel)[indices])
 
 
 def _runs(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -225,36 +228,44 @@ def _many(count: int, what: str) -> str:
     return f"{count} {what}{'' if count == 1 else 's'}"
 
 
-def _speed(recording: Recording) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return times [s] and speed [mm/s], from the speed channel or from positions in the surface plane."""
-    if "speed" in recording:
-        return channel_times(recording["speed"]), recording["speed"].samples
-    plane = [recording[name] for name in ("position_x", "position_y") if name in recording]
-    if not plane or len({axis.samples.size for axis in plane}) > 1:
+def _movement(recording: Recording) -> list[str]:
+    """Return the channels that speed is taken from."""
+    names = ["speed"] if "speed" in recording else ["position_x", "position_y"]
+    return [name for name in names if name in recording]
+
+
+def _normal(recording: Recording) -> list[str]:
+    """Return the channel that force is taken from, or none."""
+    return [name for name in ("force", "force_z") if name in recording][:1]
+
+
+def _span(channel: Channel) -> tuple[float, float]:
+    start = 0.0 if channel.times_s is None else float(channel.times_s[0])
+    return start, start + channel.duration_s
+
+
+def _hand(recording: Recording) -> tuple[Array, Array, Array] | None:
+    """Return times [s], speed [mm/s] and force [N] at `TRAINING_HZ`, as training takes them, but without delay.
+
+    None where one of them is missing or they share too little time.
+
+    Raises:
+        ValueError: the refusal of training, `hand_of`.
+    """
+    if not _movement(recording) or not _normal(recording):
         return None
-    times = channel_times(plane[0])
-    return times, tangential_speed(np.stack([axis.samples for axis in plane]), times)
-
-
-def _force(recording: Recording) -> tuple[str, NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return the channel, times [s] and force along the normal [N], pressing counted positive."""
-    name = next((name for name in ("force", "force_z") if name in recording), None)
-    if name is None:
+    hand = [*_movement(recording), *_normal(recording)]
+    spans = [_span(one) for one in [*recording.axes("acceleration"), *map(recording.__getitem__, hand)]]
+    start, end = max(start for start, _ in spans), min(end for _, end in spans)
+    # What holds up to 20 Hz settles within 50 ms; at the ends the low-pass lacks what came before and after.
+    margin = round(TRAINING_HZ / HAND_HZ)
+    if (end - start) * TRAINING_HZ < 4 * margin:
         return None
-    force = recording[name].samples
-    return name, channel_times(recording[name]), -force if np.median(force) < 0 else force
-
-
-def _rest(recording: Recording) -> tuple[NDArray[np.float64], NDArray[np.bool_]] | None:
-    """Return times and whether the tool rested or was in the air then."""
-    speed = _speed(recording)
-    if speed is None:
-        return None
-    times, still = speed[0], np.abs(speed[1]) < MOVING_MM_S
-    force = _force(recording)
-    if force is not None:
-        still |= np.interp(times, force[1], force[2]) < CONTACT_N
-    return times, still
+    moved, pressed = hand_of(recording, TRAINING_HZ)
+    low = butterworth("lowpass", HAND_HZ, TRAINING_HZ)
+    *slow, force = (filter_recorded(low, row, zero_phase=True)[margin:-margin] for row in (*moved, pressed))
+    times = (np.ceil(start * TRAINING_HZ - 1e-6) + margin + np.arange(force.size)) / TRAINING_HZ
+    return times, speed_of(np.stack(slow)), force
 
 
 def _report(
@@ -296,10 +307,12 @@ def _noise_floor(
     frames = x[: x.size - x.size % frame].reshape(-1, frame) if x.size >= frame else x[None, :]
     levels = frames.std(axis=1)  # about each frame's mean: gravity is no noise
     if rest is not None:
-        starts = channel_times(channel)[:: frames.shape[1]][: levels.size]
-        near = np.interp(starts + FRAME_S / 2, rest[0], rest[1].astype(np.float64)) == 1.0
-        ends = np.interp(starts, rest[0], rest[1].astype(np.float64)) == 1.0
-        quiet = near & ends
+        starts = times_of(channel)[:: frames.shape[1]][: levels.size]
+        times, still = rest[0], rest[1].astype(np.float64)
+        quiet = np.all(
+            [np.interp(starts + late, times, still, left=0, right=0) == 1 for late in (0, FRAME_S / 2)],
+            axis=0,
+        )
         if quiet.sum() >= 4:
             return float(np.median(levels[quiet])), "rest"
     return float(np.quantile(levels, 0.05)), "quietest 5 %"
@@ -323,32 +336,46 @@ def _missing(recording: Recording) -> Iterable[Finding]:
                 f"acceleration was captured at {axis.rate_hz:g} Hz and is never upsampled: train with "
                 f"--rate {axis.rate_hz:g} or lower",
             )
-    if _speed(recording) is None:
+    if not _movement(recording):
         yield Finding(PROBLEM, "missing", "speed", "there is no speed, and no position to take it from")
-    if _force(recording) is None:
+    if not _normal(recording):
         yield Finding(PROBLEM, "missing", "force", "there is no normal force (force or force_z)")
 
 
 def _durations(recording: Recording) -> Iterable[Finding]:
     config = PreprocessConfig()
-    ends = {name: float(channel_times(c)[-1]) + 1 / c.rate_hz for name, c in recording.channels.items()}
-    first, last = min(ends, key=lambda name: ends[name]), max(ends, key=lambda name: ends[name])
-    if ends[last] - ends[first] > max(0.05, 0.01 * ends[last]):
+    spans = {name: _span(channel) for name, channel in recording.channels.items()}
+    fast = next((name for name in recording.channels if name.startswith("acceleration")), "")
+    outside = set()
+    for name in [*_movement(recording), *_normal(recording)] if fast else []:
+        (begins, stops), (first, last) = spans[name], spans[fast]
+        if recording[name].times_s is not None and (begins > first + 0.05 or stops < last - 0.05):
+            outside.add(name)
+            yield Finding(
+                NOTE,
+                "span",
+                name,
+                f"{name} covers {begins:.2f} to {stops:.2f} s, {fast} {first:.2f} to {last:.2f} s: training "
+                "uses the common part",
+            )
+    ends = {name: stops for name, (_, stops) in spans.items() if name not in outside}
+    early, late = min(ends, key=lambda name: ends[name]), max(ends, key=lambda name: ends[name])
+    if ends[late] - ends[early] > max(0.05, 0.01 * ends[late]):
         yield Finding(
             NOTE,
             "durations",
-            first,
-            f"{first} ends at {ends[first]:.3f} s and {last} at {ends[last]:.3f} s; only the common part "
-            f"is used; "
-            "are both rates right?",
+            early,
+            f"{early} ends at {ends[early]:.3f} s and {late} at {ends[late]:.3f} s; only the common part is "
+            "used; are both rates right?",
         )
+    common = min(stops for _, stops in spans.values()) - max(begins for begins, _ in spans.values())
     needed = (2 * config.trim_ms + FEWEST_BLOCKS * config.block_ms) / 1000
-    if ends[first] < needed:
+    if common < needed:
         yield Finding(
             NOTE,
             "short",
             "",
-            f"it lasts {ends[first]:.2f} s, and trimming {config.trim_ms / 1000:g} s at both ends and "
+            f"it lasts {common:.2f} s, and trimming {config.trim_ms / 1000:g} s at both ends and "
             f"{FEWEST_BLOCKS} blocks of {config.block_ms / 1000:g} s take {needed:g} s: train with a shorter "
             "--trim and --block",
         )
@@ -453,27 +480,51 @@ def _spikes(name: str, channel: Channel) -> Iterable[Finding]:
             name,
             f"{name}: {_many(found.size, 'spike')} of one or two samples, the largest "
             f"{channel.samples[largest]:.6g} "
-            f"{UNITS[name]} at sample {largest} ({channel_times(channel)[largest]:.3f} s)",
+            f"{UNITS[name]} at sample {largest} ({times_of(channel)[largest]:.3f} s)",
             _places(channel, found),
         )
+
+
+def _leaves(x: Array, start: int, end: int, quantum: float) -> bool:
+    """Return whether a signal leaves a flat top, x[start:end] of n samples, more steeply than a rounded one can.
+
+    A smooth top is a parabola. Rounded to steps of q it is flat where it drops by less than q, so at least over a half-width
+    of (n−1)/2; n samples further out it then has dropped by at most q·((n−1)/2 + n)²/((n−1)/2)², and one q more by rounding.
+    A top that was cut off drops at the slope at which it was cut.
+    """
+    n = end - start
+    most = quantum * (((3 * n - 1) / (n - 1)) ** 2 + 1)
+    sides = [side for side in (x[max(0, start - n) : start], x[end : end + n]) if side.size]
+    return all(float(np.abs(side - x[start]).max()) > most for side in sides)
 
 
 def _clipping(name: str, channel: Channel) -> Iterable[Finding]:
     x = channel.samples
     starts, ends = _runs(np.concatenate([[False], np.diff(x) == 0]))
-    lengths = ends - starts + 1  # samples of equal value
+    starts = starts - 1  # the first of the equal samples
+    lengths = ends - starts
     if not lengths.size or x.min() == x.max():
         return
     values = x[starts]
+    quantum = float(np.median(np.diff(np.unique(x))))
     for extreme, what in ((float(x.max()), "highest"), (float(x.min()), "lowest")):
-        flat = lengths[(values == extreme) & (lengths >= 3)]
         others = lengths[(values != x.max()) & (values != x.min())]
         # A coarse or slow sensor repeats every value; only tops much flatter than its other flats are cut
         # off.
         usual = float(np.quantile(others, 0.99)) if others.size > 20 else 1.0
         bounded = extreme == 0 or (name == "speed" and extreme < MOVING_MM_S)
-        if flat.size and flat.max() >= 3 * usual and not bounded and (flat.size > 1 or flat.max() >= 5):
-            at = starts[(values == extreme) & (lengths >= 3)]
+        if bounded:
+            continue
+        cut = np.array(
+            [
+                i
+                for i in np.flatnonzero((values == extreme) & (lengths >= 3))
+                if _leaves(x, starts[i], ends[i], quantum)
+            ],
+            dtype=np.int64,
+        )
+        flat = lengths[cut]
+        if flat.size and flat.max() >= 3 * usual and (flat.size > 1 or flat.max() >= 5):
             yield Finding(
                 PROBLEM,
                 "clipping",
@@ -481,7 +532,7 @@ def _clipping(name: str, channel: Channel) -> Iterable[Finding]:
                 f"{name} is clipped: it stays at its {what} value, {extreme:.5g} {UNITS[name]}, for "
                 f"{_many(int(flat.sum()), 'sample')} "
                 f"in {_many(flat.size, 'place')}: the sensor or its amplifier was at its limit",
-                _places(channel, at),
+                _places(channel, starts[cut]),
             )
 
 
@@ -714,7 +765,7 @@ def _signs(recording: Recording) -> Iterable[Finding]:
         negative = np.flatnonzero(recording["speed"].samples < 0)
         if negative.size:
             yield Finding(
-                PROBLEM,
+                PROBLEM if recording["speed"].samples.min() < -WRONG_SIGN[0] else NOTE,
                 "sign",
                 "speed",
                 f"speed is negative in {_many(negative.size, 'sample')}, down to "
@@ -722,9 +773,8 @@ def _signs(recording: Recording) -> Iterable[Finding]:
                 f"velocity?",
                 _places(recording["speed"], negative),
             )
-    force = _force(recording)
-    if force is not None:
-        name, _, values = force
+    for name in _normal(recording):
+        values = _pressed(recording[name])
         if np.median(recording[name].samples) < 0:
             yield Finding(
                 NOTE, "sign", name, f"{name} is negative when pressing; pressing is counted positive"
@@ -739,14 +789,19 @@ def _signs(recording: Recording) -> Iterable[Finding]:
             )
 
 
-def _contact(recording: Recording) -> Iterable[Finding]:
-    force, speed = _force(recording), _speed(recording)
-    if force is None:
+def _pressed(channel: Channel) -> Array:
+    """Return a force with pressing counted positive [N], shape (n,), as captured: losses of contact are short."""
+    return -channel.samples if np.median(channel.samples) < 0 else channel.samples
+
+
+def _contact(recording: Recording, hand: tuple[Array, Array, Array] | None) -> Iterable[Finding]:
+    names = _normal(recording)
+    if not names:
         return
-    name, times, values = force
-    lost = values < CONTACT_N
-    if speed is not None:
-        lost = lost & (np.interp(times, *speed) > MOVING_MM_S)
+    name = names[0]
+    times, lost = times_of(recording[name]), _pressed(recording[name]) < CONTACT_N
+    if hand is not None:
+        lost = lost & (np.interp(times, hand[0], hand[1]) > MOVING_MM_S)
     starts, ends = _runs(lost)
     lengths = (ends - starts) / recording[name].rate_hz
     starts, lengths = starts[lengths >= SHORTEST_LOSS_S], lengths[lengths >= SHORTEST_LOSS_S]
@@ -774,7 +829,7 @@ def _above_noise(reports: Iterable[ChannelReport]) -> Iterable[Finding]:
                 NOTE,
                 "noise",
                 report.name,
-                f"{report.name}: the tool never rests, so the noise floor is only known to lie below "
+                f"{report.name}: no rest was found, so the noise floor is only known to lie below "
                 f"{report.noise_floor:.3g} m/s² (the quietest twentieth)",
             )
         elif vibration < 2 * report.noise_floor:
@@ -788,15 +843,7 @@ def _above_noise(reports: Iterable[ChannelReport]) -> Iterable[Finding]:
             )
 
 
-def _coverage(recording: Recording) -> Coverage | None:
-    speed, force = _speed(recording), _force(recording)
-    if speed is None or force is None:
-        return None
-    n = int(recording.duration_s * PLANE_HZ)
-    if n < 2:
-        return None
-    grid = np.arange(n) / PLANE_HZ
-    v, f = np.interp(grid, *speed), np.interp(grid, force[1], force[2])
+def _coverage(v: Array, f: Array) -> Coverage | None:
     stroking = (v > MOVING_MM_S) & (f > CONTACT_N)
     v, f = v[stroking], f[stroking]
     if v.size < 2:
@@ -814,8 +861,8 @@ def _coverage(recording: Recording) -> Coverage | None:
     return Coverage(
         speed_edges,
         force_edges,
-        counts / PLANE_HZ,
-        (v.size - counts.sum()) / PLANE_HZ,
+        counts / TRAINING_HZ,
+        (v.size - counts.sum()) / TRAINING_HZ,
         (float(v_low), float(v_high)),
         (float(f_low), float(f_high)),
     )

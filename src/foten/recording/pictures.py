@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.recording.inspect import CELL_S, HAND_HZ, NOTE, Inspection, channel_times
+from foten.recording.inspect import CELL_S, HAND_HZ, NOTE, Inspection
+from foten.recording.preprocess import times_of
 from foten.recording.recording import UNITS, Recording
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def overview(recording: Recording, inspection: Inspection) -> Figure:
     names = [name for name in UNITS if name in recording]
     figure, panels = _figure(10, 1.0 + 1.7 * len(names), nrows=len(names), sharex=True, squeeze=False)
     for axes, name in zip(panels[:, 0], names, strict=True):
-        times, low, high = _envelope(channel_times(recording[name]), recording[name].samples)
+        times, low, high = _envelope(times_of(recording[name]), recording[name].samples)
         colour = _COLOURS[name.split("_")[0]]
         if low is high:
             axes.plot(times, low, color=colour, linewidth=0.8)

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp.dft321 import dft321
-from foten.dsp.filters import Biquads, butterworth, delay_s, filter_recorded
-from foten.dsp.kinematics import at_rate, tangential_speed
+from foten.dsp.filters import Biquads, Sections, butterworth, delay_s, filter_recorded
+from foten.dsp.kinematics import at_rate, speed_of, velocity
 from foten.dsp.resample import decimate
 from foten.recording.recording import Channel, Recording
 from foten.recording.trace import Trace
+
+WRONG_SIGN = (5.0, 0.5)  # mm/s, N; below minus this a magnitude is not a magnitude with noise
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,9 @@ class PreprocessConfig:
     zero_phase: bool = False  # the paper's offline way; looks into the future
 
     def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            if not isinstance(value, bool) and not (type(value) in (int, float) and math.isfinite(value)):
+                raise ValueError(f"{name} is {value!r}, expected a finite number")
         if not self.rate_hz > 0:
             raise ValueError(f"rate is {self.rate_hz:g} Hz, expected a positive number")
         if self.trim_ms < 0 or not self.block_ms > 0:
@@ -63,13 +68,13 @@ class PreprocessConfig:
 def preprocess(recording: Recording, config: PreprocessConfig | None = None) -> Trace:
     """Return the trace of a recording: whole blocks of acceleration, speed and force at one rate.
 
-    The low-pass of speed and force is causal, as in rendering; the whole samples nearest its delay are then cut off,
-    so that speed and force stand beside the acceleration that they caused. With three axes, DFT321 makes one of them
-    in each block by itself.
+    Used is the stretch that every channel covers. The low-pass of speed and force is causal, as in rendering; the whole
+    samples nearest its delay are then cut off, so that speed and force stand beside the acceleration that they caused.
+    With three axes, DFT321 makes one of them in each block by itself.
 
     Raises:
-        ValueError: a quantity is missing, the acceleration is slower than the rate or irregular in time, or
-            the recording is too short for the trim and one block.
+        ValueError: a quantity is missing, the acceleration is slower than the rate or irregular in time, speed
+            or force has the wrong sign, or the recording is too short for the trim and one block.
 
     Source: Sec. III-c, Sec. VI.
     """
@@ -84,27 +89,30 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None) -> 
         if axis.rate_hz < rate * (1 - 1e-9):
             raise ValueError(
                 f"the acceleration was captured at {axis.rate_hz:g} Hz and {rate:g} Hz is asked for; it is never "
-                f"upsampled, so use --rate {axis.rate_hz:g} or lower"
+                f"upsampled: use --rate {axis.rate_hz:g} or lower"
             )
-
+    start, stop = _common([*axes, *_hand_channels(recording)], rate)
     highpass = butterworth("highpass", config.highpass_hz, rate, config.highpass_order)
     lowpass = butterworth("lowpass", config.lowpass_hz, rate)
     delay = 0 if config.zero_phase else round(delay_s(lowpass, rate) * rate)
-    n = math.floor(recording.duration_s * rate + 1e-6)
     trim = round(config.trim_ms * rate / 1000)
-    usable = min(n - trim, n - delay) - trim
+    usable = stop - start - trim - max(trim, delay)
     if usable < config.block:
         raise ValueError(
-            f"the recording lasts {recording.duration_s:.3g} s; a trim of {config.trim_ms:g} ms at both ends leaves "
-            f"{max(0, usable) / rate:.3g} s, less than one block of {config.block_ms:g} ms; use --trim and --block"
+            f"{(stop - start) / rate:.3g} s are covered by every channel; a trim of {config.trim_ms:g} ms at both ends leaves "
+            f"{max(0, usable) / rate:.3g} s, less than one block of {config.block_ms:g} ms; "
+            "train with a shorter --trim and --block"
         )
 
     def settled(signal: NDArray[np.float64], delayed: bool) -> NDArray[np.float64]:
         return signal[trim + delay * delayed :][: usable - usable % config.block]
 
+    def filtered(sections: Sections, signal: NDArray[np.float64]) -> NDArray[np.float64]:
+        return filter_recorded(sections, signal, zero_phase=config.zero_phase)
+
     vibration = np.stack(
         [
-            settled(filter_recorded(highpass, _decimated(axis, rate, n), zero_phase=config.zero_phase), False)
+            settled(filtered(highpass, decimate(axis.samples, axis.rate_hz, rate)[start:stop]), False)
             for axis in axes
         ]
     )
@@ -113,69 +121,104 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None) -> 
         acceleration = dft321(by_block).ravel()
     else:
         acceleration = vibration[0]
-    speed, force = (
-        settled(filter_recorded(lowpass, raw, zero_phase=config.zero_phase), True)
-        for raw in (_speed(recording, rate, n), _force(recording, rate, n))
-    )
+    moved, pressed = hand_of(recording, rate)
+    speed = speed_of(np.stack([settled(filtered(lowpass, row), True) for row in moved]))
+    force = np.maximum(settled(filtered(lowpass, pressed), True), 0.0)
     return Trace(
         acceleration=acceleration,
-        speed=np.maximum(speed, 0.0),
-        force=np.maximum(force, 0.0),
+        speed=speed,
+        force=force,
         rate_hz=rate,
         block=config.block,
         recording_sha256=recording.sha256(),
         preprocess=asdict(config),
         n_dropped=usable % config.block,
+        n_uncovered=max(round(c.duration_s * rate) for c in axes) - (stop - start),
     )
 
 
 def condition(
-    speed: NDArray[np.float64], force: NDArray[np.float64], rate_hz: float, lowpass_hz: float
+    moved: NDArray[np.float64], pressed: NDArray[np.float64], rate_hz: float, lowpass_hz: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return a stroke's speed [mm/s] and force [N], shapes (n,), through the causal low-pass of rendering.
+    """Return a hand's speed [mm/s] and force [N], shapes (n,), through the causal low-pass of rendering.
 
     The filter starts settled on the first sample.
+
+    Args:
+        moved: velocity of each axis [mm/s], shape (n_axes, n); one axis where only the speed is known.
+        pressed: normal force [N], shape (n,).
     """
     sections = butterworth("lowpass", lowpass_hz, rate_hz)
     filtered = []
-    for signal in (speed, force):
+    for signal in (*moved, pressed):
         biquads = Biquads(sections)
         biquads.reset(float(signal[0]) if signal.size else 0.0)
-        filtered.append(np.maximum(biquads.process(signal), 0.0))
-    return filtered[0], filtered[1]
+        filtered.append(biquads.process(signal))
+    return speed_of(np.stack(filtered[:-1])), np.maximum(filtered[-1], 0.0)
 
 
-def _decimated(channel: Channel, rate: float, n: int) -> NDArray[np.float64]:
-    return decimate(channel.samples, channel.rate_hz, rate)[:n]
+def hand_of(recording: Recording, rate_hz: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return velocity [mm/s] (n_axes, n) and normal force [N] (n,) at a rate, where both and any acceleration are covered.
+
+    Not yet low-passed. The velocity has the axes of the plane where positions were recorded, else the speed as its only one.
+    The normal is the z axis, and pressing counts positive: a force that is mostly negative is turned round.
+
+    Raises:
+        ValueError: speed or force is missing or has the wrong sign.
+    """
+    channels = _hand_channels(recording)
+    start, stop = _common([*recording.axes("acceleration"), *channels], rate_hz)
+    *moved, pressed = (_slow(channel, rate_hz, stop)[start:] for channel in channels)
+    rows = np.stack(moved)
+    if "speed" not in recording:
+        rows = velocity(rows, rate_hz)
+        if len(rows) == 1:  # a stroke along one axis; a single row would be a speed
+            rows = np.concatenate([rows, np.zeros_like(rows)])
+    # The signs are those of the raw samples: a filter rings after a sudden stop.
+    elif (raw := recording["speed"].samples).min() < -WRONG_SIGN[0]:
+        raise ValueError(
+            f"speed is negative in {int((raw < 0).sum())} of {raw.size} samples, down to {raw.min():.4g} mm/s; is it one "
+            "axis of a velocity? import positions, or its magnitude"
+        )
+    sign = -1.0 if np.median(channels[-1].samples) < 0 else 1.0
+    raw = sign * channels[-1].samples
+    if raw.min() < -WRONG_SIGN[1]:
+        raise ValueError(
+            f"force runs from {raw.min():.4g} to {raw.max():.4g} N, expected 0 or more; is the sensor not zeroed?"
+        )
+    pressed = sign * pressed
+    return rows, pressed
 
 
-def _slow(channel: Channel, rate: float, n: int) -> NDArray[np.float64]:
-    """Return a speed or force channel at the trace's rate: anti-aliased from above, interpolated from below."""
-    if channel.times_s is None and channel.rate_hz >= rate:
-        return _decimated(channel, rate, n)
-    return at_rate(channel.samples, _times(channel), rate, n)
-
-
-def _times(channel: Channel) -> NDArray[np.float64]:
-    if channel.times_s is not None:
-        return channel.times_s
-    return np.arange(channel.samples.size) / channel.rate_hz
-
-
-def _speed(recording: Recording, rate: float, n: int) -> NDArray[np.float64]:
-    if "speed" in recording:
-        return _slow(recording["speed"], rate, n)
-    plane = [recording[f"position_{axis}"] for axis in "xy" if f"position_{axis}" in recording]
-    if not plane:
+def _hand_channels(recording: Recording) -> list[Channel]:
+    """Return the channels of movement, then the one of normal force."""
+    moved = [recording["speed"]] if "speed" in recording else []
+    if not moved:
+        moved = [recording[f"position_{axis}"] for axis in "xy" if f"position_{axis}" in recording]
+    if not moved:
         raise ValueError("the recording has no speed and no position_x, position_y channel")
-    times = _times(plane[0])
-    return at_rate(tangential_speed(np.stack([axis.samples for axis in plane]), times), times, rate, n)
-
-
-def _force(recording: Recording, rate: float, n: int) -> NDArray[np.float64]:
-    """Return the force along the surface normal, which is the z axis, pressing counted positive."""
     name = "force" if "force" in recording else "force_z"
     if name not in recording:
         raise ValueError("the recording has no force and no force_z channel")
-    force = _slow(recording[name], rate, n)
-    return -force if np.median(force) < 0 else force
+    return [*moved, recording[name]]
+
+
+def _common(channels: list[Channel], rate_hz: float) -> tuple[int, int]:
+    """Return the first sample and the one past the last that every channel covers, at a rate from time 0."""
+    starts = [0.0 if channel.times_s is None else float(channel.times_s[0]) for channel in channels]
+    ends = [start + channel.duration_s for start, channel in zip(starts, channels, strict=True)]
+    return max(0, math.ceil(max(starts) * rate_hz - 1e-6)), math.floor(min(ends) * rate_hz + 1e-6)
+
+
+def _slow(channel: Channel, rate_hz: float, n: int) -> NDArray[np.float64]:
+    """Return a channel of the hand at a rate from time 0, shape (n,): averaged from above, interpolated from below."""
+    if channel.times_s is None and channel.rate_hz > rate_hz * (1 + 1e-9):
+        return decimate(channel.samples, channel.rate_hz, rate_hz)[:n]
+    return at_rate(channel.samples, times_of(channel), rate_hz, n)
+
+
+def times_of(channel: Channel) -> NDArray[np.float64]:
+    """Return when each sample was taken [s], shape (n,)."""
+    if channel.times_s is not None:
+        return channel.times_s
+    return np.arange(channel.samples.size) / channel.rate_hz

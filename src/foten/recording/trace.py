@@ -26,6 +26,7 @@ class Trace:
         recording_sha256: digest of the recording that this was made from.
         preprocess: the resolved configuration that made it.
         n_dropped: samples at the end that did not fill a block.
+        n_uncovered: samples of the acceleration left out because speed or force does not cover them.
     """
 
     acceleration: NDArray[np.float64]
@@ -36,6 +37,7 @@ class Trace:
     recording_sha256: str = ""
     preprocess: Mapping[str, Any] = field(default_factory=dict)
     n_dropped: int = 0
+    n_uncovered: int = 0
 
     def __post_init__(self) -> None:
         n = self.acceleration.size

@@ -6,6 +6,7 @@ import json
 import struct
 import wave
 from collections.abc import Callable, Mapping
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -59,8 +60,7 @@ def write_audible(path: Path, acceleration: Array, rate_hz: float) -> float:
     Returns:
         The gain, full scale per m/s²: sounds of two textures compare only at the same one.
     """
-    factor = rate_ratio(float(AUDIBLE_HZ), rate_hz)
-    sound = interpolate(acceleration, factor) if factor >= 1 else acceleration
+    sound = interpolate(acceleration, audible_factor(rate_hz))
     peak = float(np.abs(sound).max(initial=0.0))
     gain = AUDIBLE_PEAK / peak if peak > 0 else 1.0
     pcm = np.round(sound * gain * 32767).astype("<i2").tobytes()
@@ -76,6 +76,17 @@ def write_audible(path: Path, acceleration: Array, rate_hz: float) -> float:
     return gain
 
 
+def audible_factor(rate_hz: float) -> Fraction:
+    """Return 48 kHz over a rate, to 100 ppm.
+
+    Raises:
+        ValueError: the rate is above 48 kHz, or in no simple ratio to it.
+    """
+    if rate_hz > AUDIBLE_HZ:
+        raise ValueError(f"the model's rate is {rate_hz:g} Hz, expected at most {AUDIBLE_HZ} Hz for sound")
+    return rate_ratio(float(AUDIBLE_HZ), rate_hz, tolerance=1e-4)
+
+
 def _atomically(path: Path, write: Callable[[Path], Any]) -> None:
     part = path.with_name(f".{path.name}.part")
     try:
@@ -86,11 +97,12 @@ def _atomically(path: Path, write: Callable[[Path], Any]) -> None:
 
 
 def _float_wav(samples: Array, rate_hz: float, about: Mapping[str, Any]) -> bytes:
-    """Return a mono IEEE-float WAV with a comment; the standard library's `wave` writes integers only."""
-    if rate_hz != round(rate_hz):
-        raise ValueError(f"a WAV file has a whole rate, not {rate_hz} Hz")
+    """Return a mono IEEE-float WAV with a comment; the standard library's `wave` writes integers only.
+
+    The header holds a whole rate; the comment holds the exact one.
+    """
     data = samples.astype("<f4").tobytes()
-    comment = json.dumps({"unit": "m/s^2", **about}, sort_keys=True).encode() + b"\0"
+    comment = json.dumps({"unit": "m/s^2", "rate_hz": rate_hz, **about}, sort_keys=True).encode() + b"\0"
     comment += b"\0" * (len(comment) % 2)
     info = b"INFO" + b"ICMT" + struct.pack("<I", len(comment)) + comment
     rate = round(rate_hz)

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.dsp.kinematics import at_rate, tangential_speed
-from foten.recording.preprocess import condition
+from foten.dsp.kinematics import at_rate, velocity
+from foten.recording.preprocess import condition, hand_of
+from foten.recording.recording import Recording
 
 Array = NDArray[np.float64]
 
@@ -36,15 +37,23 @@ class PressureCalibration:
 
 @dataclass(frozen=True)
 class Stroke:
-    """Speed [mm/s] and force [N] at a rate, shapes (n,), as the hand gave them: not yet low-passed."""
+    """A hand at a rate, as it was given: not yet low-passed.
 
-    speed: Array
+    Attributes:
+        moved: velocity of each axis [mm/s], shape (n_axes, n); one axis where only the speed is known.
+        force: [N], shape (n,).
+        rate_hz: samples a second.
+        gap_s: the longest hole between two given samples, where one is ten times the usual step; else 0.
+    """
+
+    moved: Array
     force: Array
     rate_hz: float
+    gap_s: float = 0.0
 
     def conditioned(self, lowpass_hz: float) -> tuple[Array, Array]:
-        """Return speed and force through the causal low-pass of rendering, shapes (n,)."""
-        return condition(self.speed, self.force, self.rate_hz, lowpass_hz)
+        """Return speed [mm/s] and force [N] through the causal low-pass of rendering, shapes (n,)."""
+        return condition(self.moved, self.force, self.rate_hz, lowpass_hz)
 
 
 def constant_stroke(speed: float, force: float, seconds: float, rate_hz: float) -> Stroke:
@@ -59,7 +68,13 @@ def constant_stroke(speed: float, force: float, seconds: float, rate_hz: float) 
     n = round(seconds * rate_hz)
     if n < 1:
         raise ValueError(f"{seconds:g} s are less than one sample at {rate_hz:g} Hz")
-    return Stroke(np.full(n, float(speed)), np.full(n, float(force)), rate_hz)
+    return Stroke(np.full((1, n), float(speed)), np.full(n, float(force)), rate_hz)
+
+
+def recorded_stroke(recording: Recording, rate_hz: float) -> Stroke:
+    """Return the hand of a recording at a model's rate, whole; an acceleration is not needed."""
+    moved, pressed = hand_of(recording, rate_hz)
+    return Stroke(moved, np.maximum(pressed, 0.0), rate_hz)
 
 
 def read_stroke(path: Path, rate_hz: float, calibration: PressureCalibration | None = None) -> Stroke:
@@ -71,8 +86,11 @@ def read_stroke(path: Path, rate_hz: float, calibration: PressureCalibration | N
     Raises:
         ValueError: a column is missing, a value is no finite number, or time does not increase.
     """
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"{path.name} is no CSV text ({error}), expected a header with {COLUMNS}") from error
     if not rows:
         raise ValueError(f"{path.name} is empty, expected a header with {COLUMNS}")
     header = [cell.strip().lower() for cell in rows[0]]
@@ -88,22 +106,34 @@ def read_stroke(path: Path, rate_hz: float, calibration: PressureCalibration | N
     if wrong.size:
         raise ValueError(f"{path.name}: t does not increase at row {int(wrong[0]) + 3}")
     times = times - times[0]
-    speed = columns.get("speed")
-    if speed is None:
-        speed = tangential_speed(np.stack([columns["x"], columns["y"]]), times)
     force = columns.get("force")
     if force is None:
         pressure = columns["pressure"]
         if pressure.min() < 0 or pressure.max() > 1:
             raise ValueError(f"{path.name}: pressure runs to {pressure.max():g}, expected 0 to 1")
         force = (calibration or PressureCalibration()).force(pressure)
-    _check_size(path, speed, force)
+    if force.min() < 0 or ("speed" in columns and columns["speed"].min() < 0):
+        raise ValueError(f"{path.name}: speed and force are magnitudes, found one below zero")
     n = round(times[-1] * rate_hz)
     if n < 1:
         raise ValueError(
             f"{path.name} lasts {times[-1]:g} s, less than one sample at {rate_hz:g} Hz; is t in seconds?"
         )
-    return Stroke(at_rate(speed, times, rate_hz, n), at_rate(force, times, rate_hz, n), rate_hz)
+    if "speed" in columns:
+        moved = at_rate(columns["speed"], times, rate_hz, n)[None]
+    else:
+        moved = velocity(np.stack([at_rate(columns[axis], times, rate_hz, n) for axis in "xy"]), rate_hz)
+    fastest = float(np.abs(moved).max())
+    if fastest > 5000:
+        raise ValueError(f"{path.name}: speed reaches {fastest:g} mm/s; is it, or t, in another unit?")
+    if force.max() > 100:
+        raise ValueError(f"{path.name}: force reaches {force.max():g} N; is it in mN or grams?")
+    return Stroke(moved, at_rate(force, times, rate_hz, n), rate_hz, _hole(times))
+
+
+def _hole(times: Array) -> float:
+    steps = np.diff(times)
+    return float(steps.max()) if steps.max() > 10 * np.median(steps) else 0.0
 
 
 _KNOWN = ("t", "speed", "x", "y", "force", "pressure")
@@ -122,14 +152,3 @@ def _column(path: Path, rows: list[list[str]], header: list[str], name: str) -> 
             raise ValueError(f"{path.name}: {name} at row {number} is {value}, expected a finite number")
         values.append(value)
     return np.array(values)
-
-
-def _check_size(path: Path, speed: Array, force: Array) -> None:
-    if speed.min() < 0 or force.min() < 0:
-        raise ValueError(
-            f"{path.name}: speed and force are magnitudes, found {min(speed.min(), force.min()):g}"
-        )
-    if speed.max() > 5000:
-        raise ValueError(f"{path.name}: speed reaches {speed.max():g} mm/s; is it, or t, in another unit?")
-    if force.max() > 100:
-        raise ValueError(f"{path.name}: force reaches {force.max():g} N; is it in mN or grams?")

@@ -15,7 +15,7 @@ from foten.texture_file import CLOSED_LOOP_TOLERANCE, ONE_STEP_TOLERANCE, Textur
 
 Array = NDArray[np.float64]
 
-FADE_SPEED = 5.0  # mm/s; below the slower of this and nothing, every texture fades
+FADE_SPEED = 5.0  # mm/s; a texture fades below this, or below its trained range where that ends higher
 FADE_FORCE = 0.1  # N
 _NOISE_BLOCK = 4096  # samples of noise drawn at a time
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import pickle
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -97,18 +98,20 @@ def fit(
     config: TrainConfig,
     on_epoch: Callable[[Epoch], None] = lambda epoch: None,
     checkpoint: Path | None = None,
+    resume: bool = False,
 ) -> Progress:
     """Train a network in place and leave it at its best validation loss.
 
-    The network before training counts as epoch 0, so that one that starts from a linear predictor is never worse than
-    it on validation. Ctrl-C ends the loop and keeps the best so far.
+    The network before training counts as epoch 0, so that one that starts from a linear predictor never has a higher
+    validation loss than it. Ctrl-C ends the loop and keeps the best so far; before there is one, it goes on to the caller.
 
     Args:
         network: windows (b, m, 3) → (b,), on the CPU or a GPU.
         data: what to fit.
         config: how.
         on_epoch: called after each epoch.
-        checkpoint: file to go on from if it exists, written after each epoch.
+        checkpoint: file that is written after each epoch.
+        resume: go on from the checkpoint.
 
     Returns:
         The log, and whether it was interrupted.
@@ -129,7 +132,7 @@ def fit(
     scheduler = torch.optim.lr_scheduler.LambdaLR(optimiser, _schedule(config, steps * max(1, config.epochs)))
     criterion = loss_of(config)
     progress = Progress()
-    if checkpoint is not None and checkpoint.exists():
+    if checkpoint is not None and resume:
         progress = _resume(checkpoint, config, network, optimiser, scheduler)
         for line in progress.epochs:
             on_epoch(line)
@@ -139,7 +142,7 @@ def fit(
 
     def gradients(share: Tensor, n: int, mask_seed: int) -> tuple[Tensor, tuple[Tensor, ...]]:
         """Return the loss and gradients of one thread's share of a batch of n."""
-        masks = torch.Generator().manual_seed(mask_seed) if device.type == "cpu" else None
+        masks = torch.Generator().manual_seed(mask_seed % 2**63) if device.type == "cpu" else None
         with masks_from(masks):
             predicted, target = network(windows(share)), samples[share, 0]
         loss = criterion(weight[share] * predicted, weight[share] * target) * (len(share) / n)
@@ -197,8 +200,11 @@ def fit(
         progress.interrupted = True
     finally:
         pool.shutdown()
-    if progress.best_state:
-        network.load_state_dict(progress.best_state)
+    if not progress.best_state:
+        if progress.interrupted:
+            raise KeyboardInterrupt
+        raise ValueError("the validation loss is not finite; is the acceleration full of outliers?")
+    network.load_state_dict(progress.best_state)
     network.eval()
     return progress
 
@@ -274,7 +280,12 @@ def _save(
 
 
 def _resume(path: Path, config: TrainConfig, network: nn.Module, optimiser: Any, scheduler: Any) -> Progress:
-    saved = torch.load(path, weights_only=True)
+    try:
+        saved = torch.load(path, weights_only=True, map_location="cpu")
+    except (pickle.UnpicklingError, RuntimeError, EOFError, OSError) as error:
+        raise ValueError(
+            f"{path.name} is damaged and cannot be resumed; delete it and start again"
+        ) from error
     if saved["config"] != asdict(config):
         raise ValueError(f"{path.name} was written by a run with other settings; resume with the same ones")
     network.load_state_dict(saved["network"])

@@ -48,7 +48,10 @@ class RunFolder:
             raise ValueError(f"the run folder {self.path} is a file")
         self._config = json.dumps(config, indent=1, sort_keys=True) + "\n"
         if not resume:
-            self.checkpoint.unlink(missing_ok=True)
+            if self.checkpoint.exists():
+                raise ValueError(
+                    f"an interrupted training lies in {self.path}: go on with --resume, or delete the folder"
+                )
         elif not self.checkpoint.exists():
             raise ValueError(f"nothing to resume: {self.checkpoint} does not exist")
         elif (self.path / "config.json").read_text() != self._config:

@@ -6,14 +6,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from foten.dsp.ar import least_squares, stabilised
+from foten.dsp.ar import MAX_POLE, least_squares, stabilised
 from foten.models.foten_plus import FotenPlus
 from foten.recording.windows import window_indices
 from foten.train.fit import Data
-
-MAX_POLE = (
-    0.9995  # a memory of 2000 samples, 0.2 s at 10 kHz; least squares on real textures gives up to 0.9999
-)
 
 
 def fit_shortcut(network: FotenPlus, data: Data) -> NDArray[np.float64]:

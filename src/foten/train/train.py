@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -55,6 +56,7 @@ def train_texture(
     split_seed: int = 0,
     on_epoch: Callable[[Epoch], None] = lambda epoch: None,
     checkpoint: Path | None = None,
+    resume: bool = False,
     texture_name: str = "",
     licence: str = "",
     on_stage: Callable[[str], None] = lambda stage: None,
@@ -69,9 +71,10 @@ def train_texture(
     trace = preprocess(recording, preprocess_config)
     split = split_blocks(trace, split_method, split_seed)
     m = architecture.window
-    if trace.block <= 2 * m:
+    if trace.block < 5 * m:
         raise ValueError(
-            f"a block of {trace.block} samples is too short for windows of {m}; use a longer --block or a shorter --window"
+            f"a block of {trace.block} samples is too short for windows of {m}, expected five times as long: "
+            "use a longer --block or a shorter --window"
         )
     scaling = fit_scaling(trace, split.train)
     samples = scaling.scale(trace.stacked())
@@ -94,18 +97,21 @@ def train_texture(
         peak = float(np.abs(scaling.scale(training_samples)[..., 0]).max())
         # For safety only: well beyond what was recorded.
         saturation = max(12.0, 1.5 * peak)
-        progress = fit(network, data, config, on_epoch, checkpoint)
+        progress = fit(network, data, config, on_epoch, checkpoint, resume)
         likelihood = level_errors = None
         if isinstance(network, FotenPlus):
             on_stage("fitting the excitation")
             both = np.concatenate([data.train, data.validation])
             residual = samples[both, 0] - predict(network, data, both)
-            likelihood = fit_excitation(network.excitation, data, scaling, residual, config.seed)
+            fit_excitation(network.excitation, data, scaling, residual, config.seed)
             network.cpu()  # the closed loop is rendered by the engine, which knows no GPU
             on_stage("settling the level in the closed loop")
             level_errors = settle_level(
                 network, engine_of, data, trace, (*split.train, *split.validation), config.seed
             )
+            sigma = _scale_at(network.excitation, samples)[data.validation]
+            missed = residual[len(data.train) :] / sigma
+            likelihood = float((np.log(sigma) + missed**2 / 2).mean()) + 0.5 * math.log(2 * math.pi)
         warm_start, condition = pick_warm_start(trace, split, scaling, m)
         best = max((line for line in progress.epochs if line.best), key=lambda line: line.epoch)
         card: dict[str, Any] = {
