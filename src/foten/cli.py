@@ -68,7 +68,7 @@ def _common(
 def simulate(
     key: Annotated[str | None, typer.Argument(help="Texture or linear process; --list shows them.")] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="HDF5 file to write.")] = None,
-    seconds: Annotated[float, typer.Option(help="Length [s].")] = 64.0,
+    seconds: Annotated[float, typer.Option(help="Length (s).")] = 64.0,
     seed: Annotated[int, typer.Option(help="Of everything random that the next two leave out.")] = 0,
     noise_seed: Annotated[
         int | None, typer.Option(help="Of surface and sensors: another one, the same stroke again.")
@@ -286,10 +286,10 @@ def train(
         str, typer.Option(help="default (ours) or paper (Adam 1e-3, batch 16, 100 epochs).")
     ] = "default",
     rate: Annotated[
-        float | None, typer.Option(help="Of the model [Hz]; the acceleration's own at most. [1000]")
+        float | None, typer.Option(help="Of the model (Hz); the acceleration's own at most. [1000]")
     ] = None,
-    trim: Annotated[float | None, typer.Option(help="Discarded at both ends [ms]. [2000]")] = None,
-    block: Annotated[float | None, typer.Option(help="Unit of the split [ms]. [2000]")] = None,
+    trim: Annotated[float | None, typer.Option(help="Discarded at both ends (ms). [2000]")] = None,
+    block: Annotated[float | None, typer.Option(help="Unit of the split (ms). [2000]")] = None,
     window: Annotated[int, typer.Option(help="m, samples that a prediction sees.")] = 20,
     seed: Annotated[
         int, typer.Option(min=0, max=2**32 - 1, help="Of initial weights, order and dropout.")
@@ -490,9 +490,9 @@ def render(
     recording_file: Annotated[
         Path | None, typer.Option("--recording", metavar="REC.h5", help="Take the hand of a recording.")
     ] = None,
-    speed: Annotated[float | None, typer.Option(help="Constant speed [mm/s].")] = None,
-    force: Annotated[float | None, typer.Option(help="Constant force [N].")] = None,
-    seconds: Annotated[float | None, typer.Option(help="How long, with --speed and --force [s].")] = None,
+    speed: Annotated[float | None, typer.Option(help="Constant speed (mm/s).")] = None,
+    force: Annotated[float | None, typer.Option(help="Constant force (N).")] = None,
+    seconds: Annotated[float | None, typer.Option(help="How long, with --speed and --force (s).")] = None,
     audible: Annotated[
         Path | None, typer.Option(metavar="FILE.wav", help="Also as sound, 48 kHz, 16 bits.")
     ] = None,
@@ -624,7 +624,7 @@ def demo(
     key: Annotated[
         str, typer.Option("--texture", help="Simulated texture; foten simulate --list.")
     ] = "towel",
-    seconds: Annotated[float, typer.Option(help="Length of the recording [s].")] = 44.0,
+    seconds: Annotated[float, typer.Option(help="Length of the recording (s).")] = 44.0,
     epochs: Annotated[int, typer.Option(help="Of training.")] = 8,
     seed: Annotated[int, typer.Option(min=0, max=2**31, help="Of everything.")] = 0,
     threads: Annotated[
