@@ -159,7 +159,7 @@ def table() -> str:
         groups.setdefault((run["texture"], run["rate_hz"]), {}).setdefault(run["model"], []).append(document)
     lines = [
         "| texture | rate | splits | zero | AR(20) | best AR | bound | `foten` | `foten-plus` | ÷ AR(20) | ÷ shortcut "
-        "| LSD | AR(20) | ceiling | level bias | worst sample |",
+        "| LSD | LSD of AR(20) | LSD ceiling | level bias | worst sample |",
         "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     order = [*REAL, *LINEAR_FAMILY, *TEXTURES]
