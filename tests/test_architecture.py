@@ -47,7 +47,6 @@ def test_sizes_round_trip(key: str) -> None:
         ({"head": [10]}, "two layers"),
         ({"head": "ab"}, "two layers"),
         ({"head": [10, 0]}, "head is 0"),
-        ({"dropout": 1.0}, "dropout is 1.0"),
         ({"phase_input": "sine"}, "cos_sin"),
         ({"magnitude_input": "db"}, "'linear' or 'log'"),
         ({"bins": "some"}, "'all' or 'half'"),

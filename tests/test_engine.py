@@ -134,7 +134,6 @@ def test_a_model_without_an_engine_is_named(plain_texture: Texture) -> None:
         ({"d_model": 30}, "do not divide into 4 heads"),
         ({"spectral_width": 6}, "do not divide into 4 heads"),
         ({"phase_input": "sine"}, "expected 'angle' or 'cos_sin'"),
-        ({"dropout": 1.0}, "dropout is 1.0"),
     ],
 )
 def test_sizes_are_checked(fields: dict[str, Any], message: str) -> None:

@@ -35,9 +35,12 @@ MAY_IMPORT: dict[str, set[str]] = {
     "studio": {"recording", "texture_file", "render", "study"},
 }
 MAY_IMPORT["train"] |= MAY_IMPORT["models"]  # it stands above the models and reads what they read
+for may in MAY_IMPORT.values():
+    may.add("whole_file")  # it imports nothing itself
+MAY_IMPORT["whole_file"] = set()
 EVERYTHING = {"experiments", "cli", ""}  # the last is the package itself, whose names are looked up lazily
 WITH_TORCH = {"models", "train", "experiments", "cli"}
-WITHOUT_SCIPY = {"dsp", "architecture", "recording", "texture_file", "render", ""}  # at import
+WITHOUT_SCIPY = {"whole_file", "dsp", "architecture", "recording", "texture_file", "render", ""}  # at import
 
 
 def package(module: str) -> str:

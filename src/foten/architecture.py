@@ -22,7 +22,6 @@ class FotenArchitecture:
     n_layers: int = 3  # temporal encoder layers; Sec. IV-c
     d_feedforward: int = 128  # Sec. IV-c
     head: tuple[int, int] = (256, 64)  # dense layers before the output; Sec. IV-e
-    dropout: float = 0.2  # Sec. IV-e
     spectral_width: int = 32  # 1 is the literal reading, and degenerate
     pre_norm: bool = True  # False normalises after each sub-layer, as [17]
     bin_embedding: bool = False  # a learned vector for each bin; the paper has none (Sec. IV-d)
@@ -63,8 +62,6 @@ class FotenArchitecture:
             raise ValueError("phase_input 'cos_sin' has two numbers a bin and needs a spectral_width above 1")
         if not isinstance(self.pre_norm, bool) or not isinstance(self.bin_embedding, bool):
             raise ValueError("pre_norm and bin_embedding are true or false")
-        if type(self.dropout) not in (int, float) or not 0 <= self.dropout < 1:
-            raise ValueError(f"dropout is {self.dropout!r}, expected from 0 to below 1")
         object.__setattr__(self, "head", tuple(self.head))
 
     @property
@@ -80,7 +77,6 @@ class FotenPlusArchitecture(FotenArchitecture):
     The network's output is a bounded correction of the shortcut's prediction.
     """
 
-    dropout: float = 0.0  # the target is mostly noise already
     correction_limit: float = (
         3.0  # in standard deviations of the shortcut's error; |correction| stays below it
     )

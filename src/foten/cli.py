@@ -15,6 +15,8 @@ from typing import Annotated, Any
 import typer
 from typer.exceptions import Abort, TyperException
 
+from foten.whole_file import whole_file
+
 app = typer.Typer(
     name="foten",
     help="Haptic textures learned from a recording and given back as vibration.",
@@ -303,13 +305,16 @@ def train(
     delta: Annotated[float | None, typer.Option(help="Huber threshold, scaled. [1.6]")] = None,
     batch: Annotated[int | None, typer.Option(help="Windows a step; the recipe's by default.")] = None,
     learning_rate: Annotated[float | None, typer.Option(help="Highest; the recipe's by default.")] = None,
+    dropout: Annotated[
+        float | None, typer.Option(help="Share of hidden values; the recipe's by default. [0; paper 0.2]")
+    ] = None,
     settings: Annotated[
         list[str] | None,
         typer.Option(
             "--set",
             metavar="SIZE=VALUE",
             help="Another size or reading of the network; repeatable: d_model, n_heads, n_layers, d_feedforward, head=[256,64], "
-            "dropout, spectral_width (1 is the literal reading), pre_norm=false, bins=half, phase_input=cos_sin, "
+            "spectral_width (1 is the literal reading), pre_norm=false, bins=half, phase_input=cos_sin, "
             "magnitude_input=log, bin_embedding=true.",
         ),
     ] = None,
@@ -351,6 +356,7 @@ def train(
         "delta": delta,
         "batch": batch,
         "learning_rate": learning_rate,
+        "dropout": dropout,
     }
     config = dataclasses.replace(
         RECIPES[recipe], seed=seed, threads=threads, **{k: v for k, v in asked.items() if v is not None}
@@ -465,9 +471,8 @@ def evaluate(
 
         report.mkdir(parents=True, exist_ok=True)
         document = {"foten": __version__, **judgement.document}
-        part = report / "evaluation.json.part"
-        part.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
-        part.replace(report / "evaluation.json")
+        with whole_file(report / "evaluation.json") as part:
+            part.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
         _say(f"wrote {write_report(judgement, texture, report)}")
     if as_json:
         _print_json(judgement.document)

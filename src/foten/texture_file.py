@@ -31,6 +31,7 @@ from foten.architecture import FotenArchitecture, FotenPlusArchitecture, archite
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
+from foten.whole_file import whole_file
 
 FORMAT_VERSION = 1
 ONE_STEP_TOLERANCE = 1e-5  # scaled; float32 arithmetic of the network
@@ -124,13 +125,9 @@ class Texture:
 
 
 def write_texture(texture: Texture, path: Path) -> None:
-    """Write a texture file, to a temporary name first, so that a broken one never stands at `path`."""
-    temporary = path.with_name(path.name + ".part")
-    try:
-        temporary.write_bytes(texture.to_bytes())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    """Write a texture file, whole or not at all."""
+    with whole_file(path) as part:
+        part.write_bytes(texture.to_bytes())
 
 
 def read_texture(path: Path | str) -> Texture:

@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.recording.recording import UNITS, Channel, Recording
+from foten.whole_file import whole_file
 
 FORMAT = "foten-recording"
 VERSION = 1
@@ -41,24 +42,19 @@ def write_recording(recording: Recording, path: Path) -> None:
     """Write a recording, under a temporary name until it is whole."""
     import h5py
 
-    temporary = path.with_name(path.name + ".part")
-    try:
-        with h5py.File(temporary, "w") as file:
-            file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
-            for key in _TEXTS:
-                file.attrs[key] = getattr(recording, key)
-            file.attrs["history"] = "\n".join(recording.history)
-            if recording.simulation is not None:
-                file.attrs["simulation"] = json.dumps(dict(recording.simulation), sort_keys=True)
-            # Attributes of an HDF5 object are limited to 64 KiB, of which texts use little.
-            for name, channel in sorted(recording.channels.items()):
-                dataset = _store(file, f"channels/{name}", _smallest(channel.samples))
-                dataset.attrs["rate_hz"], dataset.attrs["unit"] = float(channel.rate_hz), UNITS[name]
-                if channel.times_s is not None:
-                    _store(file, f"times_s/{name}", channel.times_s)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with whole_file(path) as part, h5py.File(part, "w") as file:
+        file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
+        for key in _TEXTS:
+            file.attrs[key] = getattr(recording, key)
+        file.attrs["history"] = "\n".join(recording.history)
+        if recording.simulation is not None:
+            file.attrs["simulation"] = json.dumps(dict(recording.simulation), sort_keys=True)
+        # Attributes of an HDF5 object are limited to 64 KiB, of which texts use little.
+        for name, channel in sorted(recording.channels.items()):
+            dataset = _store(file, f"channels/{name}", _smallest(channel.samples))
+            dataset.attrs["rate_hz"], dataset.attrs["unit"] = float(channel.rate_hz), UNITS[name]
+            if channel.times_s is not None:
+                _store(file, f"times_s/{name}", channel.times_s)
 
 
 def _store(file: Any, name: str, samples: NDArray[Any]) -> Any:

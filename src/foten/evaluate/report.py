@@ -21,6 +21,7 @@ from foten.evaluate import figures
 from foten.evaluate.evaluate import FREE_RUN_KEYS, Judgement
 from foten.evaluate.references import FIRST_SCORED
 from foten.texture_file import Texture
+from foten.whole_file import whole_file
 
 Array = NDArray[np.float64]
 
@@ -124,12 +125,8 @@ def write_report(judgement: Judgement, texture: Texture, directory: Path) -> Pat
     The file needs nothing beside it and nothing from a network: figures, sound and style are inside, scripts are not used.
     """
     path = directory / "report.html"
-    temporary = path.with_name(path.name + ".part")
-    try:
-        temporary.write_text(page(judgement, texture), encoding="utf-8", newline="\n")
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with whole_file(path) as part:
+        part.write_text(page(judgement, texture), encoding="utf-8", newline="\n")
     return path
 
 

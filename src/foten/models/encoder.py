@@ -15,7 +15,7 @@ class EncoderLayer(nn.Module):
     Source: Eq. 3–5, after [17]; hidden layer and heads as Sec. IV-c.
     """
 
-    def __init__(self, width: int, n_heads: int, d_feedforward: int, dropout: float, pre_norm: bool) -> None:
+    def __init__(self, width: int, n_heads: int, d_feedforward: int, pre_norm: bool) -> None:
         super().__init__()
         # At the literal width 1 of the spectral branch there is room for one head only.
         self.n_heads = n_heads if width % n_heads == 0 else 1
@@ -26,7 +26,7 @@ class EncoderLayer(nn.Module):
         self.feedforward_out = nn.Linear(d_feedforward, width)
         self.norm_1 = nn.LayerNorm(width)
         self.norm_2 = nn.LayerNorm(width)
-        self.dropout = Dropout(dropout)
+        self.dropout = Dropout()
 
     def forward(self, tokens: Tensor, last_only: bool = False) -> Tensor:
         """Return the encoded tokens: (b, m, width) → (b, m, width), or (b, 1, width) of the last token alone.

@@ -23,13 +23,12 @@ class TemporalBranch(nn.Module):
                 d,
                 architecture.n_heads,
                 architecture.d_feedforward,
-                architecture.dropout,
                 architecture.pre_norm,
             )
             for _ in range(architecture.n_layers)
         )
         self.norm = nn.LayerNorm(d) if architecture.pre_norm else nn.Identity()
-        self.dropout = Dropout(architecture.dropout)
+        self.dropout = Dropout()
         positions = torch.from_numpy(position_encoding(architecture.window, d))
         self.register_buffer("positions", positions, persistent=False)
 
@@ -56,7 +55,6 @@ class SpectralBranch(nn.Module):
                 width,
                 architecture.n_heads,
                 architecture.d_feedforward,
-                architecture.dropout,
                 architecture.pre_norm,
             )
             self.add_module(f"{name}_layer", layer)
@@ -114,7 +112,7 @@ class Foten(nn.Module):
         self.head_1 = nn.Linear(2 * d + 2, first)
         self.head_2 = nn.Linear(first, second)
         self.head_3 = nn.Linear(second, 1)
-        self.dropout = Dropout(architecture.dropout)
+        self.dropout = Dropout()
 
     def forward(self, windows: Tensor) -> Tensor:
         """Return the next samples: windows (b, m, 3) of scaled acceleration, speed, force → (b,) scaled."""

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from foten.recording.trace import Trace
+from foten.whole_file import whole_file
 
 METHODS = ("regrouped", "contiguous")
 
@@ -59,9 +60,8 @@ class Split:
     def save(self, path: Path) -> None:
         """Write the split and its digest as JSON."""
         document = {**asdict(self), "sha256": self.sha256()}
-        temporary = path.with_name(path.name + ".part")
-        temporary.write_text(json.dumps(document, sort_keys=True, indent=1) + "\n")
-        temporary.replace(path)
+        with whole_file(path) as part:
+            part.write_text(json.dumps(document, sort_keys=True, indent=1) + "\n")
 
 
 def split_blocks(trace: Trace, method: str = "regrouped", seed: int = 0) -> Split:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import struct
 import wave
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp.resample import interpolate, rate_ratio
+from foten.whole_file import whole_file
 
 Array = NDArray[np.float64]
 
@@ -37,13 +38,17 @@ def write_rendered(
     """
     suffix = path.suffix.lower()
     if suffix == ".wav":
-        _atomically(path, lambda part: part.write_bytes(_float_wav(acceleration, rate_hz, about)))
+        with whole_file(path) as part:
+            part.write_bytes(_float_wav(acceleration, rate_hz, about))
     elif suffix == ".csv":
-        _atomically(path, lambda part: _write_csv(part, acceleration, rate_hz))
+        with whole_file(path) as part:
+            _write_csv(part, acceleration, rate_hz)
     elif suffix == ".npz":
-        _atomically(path, lambda part: _write_npz(part, acceleration, speed, force, rate_hz, about))
+        with whole_file(path) as part:
+            _write_npz(part, acceleration, speed, force, rate_hz, about)
     elif suffix == ".png":
-        _atomically(path, lambda part: _write_picture(part, acceleration, speed, force, rate_hz, about))
+        with whole_file(path) as part:
+            _write_picture(part, acceleration, speed, force, rate_hz, about)
     else:
         check_suffix(path)
 
@@ -65,14 +70,11 @@ def write_audible(path: Path, acceleration: Array, rate_hz: float) -> float:
     gain = AUDIBLE_PEAK / peak if peak > 0 else 1.0
     pcm = np.round(sound * gain * 32767).astype("<i2").tobytes()
 
-    def write(part: Path) -> None:
-        with wave.open(str(part), "wb") as file:
-            file.setnchannels(1)
-            file.setsampwidth(2)
-            file.setframerate(AUDIBLE_HZ)
-            file.writeframes(pcm)
-
-    _atomically(path, write)
+    with whole_file(path) as part, wave.open(str(part), "wb") as file:
+        file.setnchannels(1)
+        file.setsampwidth(2)
+        file.setframerate(AUDIBLE_HZ)
+        file.writeframes(pcm)
     return gain
 
 
@@ -85,15 +87,6 @@ def audible_factor(rate_hz: float) -> Fraction:
     if rate_hz > AUDIBLE_HZ:
         raise ValueError(f"the model's rate is {rate_hz:g} Hz, expected at most {AUDIBLE_HZ} Hz for sound")
     return rate_ratio(float(AUDIBLE_HZ), rate_hz, tolerance=1e-4)
-
-
-def _atomically(path: Path, write: Callable[[Path], Any]) -> None:
-    part = path.with_name(f".{path.name}.part")
-    try:
-        write(part)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _float_wav(samples: Array, rate_hz: float, about: Mapping[str, Any]) -> bytes:

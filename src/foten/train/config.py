@@ -22,6 +22,7 @@ class TrainConfig:
     schedule: str = "one_cycle"  # or "constant"
     weight_decay: float = 1e-4
     clip_norm: float = 1.0  # of the gradient; 0 for none
+    dropout: float = 0.0  # share of hidden values; 0.2 in Sec. IV-e
     loss: str = "huber"
     delta: float = 1.6  # Huber threshold, scaled; Sec. VI-b
     seed: int = 0  # of the initial weights, the order of windows and dropout
@@ -37,6 +38,8 @@ class TrainConfig:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected 1 or more")
         if self.epochs < 0:
             raise ValueError(f"epochs is {self.epochs}, expected 0 or more")
+        if not 0 <= self.dropout <= 0.9:
+            raise ValueError(f"dropout is {self.dropout}, expected from 0 to 0.9")
         if not self.learning_rate > 0 or not self.delta > 0 or self.weight_decay < 0:
             raise ValueError("learning rate and delta must be positive, weight decay 0 or more")
 
@@ -52,5 +55,6 @@ RECIPES: dict[str, TrainConfig] = {
         schedule="constant",
         weight_decay=0.0,
         clip_norm=0.0,
+        dropout=0.2,
     ),
 }

@@ -18,9 +18,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from foten.models.dropout import masks_from
+from foten.models.dropout import masks_from, set_dropout
 from foten.recording.windows import window_indices
 from foten.train.config import TrainConfig
+from foten.whole_file import whole_file
 
 
 @dataclass(frozen=True)
@@ -122,6 +123,7 @@ def fit(
     weight = weight.to(device, torch.float32)
     train, validation = (torch.from_numpy(n).to(device) for n in (data.train, data.validation))
     offsets = torch.from_numpy(window_indices(np.zeros(1, dtype=np.int64), data.window)).to(device)
+    set_dropout(network, config.dropout)
     n_threads = config.threads if device.type == "cpu" else 1
     pool = ThreadPoolExecutor(n_threads)
     trained = [parameter for parameter in network.parameters() if parameter.requires_grad]
@@ -263,20 +265,19 @@ def _validate(
 def _save(
     path: Path, config: TrainConfig, network: nn.Module, optimiser: Any, scheduler: Any, progress: Progress
 ) -> None:
-    temporary = path.with_name(path.name + ".part")
-    torch.save(
-        {
-            "config": asdict(config),
-            "network": network.state_dict(),
-            "optimiser": optimiser.state_dict(),
-            "scheduler": scheduler.state_dict(),
-            "epochs": [asdict(epoch) for epoch in progress.epochs],
-            "best_loss": progress.best_loss,
-            "best_state": progress.best_state,
-        },
-        temporary,
-    )
-    temporary.replace(path)
+    with whole_file(path) as part:
+        torch.save(
+            {
+                "config": asdict(config),
+                "network": network.state_dict(),
+                "optimiser": optimiser.state_dict(),
+                "scheduler": scheduler.state_dict(),
+                "epochs": [asdict(epoch) for epoch in progress.epochs],
+                "best_loss": progress.best_loss,
+                "best_state": progress.best_state,
+            },
+            part,
+        )
 
 
 def _resume(path: Path, config: TrainConfig, network: nn.Module, optimiser: Any, scheduler: Any) -> Progress:

@@ -15,6 +15,7 @@ from rich.live import Live
 from rich.table import Table
 
 from foten.train.fit import Epoch, write_log
+from foten.whole_file import whole_file
 
 if TYPE_CHECKING:
     from foten.train.train import Trained
@@ -111,9 +112,8 @@ def _draw_curves(path: Path, epochs: list[Epoch], shortcut_mae: float | None) ->
         error.axhline(shortcut_mae, ls="--", color="#009E73", label="linear shortcut alone")
     error.set(xlabel="epoch", ylabel="one-step validation error, scaled")
     error.legend()
-    part = path.with_name(f".{path.name}.part")
-    figure.savefig(part, format="png", dpi=120, metadata={"Software": None})
-    part.replace(path)
+    with whole_file(path) as part:
+        figure.savefig(part, format="png", dpi=120, metadata={"Software": None})
 
 
 class TrainingDisplay:
