@@ -328,8 +328,9 @@ def train(
     texture: Annotated[str, typer.Option(help="Name in the card; the recording's by default.")] = "",
     licence: Annotated[str, typer.Option(help="Licence of the texture, for the card.")] = "",
     threads: Annotated[
-        int, typer.Option(help="Share each batch among so many cores (on a GPU there is one share).")
-    ] = 2,
+        int | None,
+        typer.Option(help="Share each batch among so many cores (on a GPU there is one share). [2; paper 1]"),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Learn a texture file from a recording. Ctrl-C keeps the best so far."""
@@ -357,9 +358,10 @@ def train(
         "batch": batch,
         "learning_rate": learning_rate,
         "dropout": dropout,
+        "threads": threads,
     }
     config = dataclasses.replace(
-        RECIPES[recipe], seed=seed, threads=threads, **{k: v for k, v in asked.items() if v is not None}
+        RECIPES[recipe], seed=seed, **{k: v for k, v in asked.items() if v is not None}
     )
     # The paper trains with 25 Hz and renders with 20 Hz.
     cut: dict[str, Any] = {

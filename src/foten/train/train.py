@@ -144,6 +144,7 @@ def train_texture(
                 "validation_mae_scaled_shortcut": shortcut_mae,
                 "validation_nll": likelihood,
                 "level_errors_db": level_errors,
+                "recorded_peak_sd": peak,
                 "best_epoch": best.epoch,
                 "n_epochs": progress.epochs[-1].epoch,
             },
