@@ -37,6 +37,7 @@ from foten.train.train import train_texture
 from foten.whole_file import whole_file
 
 RESULTS = Path(__file__).parent / "results" / "main_table"
+TRAINING = Path(__file__).parent / "results" / "training.json"
 STABILITY = Path(__file__).parent / "results" / "stability"
 REAL = ("copper", "fabric", "leather", "wood")
 SEEDS = (1, 2, 3, 4, 5)  # of splits, and the first of simulations: what is chosen by hand is chosen on seed 0
@@ -216,7 +217,28 @@ def table() -> str:
             lines.append(f"| {' | '.join(cells)} |")
         lines += _means(groups, columns)
         parts.append("\n".join(lines))
-    return "\n\n".join(parts)
+    return "\n\n".join([*parts, *_training()])
+
+
+def _training() -> Iterator[str]:
+    """Return the table of what `training.py` measured, where it was run."""
+    if not TRAINING.exists():
+        return
+    found = json.loads(TRAINING.read_text())
+    to_lowest = found["time_to_loss"][0]
+    lines = [
+        f"**Training** `{found['model']}` on {found['texture']}, {found['n_train_windows']} windows, {found['device']}",
+        "",
+        f"| recipe | threads | s an epoch | s in all | lowest validation loss | s to {to_lowest['loss']:.5f} |",
+        "|" + "---|" * 6,
+    ]
+    for name, seconds in to_lowest["seconds"].items():
+        lines.append(
+            f"| {name} | {found['threads'][name]} | {found['seconds_per_epoch'][name]:.1f} | "
+            f"{found['total_seconds'][name]:.0f} | {found['lowest_validation_loss'][name]:.5f} | "
+            f"{'–' if seconds is None else f'{seconds:.0f}'} |"
+        )
+    yield "\n".join(lines)
 
 
 def _worst(name: str) -> list[str]:

@@ -1,11 +1,12 @@
 """Seconds to the same validation error of the same network: the paper's recipe against ours, in one run.
 
     python benchmarks/training.py [--texture towel] [--seconds 60] [--model foten] [--paper-epochs 40]
+        [--save benchmarks/results/training.json]
 
 Both train one network on one simulated recording with the same split and initial weights, each with the number of
 threads that suits it. The target is the lowest validation loss that the paper's recipe reaches in the epochs given to
 it (it stops by itself after 10 without a better one); what is compared is the wall time until each is at or below it,
-and at losses 1 and 3 % above it. Prints a ratio for each, and JSON with --json.
+and at losses 1 and 3 % above it. Prints a ratio for each.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import dataclasses
 import json
 import os
 import sys
+from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "2")
 
@@ -29,6 +31,7 @@ from foten.recording.split import split_blocks
 from foten.recording.windows import targets
 from foten.train.config import RECIPES, TrainConfig
 from foten.train.fit import Data, Epoch, fit, pick_device, reproducible
+from foten.whole_file import whole_file
 
 
 def history(key: str, data: Data, config: TrainConfig) -> list[Epoch]:
@@ -66,7 +69,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--model", default="foten", choices=["foten"])
     parser.add_argument("--paper-epochs", type=int, default=40)
-    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--save", type=Path, metavar="FILE", help="keep the result as JSON there")
     arguments = parser.parse_args()
     trace = preprocess(simulate(arguments.texture, arguments.seconds + 4.0))
     split = split_blocks(trace)
@@ -108,9 +111,9 @@ def main() -> None:
         "total_seconds": {name: sum(line.seconds for line in epochs) for name, epochs in logs.items()},
         "time_to_loss": rows,
     }
-    if arguments.json:
-        print(json.dumps(result, indent=1))
-        return
+    if arguments.save is not None:
+        with whole_file(arguments.save) as part:
+            part.write_text(json.dumps(result, indent=1) + "\n")
     print(f"{arguments.model} on {arguments.texture}, {len(data.train)} windows")
     for name in logs:
         print(

@@ -103,15 +103,20 @@ def _draw_curves(path: Path, epochs: list[Epoch], shortcut_mae: float | None) ->
     loss.plot(
         numbers, [line.validation_loss for line in epochs], "s-", ms=3, color="#D55E00", label="validation"
     )
-    loss.set(xlabel="epoch", ylabel="one-step loss, scaled", yscale="log")
-    loss.legend()
+    loss.set(xlabel="epoch", ylabel="one-step loss, scaled")
+    known = [value for line in epochs for value in (line.train_loss, line.validation_loss) if value > 0]
+    # Within a factor of three a logarithmic axis has no ticks to read.
+    if max(known) > 3 * min(known):
+        loss.set_yscale("log")
     error.plot(
         numbers, [line.validation_mae for line in epochs], "s-", ms=3, color="#D55E00", label="network"
     )
     if shortcut_mae is not None:
         error.axhline(shortcut_mae, ls="--", color="#009E73", label="linear shortcut alone")
     error.set(xlabel="epoch", ylabel="one-step validation error, scaled")
-    error.legend()
+    for axes in (loss, error):
+        axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, frameon=False)
+        axes.xaxis.get_major_locator().set_params(integer=True)
     with whole_file(path) as part:
         figure.savefig(part, format="png", dpi=120, metadata={"Software": None})
 
