@@ -1,4 +1,4 @@
-"""The demo goes through everything; slow, as it trains the network at its full size."""
+"""The demo goes through everything."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import pytest
 from foten.cli import _status
 
 
-@pytest.mark.slow
 def test_the_demo_makes_everything_it_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "demo"
     assert _status(["demo", "-o", str(folder), "--seconds", "24", "--epochs", "1", "--json"]) == 0

@@ -189,3 +189,11 @@ def test_the_nearest_training_block_is_nearest_in_speed_and_force() -> None:
     np.testing.assert_array_equal(found[0, :, 0], [2, 0])
     still = Trace(recorded.acceleration, np.full(250, 80.0), force, RATE_HZ, block)
     np.testing.assert_array_equal(nearest_training_blocks(still, (3,), (0, 1, 2))[0, :, 0], [2])
+
+
+def test_blocks_without_a_frame_have_no_level() -> None:
+    rng = np.random.default_rng(0)
+    recorded, speed = rng.standard_normal((3, 400)), np.full((3, 400), 80.0)
+    found = free_run(recorded, rng.standard_normal((2, 3, 400)), speed, speed / 80, 10_000.0, 1.0)
+    assert found["level_bias_db"] is found["level_error_db"] is found["level_corr"] is None
+    assert np.isfinite(found["lsd_db"])

@@ -182,11 +182,22 @@ def test_irregular_times_are_kept(tmp_path):
     assert any("keeps its own times" in line for line in recording.history)
 
 
-def test_a_lost_sample_makes_times_irregular(tmp_path):
-    kept = np.delete(np.arange(N), 700)
-    recording = _import(_csv(tmp_path / "a.csv", "t,speed", TIME[kept], SPEED[kept]))
+def test_a_late_sample_makes_times_irregular(tmp_path):
+    late = TIME.copy()
+    late[700] += 0.0004
+    recording = _import(_csv(tmp_path / "a.csv", "t,speed", late, SPEED))
     assert recording["speed"].rate_hz == 1000
-    assert recording["speed"].times_s[700] == pytest.approx(0.701)
+    assert recording["speed"].times_s[700] == pytest.approx(0.7004)
+
+
+def test_a_lost_sample_is_filled_on_request_alone(tmp_path):
+    kept = np.delete(np.arange(N), 700)
+    path = _csv(tmp_path / "a.csv", "t,speed", TIME[kept], SPEED[kept])
+    with pytest.raises(
+        ValueError, match=r"missing in 1 place, the longest 1 ms after 0.699 s; --fill-gaps 1 "
+    ):
+        _import(path)
+    assert _import(path, fill_gaps_ms=1)["speed"].samples.size == N
 
 
 @pytest.mark.parametrize(
@@ -282,13 +293,27 @@ def test_marker_drop_outs_are_filled_on_request_and_counted(tmp_path):
     assert any("2 gaps (4 samples, the longest 25 ms) were filled" in line for line in recording.history)
 
 
+def test_missing_rows_are_gaps_too(tmp_path):
+    """A motion capture that leaves out the rows that it lost: 3 of them at 100 Hz, then 200."""
+    t = np.arange(1000) / 100
+    kept = np.ones(1000, dtype=bool)
+    kept[50:53] = kept[400:600] = False
+    path = _csv(tmp_path / "m.csv", "t,x", t[kept], 20 * t[kept])
+    with pytest.raises(
+        ValueError, match=r"rows are missing in 2 places, the longest 2000 ms.*--fill-gaps 2000"
+    ):
+        _import(path, map="time=t,position_x=x", fill_gaps_ms=30)
+    recording = _import(path, map="time=t,position_x=x", fill_gaps_ms=2000)
+    np.testing.assert_allclose(recording["position_x"].samples, 20 * t, atol=1e-9)
+    assert any("203 samples on straight lines" in line for line in recording.history)
+
+
 def test_gaps_elsewhere_are_never_filled(tmp_path):
     _, gapped = _with_gaps()
-    for name in ("acceleration", "force"):
-        with pytest.raises(
-            ValueError, match=f"{name}: 4 samples are NaN or blank, the first at 50; only position and"
-        ):
-            _import(_csv(tmp_path / "a.csv", "x", gapped), map=f"{name}=x", rate=120, fill_gaps_ms=1000)
+    with pytest.raises(
+        ValueError, match="acceleration: 4 samples are NaN or blank, the first at 50; only position, speed"
+    ):
+        _import(_csv(tmp_path / "a.csv", "x", gapped), map="acceleration=x", rate=120, fill_gaps_ms=1000)
     gapped[0] = np.nan
     (tmp_path / "b.csv").write_text("x\n" + "\n".join("nan" if v != v else repr(float(v)) for v in gapped))
     with pytest.raises(ValueError, match="at the start: nothing to draw a line from"):

@@ -297,3 +297,33 @@ def test_a_stroke_along_one_axis_has_a_speed_both_ways() -> None:
     trace = preprocess(made, SHORT)
     # The mean of |cos| is 2/π.
     assert trace.speed.mean() == pytest.approx(20 * 2 * np.pi * 2 / np.pi, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("name", "peak", "message"),
+    [
+        ("acceleration", 2000.0, r"the acceleration reaches 2000 m/s², beyond any hand \(1000 m/s²\)"),
+        ("speed", 50_000.0, "the speed reaches 50000 mm/s"),
+        ("force", 900.0, "the force reaches 900 N"),
+    ],
+)
+def test_what_no_hand_does_is_refused_unless_forced(name: str, peak: float, message: str) -> None:
+    """Also in a recording that another program wrote, which `foten import` never saw."""
+    channels = {"acceleration": tone(100.0), "speed": np.full(6000, 80.0), "force": np.ones(6000)}
+    loudest = channels["acceleration"] / channels["acceleration"].max()
+    channels[name] = np.full(6000, peak) if name != "acceleration" else peak * loudest
+    absurd = Recording({key: Channel(values, 1000.0) for key, values in channels.items()})
+    with pytest.raises(ValueError, match=message):
+        preprocess(absurd, SHORT)
+    trace = preprocess(absurd, dataclasses.replace(SHORT, force_units=True))
+    assert float(np.abs(getattr(trace, name)).max()) == pytest.approx(peak, rel=0.1)
+
+
+def test_rows_that_are_missing_in_time_are_refused() -> None:
+    times = np.delete(np.arange(600) / 100, slice(200, 300))
+    channel = Channel(20 * times, 100.0, times)
+    gapped = recording({"acceleration": tone(100.0)}, position_x=channel)
+    with pytest.raises(
+        ValueError, match=r"position_x has 1 holes in its times, the longest 1010 ms after 1.99 s"
+    ):
+        preprocess(gapped, SHORT)

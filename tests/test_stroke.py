@@ -76,6 +76,40 @@ def test_a_hole_in_the_table_is_told(tmp_path: Path) -> None:
     )
 
 
+def pen(t: np.ndarray, offset: float = 0.0, force: float = 1.0) -> dict[str, np.ndarray]:
+    return {"t": t, "x": 80 * t + offset, "y": 0 * t, "force": np.full(t.size, force)}
+
+
+def rows(*parts: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def test_a_pen_that_the_tablet_does_not_report_is_lifted(tmp_path: Path) -> None:
+    """80 mm/s for a second, unheard of for a second and 200 mm away, 80 mm/s again."""
+    table = rows(pen(np.arange(0, 1, 0.01)), pen(np.arange(2, 3, 0.01), 200.0))
+    stroke = read_stroke(written(tmp_path / "p.csv", table), 1000.0)
+    assert stroke.n_lifted == 1
+    assert stroke.gap_s == 0
+    speed, force = stroke.conditioned(20.0)
+    assert force[1100:1950] == pytest.approx(0, abs=1e-3)
+    assert speed[1100:1950] == pytest.approx(0, abs=0.1)
+    assert speed.max() < 85  # the low-pass overshoots by 4 %
+    for contact in (slice(200, 900), slice(2100, 2900)):
+        assert speed[contact] == pytest.approx(80, rel=1e-3)
+        assert force[contact] == pytest.approx(1, rel=1e-3)
+
+
+def test_a_pen_may_land_elsewhere_but_not_jump_in_contact(tmp_path: Path) -> None:
+    up = pen(np.array([1.0]), 300.0, force=0.0)
+    table = rows(pen(np.arange(0, 1, 0.01)), up, pen(np.arange(1.01, 2, 0.01), 300.0))
+    stroke = read_stroke(written(tmp_path / "l.csv", table), 1000.0)
+    assert stroke.n_lifted == 1
+    assert float(np.abs(stroke.moved).max()) == pytest.approx(80, rel=1e-3)
+    table = rows(pen(np.arange(0, 1, 0.01)), pen(np.arange(1, 2, 0.01), 300.0))
+    with pytest.raises(ValueError, match=r"speed reaches 3.* mm/s"):
+        read_stroke(written(tmp_path / "j.csv", table), 1000.0)
+
+
 def test_a_recorded_hand_needs_no_acceleration() -> None:
     recording = Recording(
         {"speed": Channel(np.full(1000, 80.0), 1000.0), "force": Channel(np.ones(120), 120.0)}

@@ -319,3 +319,19 @@ def test_blocks_shorter_than_two_windows_are_refused(recording: Recording) -> No
         train_texture(
             recording, "foten", FotenArchitecture(), QUICK, PreprocessConfig(trim_ms=0, block_ms=40)
         )
+
+
+def test_a_block_too_short_to_settle_its_level_is_refused_before_training(recording: Recording) -> None:
+    said = []
+    with pytest.raises(
+        ValueError, match=r"a block of 40 ms holds no frame of 40 ms .* --block of 50 ms or more"
+    ):
+        train_texture(
+            recording,
+            "foten-plus",
+            FotenPlusArchitecture(**{**SMALL, "window": 8}),
+            QUICK,
+            PreprocessConfig(trim_ms=0, block_ms=40),
+            on_epoch=said.append,
+        )
+    assert not said

@@ -46,3 +46,14 @@ def test_a_recording_that_was_not_simulated_has_no_truth() -> None:
     assert document["references"]["bound"]["mae_scaled"] is None
     assert document["ceiling"]["of"] == "the training block nearest in speed and force"
     assert np.isfinite(document["ceiling"]["lsd_db"])
+
+
+def test_parameters_that_cannot_be_used_cost_the_truth_and_no_more() -> None:
+    recording = simulate("linear-hum", 24.0)
+    trained = train_texture(
+        recording, "foten-plus", SMALL, TrainConfig(epochs=0, threads=1), PreprocessConfig(block_ms=1000)
+    )
+    for broken in ({"key": "linear-hum"}, {**(recording.simulation or {}), "version": 0}):
+        truth = truth_for(dataclasses.replace(recording, simulation=broken), trained.texture)
+        assert not truth.realisations
+        assert "cannot be used" in truth.why_no_bound

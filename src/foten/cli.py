@@ -153,7 +153,9 @@ def import_(
     ] = None,
     fill_gaps: Annotated[
         float,
-        typer.Option("--fill-gaps", metavar="MS", help="Fill gaps of up to MS ms in position and speed."),
+        typer.Option(
+            "--fill-gaps", metavar="MS", help="Fill gaps of up to MS ms in position, speed and force."
+        ),
     ] = 0.0,
     force_units: Annotated[
         bool,
@@ -264,7 +266,8 @@ def inspect(
         if output.exists() and not output.is_dir():
             raise ValueError(f"-o {output} is a file, expected a folder")
         output.mkdir(parents=True, exist_ok=True)
-        (output / "inspect.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+        with whole_file(output / "inspect.json") as part:
+            part.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
         for path in write_pictures(recording, inspection, output):
             _say(f"wrote {path}")
     if as_json:
@@ -321,6 +324,10 @@ def train(
     zero_phase: Annotated[
         bool, typer.Option("--zero-phase", help="Filter forwards and backwards, as the paper offline.")
     ] = False,
+    force_units: Annotated[
+        bool,
+        typer.Option("--force-units", help="Accept what no hand does: above 5 m/s, 1000 m/s² or 500 N."),
+    ] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the run folder's checkpoint.")] = False,
     run_folder: Annotated[
         Path | None, typer.Option("--run", metavar="DIR", help="Log, curves, split, checkpoint. [T.run]")
@@ -371,7 +378,7 @@ def train(
         "lowpass_hz": 25.0 if recipe == "paper" else None,
     }
     preprocess_config = PreprocessConfig(
-        zero_phase=zero_phase, **{k: v for k, v in cut.items() if v is not None}
+        zero_phase=zero_phase, force_units=force_units, **{k: v for k, v in cut.items() if v is not None}
     )
     architecture = architecture_from(model, {"window": window, **_settings(settings or [])})
     recording = load_recording(recording_file)
@@ -418,6 +425,7 @@ def train(
         "interrupted": trained.progress.interrupted,
         "n_blocks": trained.trace.n_blocks,
         "n_samples_dropped": trained.trace.n_dropped,
+        "n_samples_uncovered": trained.trace.n_uncovered,
         "split_sha256": trained.split.sha256(),
         **metrics,
     }
@@ -539,6 +547,8 @@ def render(
         told = f"{speed:g} mm/s, {force:g} N, {seconds:g} s"
     if given.gap_s:
         _say(f"the stroke has a hole of {given.gap_s:.3g} s, bridged in a straight line")
+    if given.n_lifted:
+        _say(f"the pen was taken as lifted in {given.n_lifted} holes or jumps of the stroke: silence there")
     hand = given.conditioned(float(texture.card["lowpass_hz"]))
     about = {
         "foten": __version__,

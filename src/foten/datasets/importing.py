@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from foten.datasets import DATASETS
 from foten.datasets.columns import Column
 from foten.datasets.wav import FULL_SCALE
-from foten.recording.recording import AXES, UNITS, Channel, Recording
+from foten.recording.recording import AXES, LIMITS, UNITS, Channel, Recording
 
 G = 9.80665  # m/s², standard gravity
 
@@ -39,13 +39,11 @@ _SPELLINGS = {"m/s2": "m/s^2", "m/s²": "m/s^2", "m/s**2": "m/s^2", "mm/s2": "mm
     "sec": "s",
 }
 
-LIMITS: Mapping[str, float] = {"speed": 5000.0, "acceleration": 1000.0, "force": 500.0, "position": 10_000.0}
-"""Beyond these no hand stroked a surface: mm/s, m/s², N, mm."""
-
 _USUAL: Mapping[str, float] = {"speed": 400.0, "acceleration": 100.0, "force": 10.0, "position": 300.0}
 """What the largest value of a usual recording is about; only to guess which unit was meant."""
 
 SHORTEST_S = 0.1
+FILLED = ("position", "speed", "force")  # the hand, which is slow; an acceleration is not invented
 JITTER = 0.01  # of a period: less, and times are called regular
 
 _GUESSES: Mapping[str, frozenset[str]] = {
@@ -77,7 +75,8 @@ class ImportOptions:
         units: by channel (or `time`): a unit, or `*FACTOR`, or `LABEL*FACTOR`.
         rate_hz: for channels whose file states no rate and has no time column.
         rates_hz: by channel; overrides what a file states.
-        fill_gaps_ms: longest run of NaN in position or speed that is filled; 0 fills none.
+        fill_gaps_ms: longest run of NaN, or of rows that are missing by their times, that is filled in position, speed and
+            force; 0 fills none.
         force_units: accept values beyond `LIMITS`.
         texture, tool, sensors, notes: free text.
     """
@@ -265,7 +264,10 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> Import:
                 clock = None
         values, filled = _filled(channel, samples[channel], clock, rates[channel], options.fill_gaps_ms)
         history += [filled] if filled else []
-        channels[channel] = Channel(values, rates[channel], clock)
+        channels[channel], filled = _bridged(
+            channel, Channel(values, rates[channel], clock), options.fill_gaps_ms
+        )
+        history += [filled] if filled else []
     _check_overlap(channels)
     for channel, one in channels.items():
         said = _check_size(channel, one, options.force_units)
@@ -580,9 +582,9 @@ def _filled(
     if not missing.any():
         return samples, ""
     first, count = int(np.flatnonzero(missing)[0]), int(missing.sum())
-    if quantity(channel) not in ("position", "speed"):
+    if quantity(channel) not in FILLED:
         raise ValueError(
-            f"{channel}: {count} samples are NaN or blank, the first at {first}; only position and speed "
+            f"{channel}: {count} samples are NaN or blank, the first at {first}; only position, speed and force "
             "may have gaps filled"
         )
     edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
@@ -613,6 +615,32 @@ def _filled(
     return filled, (
         f"{channel}: {starts.size} gaps ({count} samples, the longest {lengths.max() * 1000:.4g} ms) were "
         f"filled with straight lines, up to {gap_ms:g} ms allowed"
+    )
+
+
+def _bridged(channel: str, one: Channel, gap_ms: float) -> tuple[Channel, str]:
+    """Return a channel with the rows that its times say are missing filled in, if asked, and a sentence."""
+    holes = one.holes()
+    if not holes.size or one.times_s is None or quantity(channel) not in FILLED:
+        return one, ""  # an acceleration at irregular times is refused before it is used
+    steps = np.diff(one.times_s)
+    period = float(np.median(steps))
+    lengths = steps[holes] - period  # as long as what was lost
+    longest = int(lengths.argmax())
+    places = f"{holes.size} place{'s' * (holes.size > 1)}"
+    worst, since = lengths[longest] * 1000, one.times_s[holes[longest]]
+    what = f"{channel}: rows are missing in {places}, the longest {worst:.4g} ms after {since:.4g} s"
+    if worst > gap_ms + 1e-6:
+        would = max(1, int(np.ceil(worst - 1e-6)))
+        raise ValueError(f"{what}; --fill-gaps {would} would draw straight lines there, or cut the file")
+    added = [
+        np.linspace(one.times_s[i], one.times_s[i + 1], round(steps[i] / period), endpoint=False)[1:]
+        for i in holes
+    ]
+    times = np.sort(np.concatenate([one.times_s, *added]))
+    samples = np.interp(times, one.times_s, one.samples)
+    return Channel(samples, one.rate_hz, times), (
+        f"{what}; {times.size - one.times_s.size} samples on straight lines were put there, up to {gap_ms:g} ms allowed"
     )
 
 

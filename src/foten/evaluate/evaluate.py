@@ -39,11 +39,13 @@ class Truth:
         realisations: the same stroke over fresh roughness, preprocessed as the recording was.
         bound, bound_window: expected absolute one-step error [m/s²] of the infinite past and of a window of m, at each
             sample of the trace, shape (n,); None where it is not known.
+        why_no_bound: said where they are not.
     """
 
     realisations: Sequence[Trace] = ()
     bound: Array | None = None
     bound_window: Array | None = None
+    why_no_bound: str = "known for simulated textures of the linear family alone"
 
 
 @dataclass(frozen=True)
@@ -197,7 +199,7 @@ def _one_step(
         )
     for name, bound in (("bound", truth.bound), ("bound_window", truth.bound_window)):
         if bound is None:
-            reasons[f"references.{name}"] = "known for simulated textures of the linear family alone"
+            reasons[f"references.{name}"] = truth.why_no_bound
         else:
             mae = float(bound[n].mean())
             references[name] = {"mae_scaled": mae / scaling.sd[0], "mae_m_s2": mae, "gfc": None}
@@ -248,9 +250,10 @@ def _free_run(
         reasons["ceiling"] = "a foreign recording has no training blocks"
     for name, signal in signals.items():
         found[name] = runs.free_run(recorded, signal, speed, force, trace.rate_hz, scaling.sd[0])
-        for key in ("level_corr", "modulation_db", "level_slopes"):
+        for key in ("level_bias_db", "level_corr", "modulation_db", "level_slopes"):
             if found[name].get(key) is None:
                 reasons[f"{name}.{key}"] = {
+                    "level_bias_db": "blocks hold no frame of 40 ms after their first fifth",
                     "level_corr": "the level does not vary",
                     "modulation_db": "blocks under 1 s",
                     "level_slopes": "speed or force spans less than a factor of 1.2",

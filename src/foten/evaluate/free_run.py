@@ -147,15 +147,16 @@ def free_run(
 
     def figures(index: NDArray[np.int64]) -> dict[str, Any]:
         difference = level_q[:, index] - level_p[index]
+        framed = difference.size > 0
         pooled = metrics.log_spectral_distance(p[index].mean(axis=0), q[:, index].mean(axis=(0, 1)))
         return {
             "lsd_db": float(distance[:, index].mean()),
             "lsd_long_db": float(pooled),
             "gfc_raw": float(raw[:, index].mean()),
             "gfc_welch": float(smooth[:, index].mean()),
-            "level_bias_db": float(difference.mean()),
-            "level_error_db": float(np.abs(difference).mean()),
-            "level_corr": _correlation(level_p[index], level_q[:, index]),
+            "level_bias_db": float(difference.mean()) if framed else None,
+            "level_error_db": float(np.abs(difference).mean()) if framed else None,
+            "level_corr": _correlation(level_p[index], level_q[:, index]) if framed else None,
             "kurtosis": metrics.kurtosis(synthesized[:, index]),
             "max_sd": float(worst[index].max()),
             "band_errors_db": metrics.band_errors(

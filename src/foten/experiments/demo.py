@@ -22,6 +22,7 @@ from foten.texture_file import write_texture
 from foten.train.config import RECIPES
 from foten.train.fit import Epoch
 from foten.train.train import train_texture
+from foten.whole_file import whole_file
 
 
 def run_demo(
@@ -64,7 +65,8 @@ def run_demo(
     judgement = evaluate(trained.texture, recording, truth_for(recording, trained.texture), seed)
     report = directory / "report"
     report.mkdir(exist_ok=True)
-    (report / "evaluation.json").write_text(json.dumps(judgement.document, indent=1, allow_nan=False) + "\n")
+    with whole_file(report / "evaluation.json") as part:
+        part.write_text(json.dumps(judgement.document, indent=1, allow_nan=False) + "\n")
     paths["report"] = write_report(judgement, trained.texture, report)
     say("5/5 rendering ten seconds of a fresh hand")
     hand = recorded_stroke(simulate(key, 10.0, seed + 1), trained.texture.rate_hz)

@@ -17,24 +17,26 @@ from foten.texture_file import Texture
 def truth_for(recording: Recording, texture: Texture) -> Truth:
     """Return further realisations of a simulated stroke and, for the linear family, the bounds of any predictor.
 
-    A recording that was not simulated has no truth; neither bound holds at another rate than the simulated one or with
-    another high-pass than order 2.
+    A recording that was not simulated, or by another version of the simulator, has no truth; neither bound holds at another
+    rate than the simulated one or with another high-pass than order 2.
     """
     if recording.simulation is None:
         return Truth()
-    used = int(recording.simulation["noise_seed"])
-    realisations = [
-        trace_for(texture, second_realisation(recording, used + 1_000_003 * (k + 1))) for k in range(N_SEEDS)
-    ]
+    try:
+        used = int(recording.simulation["noise_seed"])
+        realisations = [
+            trace_for(texture, second_realisation(recording, used + 1_000_003 * (k + 1)))
+            for k in range(N_SEEDS)
+        ]
+    except (KeyError, TypeError, ValueError) as error:
+        return Truth(why_no_bound=f"the simulator's parameters in the recording cannot be used ({error})")
     config = PreprocessConfig(**texture.card["preprocess"])
-    same_rate = recording["acceleration"].rate_hz == config.rate_hz if "acceleration" in recording else False
-    if (
-        recording.simulation["key"] not in LINEAR_FAMILY
-        or not same_rate
-        or config.highpass_order != 2
-        or config.zero_phase
-    ):
+    if recording.simulation["key"] not in LINEAR_FAMILY:
         return Truth(realisations)
+    if recording["acceleration"].rate_hz != config.rate_hz:
+        return Truth(realisations, why_no_bound="known at the simulated rate alone")
+    if config.highpass_order != 2 or config.zero_phase:
+        return Truth(realisations, why_no_bound="known with a causal high-pass of order 2 alone")
     trace = trace_for(texture, recording)
     (b0, b1, b2, a1, a2), *_ = butterworth("highpass", config.highpass_hz, config.rate_hz)
     bound, bound_window = one_step_bounds(

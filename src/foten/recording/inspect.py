@@ -430,7 +430,7 @@ def _gaps(name: str, channel: Channel) -> Iterable[Finding]:
         return
     steps = np.diff(channel.times_s)
     usual = float(np.median(steps))
-    gaps = np.flatnonzero(steps > 1.5 * usual)
+    gaps = channel.holes()
     if gaps.size:
         longest = int(gaps[np.argmax(steps[gaps])])
         lost = int(np.round(steps[gaps] / usual - 1).sum())

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from foten.recording.inspect import CELL_S, HAND_HZ, NOTE, Inspection
 from foten.recording.preprocess import times_of
 from foten.recording.recording import UNITS, Recording
+from foten.whole_file import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -183,6 +184,9 @@ def write_pictures(recording: Recording, inspection: Inspection, folder: Path) -
     written = []
     for name, figure in drawn.items():
         if figure is not None:
-            figure.savefig(folder / name, metadata={"Software": None, "Source": inspection.recording_sha256})
+            with whole_file(folder / name) as part:
+                figure.savefig(
+                    part, format="png", metadata={"Software": None, "Source": inspection.recording_sha256}
+                )
             written.append(folder / name)
     return written

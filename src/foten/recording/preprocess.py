@@ -12,7 +12,7 @@ from foten.dsp.dft321 import dft321
 from foten.dsp.filters import Biquads, Sections, butterworth, delay_s, filter_recorded
 from foten.dsp.kinematics import at_rate, speed_of, velocity
 from foten.dsp.resample import decimate
-from foten.recording.recording import Channel, Recording
+from foten.recording.recording import LIMITS, Channel, Recording
 from foten.recording.trace import Trace
 
 WRONG_SIGN = (5.0, 0.5)  # mm/s, N; below minus this a magnitude is not a magnitude with noise
@@ -35,6 +35,7 @@ class PreprocessConfig:
     lowpass_hz: float = 20.0  # of speed and force in training; Sec. V-b
     render_lowpass_hz: float = 20.0  # of speed and force in rendering; Sec. V-b
     zero_phase: bool = False  # the paper's offline way; looks into the future
+    force_units: bool = False  # take values beyond `LIMITS`
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
@@ -73,8 +74,8 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None) -> 
     With three axes, DFT321 makes one of them in each block by itself.
 
     Raises:
-        ValueError: a quantity is missing, the acceleration is slower than the rate or irregular in time, speed
-            or force has the wrong sign, or the recording is too short for the trim and one block.
+        ValueError: a quantity is missing or beyond what a hand can do, the acceleration is slower than the rate or irregular
+            in time, speed or force has holes or the wrong sign, or the recording is too short for the trim and one block.
 
     Source: Sec. III-c, Sec. VI.
     """
@@ -83,13 +84,15 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None) -> 
     axes = recording.axes("acceleration")
     if not axes:
         raise ValueError("the recording has no acceleration channel")
+    if not config.force_units:
+        _check_size("the acceleration", "acceleration", max(float(np.abs(a.samples).max()) for a in axes))
     for axis in axes:
         if axis.times_s is not None:
             raise ValueError("the acceleration was captured at irregular times, expected a steady rate")
         if axis.rate_hz < rate * (1 - 1e-9):
             raise ValueError(
                 f"the acceleration was captured at {axis.rate_hz:g} Hz and {rate:g} Hz is asked for; it is never "
-                f"upsampled: use --rate {axis.rate_hz:g} or lower"
+                f"upsampled: train with --rate {axis.rate_hz:g} or lower"
             )
     start, stop = _common([*axes, *_hand_channels(recording)], rate)
     highpass = butterworth("highpass", config.highpass_hz, rate, config.highpass_order)
@@ -124,6 +127,9 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None) -> 
     moved, pressed = hand_of(recording, rate)
     speed = speed_of(np.stack([settled(filtered(lowpass, row), True) for row in moved]))
     force = np.maximum(settled(filtered(lowpass, pressed), True), 0.0)
+    if not config.force_units:
+        _check_size("the speed", "speed", float(speed.max()))
+        _check_size("the force", "force", float(force.max()))
     return Trace(
         acceleration=acceleration,
         speed=speed,
@@ -164,9 +170,11 @@ def hand_of(recording: Recording, rate_hz: float) -> tuple[NDArray[np.float64], 
     The normal is the z axis, and pressing counts positive: a force that is mostly negative is turned round.
 
     Raises:
-        ValueError: speed or force is missing or has the wrong sign.
+        ValueError: speed or force is missing, has holes or the wrong sign.
     """
     channels = _hand_channels(recording)
+    for channel in channels:
+        _check_holes(next(name for name, one in recording.channels.items() if one is channel), channel)
     start, stop = _common([*recording.axes("acceleration"), *channels], rate_hz)
     *moved, pressed = (_slow(channel, rate_hz, stop)[start:] for channel in channels)
     rows = np.stack(moved)
@@ -188,6 +196,26 @@ def hand_of(recording: Recording, rate_hz: float) -> tuple[NDArray[np.float64], 
         )
     pressed = sign * pressed
     return rows, pressed
+
+
+def _check_holes(name: str, channel: Channel) -> None:
+    holes = channel.holes()
+    if channel.times_s is not None and holes.size:
+        lengths = np.diff(channel.times_s)[holes]
+        longest = int(lengths.argmax())
+        raise ValueError(
+            f"{name} has {holes.size} holes in its times, the longest {1000 * lengths[longest]:.4g} ms after "
+            f"{channel.times_s[holes[longest]]:.4g} s; import the recording again with --fill-gaps MS, or cut it"
+        )
+
+
+def _check_size(what: str, quantity: str, largest: float) -> None:
+    if largest > LIMITS[quantity]:
+        unit = {"acceleration": "m/s²", "speed": "mm/s", "force": "N"}[quantity]
+        raise ValueError(
+            f"{what} reaches {largest:.6g} {unit}, beyond any hand ({LIMITS[quantity]:g} {unit}); another unit, or "
+            "spikes? `foten inspect` shows which; --force-units takes it as it is"
+        )
 
 
 def _hand_channels(recording: Recording) -> list[Channel]:

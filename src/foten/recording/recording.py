@@ -25,6 +25,13 @@ UNITS: Mapping[str, str] = MappingProxyType(
 )
 """Every channel a recording may have, with the unit it is stored in. `z` is the surface normal."""
 
+LIMITS: Mapping[str, float] = MappingProxyType(
+    {"speed": 5000.0, "acceleration": 1000.0, "force": 500.0, "position": 10_000.0}
+)
+"""Beyond these no hand stroked a surface: mm/s, m/s², N, mm."""
+
+HOLE = 1.75  # median steps between two times; more, and samples were lost
+
 
 @dataclass(frozen=True)
 class Channel:
@@ -55,6 +62,13 @@ class Channel:
         if self.times_s is None:
             return self.samples.size / self.rate_hz
         return float(self.times_s[-1] - self.times_s[0]) + 1 / self.rate_hz
+
+    def holes(self) -> NDArray[np.int64]:
+        """Return the samples after which others were lost, as the times tell; none at a steady rate."""
+        if self.times_s is None or self.times_s.size < 3:
+            return np.zeros(0, dtype=np.int64)
+        steps = np.diff(self.times_s)
+        return np.flatnonzero(steps > HOLE * np.median(steps))
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from foten.dsp.kinematics import at_rate, velocity
 from foten.recording.preprocess import condition, hand_of
-from foten.recording.recording import Recording
+from foten.recording.recording import LIMITS, Recording
 
 Array = NDArray[np.float64]
 
@@ -43,13 +43,15 @@ class Stroke:
         moved: velocity of each axis [mm/s], shape (n_axes, n); one axis where only the speed is known.
         force: [N], shape (n,).
         rate_hz: samples a second.
-        gap_s: the longest hole between two given samples, where one is ten times the usual step; else 0.
+        gap_s: the longest hole between two given samples that was bridged, where one is ten times the usual step; else 0.
+        n_lifted: holes and jumps between positions that were taken as lifting the pen.
     """
 
     moved: Array
     force: Array
     rate_hz: float
     gap_s: float = 0.0
+    n_lifted: int = 0
 
     def conditioned(self, lowpass_hz: float) -> tuple[Array, Array]:
         """Return speed [mm/s] and force [N] through the causal low-pass of rendering, shapes (n,)."""
@@ -81,7 +83,9 @@ def read_stroke(path: Path, rate_hz: float, calibration: PressureCalibration | N
     """Return the stroke in a CSV file at a model's rate: as many samples as it lasts × rate, rounded.
 
     The header names `t` [s], and `speed` [mm/s] or `x`, `y` [mm], and `force` [N] or `pressure` [0 … 1]; other columns are
-    ignored. Values between rows are interpolated linearly, as positions of a recording are.
+    ignored. Values between rows are interpolated linearly, as positions of a recording are. Where positions are given, the
+    pen is lifted in holes of ten times the usual step, since tablets tell nothing of a pen in the air, and where it jumps
+    faster than 5 m/s from or to a row without force: no force, no movement.
 
     Raises:
         ValueError: a column is missing, a value is no finite number, or time does not increase.
@@ -114,6 +118,9 @@ def read_stroke(path: Path, rate_hz: float, calibration: PressureCalibration | N
         force = (calibration or PressureCalibration()).force(pressure)
     if force.min() < 0 or ("speed" in columns and columns["speed"].min() < 0):
         raise ValueError(f"{path.name}: speed and force are magnitudes, found one below zero")
+    n_lifted = 0
+    if "speed" not in columns:
+        times, positions, force, n_lifted = _lifted(times, np.stack([columns["x"], columns["y"]]), force)
     n = round(times[-1] * rate_hz)
     if n < 1:
         raise ValueError(
@@ -122,18 +129,44 @@ def read_stroke(path: Path, rate_hz: float, calibration: PressureCalibration | N
     if "speed" in columns:
         moved = at_rate(columns["speed"], times, rate_hz, n)[None]
     else:
-        moved = velocity(np.stack([at_rate(columns[axis], times, rate_hz, n) for axis in "xy"]), rate_hz)
+        moved = velocity(np.stack([at_rate(axis, times, rate_hz, n) for axis in positions]), rate_hz)
     fastest = float(np.abs(moved).max())
-    if fastest > 5000:
+    if fastest > LIMITS["speed"]:
         raise ValueError(f"{path.name}: speed reaches {fastest:g} mm/s; is it, or t, in another unit?")
     if force.max() > 100:
         raise ValueError(f"{path.name}: force reaches {force.max():g} N; is it in mN or grams?")
-    return Stroke(moved, at_rate(force, times, rate_hz, n), rate_hz, _hole(times))
+    gap = 0.0 if n_lifted else float(np.diff(times)[_holes(times)].max(initial=0.0))
+    return Stroke(moved, at_rate(force, times, rate_hz, n), rate_hz, gap, n_lifted)
 
 
-def _hole(times: Array) -> float:
+def _holes(times: Array) -> NDArray[np.int64]:
+    """Return the rows after which there is a hole in the times."""
     steps = np.diff(times)
-    return float(steps.max()) if steps.max() > 10 * np.median(steps) else 0.0
+    return np.flatnonzero(steps > 10 * np.median(steps))
+
+
+def _lifted(times: Array, positions: Array, force: Array) -> tuple[Array, Array, Array, int]:
+    """Return times, positions (2, n) and force with the pen in the air in holes and jumps, and how many there are.
+
+    Movement in the air is taken out of all positions after it, so that no speed comes of it.
+    """
+    steps = np.diff(times)
+    holes = _holes(times)
+    distance = np.hypot(*np.diff(positions, axis=1))
+    airborne = np.minimum(force[:-1], force[1:]) <= 0
+    jumps = np.flatnonzero(airborne & (distance > LIMITS["speed"] * steps))
+    lifts = np.union1d(holes, jumps)
+    moves = np.zeros_like(positions)
+    moves[:, lifts + 1] = np.diff(positions, axis=1)[:, lifts]
+    positions = positions - np.cumsum(moves, axis=1)
+    # The pen leaves within a usual step after the last row before a hole, and lands within one before the next.
+    step = float(np.median(steps))
+    added = np.concatenate([times[holes] + step, times[holes + 1] - step])
+    whole = np.concatenate([times, added])
+    order = np.argsort(whole, kind="stable")
+    rows = [np.concatenate([axis, np.interp(added, times, axis)])[order] for axis in positions]
+    pressed = np.concatenate([force, np.zeros_like(added)])[order]
+    return whole[order], np.stack(rows), pressed, int(lifts.size)
 
 
 _KNOWN = ("t", "speed", "x", "y", "force", "pressure")

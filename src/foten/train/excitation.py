@@ -130,7 +130,8 @@ def settle_level(
     recorded = by_block[:, settled:, 0]
     reference = float(np.sqrt(np.square(recorded).mean()))
     level = frame_levels(recorded, rate, reference)
-    noise = np.stack([gaussian(seed, stream, 0, trace.block - m) for stream in range(len(picked))])
+    # Streams of their own: the judge, who counts from 0, must not hear the noise that the level was settled on.
+    noise = np.stack([gaussian(seed, 2**32 + k, 0, trace.block - m) for k in range(len(picked))])
     errors = []
     for _ in range(N_SETTLING):
         engine = engine_of(network)

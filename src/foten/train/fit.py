@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import os
 import pickle
 import time
 from collections.abc import Callable, Iterator
@@ -44,7 +45,11 @@ class Data:
 
 @dataclass(frozen=True)
 class Epoch:
-    """One line of the log. Losses are one-step, scaled; epoch 0 is the network before training."""
+    """One line of the log; epoch 0 is the network before training.
+
+    Losses are one-step, of scaled errors times `Data.weight` (foten-plus: in units of what the shortcut misses at that speed and
+    force, times their mean); `validation_mae` is of scaled errors as they are.
+    """
 
     epoch: int
     train_loss: float
@@ -76,6 +81,7 @@ def reproducible() -> Iterator[None]:
     The matrices are too small to share among threads: two gained 15 % on two idle cores, and lost a factor of ten when
     another program kept one of them busy. `fit` shares out the batch instead.
     """
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # else sums on a GPU come in any order
     before = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
     torch.set_num_threads(1)
     torch.use_deterministic_algorithms(True, warn_only=True)
@@ -226,7 +232,7 @@ def predict(network: nn.Module, data: Data, n: NDArray[np.int64], batch: int = 4
 
 def write_log(path: Path, epochs: list[Epoch]) -> None:
     """Write the log as CSV."""
-    with path.open("w", newline="") as file:
+    with whole_file(path) as part, part.open("w", newline="") as file:
         writer = csv.DictWriter(file, fieldnames=list(Epoch.__dataclass_fields__))
         writer.writeheader()
         writer.writerows(asdict(epoch) for epoch in epochs)

@@ -64,7 +64,8 @@ class RunFolder:
         """Add one line to the log on disk."""
         if not self._epochs:
             self.path.mkdir(parents=True, exist_ok=True)
-            (self.path / "config.json").write_text(self._config)
+            with whole_file(self.path / "config.json") as part:
+                part.write_text(self._config)
             self._events = _tensorboard(self.path)
         self._epochs.append(epoch)
         write_log(self.path / "log.csv", self._epochs)
@@ -103,7 +104,7 @@ def _draw_curves(path: Path, epochs: list[Epoch], shortcut_mae: float | None) ->
     loss.plot(
         numbers, [line.validation_loss for line in epochs], "s-", ms=3, color="#D55E00", label="validation"
     )
-    loss.set(xlabel="epoch", ylabel="one-step loss, scaled")
+    loss.set(xlabel="epoch", ylabel="one-step loss, weighted")
     known = [value for line in epochs for value in (line.train_loss, line.validation_loss) if value > 0]
     # Within a factor of three a logarithmic axis has no ticks to read.
     if max(known) > 3 * min(known):

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 import foten
 from foten.architecture import FotenArchitecture
+from foten.dsp.level import FRAME_MS
 from foten.models import build
 from foten.models.foten_plus import Excitation, FotenPlus
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -75,6 +76,11 @@ def train_texture(
         raise ValueError(
             f"a block of {trace.block} samples is too short for windows of {m}, expected five times as long: "
             "use a longer --block or a shorter --window"
+        )
+    if key == "foten-plus" and 0.8 * trace.block < FRAME_MS * trace.rate_hz / 1000:
+        raise ValueError(
+            f"a block of {1000 * trace.block / trace.rate_hz:g} ms holds no frame of {FRAME_MS:g} ms after its first fifth, "
+            f"and the level could not be settled: use a --block of {FRAME_MS / 0.8:g} ms or more"
         )
     scaling = fit_scaling(trace, split.train)
     samples = scaling.scale(trace.stacked())
