@@ -68,7 +68,7 @@ def runs() -> Iterator[Run]:
             yield from (Run(texture, model, 1000.0, seed) for texture in LINEAR_FAMILY)
 
 
-def execute(run: Run, recordings: Path, keep: Path | None, epochs: int | None) -> dict[str, Any]:
+def execute(run: Run, recordings: Path, keep: Path | None) -> dict[str, Any]:
     """Return the judge's document of one run, with its wall time."""
     if run.texture in REAL:
         with np.load(recordings / f"{run.texture}.npz", allow_pickle=False) as columns:
@@ -84,8 +84,6 @@ def execute(run: Run, recordings: Path, keep: Path | None, epochs: int | None) -
         recording = simulate(run.texture, 64.0, seed=run.split_seed)
         preprocess = PreprocessConfig()
     config = dataclasses.replace(RECIPES["default"], threads=1, seed=run.split_seed)
-    if epochs is not None:
-        config = dataclasses.replace(config, epochs=epochs)
     started = time.perf_counter()
     trained = train_texture(
         recording, run.model, ARCHITECTURES[run.model](), config, preprocess, split_seed=run.split_seed
@@ -95,7 +93,12 @@ def execute(run: Run, recordings: Path, keep: Path | None, epochs: int | None) -
         keep.mkdir(parents=True, exist_ok=True)
         write_texture(trained.texture, keep / f"{run.name}.foten")
     judgement = evaluate(trained.texture, recording, truth_for(recording, trained.texture))
-    return {"run": dataclasses.asdict(run), "training_seconds": seconds, **judgement.document}
+    return {
+        "run": dataclasses.asdict(run),
+        "config": dataclasses.asdict(config),
+        "training_seconds": seconds,
+        **judgement.document,
+    }
 
 
 def run_all(arguments: argparse.Namespace) -> None:
@@ -112,9 +115,10 @@ def run_all(arguments: argparse.Namespace) -> None:
         try:
             claim.touch(exist_ok=False)
         except FileExistsError:
+            print(f"{run.name}: skipped, another process is at it (or died: {claim.name})", file=sys.stderr)
             continue
         try:
-            document = execute(run, arguments.recordings, arguments.keep, arguments.epochs)
+            document = execute(run, arguments.recordings, arguments.keep)
             with whole_file(path) as part:
                 part.write_text(json.dumps(document, indent=1) + "\n")
         finally:
@@ -225,18 +229,20 @@ def _training() -> Iterator[str]:
     if not TRAINING.exists():
         return
     found = json.loads(TRAINING.read_text())
-    to_lowest = found["time_to_loss"][0]
     lines = [
-        f"**Training** `{found['model']}` on {found['texture']}, {found['n_train_windows']} windows, {found['device']}",
+        f"**Training** `{found['model']}` on {found['seconds']:g} s of {found['texture']}, {found['n_train_windows']} windows, "
+        f"{found['device']}; `foten train` of `foten-plus` there takes {found['foten_train_command_seconds']:.0f} s, start and "
+        "proof included",
         "",
-        f"| recipe | threads | s an epoch | s in all | lowest validation loss | s to {to_lowest['loss']:.5f} |",
-        "|" + "---|" * 6,
+        "| recipe | threads | s an epoch | s in all | lowest validation loss | s to the paper's lowest | paper's ÷ its |",
+        "|" + "---|" * 7,
     ]
-    for name, seconds in to_lowest["seconds"].items():
+    for name, arm in found["arms"].items():
+        seconds, paper = (a["seconds_to"]["1"] for a in (arm, found["arms"]["paper"]))
         lines.append(
-            f"| {name} | {found['threads'][name]} | {found['seconds_per_epoch'][name]:.1f} | "
-            f"{found['total_seconds'][name]:.0f} | {found['lowest_validation_loss'][name]:.5f} | "
-            f"{'–' if seconds is None else f'{seconds:.0f}'} |"
+            f"| {name} | {arm['config']['threads']} | {arm['seconds_per_epoch']:.1f} | {arm['total_seconds']:.0f} | "
+            f"{arm['lowest_validation_loss']:.5f} | "
+            + ("never | – |" if seconds is None else f"{seconds:.0f} | {paper / seconds:.1f} |")
         )
     yield "\n".join(lines)
 
@@ -289,7 +295,6 @@ def main() -> None:
     run.add_argument("--only", default="*", help="run names to match, as TEXTURE-RATE-MODEL-SEED")
     run.add_argument("--recordings", type=Path, default=Path("recordings"))
     run.add_argument("--keep", type=Path, help="directory for the texture files")
-    run.add_argument("--epochs", type=int)
     run.set_defaults(command=run_all)
     tabulate = commands.add_parser("table")
     tabulate.add_argument("--readme", type=Path, help="put the table between its markers in this file")
