@@ -197,3 +197,14 @@ def test_blocks_without_a_frame_have_no_level() -> None:
     found = free_run(recorded, rng.standard_normal((2, 3, 400)), speed, speed / 80, 10_000.0, 1.0)
     assert found["level_bias_db"] is found["level_error_db"] is found["level_corr"] is None
     assert np.isfinite(found["lsd_db"])
+
+
+def test_the_largest_sample_is_a_synthesized_one() -> None:
+    recorded = np.random.default_rng(0).standard_normal((2, 2000))
+    synthesized = 0.1 * recorded[None]
+    synthesized[:, 0, 5] = 40.0  # of the recorded window
+    synthesized[:, 1, 300] = -7.0
+    speed = np.full((2, 2000), 80.0)
+    found = free_run(recorded, synthesized, speed, speed / 80, 1000.0, 1.0, n_given=20)
+    assert found["max_sd"] == pytest.approx(7.0)
+    assert free_run(recorded, synthesized, speed, speed / 80, 1000.0, 1.0)["max_sd"] == pytest.approx(40.0)

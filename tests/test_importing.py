@@ -246,7 +246,8 @@ def test_a_rate_that_is_not_used_is_said_once_per_file(tmp_path):
         "rate 500 Hz not used: a.csv has a time column, 1000 Hz",
         "rate 500 Hz not used: b.wav states 44100 Hz",
     )
-    assert import_recording([path], ImportOptions(mapping[:3], rate_hz=1000.0)).decisions == ()
+    decisions = import_recording([path], ImportOptions(mapping[:3], rate_hz=1000.0)).decisions
+    assert decisions == ("without speed (or position) and force nothing can be learned from this recording",)
 
 
 def test_wav_for_acceleration_beside_a_table(tmp_path):
@@ -438,3 +439,59 @@ def test_bad_input_is_one_line_exit_2_and_no_file(tmp_path, capsys, content, ext
     captured = capsys.readouterr()
     assert (captured.out, captured.err.strip().splitlines()[-1][:7]) == ("", "foten: ")
     assert list(tmp_path.glob("*.h5*")) == []
+
+
+def test_a_rate_against_the_clock_is_refused(tmp_path):
+    path = _csv(tmp_path / "a.csv", "t,acc,speed,force", TIME, ACC, SPEED, FORCE)
+    with pytest.raises(ValueError, match="the column t says 1000 Hz and --rate 500"):
+        _import(path, rate=500)
+    assert _import(path, rate=1000)["force"].times_s is None
+
+
+def test_a_unit_at_the_end_of_a_header_counts(tmp_path):
+    recording = _import(
+        _csv(tmp_path / "a.csv", "time_ms,acc_g,speed_m/s,force_N", 1000 * TIME, ACC, SPEED / 1000, FORCE)
+    )
+    assert recording["acceleration"].rate_hz == 1000
+    np.testing.assert_allclose(recording["acceleration"].samples, 9.80665 * ACC, rtol=1e-12)
+    np.testing.assert_allclose(recording["speed"].samples, SPEED, rtol=1e-12)
+    np.testing.assert_array_equal(recording["force"].samples, FORCE)
+
+
+def test_time_in_milliseconds_is_suspected(tmp_path):
+    path = _csv(tmp_path / "a.csv", "t,acc,speed,force", 1000 * TIME, ACC, SPEED, FORCE)
+    with pytest.raises(
+        ValueError, match=r"a rate of 1 Hz, too slow for any vibration; was the time given in ms\?"
+    ):
+        _import(path)
+    assert _import(path, unit="time=ms")["acceleration"].rate_hz == 1000
+
+
+def test_a_sound_file_beside_a_table_is_the_acceleration(tmp_path):
+    wavfile.write(tmp_path / "a.wav", 10_000, ACC.astype(np.float32))
+    table = _csv(tmp_path / "b.csv", "t,speed,force", TIME, SPEED, FORCE)
+    assert _import([tmp_path / "a.wav", table])["acceleration"].rate_hz == 10_000
+    wavfile.write(tmp_path / "c.wav", 10_000, np.stack([ACC] * 3, axis=1).astype(np.float32))
+    assert len(_import([tmp_path / "c.wav", table]).axes("acceleration")) == 3
+
+
+def test_a_unit_of_a_quantity_serves_its_axes(tmp_path):
+    path = _csv(tmp_path / "a.csv", "t,ax,ay,speed,force", TIME, ACC, ACC, SPEED, FORCE)
+    recording = _import(path, unit="acceleration=g")
+    np.testing.assert_allclose(recording["acceleration_y"].samples, 9.80665 * ACC, rtol=1e-12)
+    with pytest.raises(
+        ValueError, match="unknown channel 'position'"
+    ):
+        _import(path, unit="position=mm")
+
+
+def test_a_suggested_mapping_knows_a_clock(tmp_path):
+    path = _csv(tmp_path / "a.csv", "", TIME, ACC, SPEED, FORCE)
+    with pytest.raises(ValueError, match="--map time=0,acceleration=1,speed=2,force=3"):
+        _import(path)
+
+
+def test_millinewtons_are_guessed(tmp_path):
+    path = _csv(tmp_path / "a.csv", "t,acc,speed,force", TIME, ACC, SPEED, 1000 * FORCE)
+    with pytest.raises(ValueError, match="was it given in mN"):
+        _import(path)

@@ -101,3 +101,15 @@ def test_times_go_with_samples() -> None:
 
 def test_every_channel_has_a_unit() -> None:
     assert set(UNITS.values()) == {"m/s^2", "mm/s", "mm", "N"}
+
+
+def test_holes_are_lost_samples_and_not_late_time_stamps() -> None:
+    rng = np.random.default_rng(0)
+    for lost in (0, 1, 40):
+        grid = np.delete(np.arange(20_000), slice(5000, 5000 + lost)) / 1000
+        jittered = grid + 2e-4 * rng.uniform(-1, 1, grid.size)
+        found = Channel(np.zeros(grid.size), 1000.0, jittered).holes()
+        assert found.tolist() == ([4999] if lost else [])
+    late = np.arange(100) / 100
+    late[50] += 0.009
+    assert not Channel(np.zeros(100), 100.0, late).holes().size

@@ -9,8 +9,9 @@ import difflib
 import hashlib
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,10 +40,11 @@ _SPELLINGS = {"m/s2": "m/s^2", "m/s²": "m/s^2", "m/s**2": "m/s^2", "mm/s2": "mm
     "sec": "s",
 }
 
-_USUAL: Mapping[str, float] = {"speed": 400.0, "acceleration": 100.0, "force": 10.0, "position": 300.0}
+_USUAL: Mapping[str, float] = {"speed": 400.0, "acceleration": 100.0, "force": 3.0, "position": 300.0}
 """What the largest value of a usual recording is about; only to guess which unit was meant."""
 
 SHORTEST_S = 0.1
+SLOWEST_HZ = 40.0  # of an acceleration: half of it is the lowest frequency that training keeps
 FILLED = ("position", "speed", "force")  # the hand, which is slow; an acceleration is not invented
 JITTER = 0.01  # of a period: less, and times are called regular
 
@@ -204,7 +206,7 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> Import:
     decisions: list[str] = []
     mapping = options.mapping
     if not mapping:
-        mapping = _guess(files, with_time=options.rate_hz is None)
+        mapping = _guess(files, options)
         decisions += [f"taken from the headers: --map {','.join(f'{k}={v}' for k, v in mapping)}"]
         taken = {reference for _, reference in mapping}
         rest = [_reference(files, path, c) for path, columns in files.items() for c in columns]
@@ -222,9 +224,12 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> Import:
             picked[channel] = _find(files, channel, reference)
     if not picked:
         raise ValueError("only time is mapped, expected a channel as well, e.g. --map time=0,acceleration=1")
+    options = _for_axes(options, picked)
     for channel in (*options.units, *options.rates_hz):
         if channel not in picked and channel != "time":
-            raise ValueError(f"{channel} has a unit or rate but is not mapped")
+            raise ValueError(
+                f"{channel} has a unit or rate but is not mapped; mapped are {', '.join(picked)}"
+            )
 
     history: list[str] = []
     digests = {
@@ -268,6 +273,12 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> Import:
             channel, Channel(values, rates[channel], clock), options.fill_gaps_ms
         )
         history += [filled] if filled else []
+    for channel, one in channels.items():
+        if quantity(channel) == "acceleration" and one.rate_hz < SLOWEST_HZ and not options.force_units:
+            slow = f"{channel} has a rate of {one.rate_hz:g} Hz, too slow for any vibration"
+            in_ms = "was the time given in ms? Then: --unit time=ms"
+            hint = "is the rate right?" if times[channel] is None else in_ms
+            raise ValueError(f"{slow}; {hint} (--force-units imports it)")
     _check_overlap(channels)
     for channel, one in channels.items():
         said = _check_size(channel, one, options.force_units)
@@ -278,10 +289,30 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> Import:
                 f"{one.duration_s * 1000:.3g} ms, expected {SHORTEST_S * 1000:g} ms or more; is the rate "
                 "right?"
             )
+    kinds = {quantity(channel) for channel in channels}
+    if "acceleration" not in kinds:
+        decisions.append(
+            "there is no acceleration: strokes can be rendered from this recording, nothing learned"
+        )
+    elif not {"speed", "position"} & kinds or "force" not in kinds:
+        decisions.append("without speed (or position) and force nothing can be learned from this recording")
     recording = Recording(
         channels, options.texture, options.tool, options.sensors, options.notes, history=tuple(history)
     )
     return Import(recording, tuple(decisions))
+
+
+def _for_axes(options: ImportOptions, picked: Mapping[str, object]) -> ImportOptions:
+    """Return the options with the unit and rate of a quantity given to its axes, where those are mapped and it is not."""
+
+    def spread(given: Mapping[str, Any]) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        for channel, value in given.items():
+            axes = [name for name in picked if quantity(name) == channel and name != channel]
+            found.update(dict.fromkeys(axes if axes and channel not in picked else [channel], value))
+        return found | {channel: value for channel, value in given.items() if channel in picked}
+
+    return replace(options, units=spread(options.units), rates_hz=spread(options.rates_hz))
 
 
 def _origin(times: Mapping[str, NDArray[np.float64] | None]) -> float:
@@ -301,24 +332,38 @@ def _unique_names(paths: Sequence[Path]) -> None:
         seen.add(path)
 
 
-def _guess(files: Mapping[Path, list[Column]], with_time: bool) -> tuple[tuple[str, str], ...]:
+def _guess(files: Mapping[Path, list[Column]], options: ImportOptions) -> tuple[tuple[str, str], ...]:
     """Return the mapping that the headers alone leave no doubt about."""
     found: dict[str, list[tuple[Path, Column]]] = {}
     for path, columns in files.items():
         for column in columns:
-            name = re.sub(r"\s*[\[(].*[\])]\s*$", "", column.name).strip().lower().replace(" ", "_")
             for channel, aliases in _GUESSES.items():
-                if name in aliases and column.n_rows > 1:
+                if _bare(column.name, quantity(channel)) in aliases and column.n_rows > 1:
                     found.setdefault(channel, []).append((path, column))
-    if not with_time:
-        found.pop("time", None)
+    # Sound files carry no names; beside a table they are the accelerometer.
+    sounds = {path: columns for path, columns in files.items() if path.suffix.lower() == ".wav"}
+    if len(sounds) == 1 and not any(quantity(channel) == "acceleration" for channel in found):
+        [(path, columns)] = sounds.items()
+        names = ["acceleration"] if len(columns) == 1 else [f"acceleration_{axis}" for axis in AXES]
+        if len(columns) == len(names):
+            found.update({name: [(path, column)] for name, column in zip(names, columns, strict=True)})
+    if options.rate_hz is not None:
+        for path, column in found.pop("time", []):
+            times = column.samples * _factor("time", column, options.units.get("time"))[0]
+            if times.size > 1 and (np.diff(times) > 0).all():
+                own = _rate_of(times)
+                if abs(own - options.rate_hz) > 0.01 * own:
+                    raise ValueError(
+                        f"{path.name}: the column {column.name} says {own:g} Hz and --rate {options.rate_hz:g}; "
+                        "leave out --rate, or map the other columns with --map to use it"
+                    )
     for channel, places in found.items():
         per_file = [path for path, _ in places]
         if channel == "time" and len(set(per_file)) == len(per_file):
             continue
         if len(places) > 1:
-            names = ", ".join(_reference(files, *place) for place in places)
-            raise ValueError(f"{channel} could be any of {names}; say which, e.g. --map {_example(files)}")
+            could = ", ".join(_reference(files, *place) for place in places)
+            raise ValueError(f"{channel} could be any of {could}; say which, e.g. --map {_example(files)}")
     if not set(found) - {"time"}:
         raise ValueError(
             f"no header says which column is which; found {_listing(files)}; say so, e.g. --map "
@@ -327,6 +372,15 @@ def _guess(files: Mapping[Path, list[Column]], with_time: bool) -> tuple[tuple[s
     return tuple(
         (channel, _reference(files, *place)) for channel, places in found.items() for place in places
     )
+
+
+def _bare(name: str, kind: str) -> str:
+    """Return a header without its unit: `Acc [g]`, `acc_g` → `acc`."""
+    name = re.sub(r"\s*[\[(].*[\])]\s*$", "", name).strip()
+    head, _, tail = name.rpartition("_")
+    if head and _spelled(tail) in FACTORS[kind]:
+        name = head
+    return name.lower().replace(" ", "_")
 
 
 def _reference(files: Mapping[Path, list[Column]], path: Path, column: Column) -> str:
@@ -339,15 +393,37 @@ def _listing(files: Mapping[Path, list[Column]]) -> str:
 
 
 def _example(files: Mapping[Path, list[Column]]) -> str:
-    """Return a mapping that could be meant, by the words in file and column names, else in their order."""
-    left = [_reference(files, path, c) for path, columns in files.items() for c in columns if c.n_rows > 1]
+    """Return a mapping that could be meant: a clock by how it runs, the rest by words in file and column names, else in order."""
+    left = {
+        _reference(files, path, c): (path, c)
+        for path, columns in files.items()
+        for c in columns
+        if c.n_rows > 1 and not c.fault
+    }
     pairs = []
-    for channel, word in (("acceleration", "acc"), ("speed", "speed"), ("force", "force")):
+    clock = next((name for name, (_, column) in left.items() if _runs_steadily(column)), None)
+    if clock is not None:
+        pairs.append(f"time={clock}")
+        del left[clock]
+    words_of = {
+        "acceleration": ("acc", "besch"),
+        "speed": ("speed", "vel", "gesch"),
+        "force": ("force", "kraft"),
+    }
+    for channel, words in words_of.items():
         if left:
-            place = next((one for one in left if word in one.lower()), left[0])
-            left.remove(place)
+            place = next(
+                (one for one in left if any(word in one.lower() for word in words)), next(iter(left))
+            )
+            del left[place]
             pairs.append(f"{channel}={place}")
     return ",".join(pairs)
+
+
+def _runs_steadily(column: Column) -> bool:
+    """Return whether a column looks like a clock: always rising, by steps that are nearly alike."""
+    steps = np.diff(column.samples)
+    return bool(steps.size > 10 and (steps > 0).all() and steps.std() < 0.2 * steps.mean())
 
 
 def _split(files: Mapping[Path, list[Column]], reference: str) -> tuple[list[Path], str]:
@@ -416,6 +492,9 @@ def _factor(channel: str, column: Column, given: str | None) -> tuple[float, str
     if not text:
         bracket = re.search(r"[\[(]([^\])]+)[\])]\s*$", column.name)
         text = bracket.group(1).strip() if bracket and _spelled(bracket.group(1)) in known else ""
+        head, _, tail = column.name.rpartition("_")
+        if not text and head and _spelled(tail) in known:
+            text = tail
     if not text:
         return 1.0, ""
     label, star, number = text.partition("*") if "**" not in text else (text, "", "")

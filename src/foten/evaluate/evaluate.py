@@ -249,7 +249,8 @@ def _free_run(
     else:
         reasons["ceiling"] = "a foreign recording has no training blocks"
     for name, signal in signals.items():
-        found[name] = runs.free_run(recorded, signal, speed, force, trace.rate_hz, scaling.sd[0])
+        n_given = {"ceiling": 0, "free_run_ar": linear.window if linear else 0}.get(name, texture.window)
+        found[name] = runs.free_run(recorded, signal, speed, force, trace.rate_hz, scaling.sd[0], n_given)
         for key in ("level_bias_db", "level_corr", "modulation_db", "level_slopes"):
             if found[name].get(key) is None:
                 reasons[f"{name}.{key}"] = {

@@ -98,7 +98,13 @@ def nearest_training_blocks(trace: Trace, blocks: tuple[int, ...], train: tuple[
 
 
 def free_run(
-    recorded: Array, synthesized: Array, speed: Array, force: Array, rate_hz: float, sd: float
+    recorded: Array,
+    synthesized: Array,
+    speed: Array,
+    force: Array,
+    rate_hz: float,
+    sd: float,
+    n_given: int = 0,
 ) -> dict[str, Any]:
     """Return the free-run figures of synthesized blocks beside recorded ones.
 
@@ -108,18 +114,19 @@ def free_run(
         speed: [mm/s], shape (n_blocks, block); force: [N], likewise.
         rate_hz: samples a second.
         sd: training standard deviation of the acceleration [m/s²].
+        n_given: samples at the start of each synthesized block that are the recorded window it started from.
 
     Returns:
         `lsd_db`: log-spectral distance, mean over blocks and seeds; `lsd_long_db`: the same on spectra pooled over all
         of them; `gfc_raw`, `gfc_welch`: Eq. 13 on raw and on Welch amplitudes, means; `level_bias_db`,
         `level_error_db`, `level_corr`: of levels in frames of 40 ms; `kurtosis` of all samples, and `kurtosis_recorded`;
-        `max_sd`: largest sample over `sd`, the first fifth included; `band_errors_db`; `level_slopes` and
+        `max_sd`: largest synthesized sample over `sd`, the first fifth included; `band_errors_db`; `level_slopes` and
         `level_slopes_recorded` [dB per decade of speed, of force]; `modulation_db`: distance of envelope spectra, 2 to 50 Hz;
         `intervals`.
     """
     n_segment = metrics.segment_length(recorded.shape[-1])
     part = scored(recorded.shape[-1])
-    worst = np.abs(synthesized).max(axis=(0, 2)) / sd
+    worst = np.abs(synthesized[:, :, n_given:]).max(axis=(0, 2)) / sd
     recorded, synthesized, speed, force = (
         recorded[:, part],
         synthesized[:, :, part],

@@ -88,7 +88,10 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None) -> 
         _check_size("the acceleration", "acceleration", max(float(np.abs(a.samples).max()) for a in axes))
     for axis in axes:
         if axis.times_s is not None:
-            raise ValueError("the acceleration was captured at irregular times, expected a steady rate")
+            raise ValueError(
+                "the acceleration was captured at irregular times, expected a steady rate: if only its time stamps are unsteady, "
+                "import it again without time and with --rate; if samples were lost, cut it there"
+            )
         if axis.rate_hz < rate * (1 - 1e-9):
             raise ValueError(
                 f"the acceleration was captured at {axis.rate_hz:g} Hz and {rate:g} Hz is asked for; it is never "

@@ -30,7 +30,7 @@ LIMITS: Mapping[str, float] = MappingProxyType(
 )
 """Beyond these no hand stroked a surface: mm/s, m/s², N, mm."""
 
-HOLE = 1.75  # median steps between two times; more, and samples were lost
+HOLE = 1.5  # median steps between two times; more, and samples were lost
 
 
 @dataclass(frozen=True)
@@ -64,11 +64,22 @@ class Channel:
         return float(self.times_s[-1] - self.times_s[0]) + 1 / self.rate_hz
 
     def holes(self) -> NDArray[np.int64]:
-        """Return the samples after which others were lost, as the times tell; none at a steady rate."""
+        """Return the samples after which others were lost, as the times tell; none at a steady rate.
+
+        A step is a hole where the five samples on either side say so too, so that one late time stamp is none.
+        """
         if self.times_s is None or self.times_s.size < 3:
             return np.zeros(0, dtype=np.int64)
-        steps = np.diff(self.times_s)
-        return np.flatnonzero(steps > HOLE * np.median(steps))
+        times = self.times_s
+        period = float(np.median(np.diff(times)))
+        long = np.flatnonzero(np.diff(times) > HOLE * period)
+        reach = np.arange(5)
+        after, before = long[:, None] + 1 + reach, long[:, None] - reach
+        landed = np.where(
+            after < times.size, times[np.minimum(after, times.size - 1)] - reach * period, np.nan
+        )
+        left = np.where(before >= 0, times[np.maximum(before, 0)] + reach * period, np.nan)
+        return long[np.nanmedian(landed, axis=1) - np.nanmedian(left, axis=1) > HOLE * period]
 
 
 @dataclass(frozen=True)
