@@ -55,7 +55,7 @@ def test_sizes_round_trip(key: str) -> None:
         ({"excitation_width": 0}, "excitation_width is 0"),
         ({"correction_limit": 0}, "correction_limit is 0"),
         ({"correction_limit": "3"}, "correction_limit is '3'"),
-        ({"width": 3}, "do not fit"),
+        ({"width": 3}, "has no size 'width'"),
     ],
 )
 def test_impossible_sizes_are_refused(change: dict[str, Any], match: str) -> None:

@@ -479,9 +479,7 @@ def test_a_unit_of_a_quantity_serves_its_axes(tmp_path):
     path = _csv(tmp_path / "a.csv", "t,ax,ay,speed,force", TIME, ACC, ACC, SPEED, FORCE)
     recording = _import(path, unit="acceleration=g")
     np.testing.assert_allclose(recording["acceleration_y"].samples, 9.80665 * ACC, rtol=1e-12)
-    with pytest.raises(
-        ValueError, match="unknown channel 'position'"
-    ):
+    with pytest.raises(ValueError, match="unknown channel 'position'"):
         _import(path, unit="position=mm")
 
 

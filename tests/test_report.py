@@ -23,7 +23,7 @@ from foten.recording.trace import Trace
 from foten.recording.windows import targets
 from foten.texture_file import Texture
 
-N_BLOCKS, TRAIN, TEST = 6, (0, 1, 2, 5), (3, 4)
+N_BLOCKS, TRAIN, TEST = 8, (0, 1, 2, 5), (3, 4, 6, 7)
 ONE_STEP = ("mae_scaled", "mae_m_s2", "gfc")
 RUNS = ("free_run", "free_run_deterministic", "free_run_ar", "ceiling")
 
@@ -42,10 +42,10 @@ def _judgement(rate_hz=1000.0, block=2000):
     scaling = fit_scaling(trace, TRAIN)
     samples = scaling.scale(trace.stacked())
     synthesized = {
-        "free_run": 1.3 * _vibration(rng, 3, 2, block),
-        "free_run_deterministic": np.zeros((1, 2, block)),
-        "free_run_ar": _vibration(rng, 3, 2, block),
-        "ceiling": _vibration(rng, 2, 2, block),
+        "free_run": 1.3 * _vibration(rng, 3, 4, block),
+        "free_run_deterministic": np.zeros((1, 4, block)),
+        "free_run_ar": _vibration(rng, 3, 4, block),
+        "ceiling": _vibration(rng, 2, 4, block),
     }
     recorded, v, f = (trace.blocks(c)[list(TEST)] for c in (trace.acceleration, trace.speed, trace.force))
     free = {
@@ -72,7 +72,7 @@ def _judgement(rate_hz=1000.0, block=2000):
         "split": "regrouped",
         "split_sha256": "cd" * 32,
         "seed": 7,
-        "n_blocks": 2,
+        "n_blocks": 4,
         "block": block,
         "sd_m_s2": scaling.sd[0],
         "one_step": own,
@@ -256,7 +256,7 @@ def test_both_players_have_one_gain(judged, rate_hz):
     one, two = (np.frombuffer(data[44:], dtype="<i2").astype(float) for data in (first, second))
     np.testing.assert_allclose(two, 2 * one, atol=1.5)  # rounding to 16 bit
     assert np.abs(two).max() == pytest.approx(0.9 * 32767, abs=1)
-    assert len(one) == pytest.approx(2 * 1600 / rate_hz * AUDIO_HZ, abs=2)
+    assert len(one) == pytest.approx(len(TEST) * 1600 / rate_hz * AUDIO_HZ, abs=len(TEST))
     power = np.square(recorded[:, scored(2000)]).mean()
     if rate_hz <= AUDIO_HZ:  # nothing is lost upwards but the fades
         assert np.square(one / 32767 * full_scale).mean() == pytest.approx(power, rel=0.05)
@@ -265,7 +265,9 @@ def test_both_players_have_one_gain(judged, rate_hz):
 def test_a_tone_sounds_at_its_own_pitch(judged, written):
     assert len(_players(written)) == 2
     tone = np.sin(2 * np.pi * 130.0 * np.arange(2000) / 1000.0)
-    _, sound, _ = sounds(replace(judged, synthesized={"free_run": np.tile(tone, (1, 2, 1))}), "free_run")
+    _, sound, _ = sounds(
+        replace(judged, synthesized={"free_run": np.tile(tone, (1, len(TEST), 1))}), "free_run"
+    )
     samples = np.frombuffer(sound[44:], dtype="<i2")[: AUDIO_HZ * 8 // 10]
     peak = np.abs(np.fft.rfft(samples)).argmax() * AUDIO_HZ / len(samples)
     assert peak == pytest.approx(130.0, abs=AUDIO_HZ / len(samples))
@@ -309,13 +311,13 @@ def test_the_figures_draw_what_was_scored(judged):
 
 def test_spectrograms_share_a_scale_and_show_a_tone_where_it_is(judged):
     tone = np.sin(2 * np.pi * 200.0 * np.arange(2000) / 1000.0)
-    figure = figures.over_time(replace(judged, synthesized={"free_run": np.tile(tone, (1, 2, 1))}))
+    figure = figures.over_time(replace(judged, synthesized={"free_run": np.tile(tone, (1, len(TEST), 1))}))
     recorded, synthesized = (axes.images[0] for axes in figure.axes[:2])
     assert recorded.get_clim() == synthesized.get_clim()
     cells = np.asarray(synthesized.get_array())
     low, high = synthesized.get_extent()[2:]
     bin_hz = (high - low) / len(cells)
-    centre = (low + (cells.argmax(axis=0) + 0.5) * bin_hz).reshape(2, -1)
+    centre = (low + (cells.argmax(axis=0) + 0.5) * bin_hz).reshape(len(TEST), -1)
     np.testing.assert_allclose(
         centre[:, 4:-4], 200.0, atol=bin_hz / 2
     )  # mirroring bends the tone at the borders

@@ -161,7 +161,7 @@ def test_every_key_of_the_card_is_needed_and_has_its_type(texture: Texture) -> N
         ({"format_version": None}, "format version None"),
         ({"model": "gan"}, "unknown model 'gan', expected one of foten, foten-plus"),
         ({"window": 21}, "window 21 and the network 20"),
-        ({"sizes": {"width": 3}}, "the sizes of 'foten-plus' do not fit"),
+        ({"sizes": {"width": 3}}, "foten-plus has no size 'width', expected one of window, d_model"),
         ({"sizes": {"window": 1}}, "window is 1"),
         ({"sizes": {"window": "20"}}, "window is '20'"),
         ({"rate_hz": 0}, "'rate_hz' in the card is 0"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 
@@ -109,16 +109,16 @@ def architecture_from(key: str, sizes: Mapping[str, Any]) -> FotenArchitecture:
     """
     if key not in ARCHITECTURES:
         raise ValueError(f"unknown model {key!r}, expected one of {', '.join(ARCHITECTURES)}")
-    try:
-        return ARCHITECTURES[key](**sizes)
-    except TypeError as error:
-        raise ValueError(f"the sizes of {key!r} do not fit: {error}") from error
+    known = [field.name for field in fields(ARCHITECTURES[key])]
+    unknown = sorted(set(sizes) - set(known))
+    if unknown:
+        raise ValueError(f"{key} has no size {unknown[0]!r}, expected one of {', '.join(known)}")
+    return ARCHITECTURES[key](**sizes)
 
 
 def sizes(architecture: FotenArchitecture) -> dict[str, Any]:
     """Return the sizes as plain JSON values."""
-    fields = asdict(architecture)
-    return {**fields, "head": list(fields["head"])}
+    return {**asdict(architecture), "head": list(architecture.head)}
 
 
 def tensor_shapes(key: str, architecture: FotenArchitecture) -> dict[str, tuple[int, ...]]:

@@ -98,6 +98,8 @@ def simulate(
     if key is None or output is None:
         raise ValueError("expected a key and -o FILE; --list shows the keys")
     _check_folders([output])
+    if output.suffix.lower() not in (".h5", ".hdf5"):
+        raise ValueError(f"a recording is written as .h5, got -o {output.name}")
     recording = simulator.simulate(
         key, seconds, seed, noise_seed=noise_seed, stroke_seed=stroke_seed, accelerometer_hz=accelerometer_hz
     )
@@ -164,7 +166,7 @@ def import_(
             help="Accept what no hand does, spikes for example: above 5 m/s, 1000 m/s², 500 N or 10 m.",
         ),
     ] = False,
-    texture: Annotated[str, typer.Option(help="What was stroked.")] = "",
+    texture: Annotated[str, typer.Option(help="What was stroked; the file's name by default.")] = "",
     tool: Annotated[str, typer.Option(help="What it was stroked with.")] = "",
     sensors: Annotated[str, typer.Option(help="Sensors, amplifiers, ranges.")] = "",
     notes: Annotated[str, typer.Option(help="Anything else.")] = "",
@@ -196,7 +198,7 @@ def import_(
             rates_hz=rates_hz,
             fill_gaps_ms=fill_gaps,
             force_units=force_units,
-            texture=texture,
+            texture=texture or output.stem,
             tool=tool,
             sensors=sensors,
             notes=notes,
@@ -345,6 +347,7 @@ def train(
 
     from foten.architecture import ARCHITECTURES, architecture_from
     from foten.datasets.hdf5 import load_recording
+    from foten.recording.inspect import inspect_recording
     from foten.recording.preprocess import PreprocessConfig
     from foten.texture_file import write_texture
     from foten.train.config import RECIPES
@@ -382,6 +385,10 @@ def train(
     )
     architecture = architecture_from(model, {"window": window, **_settings(settings or [])})
     recording = load_recording(recording_file)
+    problems = inspect_recording(recording).problems
+    if problems:
+        many = f"{len(problems)} problem{'s' * (len(problems) > 1)}"
+        _say(f"foten inspect finds {many} in {recording_file.name}, the first: {problems[0].text}")
     folder = RunFolder(run_folder or output.with_suffix(".run"))
     folder.open(
         {
@@ -461,6 +468,14 @@ def evaluate(
         Path | None, typer.Option(metavar="DIR", help="Write DIR/report.html and DIR/evaluation.json.")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Of the excitation.")] = 0,
+    trim: Annotated[
+        float | None,
+        typer.Option(help="Of another recording, discarded at both ends (ms). [the trained one's]"),
+    ] = None,
+    block: Annotated[
+        float | None,
+        typer.Option(help="Of another recording, what is scored as one (ms). [the trained one's]"),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Judge a texture on its test blocks: one-step and free-run, beside references and a ceiling."""
@@ -474,7 +489,13 @@ def evaluate(
     if report is not None and report.exists() and not report.is_dir():
         raise ValueError(f"--report {report} is a file, expected a folder")
     judgement = judge.evaluate(
-        texture, recording, truth_for(recording, texture), seed, on_stage=lambda stage: _say(f"{stage} …")
+        texture,
+        recording,
+        truth_for(recording, texture, trim, block),
+        seed,
+        on_stage=lambda stage: _say(f"{stage} …"),
+        trim_ms=trim,
+        block_ms=block,
     )
     if report is not None:
         from foten.evaluate.report import write_report
@@ -531,6 +552,11 @@ def render(
     rate = texture.rate_hz
     if audible is not None:
         sinks.audible_factor(rate)
+        if audible.suffix.lower() != ".wav":
+            raise ValueError(f"sound is written as .wav, got --audible {audible.name}")
+    written = [path.resolve() for path in (*output, *([audible] if audible else []))]
+    if len(set(written)) < len(written):
+        raise ValueError("two outputs have the same name")
     constants = (speed, force, seconds)
     sources = [stroke is not None, recording_file is not None, any(value is not None for value in constants)]
     if sum(sources) != 1 or (sources[2] and None in constants):
@@ -548,7 +574,9 @@ def render(
     if given.gap_s:
         _say(f"the stroke has a hole of {given.gap_s:.3g} s, bridged in a straight line")
     if given.n_lifted:
-        _say(f"the pen was taken as lifted in {given.n_lifted} holes or jumps of the stroke: silence there")
+        _say(
+            f"the pen was taken as lifted in holes or jumps of the stroke, {given.n_lifted} in all: silence there"
+        )
     hand = given.conditioned(float(texture.card["lowpass_hz"]))
     about = {
         "foten": __version__,
@@ -577,6 +605,9 @@ def render(
         )
         return
     print(f"{acceleration.size / rate:g} s at {rate:g} Hz, {rms:.3g} m/s² rms, {peak:.3g} m/s² peak")
+    print(f"wrote {', '.join(str(path) for path in output)}")
+    if gain is not None:
+        print(f"wrote {audible}, where 1 m/s² is {gain:.3g} of full scale")
     share = {name: f"{100 * count / statistics['n']:.1f} %" for name, count in statistics.items()}
     for name, unit in (("speed", "mm/s"), ("force", "N")):
         if statistics[f"n_{name}_clamped"]:

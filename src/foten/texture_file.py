@@ -134,10 +134,13 @@ def read_texture(path: Path | str) -> Texture:
     """Return the texture in a file.
 
     Raises:
+        FileNotFoundError: there is none.
         OSError: the file cannot be read.
         ValueError: it is not a texture file, is truncated, or its card or tensors do not fit.
     """
     path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(f"no such file: {path}")
     try:
         return texture_from_bytes(path.read_bytes())
     except ValueError as error:

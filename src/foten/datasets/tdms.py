@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ def read_tdms(path: Path) -> list[Column]:
         raise ValueError(f"{path.name} is empty")
     from nptdms import TdmsFile
 
+    logging.getLogger("nptdms").setLevel(logging.ERROR)  # what it warns of is refused below, in one line
     try:
         file = TdmsFile.read(path)
     except Exception as error:  # a damaged file raises struct.error, UnicodeDecodeError, KeyError and others

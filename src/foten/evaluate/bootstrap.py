@@ -18,13 +18,13 @@ def intervals(
 
     Args:
         figures: block numbers → figures, numbers or lists of numbers; what is None in a draw is left out of it.
-        n_blocks: blocks to draw from; with fewer than 2 there is nothing to resample and the result is empty.
+        n_blocks: blocks to draw from; with fewer than 4 there are hardly any different draws and the result is empty.
         seed: of the draw.
 
     Returns:
         By figure [low, high]; for a list, one such pair for each entry, None where it never was a number.
     """
-    if n_blocks < 2:
+    if n_blocks < 4:
         return {}
     rng = np.random.default_rng(seed)
     drawn = [figures(rng.integers(0, n_blocks, n_blocks)) for _ in range(N_RESAMPLES)]

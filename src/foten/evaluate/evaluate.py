@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -65,9 +65,22 @@ class Judgement:
     synthesized: Mapping[str, Array] = field(default_factory=dict)
 
 
-def trace_for(texture: Texture, recording: Recording) -> Trace:
-    """Return a recording preprocessed as the texture's was."""
-    return preprocess(recording, PreprocessConfig(**texture.card["preprocess"]))
+def trace_for(
+    texture: Texture, recording: Recording, trim_ms: float | None = None, block_ms: float | None = None
+) -> Trace:
+    """Return a recording preprocessed as the texture's was, with another trim and block [ms] where given.
+
+    Raises:
+        ValueError: it is the recording that the texture was trained on, whose blocks are those of its split.
+    """
+    config = PreprocessConfig(**texture.card["preprocess"])
+    cut: dict[str, Any] = {k: v for k, v in (("trim_ms", trim_ms), ("block_ms", block_ms)) if v is not None}
+    if cut and recording.sha256() == texture.card["recording_sha256"]:
+        raise ValueError(
+            "the texture was trained on this recording and is judged on the blocks of its split; "
+            "--trim and --block are for others"
+        )
+    return preprocess(recording, replace(config, **cut))
 
 
 def evaluate(
@@ -76,6 +89,8 @@ def evaluate(
     truth: Truth | None = None,
     seed: int = 0,
     on_stage: Callable[[str], None] = lambda stage: None,
+    trim_ms: float | None = None,
+    block_ms: float | None = None,
 ) -> Judgement:
     """Return every figure of a texture on the test blocks of the recording it was trained on, or on all of another.
 
@@ -85,12 +100,13 @@ def evaluate(
         truth: of a simulated recording, else None.
         seed: of the excitation.
         on_stage: called with the name of each stage.
+        trim_ms, block_ms: how another recording is cut; None for as the trained one was.
 
     Raises:
         ValueError: the recording is too short, or the split does not fit it.
     """
     truth = truth or Truth()
-    trace = trace_for(texture, recording)
+    trace = trace_for(texture, recording, trim_ms, block_ms)
     scaling, block = texture.scaling, trace.block
     foreign = trace.recording_sha256 != texture.card["recording_sha256"]
     split: Split | None = None

@@ -14,7 +14,9 @@ from foten.recording.recording import Recording
 from foten.texture_file import Texture
 
 
-def truth_for(recording: Recording, texture: Texture) -> Truth:
+def truth_for(
+    recording: Recording, texture: Texture, trim_ms: float | None = None, block_ms: float | None = None
+) -> Truth:
     """Return further realisations of a simulated stroke and, for the linear family, the bounds of any predictor.
 
     A recording that was not simulated, or by another version of the simulator, has no truth; neither bound holds at another
@@ -25,7 +27,7 @@ def truth_for(recording: Recording, texture: Texture) -> Truth:
     try:
         used = int(recording.simulation["noise_seed"])
         realisations = [
-            trace_for(texture, second_realisation(recording, used + 1_000_003 * (k + 1)))
+            trace_for(texture, second_realisation(recording, used + 1_000_003 * (k + 1)), trim_ms, block_ms)
             for k in range(N_SEEDS)
         ]
     except (KeyError, TypeError, ValueError) as error:
@@ -37,7 +39,7 @@ def truth_for(recording: Recording, texture: Texture) -> Truth:
         return Truth(realisations, why_no_bound="known at the simulated rate alone")
     if config.highpass_order != 2 or config.zero_phase:
         return Truth(realisations, why_no_bound="known with a causal high-pass of order 2 alone")
-    trace = trace_for(texture, recording)
+    trace = trace_for(texture, recording, trim_ms, block_ms)
     (b0, b1, b2, a1, a2), *_ = butterworth("highpass", config.highpass_hz, config.rate_hz)
     bound, bound_window = one_step_bounds(
         linear_truth(recording),

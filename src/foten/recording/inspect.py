@@ -635,12 +635,19 @@ def _order(recording: Recording) -> Iterable[Finding]:
         ]
         piece = _piece(at)
         if name not in many or not (shared or piece or size > 0.1):
+            # A position that jumps becomes a speed that was not there.
+            position = name.startswith("position")
             yield Finding(
-                NOTE,
+                PROBLEM if position else NOTE,
                 "jumps",
                 name,
                 f"{name} jumps by more than {least:.3g} {UNITS[name]} between two samples in "
-                f"{_many(at.size, 'place')}, faster than a hand moves",
+                f"{_many(at.size, 'place')}, faster than a hand moves"
+                + (
+                    "; were lost markers written as 0? Blank them and import with --fill-gaps"
+                    if position
+                    else ""
+                ),
                 _places(channel, at),
             )
             continue

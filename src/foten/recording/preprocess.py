@@ -107,7 +107,7 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None) -> 
         raise ValueError(
             f"{(stop - start) / rate:.3g} s are covered by every channel; a trim of {config.trim_ms:g} ms at both ends leaves "
             f"{max(0, usable) / rate:.3g} s, less than one block of {config.block_ms:g} ms; "
-            "train with a shorter --trim and --block"
+            "use a shorter --trim and --block"
         )
 
     def settled(signal: NDArray[np.float64], delayed: bool) -> NDArray[np.float64]:

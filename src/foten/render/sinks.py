@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 AUDIBLE_HZ = 48_000
 AUDIBLE_PEAK = 0.7  # of full scale
+SPECTROGRAM_S = 0.064  # window of the picture
+SPECTROGRAM_DB = 60.0  # its range below the loudest
 
 
 def write_rendered(
@@ -145,14 +147,32 @@ def _write_picture(
         xlim=(0, t[-1] or 1),
     )
     if acceleration.size >= 64:
-        n = min(256, acceleration.size // 4)
-        spectrum.specgram(acceleration + 1e-9, NFFT=n, noverlap=n // 2, Fs=rate_hz, cmap="magma")
+        n = min(max(32, round(SPECTROGRAM_S * rate_hz)), acceleration.size // 4)
+        frames = np.lib.stride_tricks.sliding_window_view(acceleration, n)[:: max(1, n // 8)]
+        power = np.abs(np.fft.rfft(frames * np.hanning(n), axis=1)) ** 2
+        top = float(power.max()) or 1.0
+        level = 10 * np.log10(np.maximum(power / top, 10 ** (-SPECTROGRAM_DB / 10)))
+        edge = 0.5 * rate_hz / n
+        image = spectrum.imshow(
+            level.T,
+            origin="lower",
+            aspect="auto",
+            cmap="magma",
+            extent=(0.5 * n / rate_hz, t[-1] - 0.5 * n / rate_hz, -edge, rate_hz / 2 + edge),
+        )
+        spectrum.set_facecolor("black")
+        figure.colorbar(image, ax=spectrum, label="dB re loudest", pad=0.01)
     spectrum.set(ylabel="frequency [Hz]", ylim=(0, min(1000, rate_hz / 2)), xlim=(0, t[-1] or 1))
     hand.plot(t, speed, color="#009E73")
-    hand.set(ylabel="speed [mm/s]", xlabel="time [s]", xlim=(0, t[-1] or 1), ylim=(0, None))
+    hand.set(
+        ylabel="speed [mm/s]",
+        xlabel="time [s]",
+        xlim=(0, t[-1] or 1),
+        ylim=(0, 1.05 * float(speed.max()) or 1),
+    )
     hand.yaxis.label.set_color("#009E73")
     press = hand.twinx()
     press.plot(t, force, color="#D55E00")
-    press.set(ylabel="force [N]", ylim=(0, None))
+    press.set(ylabel="force [N]", ylim=(0, 1.15 * float(force.max()) or 1))
     press.yaxis.label.set_color("#D55E00")
     figure.savefig(part, format="png", dpi=120, metadata={"Software": None})

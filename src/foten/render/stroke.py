@@ -16,6 +16,7 @@ from foten.recording.recording import LIMITS, Recording
 
 Array = NDArray[np.float64]
 
+LONGEST_S = 3600.0
 COLUMNS = "t (s), and speed (mm/s) or x, y (mm), and force (N) or pressure (0 to 1)"
 
 
@@ -67,6 +68,8 @@ def constant_stroke(speed: float, force: float, seconds: float, rate_hz: float) 
     for name, value in (("speed", speed), ("force", force), ("seconds", seconds)):
         if not (math.isfinite(value) and value >= 0):
             raise ValueError(f"{name} is {value}, expected a finite number, 0 or more")
+    if seconds > LONGEST_S:
+        raise ValueError(f"seconds is {seconds:g}, expected at most {LONGEST_S:g}, an hour")
     n = round(seconds * rate_hz)
     if n < 1:
         raise ValueError(f"{seconds:g} s are less than one sample at {rate_hz:g} Hz")
@@ -118,6 +121,10 @@ def read_stroke(path: Path, rate_hz: float, calibration: PressureCalibration | N
         force = (calibration or PressureCalibration()).force(pressure)
     if force.min() < 0 or ("speed" in columns and columns["speed"].min() < 0):
         raise ValueError(f"{path.name}: speed and force are magnitudes, found one below zero")
+    if times[-1] > LONGEST_S or (times.size > 50 and np.median(np.diff(times)) >= 0.5):
+        raise ValueError(
+            f"{path.name} has {times.size} rows over {times[-1]:g} s, expected at most an hour; is t in ms?"
+        )
     n_lifted = 0
     if "speed" not in columns:
         times, positions, force, n_lifted = _lifted(times, np.stack([columns["x"], columns["y"]]), force)

@@ -24,6 +24,7 @@ from foten.recording.split import Split, split_blocks
 from foten.recording.trace import Trace
 from foten.recording.windows import targets, windows
 from foten.render.engine import NumpyFotenPlus
+from foten.render.synthesizer import FADE_FORCE, FADE_SPEED
 from foten.texture_file import Texture
 from foten.train.config import TrainConfig
 from foten.train.excitation import fit_excitation, settle_level
@@ -115,9 +116,13 @@ def train_texture(
             level_errors = settle_level(
                 network, engine_of, data, trace, (*split.train, *split.validation), config.seed
             )
-            sigma = _scale_at(network.excitation, samples)[data.validation]
+            # Where rendering does not fade, as the judge counts it.
+            n = data.validation
+            heard = (trace.speed[n] >= FADE_SPEED) & (trace.force[n] >= FADE_FORCE)
+            sigma = _scale_at(network.excitation, samples)[n]
             missed = residual[len(data.train) :] / sigma
-            likelihood = float((np.log(sigma) + missed**2 / 2).mean()) + 0.5 * math.log(2 * math.pi)
+            nats = np.log(sigma) + missed**2 / 2 + 0.5 * math.log(2 * math.pi)
+            likelihood = float(nats[heard].mean()) if heard.any() else None
         warm_start, condition = pick_warm_start(trace, split, scaling, m)
         best = max((line for line in progress.epochs if line.best), key=lambda line: line.epoch)
         card: dict[str, Any] = {
