@@ -192,6 +192,9 @@ def test_info_shows_units(texture: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert "m/s²" in out
 
 
+CONSTANT = ("--speed", "1", "--force", "1")
+
+
 @pytest.mark.parametrize(
     ("arguments", "match"),
     [
@@ -227,6 +230,19 @@ def test_info_shows_units(texture: Path, capsys: pytest.CaptureFixture[str]) -> 
             "truncated",
         ),
         (["info", "{rec}"], "not a texture file"),
+        (["info", "{missing}"], "no such file"),
+        (["simulate", "towel", "--seconds", "5", "-o", "{out}.csv"], "written as .h5"),
+        (["render", "{tex}", "-o", "{out}.wav", *CONSTANT, "--seconds", "1e9"], "at most 3600"),
+        (
+            ["render", "{tex}", "-o", "{out}.wav", *CONSTANT, "--seconds", "1", "--audible", "{out}.wav"],
+            "two outputs have the same name",
+        ),
+        (
+            ["render", "{tex}", "-o", "{out}.wav", *CONSTANT, "--seconds", "1", "--audible", "{out}.mp3"],
+            "sound is written as .wav",
+        ),
+        (["evaluate", "{tex}", "{rec}", "--trim", "0"], "--trim and --block are for others"),
+        (["train", "{rec}", "-o", "{out}.foten", *FAST, "--set", "bogus=1"], "has no size 'bogus'"),
         (["evaluate", "{tex}", "{tex}"], "foten import"),
         (["train", "{rec}", "-o", "{out}/t.foten", *FAST], "there is no folder"),
         (["train", "{rec}", "-o", "{out}.foten", *FAST, "--trim", "nan"], "trim_ms is nan"),
@@ -304,6 +320,19 @@ def test_bad_strokes(
     assert _status(["render", str(texture), "--stroke", str(stroke), "-o", str(out)]) == 2
     assert match in one_line(capsys)
     assert not out.exists()
+
+
+def test_another_recording_may_be_cut_otherwise(
+    texture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "other.h5"
+    assert _status(["simulate", "linear-twin", "--seconds", "3", "--seed", "9", "-o", str(other)]) == 0
+    capsys.readouterr()
+    arguments = ["evaluate", str(texture), str(other), "--json", "--trim", "0", "--block", "600"]
+    assert _status(arguments) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["split"] == "foreign"
+    assert (document["n_blocks"], document["block"]) == (4, 600)
 
 
 @pytest.mark.parametrize(

@@ -385,10 +385,6 @@ def train(
     )
     architecture = architecture_from(model, {"window": window, **_settings(settings or [])})
     recording = load_recording(recording_file)
-    problems = inspect_recording(recording).problems
-    if problems:
-        many = f"{len(problems)} problem{'s' * (len(problems) > 1)}"
-        _say(f"foten inspect finds {many} in {recording_file.name}, the first: {problems[0].text}")
     folder = RunFolder(run_folder or output.with_suffix(".run"))
     folder.open(
         {
@@ -402,9 +398,16 @@ def train(
         },
         resume,
     )
+    problems = inspect_recording(recording).problems
     with TrainingDisplay(config.epochs) as display:
 
         def on_epoch(line: Any) -> None:
+            # Only once the recording was taken: a refusal is one line.
+            if line.epoch == 0 and problems:
+                many = f"{len(problems)} problem{'s' * (len(problems) > 1)}"
+                display.note(
+                    f"foten inspect finds {many} in {recording_file.name}, the first: {problems[0].text}"
+                )
             display.show(line)
             folder.log(line)
 

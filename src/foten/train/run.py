@@ -144,6 +144,10 @@ class TrainingDisplay:
         if self._console.is_terminal:
             self._live.stop()
 
+    def note(self, text: str) -> None:
+        """Print a line that stays above the table."""
+        self._console.print(text, highlight=False, soft_wrap=True)
+
     def stage(self, name: str) -> None:
         """Say what is being done beside epochs."""
         self._stage = name

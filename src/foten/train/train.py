@@ -69,7 +69,6 @@ def train_texture(
         ValueError: the recording does not fit the configuration; the message names the option.
     """
     preprocess_config = preprocess_config or PreprocessConfig()
-    on_stage("preprocessing")
     trace = preprocess(recording, preprocess_config)
     split = split_blocks(trace, split_method, split_seed)
     m = architecture.window
