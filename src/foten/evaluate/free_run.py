@@ -53,9 +53,8 @@ def synthesize(
     )
     synthesizer = Synthesizer(texture, seed, n_seeds * len(blocks), excitation)
     synthesizer.reset(np.tile(start, (n_seeds, 1, 1)))
-    rendered = np.atleast_2d(synthesizer.render(speed, force)).reshape(n_seeds, len(blocks), -1)
-    recorded = np.broadcast_to(trace.blocks(trace.acceleration)[list(blocks), :m], (n_seeds, len(blocks), m))
-    return np.concatenate([recorded, rendered], axis=2), synthesizer.statistics.n_saturated
+    rendered = np.atleast_2d(synthesizer.render(speed, force))
+    return _after_recorded(trace, blocks, m, rendered), synthesizer.statistics.n_saturated
 
 
 def synthesize_linear(
@@ -77,11 +76,15 @@ def synthesize_linear(
     start = np.tile(windows(samples, np.array(blocks) * trace.block + m, m), (n_seeds, 1, 1))
     loop = ClosedLoop(stable, lambda condition: np.full(len(condition), stable.noise_sd), start)
     noise = np.stack([gaussian(seed, stream, 0, trace.block - m) for stream in range(n_streams)])
-    rendered = loop.run(np.zeros((n_streams, trace.block - m, 2)), noise).reshape(n_seeds, len(blocks), -1)
-    recorded = np.broadcast_to(
-        samples[:, 0].reshape(trace.n_blocks, -1)[list(blocks), :m], (n_seeds, len(blocks), m)
-    )
-    return scaling.unscale_acceleration(np.concatenate([recorded, rendered], axis=2))
+    rendered = loop.run(np.zeros((n_streams, trace.block - m, 2)), noise)
+    return _after_recorded(trace, blocks, m, scaling.unscale_acceleration(rendered))
+
+
+def _after_recorded(trace: Trace, blocks: tuple[int, ...], m: int, rendered: Array) -> Array:
+    """Return whole blocks (n_seeds, n_blocks, block): recorded windows of m, and the streams that went on from them."""
+    by_seed = rendered.reshape(-1, len(blocks), rendered.shape[1])
+    recorded = trace.blocks(trace.acceleration)[list(blocks), :m]
+    return np.concatenate([np.broadcast_to(recorded, (len(by_seed), *recorded.shape)), by_seed], axis=2)
 
 
 def nearest_training_blocks(trace: Trace, blocks: tuple[int, ...], train: tuple[int, ...]) -> Array:
