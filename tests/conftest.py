@@ -1,4 +1,4 @@
-"""What several tests need: textures of untrained networks with a known shortcut, made in milliseconds."""
+"""What several tests need: textures of untrained networks with a known lattice, made in milliseconds."""
 
 from __future__ import annotations
 
@@ -55,8 +55,14 @@ def resonance(hz: float, radius: float, m: int, rate_hz: float = 1000.0) -> np.n
     return taps
 
 
+def reflections_of(taps: np.ndarray) -> torch.Tensor:
+    """Return the two reflections of an AR(2), taps oldest first."""
+    second, first = -taps
+    return torch.tensor([first / (1 + second), second])
+
+
 def untrained(key: str, architecture: FotenArchitecture | None = None, seed: int = 0) -> Any:
-    """Return a seeded network whose every tensor matters; foten-plus resonates at 120 Hz through its shortcut."""
+    """Return a seeded network whose every tensor matters; foten-plus resonates near 120 Hz through its lattice."""
     import torch
 
     from foten.models import build
@@ -68,14 +74,16 @@ def untrained(key: str, architecture: FotenArchitecture | None = None, seed: int
         for parameter in network.parameters():
             parameter += 0.1 * torch.randn_like(parameter)
         if key == "foten-plus":
-            network.shortcut.copy_(torch.from_numpy(resonance(120.0, 0.95, architecture.window)))
-            network.shortcut_bias.fill_(0.01)
-            network.mean_level.fill_(0.3)
+            network.network.head_3.weight *= 0.1  # else the correction drowns the excitation
+            network.reflections.copy_(0.02 * torch.randn_like(network.reflections))
+            network.reflections[:, :2] += reflections_of(resonance(120.0, 0.95, 2))
+            network.speed_knots.copy_(torch.linspace(10.0, 200.0, len(network.speed_knots)))
+            network.force_knots.copy_(torch.linspace(-1.0, 0.9, len(network.force_knots)))
             for scale in (network.level, network.excitation):
                 scale.mean.copy_(torch.tensor(SCALING.mean[1:]))
                 scale.sd.copy_(torch.tensor(SCALING.sd[1:]))
                 scale.out.weight *= 0.3
-                scale.out.bias.fill_(float(np.log(0.3)))
+                scale.out.bias.fill_(float(np.log(0.3)) if scale is network.level else 0.0)
                 scale.power_law.weight.copy_(torch.tensor([[0.7, 0.4, 0.0, 0.0, 0.0]]))
     return network.eval()
 
@@ -86,8 +94,8 @@ def exported(key: str, architecture: FotenArchitecture | None = None, **card: An
 
     architecture = architecture or ARCHITECTURES[key]()
     rng = np.random.default_rng(1)
-    windows = rng.standard_normal((64, architecture.window, 3))
-    warm_start = 0.5 * rng.standard_normal((architecture.window, 3))
+    windows = rng.standard_normal((64, architecture.history, 3))
+    warm_start = 0.5 * rng.standard_normal((architecture.history, 3))
     return export(
         untrained(key, architecture), key, architecture, SCALING, windows, warm_start, {**CARD, **card}
     )
@@ -96,7 +104,10 @@ def exported(key: str, architecture: FotenArchitecture | None = None, **card: An
 @pytest.fixture(scope="session")
 def texture() -> Texture:
     """Return a foten-plus texture: rings at 120 Hz, excited, trained for 8–220 mm/s and 0.3–2.5 N."""
-    return exported("foten-plus", ARCHITECTURES["foten-plus"](**{**SMALL, "n_layers": 1}))
+    return exported(
+        "foten-plus",
+        ARCHITECTURES["foten-plus"](**{**SMALL, "n_layers": 1, "order": 6, "n_speed": 3, "n_force": 2}),
+    )
 
 
 @pytest.fixture(scope="session")

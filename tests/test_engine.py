@@ -41,7 +41,7 @@ def test_the_engine_is_the_network(key: str, variant: str) -> None:
     tensors = {name: tensor.numpy() for name, tensor in network.state_dict().items()}
     engine = ENGINES[key](architecture, tensors)
     rng = np.random.default_rng(0)
-    m = architecture.window
+    m = architecture.history
     rows = rng.standard_normal((60, m, 3))
     constant = np.repeat(rng.standard_normal((5, 1, 3)), m, axis=1)  # a spectrum of zeros but one
     alternating = rows[:5] * 0
@@ -78,11 +78,10 @@ def test_it_is_stateless_and_takes_windows_in_any_number(key: str) -> None:
 
 def test_the_excitations_scale_is_the_networks(texture: Texture) -> None:
     network = untrained("foten-plus", texture.architecture).double()
-    condition = 2 * np.random.default_rng(0).standard_normal((50, 2))
+    windows = 2 * np.random.default_rng(0).standard_normal((50, texture.window, 3))
     with torch.no_grad():
-        expected = network.excitation(torch.from_numpy(condition)).numpy()
-    engine: Any = engine_for(texture)
-    np.testing.assert_allclose(engine.sigma(condition), expected, rtol=1e-12)  # rounding
+        expected = network.forecast(torch.from_numpy(windows))[1].numpy()
+    np.testing.assert_allclose(engine_for(texture).start(windows).forecast().scale, expected, rtol=1e-12)
     assert expected.std() > 1e-3
 
 

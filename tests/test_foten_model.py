@@ -6,8 +6,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import layer_norm, linear
 
-from conftest import SMALL, untrained
+from conftest import SMALL, reflections_of, untrained
 from foten.architecture import FotenArchitecture, FotenPlusArchitecture
+from foten.dsp.lattice import LEAK
 from foten.models import build
 from foten.models.foten_plus import Excitation
 
@@ -113,7 +114,7 @@ class Reference:
 
 def windows(architecture: FotenArchitecture, n: int = 40, seed: int = 0) -> Tensor:
     rng = np.random.default_rng(seed)
-    return torch.from_numpy(rng.standard_normal((n, architecture.window, 3)))
+    return torch.from_numpy(rng.standard_normal((n, architecture.history, 3)))
 
 
 @pytest.mark.parametrize("name", ARCHITECTURES)
@@ -186,15 +187,14 @@ def test_the_spectral_encoders_do_not_know_which_bin_is_which(name: str) -> None
 
 def test_the_temporal_branch_knows_the_order() -> None:
     branch = untrained("foten").double().temporal
-    a = windows(FotenArchitecture())[..., 0]
+    a = windows(FotenArchitecture())[..., :1]
     swapped = a[:, [1, 0, *range(2, 20)]]
     with torch.no_grad():
         assert (branch(a) - branch(swapped)).abs().max() > 1e-3
 
 
-@pytest.mark.parametrize("key", ["foten", "foten-plus"])
-def test_only_the_last_speed_and_force_are_heard(key: str) -> None:
-    network = untrained(key).double()
+def test_only_the_last_speed_and_force_are_heard() -> None:
+    network = untrained("foten").double()
     given = windows(FotenArchitecture())
     before, last = given.clone(), given.clone()
     before[:, :-1, 1:] += 5.0
@@ -202,6 +202,21 @@ def test_only_the_last_speed_and_force_are_heard(key: str) -> None:
     with torch.no_grad():
         torch.testing.assert_close(network(before), network(given), rtol=0, atol=0)
         assert (network(last) - network(given)).abs().min() > 0
+
+
+def test_a_prediction_of_foten_plus_takes_no_more_than_its_history() -> None:
+    """Innovations that the network sees need the lattice's order before them, and a level the sample before that."""
+    network = untrained("foten-plus", FotenPlusArchitecture(**SMALL, window=5, order=4)).double()
+    m = network.architecture.history
+    longer = torch.from_numpy(np.random.default_rng(0).standard_normal((30, m + 3, 3)))
+    changed = longer.clone()
+    changed[:, :3] += 1.0
+    first = longer.clone()
+    first[:, 3, 1:] += 1.0
+    with torch.no_grad():
+        torch.testing.assert_close(network(changed), network(longer), rtol=1e-9, atol=1e-9)
+        torch.testing.assert_close(network(longer[:, 3:]), network(longer), rtol=1e-9, atol=1e-9)
+        assert (network(first) - network(longer)).abs().max() > 1e-8  # rounding is 1e-14 of 30
 
 
 @pytest.mark.parametrize("key", ["foten", "foten-plus"])
@@ -212,46 +227,54 @@ def test_silence_has_finite_gradients(key: str, fields: dict[str, object]) -> No
     """|Z| = 0 is where √ has no derivative and the angle none either."""
     kind = FotenArchitecture if key == "foten" else FotenPlusArchitecture
     network = untrained(key, kind(**fields)).train()
-    network(torch.zeros(4, 20, 3)).sum().backward()
+    network(torch.zeros(4, network.architecture.history, 3)).sum().backward()
     gradients = [p.grad for p in network.parameters() if p.requires_grad]
     assert all(gradient is not None and torch.isfinite(gradient).all() for gradient in gradients)
     assert any(gradient.abs().max() > 0 for gradient in gradients if gradient is not None)
 
 
-def test_foten_plus_starts_as_its_shortcut() -> None:
+def test_foten_plus_starts_as_its_lattice() -> None:
+    """Oracle: the direct form of an AR(2)."""
     torch.manual_seed(0)
-    network = build("foten-plus", FotenPlusArchitecture()).double().eval()
-    network.shortcut.copy_(torch.linspace(-1, 1, 20))
-    network.shortcut_bias.fill_(0.3)
-    given = windows(FotenPlusArchitecture())
+    network = build("foten-plus", FotenPlusArchitecture(order=2)).double().eval()
+    network.reflections[:, :2] = reflections_of(np.array([-0.9, 1.6]))
     with torch.no_grad():
-        expected = given[..., 0] @ torch.linspace(-1, 1, 20, dtype=torch.float32).double() + 0.3
-        # The bias and taps are float32 numbers in float64 tensors.
-        np.testing.assert_allclose(network(given), expected, atol=1e-6)
+        network.level.out.weight.zero_()
+        network.level.out.bias.zero_()
+        network.level.power_law.weight.zero_()
+    given = windows(network.architecture)
+    with torch.no_grad():
+        found = network(given).numpy()
+    expected = given[:, -2:, 0].numpy() @ (np.array([-0.9, 1.6]) * LEAK ** np.array([2, 1]))
+    np.testing.assert_allclose(found, expected, atol=1e-6)  # reflections from float32 numbers
 
 
-def test_the_correction_is_bounded_in_levels() -> None:
+def test_the_correction_is_bounded_in_innovations() -> None:
     network = untrained("foten-plus").double()
-    given = windows(FotenPlusArchitecture(), 200)
+    given = windows(network.architecture, 200)
     with torch.no_grad():
-        network.network.head_3.weight *= 1e3
-        level = network.level(given[:, -1, 1:])
-        share = (network(given) - network.linear(given)) / level
+        before = network.network.head_3.weight.clone()
+        network.network.head_3.weight.zero_()
+        network.network.head_3.bias.zero_()
+        linear, _ = network.forecast(given)
+        network.network.head_3.weight.copy_(1e3 * before)
+        sample, scale = network.forecast(given)
+        share = (sample - linear) * network.excitation(given[:, -1, 1:]) / scale
     limit = FotenPlusArchitecture().correction_limit
-    assert share.abs().max() <= limit * (1 + 1e-12)  # tanh; rounding of the difference
+    assert share.abs().max() <= limit * (1 + 1e-9)  # tanh; rounding of the difference
     assert share.abs().max() > 0.99 * limit
 
 
 def test_the_network_sees_a_vibration_of_unit_size_whatever_the_level() -> None:
-    """Twice the level and twice the vibration: twice the correction."""
+    """Twice the level and twice the vibration: twice the prediction."""
     network = untrained("foten-plus").double()
-    given = windows(FotenPlusArchitecture())
+    given = windows(network.architecture)
     doubled = given.clone()
     doubled[..., 0] *= 2
     with torch.no_grad():
-        expected = 2 * network.correction(given)
+        expected = 2 * network(given)
         network.level.out.bias += math.log(2)
-        np.testing.assert_allclose(network.correction(doubled), expected, rtol=1e-9)  # rounding
+        np.testing.assert_allclose(network(doubled), expected, rtol=1e-9)  # rounding
 
 
 def test_the_excitation_is_a_power_law_where_its_network_is_silent() -> None:

@@ -136,9 +136,10 @@ def test_a_texture_starts_from_each_blocks_own_window(texture: Texture) -> None:
     out, n_saturated = synthesize(texture, recorded, (1, 3), excitation=True, n_seeds=3)
     assert out.shape == (3, 2, 300)
     assert n_saturated == 0
-    expected = recorded.blocks(recorded.acceleration)[[1, 3], :20]
-    np.testing.assert_array_equal(out[:, :, :20], np.broadcast_to(expected, (3, 2, 20)))
-    flat = out[:, :, 20:].reshape(6, -1)
+    expected = recorded.blocks(recorded.acceleration)[[1, 3], : texture.window]
+    m = texture.window
+    np.testing.assert_array_equal(out[:, :, :m], np.broadcast_to(expected, (3, 2, m)))
+    flat = out[:, :, m:].reshape(6, -1)
     assert np.abs(np.corrcoef(flat) - np.eye(6)).max() < 0.9  # six streams of noise, all different
     again, _ = synthesize(texture, recorded, (1, 3), excitation=True, n_seeds=3)
     np.testing.assert_array_equal(again, out)
@@ -157,9 +158,9 @@ def test_the_first_free_sample_is_the_one_step_prediction(texture: Texture) -> N
 
     recorded = trace(3)
     out, _ = synthesize(texture, recorded, (0, 1, 2), excitation=False)
-    windows = texture.scaling.scale(recorded.stacked()).reshape(3, 300, 3)[:, :20]
+    windows = texture.scaling.scale(recorded.stacked()).reshape(3, 300, 3)[:, : texture.window]
     expected = texture.scaling.unscale_acceleration(engine_for(texture).predict(windows))
-    np.testing.assert_allclose(out[0, :, 20], expected, atol=ONE_STEP_TOLERANCE * SCALING.sd[0])
+    np.testing.assert_allclose(out[0, :, texture.window], expected, atol=ONE_STEP_TOLERANCE * SCALING.sd[0])
 
 
 def test_a_linear_predictor_with_noise_gives_its_process_back() -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from conftest import SCALING, exported
 from foten.recording.preprocess import PreprocessConfig
-from foten.render.engine import engine_for
+from foten.render.engine import WindowState, engine_for
 from foten.render.synthesizer import FADE_FORCE, FADE_SPEED, Synthesizer, prove
 from foten.texture_file import CLOSED_LOOP_TOLERANCE, Texture
 
@@ -111,7 +111,7 @@ def test_the_texture_is_there_again_with_the_first_movement(texture: Texture) ->
 def test_below_the_trained_range_it_fades_linearly_and_without_a_step(texture: Texture, share: float) -> None:
     """The loop hears the lowest trained condition whatever the hand's, so that the fade alone differs."""
     reference = Synthesizer(texture).render(*steady(200, LOW[0]))
-    assert np.std(reference) > 0.1
+    assert np.std(reference) > 0.05
     np.testing.assert_allclose(
         Synthesizer(texture).render(*steady(200, share * LOW[0])), share * reference, atol=1e-12
     )
@@ -231,15 +231,13 @@ def test_every_stream_has_its_own_hand(texture: Texture) -> None:
 
 
 def test_the_level_follows_the_excitation(texture: Texture) -> None:
-    """A single resonance with white noise of σ has the variance σ²·(1+r²)/((1−r²)(1+r⁴−2r² cos 2θ))."""
+    """The lattice has unit gain, whatever its reflections: the vibration is as loud as level times excitation."""
     still = dict(texture.tensors)
     for name in ("network.head_3.weight", "network.head_3.bias"):
         still[name] = np.zeros_like(still[name])
-    r2, turn = 0.95**2, 2 * np.pi * 0.12
-    gain = np.sqrt((1 + r2) / ((1 - r2) * (1 + r2**2 - 2 * r2 * np.cos(2 * turn))))
     engine: Any = engine_for(texture)
     scaled = np.array([[(80.0 - SCALING.mean[1]) / SCALING.sd[1], (1.0 - SCALING.mean[2]) / SCALING.sd[2]]])
-    expected = gain * engine.sigma(scaled)[0] * SCALING.sd[0]
+    expected = engine.level(scaled)[0] * engine.sigma(scaled)[0] * SCALING.sd[0]
     linear = proved_again(dataclasses.replace(texture, tensors=still))
     found = Synthesizer(linear, n_streams=64).render(*steady(450))[:, 150:]
     # 64·300·(1 − 0.95²) = 1800 independent samples: the RMS is known to 1/√(2·1800) = 1.7 %; three of them.
@@ -254,7 +252,7 @@ def proved_again(texture: Texture) -> Texture:
     engine: Any = engine_for(texture)
     tensors = dict(texture.tensors)
     tensors["golden.one_step"] = engine.predict(tensors["golden.windows"])
-    loop = ClosedLoop(engine, engine.sigma, tensors["warm_start"][None].astype(float))
+    loop = ClosedLoop(engine.start(tensors["warm_start"][None].astype(float)))
     tensors["golden.closed_loop"] = loop.run(tensors["golden.condition"][None], gaussian(0, 0, 0, 64)[None])[
         0
     ]
@@ -290,13 +288,14 @@ def test_it_starts_from_given_windows_and_leaves_them_alone(texture: Texture) ->
         ("golden.closed_loop", "64 closed-loop steps differs"),
         ("network.temporal.layers.0.feedforward_out.weight", "differs"),
         ("network.spectral.magnitude_in.weight", "differs"),
-        ("shortcut", "differs"),
+        ("reflections", "differs"),
+        ("level.out.bias", "differs"),
         ("excitation.out.bias", "differs"),
     ],
 )
 def test_a_texture_that_fails_its_own_proof_is_refused(texture: Texture, name: str, message: str) -> None:
     damaged = texture.tensors[name].copy()
-    damaged.flat[::5] += 0.5
+    damaged.flat[::5] += 0.05 if name == "reflections" else 0.5
     broken = dataclasses.replace(texture, tensors={**texture.tensors, name: damaged})
     with pytest.raises(ValueError, match=f"fails its own proof: .*{message}.*is the file damaged"):
         Synthesizer(broken)
@@ -308,6 +307,9 @@ def test_an_engine_that_answers_nan_is_refused(texture: Texture) -> None:
 
         def predict(self, windows: np.ndarray) -> np.ndarray:
             return np.full(len(windows), np.nan)
+
+        def start(self, windows: np.ndarray) -> WindowState:
+            return WindowState(self, windows)
 
     with pytest.raises(ValueError, match="fails its own proof"):
         prove(texture, Broken())

@@ -63,8 +63,9 @@ def test_a_header_of_any_length_is_read(texture: Texture) -> None:
 
 
 def test_it_says_what_it_holds(texture: Texture, plain_texture: Texture) -> None:
-    assert (texture.rate_hz, texture.window) == (1000.0, 20)
-    assert texture.architecture == FotenPlusArchitecture(**{**SMALL, "n_layers": 1})
+    assert (texture.rate_hz, texture.window) == (1000.0, 20 + 6 + 1)
+    sizes = {**SMALL, "n_layers": 1, "order": 6, "n_speed": 3, "n_force": 2}
+    assert texture.architecture == FotenPlusArchitecture(**sizes)
     assert texture.scaling == SCALING
     assert texture.trained_range("speed") == (8.0, 220.0)
     assert texture.trained_range("force") == (0.3, 2.5)
@@ -160,7 +161,7 @@ def test_every_key_of_the_card_is_needed_and_has_its_type(texture: Texture) -> N
         ({"format_version": 2}, "format version 2, expected 1; update foten"),
         ({"format_version": None}, "format version None"),
         ({"model": "gan"}, "unknown model 'gan', expected one of foten, foten-plus"),
-        ({"window": 21}, "window 21 and the network 20"),
+        ({"window": 21}, "window 21 and the network 27"),
         ({"sizes": {"width": 3}}, "foten-plus has no size 'width', expected one of window, d_model"),
         ({"sizes": {"window": 1}}, "window is 1"),
         ({"sizes": {"window": "20"}}, "window is '20'"),
@@ -184,7 +185,7 @@ def test_a_card_that_does_not_fit_is_refused(texture: Texture, fields: dict[str,
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("name", ["warm_start", "shortcut", "golden.one_step", "network.head_1.weight"])
+@pytest.mark.parametrize("name", ["warm_start", "reflections", "golden.one_step", "network.head_1.weight"])
 def test_a_tensor_with_nan_is_refused(texture: Texture, name: str, value: float) -> None:
     tensor = texture.tensors[name].copy()
     tensor.flat[-1] = value
@@ -195,7 +196,7 @@ def test_a_tensor_with_nan_is_refused(texture: Texture, name: str, value: float)
 @pytest.mark.parametrize("dtype", [np.int64, np.float16, np.bool_])
 def test_only_floats_of_32_and_64_bits(texture: Texture, dtype: type) -> None:
     with pytest.raises(ValueError, match="expected float32 or float64"):
-        texture_from_bytes(with_tensor(texture, "shortcut", np.zeros(20, dtype)))
+        texture_from_bytes(with_tensor(texture, "reflections", np.zeros((6, 6), dtype)))
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
+HEAVIEST_TAIL = 0.4  # of h in z·exp(h z²/2), the excitation's tails
+
 
 @dataclass(frozen=True)
 class FotenArchitecture:
@@ -65,6 +67,16 @@ class FotenArchitecture:
         object.__setattr__(self, "head", tuple(self.head))
 
     @property
+    def history(self) -> int:
+        """Return how many samples a prediction is given."""
+        return self.window
+
+    @property
+    def n_inputs(self) -> int:
+        """Return how many numbers of each sample the temporal branch sees: its acceleration."""
+        return 1
+
+    @property
     def n_bins(self) -> int:
         """Return how many bins the spectral branch sees."""
         return self.window if self.bins == "all" else self.window // 2 + 1
@@ -72,21 +84,36 @@ class FotenArchitecture:
 
 @dataclass(frozen=True)
 class FotenPlusArchitecture(FotenArchitecture):
-    """Ours: the same two branches and head, on a linear shortcut, and an excitation whose scale follows the hand.
+    """Ours: the same two branches and head, on a lattice that follows speed and force, and an excitation that does.
 
-    The network's output is a bounded correction of the shortcut's prediction.
+    The network's output is a bounded correction of the lattice's prediction; beside each sample it sees the lattice's innovation.
+    The lattice's sizes are found in training.
     """
 
     correction_limit: float = (
-        3.0  # in standard deviations of the shortcut's error; |correction| stays below it
+        3.0  # in standard deviations of the lattice's innovation; |correction| stays below it
     )
-    excitation_width: int = 16  # hidden units of log σ(speed, force)
+    excitation_width: int = 16  # hidden units of log level and of log σ over speed and force
+    order: int = 20  # p of the lattice, samples
+    n_speed: int = 1  # its vertices over speed
+    n_force: int = 1  # and over force
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _check_count("excitation_width", self.excitation_width, 1)
+        for name in ("excitation_width", "order", "n_speed", "n_force"):
+            _check_count(name, getattr(self, name), 1)
         if type(self.correction_limit) not in (int, float) or not 0 < self.correction_limit < 1e6:
             raise ValueError(f"correction_limit is {self.correction_limit!r}, expected a positive number")
+
+    @property
+    def history(self) -> int:
+        """Return how many samples a prediction is given: a window of innovations, the lattice's order before it, and one."""
+        return self.window + self.order + 1
+
+    @property
+    def n_inputs(self) -> int:
+        """Return how many numbers of each sample the temporal branch sees: its acceleration and its innovation."""
+        return 2
 
 
 def _check_count(name: str, value: object, minimum: int) -> None:
@@ -128,11 +155,14 @@ def tensor_shapes(key: str, architecture: FotenArchitecture) -> dict[str, tuple[
     """
     if isinstance(architecture, FotenPlusArchitecture):
         shapes = {f"network.{name}": shape for name, shape in _foten_shapes(architecture).items()}
-        shapes |= {"shortcut": (architecture.window,), "shortcut_bias": (1,), "mean_level": (1,)}
+        n_speed, n_force = architecture.n_speed, architecture.n_force
+        shapes |= {"speed_knots": (n_speed,), "force_knots": (n_force,)}
+        shapes |= {"reflections": (n_speed * n_force, architecture.order)}
         for name in ("level", "excitation"):
             shapes |= _linear(f"{name}.hidden", architecture.excitation_width, 4)
             shapes |= _linear(f"{name}.out", 1, architecture.excitation_width)
-            shapes |= {f"{name}.power_law.weight": (1, 5), f"{name}.highest": (1,)}
+            shapes |= {f"{name}.power_law.weight": (1, 5), f"{name}.highest": (1,), f"{name}.largest": (1,)}
+            shapes |= _linear(f"{name}.tail", 1, 5)
             shapes |= {f"{name}.{part}": (2,) for part in ("mean", "sd", "floor")}
         return shapes
     return _foten_shapes(architecture)
@@ -155,7 +185,7 @@ def _encoder(name: str, width: int, d_feedforward: int) -> dict[str, tuple[int, 
 
 def _foten_shapes(architecture: FotenArchitecture) -> dict[str, tuple[int, ...]]:
     d, width, (first, second) = architecture.d_model, architecture.spectral_width, architecture.head
-    shapes = _linear("temporal.embedding", d, 1)
+    shapes = _linear("temporal.embedding", d, architecture.n_inputs)
     for layer in range(architecture.n_layers):
         shapes |= _encoder(f"temporal.layers.{layer}", d, architecture.d_feedforward)
     if architecture.pre_norm:

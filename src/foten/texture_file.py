@@ -6,7 +6,7 @@ Header metadata: ``{"foten": "<card as JSON>"}``. Never pickle. Beside the netwo
 ``warm_start``         (m, 3)        scaled window that the closed loop starts from
 ``golden.windows``     (k, m, 3)     scaled windows
 ``golden.one_step``    (k,)          what PyTorch in float64 predicted from them
-``golden.sigma``       (k,)          the excitation's scale at their last speed and force (where there is one)
+``golden.sigma``       (k,)          by how much a unit of excitation moves the next sample (where there is one)
 ``golden.condition``   (64, 2)       scaled speed and force of a closed loop from ``warm_start``
 ``golden.closed_loop`` (64,)         its scaled output in float64, with excitation of seed 0 (where there is one)
 =====================  ============  =======================================================================
@@ -86,7 +86,7 @@ class Texture:
 
     @property
     def window(self) -> int:
-        """Return m, the samples in a window."""
+        """Return m, how many samples a prediction is given."""
         return int(self.card["window"])
 
     @property
@@ -201,8 +201,8 @@ def check_card(card: Any) -> None:
                 f"{key!r} in the card is {card[key]!r}, expected {getattr(kind, '__name__', 'a number')}"
             )
     architecture = architecture_from(card["model"], card["sizes"])
-    if architecture.window != card["window"]:
-        raise ValueError(f"the card has window {card['window']} and the network {architecture.window}")
+    if architecture.history != card["window"]:
+        raise ValueError(f"the card has window {card['window']} and the network {architecture.history}")
     for key in ("rate_hz", "saturation", "lowpass_hz"):
         if not (_are_numbers([card[key]], 1) and card[key] > 0):
             raise ValueError(f"{key!r} in the card is {card[key]}, expected a positive number")

@@ -61,3 +61,13 @@ def gaussian(key: int, stream: int, first: int, n: int) -> NDArray[np.float64]:
     total = ((words & np.uint64(0xFFFF)) + (words >> np.uint64(16))).sum(axis=1)
     x = (total.astype(np.float64) - 262140.0) / _SUM_SD
     return x * (_LINEAR + _CUBIC * (x * x))
+
+
+def heavy_tailed(noise: NDArray[np.float64], tail: NDArray[np.float64], limit: float) -> NDArray[np.float64]:
+    """Return z·exp(h z²/2), at most `limit` in size: Gaussian numbers z with tails as heavy as h says, any equal shapes.
+
+    h = 0 leaves them as they are; the share of small values stays, and large ones become larger.
+
+    Source: the h-distribution of Tukey; Goerg, "Lambert W random variables", Annals of Applied Statistics 5 (2011).
+    """
+    return np.clip(noise * np.exp(0.5 * tail * noise * noise), -limit, limit)

@@ -18,7 +18,7 @@ from foten.recording.scaling import Scaling
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.recording.windows import targets
-from foten.render.engine import engine_for
+from foten.render.engine import Forecast, engine_for
 from foten.render.synthesizer import FADE_FORCE, FADE_SPEED
 from foten.texture_file import Texture
 
@@ -148,7 +148,7 @@ def evaluate(
 
 
 @dataclass(frozen=True)
-class _Shortcut:
+class _Lattice:
     """The linear part of an engine, as a predictor."""
 
     engine: Any
@@ -157,8 +157,8 @@ class _Shortcut:
     def window(self) -> int:
         return int(self.engine.window)
 
-    def predict(self, windows: Array) -> Array:
-        return np.asarray(self.engine.linear(windows))
+    def follow(self, blocks: Array) -> Forecast:
+        return self.engine.follow(blocks, corrected=False)
 
 
 def _one_step(
@@ -189,11 +189,11 @@ def _one_step(
     result = score(engine)
     if texture.has_excitation:
         heard = (trace.speed[n] >= FADE_SPEED) & (trace.force[n] >= FADE_FORCE)
-        scores = excitation_scores(engine, engine.sigma, samples, n, heard)
+        scores = excitation_scores(engine, samples, n, heard)
         result = {**result, **scores, "intervals": {**result["intervals"], **scores["intervals"]}}
     references["zero"], references["persistence"] = score(Zero()), score(Persistence())
-    if hasattr(engine, "linear"):
-        references["shortcut"] = score(_Shortcut(engine))
+    if texture.has_excitation:
+        references["shortcut"] = score(_Lattice(engine))
     else:
         reasons["references.shortcut"] = f"{texture.card['model']} has none"
     if split is None:

@@ -15,6 +15,7 @@ from foten.recording.scaling import Scaling
 from foten.recording.trace import Trace
 from foten.recording.windows import windows
 from foten.render.closed_loop import ClosedLoop
+from foten.render.engine import WindowState
 from foten.render.synthesizer import Synthesizer
 from foten.texture_file import Texture
 
@@ -74,7 +75,7 @@ def synthesize_linear(
     m, n_streams = stable.window, n_seeds * len(blocks)
     samples = scaling.scale(trace.stacked())
     start = np.tile(windows(samples, np.array(blocks) * trace.block + m, m), (n_seeds, 1, 1))
-    loop = ClosedLoop(stable, lambda condition: np.full(len(condition), stable.noise_sd), start)
+    loop = ClosedLoop(WindowState(stable, start, lambda condition: np.full(len(condition), stable.noise_sd)))
     noise = np.stack([gaussian(seed, stream, 0, trace.block - m) for stream in range(n_streams)])
     rendered = loop.run(np.zeros((n_streams, trace.block - m, 2)), noise)
     return _after_recorded(trace, blocks, m, scaling.unscale_acceleration(rendered))

@@ -12,8 +12,7 @@ from foten.evaluate.bootstrap import intervals
 from foten.evaluate.metrics import goodness_of_fit
 from foten.recording.scaling import Scaling
 from foten.recording.windows import windows
-from foten.render.closed_loop import Sigma
-from foten.render.engine import Predictor
+from foten.render.engine import NumpyFotenPlus, Predictor
 
 Array = NDArray[np.float64]
 
@@ -44,7 +43,9 @@ def one_step(predictor: Predictor, samples: Array, n: NDArray[np.int64], scaling
 
 
 def predict(predictor: Predictor, samples: Array, n: NDArray[np.int64]) -> Array:
-    """Return the predictions at the indices n, any shape, scaled."""
+    """Return the predictions at the indices n, scaled: whole rows of consecutive samples, shape (n_blocks, k)."""
+    if hasattr(predictor, "follow"):
+        return predictor.follow(_with_history(predictor, samples, n)).sample
     flat = n.ravel()
     pieces = np.array_split(flat, flat.size // 2048 + 1)
     return np.concatenate(
@@ -52,17 +53,22 @@ def predict(predictor: Predictor, samples: Array, n: NDArray[np.int64]) -> Array
     ).reshape(n.shape)
 
 
+def _with_history(predictor: Predictor, samples: Array, n: NDArray[np.int64]) -> Array:
+    """Return rows of samples and the window before each, shape (n_blocks, m + k, 3)."""
+    return samples[n[:, :1] + np.arange(-predictor.window, n.shape[1])]
+
+
 def excitation_scores(
-    predictor: Predictor, sigma: Sigma, samples: Array, n: NDArray[np.int64], heard: NDArray[np.bool_]
+    engine: NumpyFotenPlus, samples: Array, n: NDArray[np.int64], heard: NDArray[np.bool_]
 ) -> dict[str, Any]:
     """Return how well σ(speed, force) describes the one-step error.
 
     Settling the level in the closed loop (`train.excitation`) trades likelihood for level.
 
     Args:
-        predictor, sigma: of the model.
+        engine: of the model.
         samples: scaled, shape (t, 3).
-        n: indices to score, shape (n_blocks, k).
+        n: indices to score, whole rows of consecutive samples, shape (n_blocks, k).
         heard: which of them lie where the rendering does not fade, shape (n_blocks, k); the others do not count, since there
             σ is that of a texture falling silent and the recording is its sensors' noise.
 
@@ -70,8 +76,9 @@ def excitation_scores(
         `nll`: mean Gaussian negative log-likelihood [nat, scaled]; `coverage_50`, `coverage_90`: the share of samples
         inside the central 50 and 90 % of the predicted distribution; `standardised_sd`: 1 when σ is right; `intervals`.
     """
-    scale = sigma(samples[n.ravel() - 1, 1:]).reshape(n.shape)
-    standardised = (samples[n, 0] - predict(predictor, samples, n)) / scale
+    sample, scale, *_ = engine.follow(_with_history(engine, samples, n))
+    assert scale is not None
+    standardised = (samples[n, 0] - sample) / scale
     nll = np.log(scale) + 0.5 * standardised**2 + 0.5 * math.log(2 * math.pi)
 
     def figures(index: NDArray[np.int64]) -> dict[str, float | None]:

@@ -17,7 +17,7 @@ class TemporalBranch(nn.Module):
     def __init__(self, architecture: FotenArchitecture) -> None:
         super().__init__()
         d = architecture.d_model
-        self.embedding = nn.Linear(1, d)
+        self.embedding = nn.Linear(architecture.n_inputs, d)
         self.layers = nn.ModuleList(
             EncoderLayer(
                 d,
@@ -32,9 +32,9 @@ class TemporalBranch(nn.Module):
         positions = torch.from_numpy(position_encoding(architecture.window, d))
         self.register_buffer("positions", positions, persistent=False)
 
-    def forward(self, acceleration: Tensor) -> Tensor:
-        """Return the last token of E_t: (b, m) scaled → (b, d_model)."""
-        tokens = self.dropout(self.embedding(acceleration[..., None]) + self.positions.to(acceleration.dtype))
+    def forward(self, samples: Tensor) -> Tensor:
+        """Return the last token of E_t: (b, m, n_inputs) scaled → (b, d_model)."""
+        tokens = self.dropout(self.embedding(samples) + self.positions.to(samples.dtype))
         for layer in self.layers[:-1]:
             tokens = layer(tokens)
         return self.norm(self.layers[-1](tokens, last_only=True))[:, 0]
@@ -115,11 +115,14 @@ class Foten(nn.Module):
         self.dropout = Dropout()
 
     def forward(self, windows: Tensor) -> Tensor:
-        """Return the next samples: windows (b, m, 3) of scaled acceleration, speed, force → (b,) scaled."""
+        """Return the next samples: windows (b, m, 3) of scaled acceleration, speed, force → (b,) scaled.
+
+        Where `n_inputs` is 2, windows are (b, m, 4) with what else the temporal branch sees last.
+        """
         acceleration = windows[:, :, 0]
-        temporal = self.temporal(acceleration)
+        temporal = self.temporal(torch.cat([windows[:, :, :1], windows[:, :, 3:]], dim=2))
         spectral = self.spectral_embedding(self.spectral(acceleration)[:, None])
-        fused = torch.cat([temporal, spectral, windows[:, -1, 1:]], dim=1)
+        fused = torch.cat([temporal, spectral, windows[:, -1, 1:3]], dim=1)
         hidden = self.dropout(torch.relu(self.head_1(fused)))
         hidden = self.dropout(torch.relu(self.head_2(hidden)))
         return self.head_3(hidden)[:, 0]

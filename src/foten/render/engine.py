@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.architecture import FotenArchitecture, FotenPlusArchitecture
+from foten.architecture import HEAVIEST_TAIL, FotenArchitecture, FotenPlusArchitecture
+from foten.dsp.lattice import Schedule, analyse, forecast, push
+from foten.dsp.noise import heavy_tailed
 from foten.dsp.spectrum import WEAKEST_BIN, dft_matrices, last_sample_row, position_encoding
 from foten.texture_file import Texture
 
 Array = NDArray[np.float64]
+
+_AT_ONCE = 8_000_000  # reflections held in memory
 
 
 class Predictor(Protocol):
@@ -25,6 +30,14 @@ class Predictor(Protocol):
 
     def predict(self, windows: Array) -> Array:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
+        ...
+
+
+class Engine(Predictor, Protocol):
+    """A predictor that also runs streams sample by sample."""
+
+    def start(self, windows: Array) -> State:
+        """Return the state of streams that have heard the given scaled windows, shape (s, m, 3)."""
         ...
 
 
@@ -51,10 +64,15 @@ class NumpyFoten:
             np.ascontiguousarray(matrix) for matrix in matrices
         )
 
+    def start(self, windows: Array) -> WindowState:
+        """Return the state of streams that have heard the given scaled windows, shape (s, m, 3)."""
+        return WindowState(self, windows.copy())
+
     def predict(self, windows: Array) -> Array:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
         acceleration = np.ascontiguousarray(windows[:, :, 0])
-        tokens = self._w.linear("temporal.embedding", acceleration[..., None]) + self._positions
+        seen = np.concatenate([windows[:, :, :1], windows[:, :, 3:]], axis=2)
+        tokens = self._w.linear("temporal.embedding", seen) + self._positions
         n_layers = self._architecture.n_layers
         for layer in range(n_layers):
             tokens = self._layer(f"temporal.layers.{layer}", tokens, last_only=layer == n_layers - 1)
@@ -62,7 +80,7 @@ class NumpyFoten:
         if self._architecture.pre_norm:
             temporal = self._w.norm("temporal.norm", temporal)
         spectral = self._w.linear("spectral_embedding", self._spectral(acceleration)[:, None])
-        hidden = np.concatenate([temporal, spectral, windows[:, -1, 1:]], axis=1)
+        hidden = np.concatenate([temporal, spectral, windows[:, -1, 1:3]], axis=1)
         hidden = np.maximum(self._w.linear("head_1", hidden), 0.0)
         hidden = np.maximum(self._w.linear("head_2", hidden), 0.0)
         return self._w.linear("head_3", hidden)[:, 0]
@@ -122,40 +140,223 @@ class NumpyFoten:
         return self._w.linear(f"{name}.attention_out", mixed.transpose(0, 2, 1, 3).reshape(b, -1, width))
 
 
+class Forecast(NamedTuple):
+    """The next sample without excitation, by how much a unit of excitation moves it, and how heavy its tails are; scaled."""
+
+    sample: Array
+    scale: Array | None = None
+    tail: Array | None = None
+    largest: float = np.inf
+
+    def excited(self, noise: Array) -> Array:
+        """Return the sample with excitation from standard normal noise, shape (s,)."""
+        if self.scale is None:
+            return self.sample
+        return self.sample + self.scale * (
+            noise if self.tail is None else heavy_tailed(noise, self.tail, self.largest)
+        )
+
+
+class State(Protocol):
+    """What streams of a model remember, each stream by itself."""
+
+    def forecast(self) -> Forecast:
+        """Return the next samples, shape (s,)."""
+        ...
+
+    def push(self, sample: Array, condition: Array) -> None:
+        """Take in the next samples (s,) and their speed and force (s, 2), all scaled."""
+        ...
+
+
+@dataclass
+class WindowState:
+    """Streams of a stateless predictor: the last m samples, shape (s, m, 3).
+
+    Attributes:
+        sigma: speed and force (s, 2) scaled → the excitation's scale (s,) scaled; None for none.
+    """
+
+    predictor: Predictor
+    windows: Array
+    sigma: Callable[[Array], Array] | None = None
+
+    def forecast(self) -> Forecast:
+        """Return the prediction from the windows."""
+        scale = None if self.sigma is None else self.sigma(self.windows[:, -1, 1:])
+        return Forecast(self.predictor.predict(self.windows), scale)
+
+    def push(self, sample: Array, condition: Array) -> None:
+        """Move the windows on by a sample."""
+        self.windows[:, :-1] = self.windows[:, 1:]
+        self.windows[:, -1, 0] = sample
+        self.windows[:, -1, 1:] = condition
+
+
+@dataclass
+class LatticeState:
+    """Streams of foten-plus.
+
+    Attributes:
+        states: b₀ … b_{p−1} of the lattice, shape (p, s).
+        seen: what the network sees of the last m samples: x, speed, force, innovation; shape (s, m, 4).
+        level: that goes with the next sample, shape (s,), scaled.
+    """
+
+    engine: NumpyFotenPlus
+    states: Array
+    seen: Array
+    level: Array
+    reflections: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.reflections = self.engine.reflections(self.seen[:, -1, 1:3]).T
+
+    def forecast(self) -> Forecast:
+        """Return the lattice's prediction and the network's correction of it."""
+        self._x, self._gain = forecast(self.states, self.reflections)
+        unit = self._gain * self.level
+        sample = self._x * self.level + unit * self.engine.correction(self.seen)
+        condition = self.seen[:, -1, 1:3]
+        scale = unit * self.engine.sigma(condition)
+        return Forecast(sample, scale, self.engine.tail(condition), self.engine.largest)
+
+    def push(self, sample: Array, condition: Array) -> None:
+        """Take in the samples that followed the last forecast."""
+        x = sample / self.level
+        self.states = push(self.states, self.reflections, x)
+        self.seen[:, :-1] = self.seen[:, 1:]
+        self.seen[:, -1, 0], self.seen[:, -1, 3] = x, (x - self._x) / self._gain
+        self.seen[:, -1, 1:3] = condition
+        self.level, self.reflections = self.engine.level(condition), self.engine.reflections(condition).T
+
+
 class NumpyFotenPlus:
-    """The linear shortcut, the bounded correction and σ(speed, force)."""
+    """A lattice that follows the hand, the network's bounded correction of it, and the scale of the excitation."""
 
     def __init__(self, architecture: FotenPlusArchitecture, tensors: Mapping[str, NDArray[Any]]) -> None:
-        self.window = architecture.window
+        self.window = architecture.history
+        self._m = architecture.window
         self._limit = architecture.correction_limit
         self._network = NumpyFoten(architecture, tensors, "network.")
         self._w = _Weights(tensors, "")
-
-    def linear(self, windows: Array) -> Array:
-        """Return the shortcut's prediction alone: (b, m, 3) scaled → (b,) scaled."""
-        return windows[:, :, 0] @ self._w["shortcut"] + self._w["shortcut_bias"]
+        self.largest = float(self._w["excitation.largest"][0])
+        self._schedule = Schedule(self._w["speed_knots"], self._w["force_knots"], self._w["reflections"])
 
     def predict(self, windows: Array) -> Array:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
-        level = self._scale("level", windows[:, -1, 1:])
-        levelled = windows.copy()
-        levelled[:, :, 0] *= (self._w["mean_level"] / level)[:, None]
-        correction = level * self._limit * np.tanh(self._network.predict(levelled) / self._limit)
-        return self.linear(windows) + correction
+        return self.start(windows).forecast().sample
+
+    def start(self, windows: Array) -> LatticeState:
+        """Return the state of streams that have heard the given scaled windows, shape (s, m, 3)."""
+        n_at_once = max(1, _AT_ONCE // (self.window * self._schedule.order))
+        parts = [self._start(windows[i : i + n_at_once]) for i in range(0, max(1, len(windows)), n_at_once)]
+        joined = (
+            np.concatenate(part, axis=axis)
+            for part, axis in zip(zip(*parts, strict=True), (1, 0, 0), strict=True)
+        )
+        return LatticeState(self, *joined)
+
+    def _start(self, windows: Array) -> tuple[Array, Array, Array]:
+        x, e, _, states = self._analysed(windows)
+        seen = np.stack(
+            [x[:, -self._m :], windows[:, -self._m :, 1], windows[:, -self._m :, 2], e[:, -self._m :]], axis=2
+        )
+        return states, seen, self.level(windows[:, -1, 1:])
+
+    def _analysed(self, blocks: Array) -> tuple[Array, Array, Array, Array]:
+        """Return x, e, what a unit of e is worth in scaled acceleration, and the last states; of all samples but the first.
+
+        A sample's level and reflections are those of the speed and force before it: a prediction knows no others (Eq. 1).
+        """
+        before = blocks[:, :-1, 1:]
+        level = self.level(before.reshape(-1, 2)).reshape(before.shape[:2])
+        x = blocks[:, 1:, 0] / level
+        reflections = self.reflections(before.reshape(-1, 2)).reshape(*before.shape[:2], -1)
+        e, gain, states = analyse(x, reflections)
+        return x, e, gain * level, states
+
+    def innovations(self, blocks: Array) -> tuple[Array, Array, Array]:
+        """Return x, the lattice's innovations, and what a unit of them is worth in scaled acceleration, each (s, n).
+
+        Args:
+            blocks: scaled, shape (s, n, 3); the first sample of each gives zeros, having nothing before it.
+        """
+        n_at_once = max(1, _AT_ONCE // (blocks.shape[1] * self._schedule.order))
+        found = [self._analysed(blocks[i : i + n_at_once])[:3] for i in range(0, len(blocks), n_at_once)]
+        x, e, unit = (np.pad(np.concatenate(part), ((0, 0), (1, 0))) for part in zip(*found, strict=True))
+        return x, e, unit
+
+    def follow(self, blocks: Array, corrected: bool = True) -> Forecast:
+        """Return the forecast of every sample of recorded blocks from those before it in its block, from sample `window` on.
+
+        Args:
+            blocks: scaled, shape (s, n, 3).
+            corrected: False leaves out what the network adds.
+
+        Returns:
+            Sample and scale, each (s, n − window), scaled.
+        """
+        n_at_once = max(1, _AT_ONCE // (blocks.shape[1] * self._schedule.order))
+        starts = range(0, len(blocks), n_at_once)
+        parts = [self._follow(blocks[i : i + n_at_once], corrected) for i in starts]
+        sample, scale = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
+        return Forecast(sample, scale)
+
+    def _follow(self, blocks: Array, corrected: bool) -> tuple[Array, Array]:
+        x, e, unit, _ = self._analysed(blocks)
+        asked = np.arange(self.window - 1, x.shape[1])
+        innovation = -e[:, asked]  # predicted minus recorded
+        if corrected:
+            seen = np.stack([x, blocks[:, 1:, 1], blocks[:, 1:, 2], e], axis=2)
+            windows = asked[:, None] + np.arange(-self._m, 0)
+            flat = [
+                seen[:, part].reshape(-1, self._m, 4)
+                for part in np.array_split(windows, len(asked) * len(x) // 2048 + 1)
+            ]
+            pieces = [self.correction(part).reshape(len(x), -1) for part in flat]
+            innovation = innovation + np.concatenate(pieces, axis=1)
+        scale = unit * self.sigma(blocks[:, :-1, 1:].reshape(-1, 2)).reshape(unit.shape)
+        return blocks[:, self.window :, 0] + innovation * unit[:, asked], scale[:, asked]
+
+    def level(self, condition: Array) -> Array:
+        """Return the level of the vibration: speed and force (b, 2) scaled → standard deviation (b,) scaled."""
+        return self._scale("level", condition)
 
     def sigma(self, condition: Array) -> Array:
-        """Return the excitation's scale: speed and force (b, 2) scaled → (b,) scaled."""
+        """Return the excitation's scale in units of the lattice's innovation: speed and force (b, 2) scaled → (b,)."""
         return self._scale("excitation", condition)
 
+    def tail(self, condition: Array) -> Array:
+        """Return h of the excitation's tails: speed and force (b, 2) scaled → (b,)."""
+        logs = self._logarithms("excitation", condition)
+        return HEAVIEST_TAIL / (1 + np.exp(-self._w.linear("excitation.tail", _powers(logs))[:, 0]))
+
+    def reflections(self, condition: Array) -> Array:
+        """Return the lattice's reflections: speed and force (b, 2) scaled → (b, p)."""
+        physical = condition * self._w["level.sd"] + self._w["level.mean"]
+        return self._schedule.at(physical[:, 0], physical[:, 1])
+
+    def correction(self, seen: Array) -> Array:
+        """Return what the network adds, in units of the innovation: x, speed, force and e (b, m, 4) → (b,)."""
+        return self._limit * np.tanh(self._network.predict(seen) / self._limit)
+
     def _scale(self, name: str, condition: Array) -> Array:
+        logs = self._logarithms(name, condition)
+        hidden = np.tanh(self._w.linear(f"{name}.hidden", np.concatenate([condition, logs], axis=1)))
+        log_scale = self._w.linear(f"{name}.out", hidden)
+        log_scale = log_scale + _powers(logs) @ self._w[f"{name}.power_law.weight"].T
+        return np.minimum(np.exp(log_scale[:, 0]), self._w[f"{name}.highest"])
+
+    def _logarithms(self, name: str, condition: Array) -> Array:
         mean, sd, floor = (self._w[f"{name}.{part}"] for part in ("mean", "sd", "floor"))
         physical = np.maximum(condition * sd + mean, 0.0)
-        logs = np.log((physical + floor) / (mean + floor))
-        hidden = np.tanh(self._w.linear(f"{name}.hidden", np.concatenate([condition, logs], axis=1)))
-        x, y = logs.T
-        powers = np.stack([x, y, x * x, x * y, y * y], axis=1)
-        log_scale = self._w.linear(f"{name}.out", hidden) + powers @ self._w[f"{name}.power_law.weight"].T
-        return np.minimum(np.exp(log_scale[:, 0]), self._w[f"{name}.highest"])
+        return np.log((physical + floor) / (mean + floor))
+
+
+def _powers(logs: Array) -> Array:
+    x, y = logs.T
+    return np.stack([x, y, x * x, x * y, y * y], axis=1)
 
 
 class _Weights:
@@ -187,14 +388,14 @@ class _Weights:
         return centred / np.sqrt(variance + 1e-5) * self[f"{name}.weight"] + self[f"{name}.bias"]
 
 
-ENGINES: dict[str, Callable[[Any, Mapping[str, NDArray[Any]]], Predictor]] = {
+ENGINES: dict[str, Callable[[Any, Mapping[str, NDArray[Any]]], Engine]] = {
     "foten": NumpyFoten,
     "foten-plus": NumpyFotenPlus,
 }
 """What runs each model of a texture file."""
 
 
-def engine_for(texture: Texture) -> Predictor:
+def engine_for(texture: Texture) -> Engine:
     """Return the engine of a texture, not yet proved on its golden windows.
 
     Raises:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp.noise import gaussian
 from foten.render.closed_loop import ClosedLoop
-from foten.render.engine import Predictor, engine_for
+from foten.render.engine import Engine, engine_for
 from foten.texture_file import CLOSED_LOOP_TOLERANCE, ONE_STEP_TOLERANCE, Texture
 
 Array = NDArray[np.float64]
@@ -66,7 +65,7 @@ class Synthesizer:
         self.seed = seed
         self.n_streams = n_streams
         self.excitation = excitation and texture.has_excitation
-        self._engine: Any = engine_for(texture)
+        self._engine = engine_for(texture)
         prove(texture, self._engine)
         self._scaling = texture.scaling
         self._low = np.array([texture.trained_range("speed")[0], texture.trained_range("force")[0]])
@@ -81,8 +80,7 @@ class Synthesizer:
         if not np.isfinite(windows).all():
             raise ValueError("the windows to start from hold NaN or infinity")
         start = np.broadcast_to(windows, (self.n_streams, self.texture.window, 3)).astype(np.float64)
-        sigma = self._engine.sigma if self.excitation else None
-        self._loop = ClosedLoop(self._engine, sigma, start, float(self.texture.card["saturation"]))
+        self._loop = ClosedLoop(self._engine.start(start), float(self.texture.card["saturation"]))
         self._position = 0
         self._noise = np.empty((self.n_streams, 0))
         self.statistics = RenderStatistics()
@@ -151,32 +149,23 @@ class Synthesizer:
         self.statistics.n_saturated = self._loop.n_saturated
 
 
-def prove(texture: Texture, engine: Predictor) -> None:
+def prove(texture: Texture, engine: Engine) -> None:
     """Replay a texture's golden windows through an engine.
 
     Raises:
         ValueError: one step differs by more than 1e-5, or the closed loop by more than 1e-4 (scaled).
     """
     tensors = texture.tensors
-    checks = [
-        (
-            "one step",
-            engine.predict(tensors["golden.windows"]),
-            tensors["golden.one_step"],
-            ONE_STEP_TOLERANCE,
-        )
-    ]
-    sigma = getattr(engine, "sigma", None) if texture.has_excitation else None
-    if sigma is not None:
-        found = sigma(tensors["golden.windows"][:, -1, 1:])
-        checks.append(("the excitation", found, tensors["golden.sigma"], ONE_STEP_TOLERANCE))
-    loop = ClosedLoop(engine, sigma, tensors["warm_start"][None].astype(np.float64))
-    noise = gaussian(0, 0, 0, 64)[None] if sigma is not None else None
-    closed = loop.run(tensors["golden.condition"][None].astype(np.float64), noise)[0]
+    found = engine.start(tensors["golden.windows"].astype(np.float64)).forecast()
+    checks = [("one step", found.sample, tensors["golden.one_step"], ONE_STEP_TOLERANCE)]
+    if found.scale is not None:
+        checks.append(("the excitation", found.scale, tensors["golden.sigma"], ONE_STEP_TOLERANCE))
+    loop = ClosedLoop(engine.start(tensors["warm_start"][None].astype(np.float64)))
+    closed = loop.run(tensors["golden.condition"][None].astype(np.float64), gaussian(0, 0, 0, 64)[None])[0]
     checks.append(("64 closed-loop steps", closed, tensors["golden.closed_loop"], CLOSED_LOOP_TOLERANCE))
-    for name, found, expected, tolerance in checks:
+    for name, got, expected, tolerance in checks:
         # Relative where the output is large: 24 bits are 6e-8 of it in every operation.
-        error = float((np.abs(found - expected) / np.maximum(1.0, np.abs(expected))).max())
+        error = float((np.abs(got - expected) / np.maximum(1.0, np.abs(expected))).max())
         if not error <= tolerance:
             raise ValueError(
                 f"the texture file fails its own proof: {name} differs by {error:.2g} scaled from what was trained, "

@@ -18,7 +18,7 @@ class TrainConfig:
     epochs: int = 16  # at most
     patience: int = 6  # epochs without a better validation loss; 10 in Sec. IV-e
     batch: int = 128  # windows
-    learning_rate: float = 4e-3  # at its highest
+    learning_rate: float = 2e-3  # at its highest
     schedule: str = "one_cycle"  # or "constant"
     weight_decay: float = 1e-4
     clip_norm: float = 1.0  # of the gradient; 0 for none

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,8 @@ from torch import nn
 
 from foten.architecture import FotenArchitecture, sizes
 from foten.dsp.noise import gaussian
+from foten.models.foten_plus import FotenPlus
 from foten.recording.scaling import Scaling
-from foten.render.closed_loop import ClosedLoop
 from foten.render.engine import engine_for
 from foten.render.synthesizer import prove
 from foten.texture_file import FORMAT_VERSION, Texture, texture_from_bytes
@@ -27,16 +28,40 @@ class TorchPredictor:
     def __init__(self, network: nn.Module, window: int) -> None:
         self.window = window
         self._network = copy.deepcopy(network).cpu().double().eval()
+        self.excited = isinstance(network, FotenPlus)
 
     def predict(self, windows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
         with torch.no_grad():
             return self._network(torch.from_numpy(np.ascontiguousarray(windows))).numpy()
 
-    def sigma(self, condition: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the excitation's scale: speed and force (b, 2) scaled → (b,) scaled."""
+    def scale(self, windows: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return by how much a unit of excitation moves the next samples: windows (b, m, 3) scaled → (b,) scaled."""
         with torch.no_grad():
-            return self._network.excitation(torch.from_numpy(np.ascontiguousarray(condition))).numpy()
+            return self._network.forecast(torch.from_numpy(np.ascontiguousarray(windows)))[1].numpy()
+
+    def _heavy(self, z: float, condition: NDArray[np.float64]) -> float:
+        excitation = self._network.excitation
+        with torch.no_grad():
+            h = float(excitation.tails(torch.from_numpy(condition[None]))[0])
+        largest = float(excitation.largest)
+        return max(-largest, min(largest, z * math.exp(0.5 * h * z * z)))
+
+    def closed_loop(
+        self,
+        start: NDArray[np.float64],
+        condition: NDArray[np.float64],
+        noise: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Return what follows a window (m, 3) under speed and force (n, 2), with excitation where there is one, shape (n,)."""
+        window, out = start[None].astype(np.float64), []
+        for n, row in enumerate(condition):
+            sample = self.predict(window)[0]
+            if self.excited:
+                sample = sample + self.scale(window)[0] * self._heavy(noise[n], window[0, -1, 1:])
+            out.append(sample)
+            window = np.concatenate([window[:, 1:], [[[sample, *row]]]], axis=1)
+        return np.array(out)
 
 
 def export(
@@ -63,28 +88,25 @@ def export(
     """
     tensors = {name: tensor.detach().cpu().numpy().copy() for name, tensor in network.state_dict().items()}
     # The reference reads the same rounded tensors that the file holds.
-    predictor = TorchPredictor(network, architecture.window)
-    excited = hasattr(network, "excitation")
+    predictor = TorchPredictor(network, architecture.history)
     picked = windows[np.linspace(0, len(windows) - 1, _N_GOLDEN).astype(int)]
     # Windows at rest and far outside the recording, where a wrong engine shows first.
     golden = np.concatenate([picked, np.zeros_like(picked[:1]), 4 * picked[:1]])
     condition = np.repeat(warm_start[-1:, 1:], 64, axis=0)
     condition[32:] = picked[0, -1, 1:]
-    loop = ClosedLoop(predictor, predictor.sigma if excited else None, warm_start[None].copy())
-    noise = gaussian(0, 0, 0, 64)[None] if excited else None
     tensors["warm_start"] = warm_start
     tensors["golden.windows"] = golden
     tensors["golden.one_step"] = predictor.predict(golden)
     tensors["golden.condition"] = condition
-    tensors["golden.closed_loop"] = loop.run(condition[None], noise)[0]
-    if excited:
-        tensors["golden.sigma"] = predictor.sigma(golden[:, -1, 1:])
+    tensors["golden.closed_loop"] = predictor.closed_loop(warm_start, condition, gaussian(0, 0, 0, 64))
+    if predictor.excited:
+        tensors["golden.sigma"] = predictor.scale(golden)
     texture = Texture(
         card={
             "format_version": FORMAT_VERSION,
             "model": key,
             "sizes": sizes(architecture),
-            "window": architecture.window,
+            "window": architecture.history,
             "units": {"acceleration": "m/s^2", "speed": "mm/s", "force": "N"},
             "scaling": {"mean": list(scaling.mean), "sd": list(scaling.sd)},
             **card,

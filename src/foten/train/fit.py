@@ -30,25 +30,27 @@ class Data:
     """What a network is fitted to.
 
     Attributes:
-        samples: scaled acceleration, speed, force, shape (n, 3).
+        samples: what windows are cut from: scaled acceleration, speed, force, shape (n, 3), and what else a network sees.
         train, validation: indices to predict.
         window: m.
-        weight: what each sample's error counts, shape (n,); None for all alike.
+        target: what is to be predicted, shape (n,); None for the acceleration.
+        unit: what one of the target is worth in scaled acceleration, shape (n,); None for one.
     """
 
     samples: NDArray[np.float64]
     train: NDArray[np.int64]
     validation: NDArray[np.int64]
     window: int
-    weight: NDArray[np.float64] | None = None
+    target: NDArray[np.float64] | None = None
+    unit: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)
 class Epoch:
     """One line of the log; epoch 0 is the network before training.
 
-    Losses are one-step, of scaled errors times `Data.weight` (foten-plus: in units of what the shortcut misses at that speed and
-    force, times their mean); `validation_mae` is of scaled errors as they are.
+    Losses are one-step, of the target's errors (foten-plus: in units of the lattice's innovation, so that a slow light stroke is
+    predicted as carefully as a fast hard one); `validation_mae` is of scaled acceleration.
     """
 
     epoch: int
@@ -125,8 +127,9 @@ def fit(
     """
     device = next(network.parameters()).device
     samples = torch.from_numpy(data.samples).to(device, torch.float32)
-    weight = torch.ones(len(samples)) if data.weight is None else torch.from_numpy(data.weight)
-    weight = weight.to(device, torch.float32)
+    goal = samples[:, 0] if data.target is None else torch.from_numpy(data.target).to(device, torch.float32)
+    unit = torch.ones(len(samples)) if data.unit is None else torch.from_numpy(data.unit)
+    unit = unit.to(device, torch.float32)
     train, validation = (torch.from_numpy(n).to(device) for n in (data.train, data.validation))
     offsets = torch.from_numpy(window_indices(np.zeros(1, dtype=np.int64), data.window)).to(device)
     set_dropout(network, config.dropout)
@@ -152,8 +155,7 @@ def fit(
         """Return the loss and gradients of one thread's share of a batch of n."""
         masks = torch.Generator().manual_seed(mask_seed % 2**63) if device.type == "cpu" else None
         with masks_from(masks):
-            predicted, target = network(windows(share)), samples[share, 0]
-        loss = criterion(weight[share] * predicted, weight[share] * target) * (len(share) / n)
+            loss = criterion(network(windows(share)), goal[share]) * (len(share) / n)
         return loss.detach(), torch.autograd.grad(loss, trained)
 
     def step(batch: Tensor, seed: int) -> Tensor:
@@ -170,7 +172,7 @@ def fit(
         return torch.stack(losses).sum()
 
     def finish(epoch: int, train_loss: float, started: float) -> None:
-        validation_loss, mae = _validate(network, windows, samples, weight, validation, criterion)
+        validation_loss, mae = _validate(network, windows, goal, unit, validation, criterion)
         best = validation_loss < progress.best_loss
         if best:
             progress.best_loss = validation_loss
@@ -253,8 +255,8 @@ def _schedule(config: TrainConfig, n_steps: int) -> Callable[[int], float]:
 def _validate(
     network: nn.Module,
     windows: Callable[[Tensor], Tensor],
-    samples: Tensor,
-    weight: Tensor,
+    goal: Tensor,
+    unit: Tensor,
     validation: Tensor,
     criterion: Callable[[Tensor, Tensor], Tensor],
 ) -> tuple[float, float]:
@@ -262,9 +264,9 @@ def _validate(
     loss = mae = 0.0
     with torch.no_grad():
         for batch in validation.split(2048):
-            predicted, target = network(windows(batch)), samples[batch, 0]
-            loss += float(criterion(weight[batch] * predicted, weight[batch] * target)) * len(batch)
-            mae += float((predicted - target).abs().sum())
+            predicted = network(windows(batch))
+            loss += float(criterion(predicted, goal[batch])) * len(batch)
+            mae += float((unit[batch] * (predicted - goal[batch])).abs().sum())
     return loss / len(validation), mae / len(validation)
 
 

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 import foten
-from foten.architecture import FotenArchitecture
+from foten.architecture import FotenArchitecture, FotenPlusArchitecture
 from foten.dsp.level import FRAME_MS
 from foten.models import build
 from foten.models.foten_plus import Excitation, FotenPlus
@@ -27,12 +27,11 @@ from foten.render.engine import NumpyFotenPlus
 from foten.render.synthesizer import FADE_FORCE, FADE_SPEED
 from foten.texture_file import Texture
 from foten.train.config import TrainConfig
-from foten.train.excitation import fit_excitation, settle_level
+from foten.train.excitation import fit_excitation, fit_tail, settle_level
 from foten.train.export import export
 from foten.train.fit import Data, Epoch, Progress, fit, pick_device, predict, reproducible
-from foten.train.shortcut import fit_shortcut
+from foten.train.lattice import LatticeData, fit_lattice
 
-LEVELLING = 1.0  # power of 1/ℓ(v, f) that weighs an error in the loss of foten-plus
 WARM_START = (45.0, 0.8)  # mm/s, N: mean of early contacts; Sec. V-a
 
 
@@ -87,42 +86,44 @@ def train_texture(
     data = Data(samples, targets(split.train, trace.block, m), targets(split.validation, trace.block, m), m)
     with reproducible():
         torch.manual_seed(config.seed)
-        network = build(key, architecture).to(pick_device())
-        shortcut_mae = None
-        if isinstance(network, FotenPlus):
-            on_stage("fitting the linear shortcut")
-            linear_error = fit_shortcut(network, data)
-            shortcut_mae = float(np.abs(linear_error[len(data.train) :]).mean())
-            fit_excitation(network.level, data, scaling, linear_error, config.seed)
-            level = _scale_at(network.level, samples)
-            mean_level = float(np.exp(np.log(level[data.train]).mean()))
-            network.mean_level.fill_(mean_level)
-            data = replace(data, weight=(mean_level / level) ** LEVELLING)
+        likelihood = level_errors = tried = tail_gain = None
+        if isinstance(architecture, FotenPlusArchitecture):
+            on_stage("fitting level and lattice")
+            network, tried = _begin(architecture, data, trace, split, scaling, config.seed)
+            architecture = network.architecture
+            data = _innovations(network, data, trace, split)
+            trained = network.network.to(pick_device())
+        else:
+            trained = network = build(key, architecture).to(pick_device())
         training_samples = trace.stacked().reshape(trace.n_blocks, trace.block, 3)[list(split.train)]
         low, high = training_samples.min(axis=(0, 1)), training_samples.max(axis=(0, 1))
         peak = float(np.abs(scaling.scale(training_samples)[..., 0]).max())
         # For safety only: well beyond what was recorded.
         saturation = max(12.0, 1.5 * peak)
-        progress = fit(network, data, config, on_epoch, checkpoint, resume)
-        likelihood = level_errors = None
+        progress = fit(trained, data, config, on_epoch, checkpoint, resume)
+        shortcut_mae = progress.epochs[0].validation_mae if isinstance(network, FotenPlus) else None
         if isinstance(network, FotenPlus):
             on_stage("fitting the excitation")
             both = np.concatenate([data.train, data.validation])
-            residual = samples[both, 0] - predict(network, data, both)
+            assert data.target is not None
+            assert data.unit is not None
+            residual = data.target[both] - predict(trained, data, both)
             fit_excitation(network.excitation, data, scaling, residual, config.seed)
+            sigma_before = _scale_at(network.excitation, samples)[both]
+            tail_gain = fit_tail(network.excitation, data, residual, sigma_before)
             network.cpu()  # the closed loop is rendered by the engine, which knows no GPU
             on_stage("settling the level in the closed loop")
             level_errors = settle_level(
-                network, engine_of, data, trace, (*split.train, *split.validation), config.seed
+                network, engine_of, samples, trace, (*split.train, *split.validation), data.train, config.seed
             )
             # Where rendering does not fade, as the judge counts it.
             n = data.validation
             heard = (trace.speed[n] >= FADE_SPEED) & (trace.force[n] >= FADE_FORCE)
-            sigma = _scale_at(network.excitation, samples)[n]
-            missed = residual[len(data.train) :] / sigma
+            sigma = (_scale_at(network.excitation, samples) * data.unit)[n]
+            missed = residual[len(data.train) :] * data.unit[n] / sigma
             nats = np.log(sigma) + missed**2 / 2 + 0.5 * math.log(2 * math.pi)
             likelihood = float(nats[heard].mean()) if heard.any() else None
-        warm_start, condition = pick_warm_start(trace, split, scaling, m)
+        warm_start, condition = pick_warm_start(trace, split, scaling, architecture.history)
         best = max((line for line in progress.epochs if line.best), key=lambda line: line.epoch)
         card: dict[str, Any] = {
             "rate_hz": trace.rate_hz,
@@ -152,7 +153,9 @@ def train_texture(
                 "validation_loss": best.validation_loss,
                 "validation_mae_scaled": best.validation_mae,
                 "validation_mae_scaled_shortcut": shortcut_mae,
+                "lattices": tried,
                 "validation_nll": likelihood,
+                "tail_gain_nat": tail_gain,
                 "level_errors_db": level_errors,
                 "recorded_peak_sd": peak,
                 "best_epoch": best.epoch,
@@ -160,9 +163,57 @@ def train_texture(
             },
         }
         on_stage("proving the texture file")
-        some = windows(samples, data.validation[:: max(1, len(data.validation) // 4096)], m)
+        ends = targets(split.validation, trace.block, architecture.history)
+        some = windows(samples, ends[:: max(1, len(ends) // 4096)], architecture.history)
         texture = export(network, key, architecture, scaling, some, warm_start, card)
     return Trained(texture, trace, split, progress, shortcut_mae)
+
+
+def _begin(
+    architecture: FotenPlusArchitecture, data: Data, trace: Trace, split: Split, scaling: Scaling, seed: int
+) -> tuple[FotenPlus, list[dict[str, float]]]:
+    """Return foten-plus with its level and its lattice fitted, and the lattices that were tried."""
+    level = Excitation(architecture.excitation_width).requires_grad_(False)
+    both = np.concatenate([data.train, data.validation])
+    fit_excitation(level, data, scaling, data.samples[both, 0], seed)
+
+    def by_block(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return values.reshape(trace.n_blocks, trace.block)
+
+    scale = _scale_at(level, data.samples)
+    speed, force = (np.concatenate([channel[:1], channel[:-1]]) for channel in (trace.speed, trace.force))
+    schedule, tried = fit_lattice(
+        LatticeData(
+            by_block(data.samples[:, 0] / scale),
+            by_block(scale),
+            by_block(speed),
+            by_block(force),
+            split.train,
+            split.validation,
+        ),
+        trace.block // 8,
+    )
+    found = replace(
+        architecture,
+        order=schedule.order,
+        n_speed=len(schedule.speed_knots),
+        n_force=len(schedule.force_knots),
+    )
+    network = FotenPlus(found)
+    network.level.load_state_dict(level.state_dict())
+    for name in ("speed_knots", "force_knots", "reflections"):
+        getattr(network, name).copy_(torch.from_numpy(getattr(schedule, name).copy()))
+    return network, tried
+
+
+def _innovations(network: FotenPlus, data: Data, trace: Trace, split: Split) -> Data:
+    """Return what the network learns: to predict the lattice's innovations from levelled samples and past innovations."""
+    engine, m = engine_of(network), network.architecture.history
+    blocks = data.samples.reshape(trace.n_blocks, trace.block, 3)
+    x, e, unit = engine.innovations(blocks)
+    samples = np.concatenate([x[..., None], blocks[..., 1:], e[..., None]], axis=2)
+    train, validation = (targets(part, trace.block, m) for part in (split.train, split.validation))
+    return Data(samples.reshape(-1, 4), train, validation, data.window, e.ravel(), unit.ravel())
 
 
 def pick_warm_start(

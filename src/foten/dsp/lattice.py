@@ -1,0 +1,159 @@
+"""A linear predictor that follows speed and force and cannot run away: the normalised lattice.
+
+An autoregression of order p is as well given by its reflection coefficients k₁ … k_p, and then runs as p rotations. With
+f₀[n] = x[n], its own output, and β the leak, section i turns the pair (f_i, b_{i−1}) into (f_{i−1}, b_i):
+
+    f_{i−1}[n] = c_i f_i[n] − k_i β b_{i−1}[n−1]        c_i = √(1 − k_i²)
+    b_i[n]     = k_i f_i[n] + c_i β b_{i−1}[n−1]        b₀[n] = f₀[n] = x[n]
+
+The innovation e = f_p goes in, x comes out, and b₀ … b_{p−1} are the state. For constant k and white e of unit variance every
+f and b has unit variance, whatever k is (for β = 1): level and colour are apart.
+
+**Why it is stable however k moves.** A rotation keeps f² + b², so adding the sections up,
+
+    Σ_{i<p} b_i[n]² + b_p[n]²  =  e[n]² + β² Σ_{i<p} b_i[n−1]²
+
+for *any* k(v[n], f[n]) in (−1, 1), slow, fast or switched at every sample: the sum of squares of the state is a Lyapunov
+function that all filters share. Without input it falls at least by β² a sample; with |e| ≤ E it ends up below E²/(1 − β²).
+Filters of the direct form have no such function in general (two AR(2) with poles at 0.98, switched, grow by 1.24 a sample),
+and to find one that some of them share would shrink them towards each other: the tones of a mesh, which move with speed,
+would be gone.
+
+The leak moves every pole inwards by β. Convex combinations of reflection coefficients stay in (−1, 1), so a table over speed and
+force may be interpolated at will.
+
+Source: Gray & Markel, "A normalized digital filter structure", IEEE Trans. ASSP 23 (1975), for the structure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LEAK = 0.9999  # a state left alone falls by e in 10 000 samples at most, whatever the reflections are
+MAX_REFLECTION = 0.99999  # of a vertex; 1 would be an undamped oscillation
+FORCE_FLOOR = 0.05  # N; what a logarithm of force starts from
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Reflection coefficients over speed and force: bilinear between vertices, constant outside.
+
+    Attributes:
+        speed_knots: [mm/s], rising, shape (n_v,).
+        force_knots: log(force/N + 0.05), rising, shape (n_f,).
+        reflections: at the vertices, speed the slower index, shape (n_v · n_f, p).
+    """
+
+    speed_knots: Array
+    force_knots: Array
+    reflections: Array
+
+    def __post_init__(self) -> None:
+        if not (np.diff(self.speed_knots) > 0).all() or not (np.diff(self.force_knots) > 0).all():
+            raise ValueError("the knots of speed or force do not rise")
+        largest = float(np.abs(self.reflections).max(initial=0.0))
+        if not largest < 1:
+            raise ValueError(
+                f"a reflection is {largest:.6g} in size, expected less than 1: the lattice would not be stable"
+            )
+
+    @property
+    def order(self) -> int:
+        """Return p."""
+        return int(self.reflections.shape[1])
+
+    def weights(self, speed: Array, force: Array) -> Array:
+        """Return how much each vertex counts: speed [mm/s] and force [N] (n,) → (n, n_v · n_f), rows sum to 1."""
+        over_speed = hat_weights(speed, self.speed_knots)
+        over_force = hat_weights(log_force(force), self.force_knots)
+        return (over_speed[:, :, None] * over_force[:, None, :]).reshape(len(over_speed), -1)
+
+    def at(self, speed: Array, force: Array) -> Array:
+        """Return the reflections at speeds [mm/s] and forces [N]: (n,) → (n, p)."""
+        if len(self.reflections) == 1:
+            return np.broadcast_to(self.reflections, (len(speed), self.order))
+        return self.weights(speed, force) @ self.reflections
+
+
+def log_force(force: Array) -> Array:
+    """Return log(force + 0.05), force [N], negative ones as 0."""
+    return np.log(np.maximum(force, 0.0) + FORCE_FLOOR)
+
+
+def hat_weights(values: Array, knots: Array) -> Array:
+    """Return the weights of linear interpolation between knots, the end ones outside: (n,), (k,) → (n, k)."""
+    weights = np.zeros((len(values), len(knots)))
+    if len(knots) == 1:
+        weights[:] = 1.0
+        return weights
+    inside = np.clip(values, knots[0], knots[-1])
+    left = np.clip(np.searchsorted(knots, inside, side="right") - 1, 0, len(knots) - 2)
+    share = (inside - knots[left]) / (knots[left + 1] - knots[left])
+    rows = np.arange(len(values))
+    weights[rows, left], weights[rows, left + 1] = 1 - share, share
+    return weights
+
+
+def analyse(x: Array, reflections: Array) -> tuple[Array, Array, Array]:
+    """Return the innovations of signals that begin from rest, their scale, and the state that they end in.
+
+    Args:
+        x: shape (s, n).
+        reflections: that go with each sample, shape (s, n, p).
+
+    Returns:
+        e, shape (s, n), of unit variance where the reflections fit; Π c_i, shape (s, n), with which the prediction of each sample
+        from those before it is x − e · Π c_i; and b₀ … b_{p−1} after the last sample, shape (p, s).
+    """
+    f, b, gain = x, x, np.ones_like(x)
+    states = np.empty((reflections.shape[2], len(x)))
+    for i in range(len(states)):
+        states[i] = b[:, -1]
+        f, b, cosine = rotate_back(f, delayed(b), reflections[:, :, i])
+        gain = gain * cosine
+    return f, gain, states
+
+
+def delayed(b: Array) -> Array:
+    """Return β b[n−1], zero before the first sample: (…, n) → (…, n)."""
+    out = np.zeros_like(b)
+    out[..., 1:] = LEAK * b[..., :-1]
+    return out
+
+
+def rotate_back(f: Array, b: Array, k: Array) -> tuple[Array, Array, Array]:
+    """Return f_i, b_i and c_i from f_{i−1} and the delayed b_{i−1}: a section run from output to innovation."""
+    cosine = np.sqrt(1 - k * k)
+    return (f + k * b) / cosine, (b + k * f) / cosine, cosine
+
+
+def forecast(states: Array, reflections: Array) -> tuple[Array, Array]:
+    """Return the next sample without innovation, and by how much a unit of innovation moves it.
+
+    Args:
+        states: b₀ … b_{p−1} after the last sample, shape (p, s).
+        reflections: of the next sample, shape (p, s).
+
+    Returns:
+        Both of shape (s,).
+    """
+    b, cosines = LEAK * states, np.sqrt(1 - reflections * reflections)
+    f = np.zeros(states.shape[1])
+    for i in range(len(states) - 1, -1, -1):
+        f = cosines[i] * f - reflections[i] * b[i]
+    return f, cosines.prod(axis=0)
+
+
+def push(states: Array, reflections: Array, x: Array) -> Array:
+    """Return the states after a sample x, shape (s,): states and its reflections (p, s) → (p, s)."""
+    b, cosines = LEAK * states, np.sqrt(1 - reflections * reflections)
+    after = np.empty_like(states)
+    after[0] = f = x
+    for i in range(len(states) - 1):
+        f, after[i + 1] = (f + reflections[i] * b[i]) / cosines[i], (b[i] + reflections[i] * f) / cosines[i]
+    return after

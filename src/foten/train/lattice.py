@@ -1,0 +1,153 @@
+"""The linear part of foten-plus: a lattice over speed and force, fitted section by section, shrunk by its own evidence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.dsp.lattice import MAX_REFLECTION, Schedule, analyse, delayed, log_force, rotate_back
+
+Array = NDArray[np.float64]
+
+ORDERS = (10, 20, 40, 80, 160, 240)  # tried, as far as a block allows
+N_SPEED, N_FORCE = 12, 3  # vertices
+CORRELATION = 0.5  # of the range of speed, and of log force, over which reflections are alike beforehand
+SCALES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)  # standard deviations that a reflection may be given over the plane
+WORTH = 1e-3  # a longer lattice, or one that follows the hand, must lower the validation error by this share
+
+
+@dataclass(frozen=True)
+class LatticeData:
+    """What a lattice is fitted to.
+
+    Attributes:
+        x: acceleration over its level, in blocks, shape (n_blocks, block).
+        unit: what one of x is in the acceleration that is scored, same shape.
+        speed, force: that each prediction may know, those of the sample before [mm/s, N], same shape.
+        train, validation: numbers of blocks.
+    """
+
+    x: Array
+    unit: Array
+    speed: Array
+    force: Array
+    train: tuple[int, ...]
+    validation: tuple[int, ...]
+
+
+def fit_lattice(data: LatticeData, max_order: int) -> tuple[Schedule, list[dict[str, float]]]:
+    """Return the lattice with the lowest absolute one-step error on the validation blocks, and what was tried.
+
+    Tried: every order up to `max_order`, with one set of reflections for all speeds and forces and with a table of them.
+
+    Differs from the paper: it has no linear part.
+    """
+    orders = [order for order in ORDERS if order < max_order] or [max_order]
+    tried = []
+    best: tuple[float, Schedule] | None = None
+    for n_speed, n_force in ((1, 1), (N_SPEED, N_FORCE)):
+        schedule = _fit(data, orders[-1], n_speed, n_force)
+        for order in orders:
+            cut = Schedule(schedule.speed_knots, schedule.force_knots, schedule.reflections[:, :order])
+            error = validation_error(cut, data, orders[-1])
+            tried.append({"order": order, "vertices": len(cut.reflections), "validation_mae_scaled": error})
+            if best is None or error < best[0] * (1 - WORTH):
+                best = error, cut
+    assert best is not None
+    return best[1], tried
+
+
+def validation_error(schedule: Schedule, data: LatticeData, first: int) -> float:
+    """Return the mean absolute one-step error on the validation blocks [scaled], the first samples of each left out."""
+    chosen = list(data.validation)
+    e, gain, _ = analyse(data.x[chosen], _reflections(schedule, data, chosen))
+    missed = np.abs(e * gain * data.unit[chosen])
+    return float(missed[:, min(first, missed.shape[1] // 2) :].mean())
+
+
+def _reflections(schedule: Schedule, data: LatticeData, blocks: list[int]) -> Array:
+    speed, force = data.speed[blocks], data.force[blocks]
+    return schedule.at(speed.ravel(), force.ravel()).reshape(*speed.shape, schedule.order)
+
+
+def _fit(data: LatticeData, order: int, n_speed: int, n_force: int) -> Schedule:
+    """Return the reflections that make forward and backward errors of each section least, over the training blocks.
+
+    Section i minimises Σ (f_{i−1} + k b)² + (b + k f_{i−1})² over k at the vertices: Burg's method, a least-squares
+    problem in as many unknowns as there are vertices. What the vertices differ by has a Gaussian prior in three parts,
+    over speed, over force and over both, exponentially correlated, whose standard deviations are those of the greatest
+    evidence. So a section that the hand does not change stays one number. On real recordings of two seconds at 10 kHz the
+    table is still 0.4 to 7 % worse than a single filter of 160 sections, hence the choice by validation.
+
+    Source: Burg's criterion; the time-varying extension after Grenier, IEEE Trans. ASSP 31 (1983); the prior is ours.
+    """
+    chosen = list(data.train)
+    speed, force = data.speed[chosen], data.force[chosen]
+    knots = np.linspace(speed.min(), speed.max(), n_speed) if n_speed > 1 else np.zeros(1)
+    logs = log_force(force)
+    # The outermost hundredths of force are too rare for a vertex of their own.
+    rare, common = np.quantile(logs, [0.01, 0.99])
+    force_knots = np.linspace(rare, common, n_force) if n_force > 1 else np.zeros(1)
+    if n_speed > 1 and (np.ptp(knots) <= 0 or np.ptp(force_knots) <= 0):
+        return _fit(data, order, 1, 1)
+    plane = Schedule(knots, force_knots, np.zeros((n_speed * n_force, 0)))
+    weights = plane.weights(speed.ravel(), force.ravel()).reshape(*speed.shape, -1)
+    parts = _covariances(n_speed, n_force)
+    f = b = data.x[chosen]
+    reflections = np.zeros((n_speed * n_force, order))
+    for i in range(order):
+        b = delayed(b)
+        heard = slice(i + 1, None)  # before that a section still fills
+        w = weights[:, heard].reshape(-1, weights.shape[2])
+        power = ((f * f + b * b) / 2)[:, heard].ravel()
+        product = (f * b)[:, heard].ravel()
+        gram, moment = (w * power[:, None]).T @ w, -(w * product[:, None]).sum(axis=0)
+        everywhere = moment.sum() / gram.sum()
+        # In units of a section's own error: a reflection is known to within √((1 − k²)/n).
+        noise = max(1e-4, 1 - everywhere**2) * power.mean()
+        found = everywhere + _shrunk(gram / noise, (moment - gram.sum(axis=1) * everywhere) / noise, parts)
+        reflections[:, i] = np.clip(found, -MAX_REFLECTION, MAX_REFLECTION)
+        f, b, _ = rotate_back(f, b, weights @ reflections[:, i])
+    return Schedule(knots, force_knots, reflections)
+
+
+def _covariances(n_speed: int, n_force: int) -> list[NDArray[Any]]:
+    """Return the prior covariances, of unit variance, of what vertices differ by: over speed, over force, over both."""
+
+    def alike(n: int) -> Array:
+        at = np.arange(n) / max(1, n - 1)
+        return np.exp(-np.abs(at[:, None] - at[None, :]) / CORRELATION)
+
+    speed, force = alike(n_speed), alike(n_force)
+    if n_speed * n_force == 1:
+        return []
+    return [
+        np.kron(speed, np.ones_like(force)),
+        np.kron(np.ones_like(speed), force),
+        np.kron(speed, force),
+    ]
+
+
+def _shrunk(information: Array, score: Array, parts: list[NDArray[Any]]) -> NDArray[Any]:
+    """Return the posterior mean of deviations with likelihood exp(score·d − d·information·d/2), prior scales by evidence."""
+    identity = np.eye(len(score))
+
+    def solved(scales: list[float]) -> tuple[float, NDArray[Any]]:
+        prior = sum((scale**2 * part for scale, part in zip(scales, parts, strict=True)), 0 * identity)
+        system = identity + prior @ information
+        mean = np.linalg.solve(system, prior @ score)
+        return -0.5 * float(np.linalg.slogdet(system)[1]) + 0.5 * float(score @ mean), mean
+
+    scales = [0.0] * len(parts)
+    best = solved(scales)
+    for _ in range(2):
+        for number in range(len(parts)):
+            for scale in SCALES:
+                tried = [*scales[:number], scale, *scales[number + 1 :]]
+                found = solved(tried)
+                if found[0] > best[0] + 1e-9:
+                    best, scales = found, tried
+    return best[1]
