@@ -79,6 +79,11 @@ def untrained(key: str, architecture: FotenArchitecture | None = None, seed: int
             network.reflections[:, :2] += reflections_of(resonance(120.0, 0.95, 2))
             network.speed_knots.copy_(torch.linspace(10.0, 200.0, len(network.speed_knots)))
             network.force_knots.copy_(torch.linspace(-1.0, 0.9, len(network.force_knots)))
+            if architecture.n_tones:
+                network.tone_speed_knots.copy_(torch.linspace(10.0, 200.0, len(network.tone_speed_knots)))
+                network.tone_force_knots.copy_(torch.linspace(-1.0, 0.9, len(network.tone_force_knots)))
+                network.tones.copy_(0.3 * torch.randn_like(network.tones))
+                network.tone_motion.copy_(torch.tensor([2 * np.pi / 2.5 / 1000, 3e-6, 2e-3]))
             for scale in (network.level, network.excitation):
                 scale.mean.copy_(torch.tensor(SCALING.mean[1:]))
                 scale.sd.copy_(torch.tensor(SCALING.sd[1:]))

@@ -26,17 +26,24 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "half-of-odd-bins": {**SMALL, "bins": "half", "window": 9, "bin_embedding": True},
     "log-magnitude": {**SMALL, "magnitude_input": "log"},
 }
+PLUS = {
+    "a-table": {**SMALL, "order": 7, "n_speed": 4, "n_force": 3},
+    "tones": {**SMALL, "order": 5, "n_tones": 3, "n_tone_speed": 5, "n_tone_force": 2},
+    "tones-on-a-table": {**SMALL, "order": 9, "n_speed": 3, "n_force": 2, "n_tones": 2, "n_tone_speed": 4},
+}
 
 
 def test_the_registries_have_the_same_models() -> None:
     assert set(ARCHITECTURES) == set(MODELS) == set(ENGINES)
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
-@pytest.mark.parametrize("key", ENGINES)
+@pytest.mark.parametrize(
+    ("key", "variant"),
+    [*((key, variant) for key in ENGINES for variant in VARIANTS), *(("foten-plus", name) for name in PLUS)],
+)
 def test_the_engine_is_the_network(key: str, variant: str) -> None:
     """Seam: PyTorch in float64 on the same tensors."""
-    architecture = ARCHITECTURES[key](**VARIANTS[variant])
+    architecture = ARCHITECTURES[key](**{**VARIANTS, **PLUS}[variant])
     network = untrained(key, architecture)
     tensors = {name: tensor.numpy() for name, tensor in network.state_dict().items()}
     engine = ENGINES[key](architecture, tensors)
@@ -80,7 +87,7 @@ def test_the_excitations_scale_is_the_networks(texture: Texture) -> None:
     network = untrained("foten-plus", texture.architecture).double()
     windows = 2 * np.random.default_rng(0).standard_normal((50, texture.window, 3))
     with torch.no_grad():
-        expected = network.forecast(torch.from_numpy(windows))[1].numpy()
+        expected = network.forecast(network.start(torch.from_numpy(windows)))[1].numpy()
     np.testing.assert_allclose(engine_for(texture).start(windows).forecast().scale, expected, rtol=1e-12)
     assert expected.std() > 1e-3
 

@@ -256,9 +256,9 @@ def test_the_correction_is_bounded_in_innovations() -> None:
         before = network.network.head_3.weight.clone()
         network.network.head_3.weight.zero_()
         network.network.head_3.bias.zero_()
-        linear, _ = network.forecast(given)
+        linear, _ = network.forecast(network.start(given))
         network.network.head_3.weight.copy_(1e3 * before)
-        sample, scale = network.forecast(given)
+        sample, scale = network.forecast(network.start(given))
         share = (sample - linear) * network.excitation(given[:, -1, 1:]) / scale
     limit = FotenPlusArchitecture().correction_limit
     assert share.abs().max() <= limit * (1 + 1e-9)  # tanh; rounding of the difference

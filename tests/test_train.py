@@ -24,8 +24,9 @@ from foten.texture_file import texture_from_bytes
 from foten.train.config import RECIPES, TrainConfig
 from foten.train.excitation import fit_excitation, fit_tail, gaussianised, settle_level
 from foten.train.fit import Data, Epoch, fit, loss_of, predict
+from foten.train.linear_part import engine_of
 from foten.train.run import RunFolder
-from foten.train.train import Trained, engine_of, train_texture
+from foten.train.train import Trained, train_texture
 
 SMALL = {
     "d_model": 8,

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-HEAVIEST_TAIL = 0.4  # of h in z·exp(h z²/2), the excitation's tails
+HEAVIEST_TAIL = 0.25  # of h in z·exp(h z²/2), the excitation's tails; beyond it there is no fourth moment
 
 
 @dataclass(frozen=True)
@@ -97,11 +97,15 @@ class FotenPlusArchitecture(FotenArchitecture):
     order: int = 20  # p of the lattice, samples
     n_speed: int = 1  # its vertices over speed
     n_force: int = 1  # and over force
+    n_tones: int = 0  # multiples of the path's frequency; none for a surface that does not repeat
+    n_tone_speed: int = 1  # vertices of their amplitudes over speed
+    n_tone_force: int = 1  # and over force
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("excitation_width", "order", "n_speed", "n_force"):
+        for name in ("excitation_width", "order", "n_speed", "n_force", "n_tone_speed", "n_tone_force"):
             _check_count(name, getattr(self, name), 1)
+        _check_count("n_tones", self.n_tones, 0)
         if type(self.correction_limit) not in (int, float) or not 0 < self.correction_limit < 1e6:
             raise ValueError(f"correction_limit is {self.correction_limit!r}, expected a positive number")
 
@@ -158,6 +162,10 @@ def tensor_shapes(key: str, architecture: FotenArchitecture) -> dict[str, tuple[
         n_speed, n_force = architecture.n_speed, architecture.n_force
         shapes |= {"speed_knots": (n_speed,), "force_knots": (n_force,)}
         shapes |= {"reflections": (n_speed * n_force, architecture.order)}
+        if architecture.n_tones:
+            n_speed, n_force = architecture.n_tone_speed, architecture.n_tone_force
+            shapes |= {"tone_speed_knots": (n_speed,), "tone_force_knots": (n_force,)}
+            shapes |= {"tones": (n_speed * n_force, 2 * architecture.n_tones), "tone_motion": (3,)}
         for name in ("level", "excitation"):
             shapes |= _linear(f"{name}.hidden", architecture.excitation_width, 4)
             shapes |= _linear(f"{name}.out", 1, architecture.excitation_width)

@@ -27,8 +27,6 @@ Source: Gray & Markel, "A normalized digital filter structure", IEEE Trans. ASSP
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,67 +34,19 @@ Array = NDArray[np.float64]
 
 LEAK = 0.9999  # a state left alone falls by e in 10 000 samples at most, whatever the reflections are
 MAX_REFLECTION = 0.99999  # of a vertex; 1 would be an undamped oscillation
-FORCE_FLOOR = 0.05  # N; what a logarithm of force starts from
 
 
-@dataclass(frozen=True)
-class Schedule:
-    """Reflection coefficients over speed and force: bilinear between vertices, constant outside.
+def check_reflections(reflections: Array) -> None:
+    """Check that reflections make a stable lattice.
 
-    Attributes:
-        speed_knots: [mm/s], rising, shape (n_v,).
-        force_knots: log(force/N + 0.05), rising, shape (n_f,).
-        reflections: at the vertices, speed the slower index, shape (n_v · n_f, p).
+    Raises:
+        ValueError: one is 1 or more in size.
     """
-
-    speed_knots: Array
-    force_knots: Array
-    reflections: Array
-
-    def __post_init__(self) -> None:
-        if not (np.diff(self.speed_knots) > 0).all() or not (np.diff(self.force_knots) > 0).all():
-            raise ValueError("the knots of speed or force do not rise")
-        largest = float(np.abs(self.reflections).max(initial=0.0))
-        if not largest < 1:
-            raise ValueError(
-                f"a reflection is {largest:.6g} in size, expected less than 1: the lattice would not be stable"
-            )
-
-    @property
-    def order(self) -> int:
-        """Return p."""
-        return int(self.reflections.shape[1])
-
-    def weights(self, speed: Array, force: Array) -> Array:
-        """Return how much each vertex counts: speed [mm/s] and force [N] (n,) → (n, n_v · n_f), rows sum to 1."""
-        over_speed = hat_weights(speed, self.speed_knots)
-        over_force = hat_weights(log_force(force), self.force_knots)
-        return (over_speed[:, :, None] * over_force[:, None, :]).reshape(len(over_speed), -1)
-
-    def at(self, speed: Array, force: Array) -> Array:
-        """Return the reflections at speeds [mm/s] and forces [N]: (n,) → (n, p)."""
-        if len(self.reflections) == 1:
-            return np.broadcast_to(self.reflections, (len(speed), self.order))
-        return self.weights(speed, force) @ self.reflections
-
-
-def log_force(force: Array) -> Array:
-    """Return log(force + 0.05), force [N], negative ones as 0."""
-    return np.log(np.maximum(force, 0.0) + FORCE_FLOOR)
-
-
-def hat_weights(values: Array, knots: Array) -> Array:
-    """Return the weights of linear interpolation between knots, the end ones outside: (n,), (k,) → (n, k)."""
-    weights = np.zeros((len(values), len(knots)))
-    if len(knots) == 1:
-        weights[:] = 1.0
-        return weights
-    inside = np.clip(values, knots[0], knots[-1])
-    left = np.clip(np.searchsorted(knots, inside, side="right") - 1, 0, len(knots) - 2)
-    share = (inside - knots[left]) / (knots[left + 1] - knots[left])
-    rows = np.arange(len(values))
-    weights[rows, left], weights[rows, left + 1] = 1 - share, share
-    return weights
+    largest = float(np.abs(reflections).max(initial=0.0))
+    if not largest < 1:
+        raise ValueError(
+            f"a reflection is {largest:.6g} in size, expected less than 1: the lattice would not be stable"
+        )
 
 
 def analyse(x: Array, reflections: Array) -> tuple[Array, Array, Array]:
@@ -149,11 +99,20 @@ def forecast(states: Array, reflections: Array) -> tuple[Array, Array]:
     return f, cosines.prod(axis=0)
 
 
-def push(states: Array, reflections: Array, x: Array) -> Array:
-    """Return the states after a sample x, shape (s,): states and its reflections (p, s) → (p, s)."""
+def push(states: Array, reflections: Array, x: Array) -> tuple[Array, Array]:
+    """Return the states after a sample x, shape (s,), and its innovation: states and its reflections (p, s) → (p, s), (s,)."""
     b, cosines = LEAK * states, np.sqrt(1 - reflections * reflections)
     after = np.empty_like(states)
+    last = len(states) - 1
     after[0] = f = x
-    for i in range(len(states) - 1):
+    for i in range(last):
         f, after[i + 1] = (f + reflections[i] * b[i]) / cosines[i], (b[i] + reflections[i] * f) / cosines[i]
-    return after
+    return after, (f + reflections[last] * b[last]) / cosines[last]
+
+
+def polynomial(reflections: Array) -> Array:
+    """Return A(z) of a lattice of constant reflections (p,), 1 first, shape (p + 1,); its all-pole filter is Π c_i / A."""
+    a = np.ones(1)
+    for k in reflections:
+        a = np.append(a, 0.0) + k * np.append(a, 0.0)[::-1]
+    return a * LEAK ** np.arange(a.size)

@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import torch
 from torch import Tensor, nn
 
 from foten.architecture import HEAVIEST_TAIL, FotenPlusArchitecture
-from foten.dsp.lattice import FORCE_FLOOR, LEAK
+from foten.dsp.lattice import LEAK
+from foten.dsp.plane import FORCE_FLOOR
+from foten.dsp.tones import (
+    LARGEST_INNOVATION,
+    LARGEST_STEP,
+    LARGEST_VARIANCE,
+    LEAST_VARIANCE,
+    N_CANDIDATES,
+    START_VARIANCE,
+)
 from foten.models.foten import Foten
 
 NO_TAIL = -30.0  # of which the logistic function is zero
@@ -40,43 +52,144 @@ class FotenPlus(nn.Module):
         self.register_buffer("speed_knots", torch.zeros(architecture.n_speed, dtype=torch.float64))
         self.register_buffer("force_knots", torch.zeros(architecture.n_force, dtype=torch.float64))
         self.register_buffer("reflections", torch.zeros(n_vertices, architecture.order, dtype=torch.float64))
+        if architecture.n_tones:
+            n_vertices = architecture.n_tone_speed * architecture.n_tone_force
+            for name, shape in (
+                ("tone_speed_knots", (architecture.n_tone_speed,)),
+                ("tone_force_knots", (architecture.n_tone_force,)),
+                ("tones", (n_vertices, 2 * architecture.n_tones)),
+                # Phase for a mm/s and a sample, its variance for the same, and what a rendering forgets of it in a sample.
+                ("tone_motion", (3,)),
+            ):
+                self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
         self.level = Excitation(architecture.excitation_width).requires_grad_(False)
         self.excitation = Excitation(architecture.excitation_width).requires_grad_(False)
 
     def forward(self, windows: Tensor) -> Tensor:
         """Return the next samples: windows (b, m, 3) scaled, m the architecture's `history` → (b,) scaled."""
-        return self.forecast(windows)[0]
+        return self.forecast(self.start(windows))[0]
 
-    def forecast(self, windows: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the next samples, and by how much a unit of excitation moves them: (b, m, 3) → (b,), (b,); scaled."""
+    def start(self, windows: Tensor) -> Heard:
+        """Return the state of streams that have heard the given scaled windows, shape (b, m, 3)."""
         b, m, _ = windows.shape
-        condition = windows[:, :, 1:]
-        level = self.level(condition.reshape(-1, 2)).reshape(b, m)
-        k = self._reflections(condition.reshape(-1, 2)).reshape(b, m, -1).to(windows.dtype)
+        samples, condition = windows[:, 1:, 0], windows[:, :-1, 1:]
+        rest = torch.zeros(self.architecture.order, b, dtype=windows.dtype, device=windows.device)
+        phase = torch.zeros(b, dtype=windows.dtype, device=windows.device)
+        if self.architecture.n_tones:
+            flat = condition.reshape(-1, 2)
+            turned = (self.tone_motion[0] * self._physical(flat)[:, 0]).reshape(b, m - 1).to(windows.dtype)
+            level = self.level(flat).reshape(b, m - 1)
+            coefficients = self._tones(flat).reshape(b, m - 1, -1) / level[..., None]
+            travelled = torch.cumsum(turned, dim=1)
+            candidates = 2 * math.pi * torch.arange(N_CANDIDATES, dtype=windows.dtype) / N_CANDIDATES
+            missed = [
+                (samples / level - _tone(coefficients, travelled + start)[0]).square().sum(dim=1)
+                for start in candidates
+            ]
+            phase = candidates[torch.stack(missed).argmin(dim=0)]
+        heard = Heard(
+            states=rest,
+            slopes=rest,
+            phase=phase,
+            variance=torch.full_like(phase, START_VARIANCE),
+            path=torch.zeros_like(phase),
+            condition=windows[:, 0, 1:],
+            seen=torch.zeros(b, self.architecture.window, 4, dtype=windows.dtype, device=windows.device),
+        )
+        for n in range(1, m):
+            heard = self._take_in(heard, windows[:, n, 0], windows[:, n, 1:], own=False)
+        if not self.architecture.n_tones:
+            return heard
+        speed = self._physical(heard.condition)[:, 0].to(phase.dtype)
+        return heard._replace(path=-self.tone_motion[0].to(phase.dtype) * speed)
+
+    def forecast(self, heard: Heard) -> tuple[Tensor, Tensor]:
+        """Return the next samples, and by how much a unit of excitation moves them: (b,), (b,); scaled."""
+        level, k = self.level(heard.condition), self._reflections(heard.condition)
         cosine = torch.sqrt(1 - k * k)
-        # A sample's level and reflections are those of the speed and force before it.
-        x = windows[:, 1:, 0] / level[:, :-1]
-        forward = backward = x
-        states = []
-        for i in range(k.shape[2]):
-            states.append(backward[:, -1])
-            delayed = LEAK * torch.cat([torch.zeros_like(x[:, :1]), backward[:, :-1]], dim=1)
-            ki, ci = k[:, :-1, i], cosine[:, :-1, i]
-            forward, backward = (forward + ki * delayed) / ci, (delayed + ki * forward) / ci
-        expected = torch.zeros_like(x[:, 0])
-        for i in reversed(range(k.shape[2])):
-            expected = cosine[:, -1, i] * expected - k[:, -1, i] * LEAK * states[i]
-        seen = torch.cat([x[:, :, None], condition[:, 1:], forward[:, :, None]], dim=2)
-        unit = level[:, -1] * cosine[:, -1].prod(dim=1)
-        correction = self.network(seen[:, -self.architecture.window :])
-        return level[:, -1] * expected + unit * correction, unit * self.excitation(condition[:, -1])
+        expected = torch.zeros_like(level)
+        for i in reversed(range(k.shape[1])):
+            expected = cosine[:, i] * expected - k[:, i] * LEAK * heard.states[i]
+        unit = level * cosine.prod(dim=1)
+        sample = level * expected + unit * self.network(heard.seen)
+        if self.architecture.n_tones:
+            sample = sample + self._moved(heard)[1]
+        return sample, unit * self.excitation(heard.condition)
+
+    def push(self, heard: Heard, sample: Tensor, condition: Tensor) -> Heard:
+        """Return the state after a sample (b,) of the model's own and its speed and force (b, 2), all scaled."""
+        return self._take_in(heard, sample, condition, own=True)
+
+    def tone_power(self, condition: Tensor) -> Tensor:
+        """Return the mean square of the tones: speed and force (b, 2) scaled → (b,), float64."""
+        if not self.architecture.n_tones:
+            return torch.zeros(len(condition), dtype=torch.float64)
+        return 0.5 * self._tones(condition.double()).square().sum(dim=1)
+
+    def _take_in(self, heard: Heard, sample: Tensor, condition: Tensor, own: bool) -> Heard:
+        level, k = self.level(heard.condition), self._reflections(heard.condition)
+        value = slope = torch.zeros_like(sample)
+        before = heard.condition
+        if self.architecture.n_tones:
+            heard, value, slope = self._moved(heard)
+        x = (sample - value) / level
+        states, e = _through(heard.states, k, x)
+        seen = torch.cat([x[:, None], condition, e[:, None]], dim=1)
+        after = heard._replace(
+            states=states, condition=condition, seen=torch.cat([heard.seen[:, 1:], seen[:, None]], dim=1)
+        )
+        if not self.architecture.n_tones:
+            return after
+        chance = e.clamp(-LARGEST_INNOVATION, LARGEST_INNOVATION)
+        if own:
+            turn = 2 * math.pi
+            away = heard.phase - heard.path
+            away = away - turn * torch.round(away / turn)
+            speed = self._physical(before)[:, 0].to(sample.dtype)
+            jitter, forgetting = self.tone_motion[1:].to(sample.dtype)
+            phase = heard.phase - forgetting * away + torch.sqrt(jitter * speed) * chance
+            return after._replace(phase=phase)
+        slopes, h = _through(heard.slopes, k, slope / level)
+        gain = heard.variance * h / (h * h * heard.variance + 1)
+        step = gain * chance
+        phase = heard.phase + step.clamp(-LARGEST_STEP, LARGEST_STEP)
+        variance = ((1 - gain * h) * heard.variance).clamp(LEAST_VARIANCE, LARGEST_VARIANCE)
+        return after._replace(slopes=slopes, phase=phase, variance=variance)
+
+    def _moved(self, heard: Heard) -> tuple[Heard, Tensor, Tensor]:
+        """Return the streams a sample further along the path, the tone there and its derivative by the phase."""
+        speed = self._physical(heard.condition)[:, 0].to(heard.phase.dtype)
+        turn, jitter = self.tone_motion[:2].to(heard.phase.dtype)
+        moved = heard._replace(
+            phase=heard.phase + turn * speed,
+            path=heard.path + turn * speed,
+            variance=heard.variance + jitter * speed,
+        )
+        return moved, *_tone(self._tones(heard.condition), moved.phase)
+
+    def _physical(self, condition: Tensor) -> Tensor:
+        return (condition.double() * self.level.sd.double() + self.level.mean.double()).clamp(min=0.0)
 
     def _reflections(self, condition: Tensor) -> Tensor:
-        physical = condition.double() * self.level.sd.double() + self.level.mean.double()
-        over_speed = _hat_weights(physical[:, 0], self.speed_knots)
-        logs = torch.log(torch.clamp(physical[:, 1], min=0.0) + FORCE_FLOOR)
-        weights = over_speed[:, :, None] * _hat_weights(logs, self.force_knots)[:, None, :]
-        return weights.reshape(len(condition), -1) @ self.reflections
+        physical = self._physical(condition)
+        return _bilinear(physical, self.speed_knots, self.force_knots, self.reflections).to(condition.dtype)
+
+    def _tones(self, condition: Tensor) -> Tensor:
+        physical = self._physical(condition)
+        found = _bilinear(physical, self.tone_speed_knots, self.tone_force_knots, self.tones)
+        return found.to(condition.dtype)
+
+
+class Heard(NamedTuple):
+    """What streams of foten-plus remember, as `render.engine` has it; `condition` is that of the last sample."""
+
+    states: Tensor
+    slopes: Tensor
+    phase: Tensor
+    variance: Tensor
+    path: Tensor
+    condition: Tensor
+    seen: Tensor
 
 
 class Corrector(Foten):
@@ -91,6 +204,33 @@ class Corrector(Foten):
     def forward(self, windows: Tensor) -> Tensor:
         """Return what of the next innovation is to be expected, within ±`correction_limit`."""
         return self.limit * torch.tanh(super().forward(windows) / self.limit)
+
+
+def _through(states: Tensor, k: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the lattice's states after x, shape (b,), and its innovation: states (p, b), reflections (b, p)."""
+    cosine = torch.sqrt(1 - k * k)
+    after, f = [x], x
+    for i in range(k.shape[1]):
+        b = LEAK * states[i]
+        f, backward = (f + k[:, i] * b) / cosine[:, i], (b + k[:, i] * f) / cosine[:, i]
+        after.append(backward)
+    return torch.stack(after[:-1]), f
+
+
+def _tone(coefficients: Tensor, phase: Tensor) -> tuple[Tensor, Tensor]:
+    """Return T and its derivative by the phase: coefficients (…, 2 n_tones) and phases (…) → (…)."""
+    multiples = torch.arange(1, coefficients.shape[-1] // 2 + 1, dtype=phase.dtype, device=phase.device)
+    angle = phase[..., None] * multiples
+    cosine, sine = torch.cos(angle), torch.sin(angle)
+    a, b = coefficients[..., 0::2], coefficients[..., 1::2]
+    return (a * cosine + b * sine).sum(dim=-1), (multiples * (b * cosine - a * sine)).sum(dim=-1)
+
+
+def _bilinear(physical: Tensor, speed_knots: Tensor, force_knots: Tensor, values: Tensor) -> Tensor:
+    """Return a table's values (n_v · n_f, k) at speeds [mm/s] and forces [N], (b, 2) → (b, k)."""
+    over_speed = _hat_weights(physical[:, 0], speed_knots)
+    over_force = _hat_weights(torch.log(physical[:, 1] + FORCE_FLOOR), force_knots)
+    return (over_speed[:, :, None] * over_force[:, None, :]).reshape(len(physical), -1) @ values
 
 
 def _hat_weights(values: Tensor, knots: Tensor) -> Tensor:

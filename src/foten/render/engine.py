@@ -10,14 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.architecture import HEAVIEST_TAIL, FotenArchitecture, FotenPlusArchitecture
-from foten.dsp.lattice import Schedule, analyse, forecast, push
+from foten.dsp.lattice import analyse, check_reflections, forecast, push
 from foten.dsp.noise import heavy_tailed
+from foten.dsp.plane import Plane
 from foten.dsp.spectrum import WEAKEST_BIN, dft_matrices, last_sample_row, position_encoding
+from foten.dsp.tones import LARGEST_INNOVATION, START_VARIANCE, corrected, fitted_phase, tone
 from foten.texture_file import Texture
 
 Array = NDArray[np.float64]
 
 _AT_ONCE = 8_000_000  # reflections held in memory
+N_GUESSES = 4  # of the phase, while a recording is followed
+_MISFIT_TURNS = 0.5  # between two new guesses, that an innovation is remembered for
 
 
 class Predictor(Protocol):
@@ -200,48 +204,191 @@ class LatticeState:
     Attributes:
         states: b₀ … b_{p−1} of the lattice, shape (p, s).
         seen: what the network sees of the last m samples: x, speed, force, innovation; shape (s, m, 4).
-        level: that goes with the next sample, shape (s,), scaled.
+        tone: where the streams are on the surface; None where it does not repeat.
     """
 
     engine: NumpyFotenPlus
     states: Array
     seen: Array
-    level: Array
+    tone: ToneState | None = None
+    level: Array = field(init=False)
     reflections: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        self.reflections = self.engine.reflections(self.seen[:, -1, 1:3]).T
+        condition = self.seen[:, -1, 1:3]
+        self._heed(condition)
+        if self.tone is not None:
+            # The way to the first sample belongs to the recording, of which nothing is to be left.
+            self.tone.path = -self.engine.motion[0] * self.engine.physical(condition)[:, 0]
+
+    def _heed(self, condition: Array) -> None:
+        self.level, self.reflections = self.engine.level(condition), self.engine.reflections(condition).T
 
     def forecast(self) -> Forecast:
-        """Return the lattice's prediction and the network's correction of it."""
-        self._x, self._gain = forecast(self.states, self.reflections)
-        unit = self._gain * self.level
-        sample = self._x * self.level + unit * self.engine.correction(self.seen)
+        """Return tone, lattice's prediction and the network's correction of it."""
         condition = self.seen[:, -1, 1:3]
+        x, gain = forecast(self.states, self.reflections)
+        unit = gain * self.level
+        sample = x * self.level + unit * self.engine.correction(self.seen)
+        if self.tone is not None:
+            sample = sample + self.tone.expected(condition)
         scale = unit * self.engine.sigma(condition)
         return Forecast(sample, scale, self.engine.tail(condition), self.engine.largest)
 
     def push(self, sample: Array, condition: Array) -> None:
         """Take in the samples that followed the last forecast."""
-        x = sample / self.level
-        self.states = push(self.states, self.reflections, x)
+        if self.tone is None:
+            x = sample / self.level
+            self.states, e = push(self.states, self.reflections, x)
+        else:
+            x = (sample - self.tone.value) / self.level
+            self.states, e = push(self.states, self.reflections, x)
+            self.tone.wander(e)
         self.seen[:, :-1] = self.seen[:, 1:]
-        self.seen[:, -1, 0], self.seen[:, -1, 3] = x, (x - self._x) / self._gain
+        self.seen[:, -1, 0], self.seen[:, -1, 3] = x, e
         self.seen[:, -1, 1:3] = condition
-        self.level, self.reflections = self.engine.level(condition), self.engine.reflections(condition).T
+        self._heed(condition)
+
+
+@dataclass
+class ToneState:
+    """Where streams are on a surface that repeats.
+
+    Attributes:
+        phase, variance: of the fundamental [rad, rad²], shape (s,).
+        slopes: the lattice's state for the tone's derivative, shape (p, s); heard of a recording, not kept up in a rendering.
+        path: phase that the path alone would have, from zero at the first sample of its own, shape (s,).
+        value, slope: T and ∂T/∂φ of the sample to come, shape (s,).
+        grown: by how much the phase's variance grew on the way to it, shape (s,).
+    """
+
+    engine: NumpyFotenPlus
+    phase: Array
+    variance: Array
+    slopes: Array
+    path: Array = field(init=False)
+    value: Array = field(init=False)
+    slope: Array = field(init=False)
+    grown: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.path = np.zeros_like(self.phase)
+        self.value = self.slope = self.grown = self.path
+
+    def expected(self, condition: Array) -> Array:
+        """Move on by a sample at a speed and force (s, 2), scaled, and return T there."""
+        turn, jitter, _ = self.engine.motion
+        speed = self.engine.physical(condition)[:, 0]
+        self.phase, self.path = self.phase + turn * speed, self.path + turn * speed
+        self.grown = jitter * speed
+        self.variance = self.variance + self.grown
+        self.value, self.slope = tone(self.engine.tones_at(condition), self.phase)
+        return self.value
+
+    def correct(self, reflections: Array, level: Array, e: Array) -> None:
+        """Take in what the innovation e, shape (s,), says of the phase."""
+        self.slopes, slope = push(self.slopes, reflections, self.slope / level)
+        self.phase, self.variance = corrected(self.phase, self.variance, e, slope)
+
+    def wander(self, e: Array) -> None:
+        """Let the phase stray as the surface does, the innovation e for chance, and draw it towards that of the path alone.
+
+        A rendering so forgets where it started: streams under the same noise meet.
+        """
+        _, _, forgetting = self.engine.motion
+        away = self.phase - self.path
+        self.phase = self.phase - forgetting * (away - 2 * np.pi * np.round(away / (2 * np.pi)))
+        self.phase = self.phase + np.sqrt(self.grown) * np.clip(e, -LARGEST_INNOVATION, LARGEST_INNOVATION)
+
+
+class _Search:
+    """Streams of recorded samples whose phase is followed from several guesses at once, the best of them believed.
+
+    A Kalman filter that starts at the wrong phase may stay there: what it hears fits half of the multiples. So in every
+    twentieth of a second the worst guess is given up for one beside the best.
+    """
+
+    def __init__(self, engine: NumpyFotenPlus, phase: Array, n_guesses: int) -> None:
+        self._engine, self._n_streams, self._n_guesses = engine, len(phase), n_guesses
+        apart = 2 * np.pi * np.arange(n_guesses) / n_guesses
+        n = n_guesses * len(phase)
+        self._states = np.zeros((engine.order, n))
+        start = (apart[:, None] + phase).ravel()
+        self._where = ToneState(engine, start, np.full(n, START_VARIANCE), np.zeros((engine.order, n)))
+        self._misfit = np.ones((n_guesses, len(phase)))
+        self._n = 0
+
+    def step(self, sample: Array, before: Array, level: Array, k: Array) -> tuple[Array, Array]:
+        """Take in a sample of each stream and return x and e of the best guess, each (s,)."""
+        guesses = self._n_guesses
+        k, level = np.tile(k, guesses), np.tile(level, guesses)
+        x = (np.tile(sample, guesses) - self._where.expected(np.tile(before, (guesses, 1)))) / level
+        self._states, e = push(self._states, k, x)
+        self._where.correct(k, level, e)
+        chosen = self._chosen()
+        if guesses > 1:
+            squared = np.minimum(np.square(e).reshape(guesses, -1), LARGEST_INNOVATION**2)
+            self._misfit += (squared - self._misfit) / (_MISFIT_TURNS * self._engine.search_every)
+            self._n += 1
+            if self._n % self._engine.search_every == 0:
+                self._try_another()
+        return x[chosen], e[chosen]
+
+    def _chosen(self) -> NDArray[np.int64]:
+        return self._misfit.argmin(axis=0) * self._n_streams + np.arange(self._n_streams)
+
+    def _try_another(self) -> None:
+        """Set the worst guess of each stream beside the best, a little behind it in what it has to its credit."""
+        streams = np.arange(self._n_streams)
+        best, worst = self._misfit.argmin(axis=0), self._misfit.argmax(axis=0)
+        to, since = worst * self._n_streams + streams, best * self._n_streams + streams
+        turn = 2 * np.pi * (0.5 + 0.381966 * (self._n // self._engine.search_every))  # never twice the same
+        self._states[:, to], self._where.slopes[:, to] = self._states[:, since], self._where.slopes[:, since]
+        self._where.phase[to] = self._where.phase[since] + turn
+        self._where.variance[to] = START_VARIANCE
+        self._misfit[worst, streams] = 1.2 * self._misfit[best, streams]
+
+    def best(self) -> ToneState:
+        """Return where the best guess of each stream is."""
+        chosen, where = self._chosen(), self._where
+        return ToneState(self._engine, where.phase[chosen], where.variance[chosen], where.slopes[:, chosen])
+
+    def best_states(self) -> Array:
+        """Return the lattice's state of the best guess of each stream, shape (p, s)."""
+        return self._states[:, self._chosen()]
+
+
+class _Heard(NamedTuple):
+    """Recorded blocks through tone and lattice: x, e and unit (s, n); states (p, s); where the streams are in the end."""
+
+    x: Array
+    e: Array
+    unit: Array
+    states: Array
+    tone: ToneState | None
 
 
 class NumpyFotenPlus:
-    """A lattice that follows the hand, the network's bounded correction of it, and the scale of the excitation."""
+    """Tones of the path, a lattice that follows the hand, the network's bounded correction, and the scale of the excitation."""
 
     def __init__(self, architecture: FotenPlusArchitecture, tensors: Mapping[str, NDArray[Any]]) -> None:
         self.window = architecture.history
         self._m = architecture.window
+        self.order = architecture.order
         self._limit = architecture.correction_limit
         self._network = NumpyFoten(architecture, tensors, "network.")
         self._w = _Weights(tensors, "")
         self.largest = float(self._w["excitation.largest"][0])
-        self._schedule = Schedule(self._w["speed_knots"], self._w["force_knots"], self._w["reflections"])
+        check_reflections(self._w["reflections"])
+        self._reflections = Plane(self._w["speed_knots"], self._w["force_knots"], self._w["reflections"])
+        self._tones: Plane | None = None
+        self.motion = (0.0, 0.0, 0.0)
+        if architecture.n_tones:
+            self._tones = Plane(self._w["tone_speed_knots"], self._w["tone_force_knots"], self._w["tones"])
+            turn, jitter, forgetting = self._w["tone_motion"]
+            self.motion = (float(turn), float(jitter), float(forgetting))
+            # A twentieth of a second: a rendering forgets its phase in half of one.
+            self.search_every = max(1, round(0.1 / float(forgetting)))
 
     def predict(self, windows: Array) -> Array:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
@@ -249,32 +396,55 @@ class NumpyFotenPlus:
 
     def start(self, windows: Array) -> LatticeState:
         """Return the state of streams that have heard the given scaled windows, shape (s, m, 3)."""
-        n_at_once = max(1, _AT_ONCE // (self.window * self._schedule.order))
-        parts = [self._start(windows[i : i + n_at_once]) for i in range(0, max(1, len(windows)), n_at_once)]
-        joined = (
-            np.concatenate(part, axis=axis)
-            for part, axis in zip(zip(*parts, strict=True), (1, 0, 0), strict=True)
+        heard = [self._analysed(part) for part in self._in_parts(windows)]
+        x, e, states = (
+            np.concatenate([getattr(part, name) for part in heard], axis=axis)
+            for name, axis in (("x", 0), ("e", 0), ("states", 1))
         )
-        return LatticeState(self, *joined)
+        seen = np.concatenate([x[..., None], windows[:, 1:, 1:], e[..., None]], axis=2)[:, -self._m :]
+        where = None
+        if self._tones is not None:
+            tones = [part.tone for part in heard if part.tone is not None]
+            where = ToneState(
+                self,
+                np.concatenate([part.phase for part in tones]),
+                np.concatenate([part.variance for part in tones]),
+                np.concatenate([part.slopes for part in tones], axis=1),
+            )
+        return LatticeState(self, states, seen, where)
 
-    def _start(self, windows: Array) -> tuple[Array, Array, Array]:
-        x, e, _, states = self._analysed(windows)
-        seen = np.stack(
-            [x[:, -self._m :], windows[:, -self._m :, 1], windows[:, -self._m :, 2], e[:, -self._m :]], axis=2
-        )
-        return states, seen, self.level(windows[:, -1, 1:])
+    def _in_parts(self, blocks: Array) -> list[Array]:
+        """Return blocks (s, n, 3) in parts whose reflections fit into memory."""
+        n_at_once = max(1, _AT_ONCE // (blocks.shape[1] * self.order))
+        return [blocks[i : i + n_at_once] for i in range(0, max(1, len(blocks)), n_at_once)]
 
-    def _analysed(self, blocks: Array) -> tuple[Array, Array, Array, Array]:
-        """Return x, e, what a unit of e is worth in scaled acceleration, and the last states; of all samples but the first.
+    def _analysed(self, blocks: Array, n_guesses: int = 1) -> _Heard:
+        """Return what recorded blocks leave for the network, of all samples but the first.
 
         A sample's level and reflections are those of the speed and force before it: a prediction knows no others (Eq. 1).
         """
         before = blocks[:, :-1, 1:]
-        level = self.level(before.reshape(-1, 2)).reshape(before.shape[:2])
-        x = blocks[:, 1:, 0] / level
-        reflections = self.reflections(before.reshape(-1, 2)).reshape(*before.shape[:2], -1)
-        e, gain, states = analyse(x, reflections)
-        return x, e, gain * level, states
+        flat, shape = before.reshape(-1, 2), before.shape[:2]
+        level = self.level(flat).reshape(shape)
+        reflections = self.reflections(flat).reshape(*shape, -1)
+        samples = blocks[:, 1:, 0]
+        if self._tones is None:
+            x = samples / level
+            e, gain, states = analyse(x, reflections)
+            return _Heard(x, e, gain * level, states, None)
+        turned = self.motion[0] * self.physical(flat)[:, 0].reshape(shape)
+        coefficients = self.tones_at(flat).reshape(*shape, -1)
+        first = slice(0, self.window - 1)
+        travelled = np.cumsum(turned[:, first], axis=1)
+        phase = fitted_phase(
+            samples[:, first] / level[:, first], coefficients[:, first] / level[:, first, None], travelled
+        )
+        search = _Search(self, phase, n_guesses)
+        x, e = np.empty(shape), np.empty(shape)
+        for n in range(shape[1]):
+            x[:, n], e[:, n] = search.step(samples[:, n], before[:, n], level[:, n], reflections[:, n].T)
+        gain = np.sqrt(1 - reflections * reflections).prod(axis=2)
+        return _Heard(x, e, gain * level, search.best_states(), search.best())
 
     def innovations(self, blocks: Array) -> tuple[Array, Array, Array]:
         """Return x, the lattice's innovations, and what a unit of them is worth in scaled acceleration, each (s, n).
@@ -282,9 +452,11 @@ class NumpyFotenPlus:
         Args:
             blocks: scaled, shape (s, n, 3); the first sample of each gives zeros, having nothing before it.
         """
-        n_at_once = max(1, _AT_ONCE // (blocks.shape[1] * self._schedule.order))
-        found = [self._analysed(blocks[i : i + n_at_once])[:3] for i in range(0, len(blocks), n_at_once)]
-        x, e, unit = (np.pad(np.concatenate(part), ((0, 0), (1, 0))) for part in zip(*found, strict=True))
+        heard = [self._analysed(part, N_GUESSES) for part in self._in_parts(blocks)]
+        x, e, unit = (
+            np.pad(np.concatenate([getattr(part, name) for part in heard]), ((0, 0), (1, 0)))
+            for name in ("x", "e", "unit")
+        )
         return x, e, unit
 
     def follow(self, blocks: Array, corrected: bool = True) -> Forecast:
@@ -297,14 +469,13 @@ class NumpyFotenPlus:
         Returns:
             Sample and scale, each (s, n − window), scaled.
         """
-        n_at_once = max(1, _AT_ONCE // (blocks.shape[1] * self._schedule.order))
-        starts = range(0, len(blocks), n_at_once)
-        parts = [self._follow(blocks[i : i + n_at_once], corrected) for i in starts]
+        parts = [self._follow(part, corrected) for part in self._in_parts(blocks)]
         sample, scale = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
         return Forecast(sample, scale)
 
     def _follow(self, blocks: Array, corrected: bool) -> tuple[Array, Array]:
-        x, e, unit, _ = self._analysed(blocks)
+        heard = self._analysed(blocks, N_GUESSES)
+        x, e, unit = heard.x, heard.e, heard.unit
         asked = np.arange(self.window - 1, x.shape[1])
         innovation = -e[:, asked]  # predicted minus recorded
         if corrected:
@@ -332,10 +503,18 @@ class NumpyFotenPlus:
         logs = self._logarithms("excitation", condition)
         return HEAVIEST_TAIL / (1 + np.exp(-self._w.linear("excitation.tail", _powers(logs))[:, 0]))
 
+    def physical(self, condition: Array) -> Array:
+        """Return speed [mm/s] and force [N], none negative: scaled (b, 2) → (b, 2)."""
+        return np.maximum(condition * self._w["level.sd"] + self._w["level.mean"], 0.0)
+
     def reflections(self, condition: Array) -> Array:
         """Return the lattice's reflections: speed and force (b, 2) scaled → (b, p)."""
-        physical = condition * self._w["level.sd"] + self._w["level.mean"]
-        return self._schedule.at(physical[:, 0], physical[:, 1])
+        return self._reflections.at(*self.physical(condition).T)
+
+    def tones_at(self, condition: Array) -> Array:
+        """Return the tones' coefficients: speed and force (b, 2) scaled → (b, 2 n_tones) scaled."""
+        assert self._tones is not None
+        return self._tones.at(*self.physical(condition).T)
 
     def correction(self, seen: Array) -> Array:
         """Return what the network adds, in units of the innovation: x, speed, force and e (b, m, 4) → (b,)."""

@@ -105,9 +105,9 @@ def fit_tail(
     """Give a fitted excitation the tails that its residuals have, where validation agrees.
 
     h(speed, force) and a factor on σ, a power law too, are fitted on the training blocks by the likelihood of z·exp(h z²/2),
-    and kept if the validation blocks are more likely with them. Of a Gaussian, a Student t, two Gaussians and this, which is one smooth
-    function of one Gaussian number, the last three were within 0.01 nat of each other on every texture (artificial grass 1.15, a
-    Gaussian 1.42; fabric 1.33 and 1.42).
+    and kept if the validation blocks are more likely with them. Of a Gaussian, a Student t, two Gaussians and this, which is
+    one smooth function of one Gaussian number, the last three were within 0.01 nat of each other on every texture (artificial
+    grass 1.15, a Gaussian 1.42; fabric 1.33 and 1.42).
 
     Args:
         excitation: changed in place.
@@ -216,15 +216,17 @@ def settle_level(
         rendered = loop.run(by_block[:, m:, 1:], noise)[:, settled - m :]
         error = (frame_levels(rendered, rate, reference) - level).ravel()
         errors.append(float(error.mean()))
-        # A frame's power is the mean of ℓ²σ²: it answers to a term of log σ by that term's mean under this weight. What
-        # rang before is levelled with the sample that it rings into, so nothing carries over.
+        # A frame's power is the mean of ℓ²σ² and the tones': it answers to a term of log σ by that term's mean under ℓ²σ².
+        # What rang before is levelled with the sample that it rings into, so nothing carries over.
         with torch.no_grad():
             weight = (network.level(condition) * network.excitation(condition)).double().square()
             terms = network.excitation.logarithms(condition).double()
+            power = weight + network.tone_power(condition)
         moved = (weight[:, None] * terms).numpy().reshape(len(picked), -1, terms.shape[1])
-        total = frame_means(weight.numpy().reshape(len(picked), -1), rate).reshape(-1, 1)
+        total = frame_means(power.numpy().reshape(len(picked), -1), rate).reshape(-1, 1)
+        constant = frame_means(weight.numpy().reshape(len(picked), -1), rate).reshape(-1, 1)
         by_term = np.stack([frame_means(part, rate).ravel() for part in np.moveaxis(moved, -1, 0)], axis=1)
-        answers = np.concatenate([np.ones_like(total), by_term / total], axis=1)
+        answers = np.concatenate([constant, by_term], axis=1) / total
         # Ridge: a recording at one condition has no slopes to adjust, one that varies (log-variance 0.5 and more) has.
         ridge = 0.05 * len(error) * np.diag([0.0, 1.0, 1.0, 1.0, 1.0, 1.0])
         step = -np.linalg.solve(answers.T @ answers + ridge, answers.T @ error) * math.log(10) / 20

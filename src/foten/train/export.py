@@ -38,7 +38,8 @@ class TorchPredictor:
     def scale(self, windows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return by how much a unit of excitation moves the next samples: windows (b, m, 3) scaled → (b,) scaled."""
         with torch.no_grad():
-            return self._network.forecast(torch.from_numpy(np.ascontiguousarray(windows)))[1].numpy()
+            heard = self._network.start(torch.from_numpy(np.ascontiguousarray(windows)))
+            return self._network.forecast(heard)[1].numpy()
 
     def _heavy(self, z: float, condition: NDArray[np.float64]) -> float:
         excitation = self._network.excitation
@@ -54,14 +55,21 @@ class TorchPredictor:
         noise: NDArray[np.float64],
     ) -> NDArray[np.float64]:
         """Return what follows a window (m, 3) under speed and force (n, 2), with excitation where there is one, shape (n,)."""
-        window, out = start[None].astype(np.float64), []
-        for n, row in enumerate(condition):
-            sample = self.predict(window)[0]
-            if self.excited:
-                sample = sample + self.scale(window)[0] * self._heavy(noise[n], window[0, -1, 1:])
-            out.append(sample)
-            window = np.concatenate([window[:, 1:], [[[sample, *row]]]], axis=1)
-        return np.array(out)
+        out = np.empty(len(condition))
+        window = start[None].astype(np.float64)
+        with torch.no_grad():
+            heard = self._network.start(torch.from_numpy(window)) if self.excited else None
+            before = window[0, -1, 1:]
+            for n, row in enumerate(condition):
+                if heard is None:
+                    out[n] = self.predict(window)[0]
+                    window = np.concatenate([window[:, 1:], [[[out[n], *row]]]], axis=1)
+                    continue
+                sample, scale = self._network.forecast(heard)
+                sample = sample + scale * self._heavy(noise[n], before)
+                heard = self._network.push(heard, sample, torch.from_numpy(row[None].astype(np.float64)))
+                out[n], before = float(sample[0]), row
+        return out
 
 
 def export(

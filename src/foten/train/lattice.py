@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.dsp.lattice import MAX_REFLECTION, Schedule, analyse, delayed, log_force, rotate_back
+from foten.dsp.lattice import MAX_REFLECTION, analyse, delayed, rotate_back
+from foten.dsp.plane import Plane, spanning
 
 Array = NDArray[np.float64]
 
@@ -38,7 +39,7 @@ class LatticeData:
     validation: tuple[int, ...]
 
 
-def fit_lattice(data: LatticeData, max_order: int) -> tuple[Schedule, list[dict[str, float]]]:
+def fit_lattice(data: LatticeData, max_order: int) -> tuple[Plane, list[dict[str, float]]]:
     """Return the lattice with the lowest absolute one-step error on the validation blocks, and what was tried.
 
     Tried: every order up to `max_order`, with one set of reflections for all speeds and forces and with a table of them.
@@ -47,33 +48,33 @@ def fit_lattice(data: LatticeData, max_order: int) -> tuple[Schedule, list[dict[
     """
     orders = [order for order in ORDERS if order < max_order] or [max_order]
     tried = []
-    best: tuple[float, Schedule] | None = None
+    best: tuple[float, Plane] | None = None
     for n_speed, n_force in ((1, 1), (N_SPEED, N_FORCE)):
-        schedule = _fit(data, orders[-1], n_speed, n_force)
+        table = fit_lattice_of(data, orders[-1], n_speed, n_force)
         for order in orders:
-            cut = Schedule(schedule.speed_knots, schedule.force_knots, schedule.reflections[:, :order])
+            cut = replace(table, values=table.values[:, :order])
             error = validation_error(cut, data, orders[-1])
-            tried.append({"order": order, "vertices": len(cut.reflections), "validation_mae_scaled": error})
+            tried.append({"order": order, "vertices": len(cut.values), "validation_mae_scaled": error})
             if best is None or error < best[0] * (1 - WORTH):
                 best = error, cut
     assert best is not None
     return best[1], tried
 
 
-def validation_error(schedule: Schedule, data: LatticeData, first: int) -> float:
+def validation_error(reflections: Plane, data: LatticeData, first: int) -> float:
     """Return the mean absolute one-step error on the validation blocks [scaled], the first samples of each left out."""
     chosen = list(data.validation)
-    e, gain, _ = analyse(data.x[chosen], _reflections(schedule, data, chosen))
+    e, gain, _ = analyse(data.x[chosen], _at(reflections, data, chosen))
     missed = np.abs(e * gain * data.unit[chosen])
     return float(missed[:, min(first, missed.shape[1] // 2) :].mean())
 
 
-def _reflections(schedule: Schedule, data: LatticeData, blocks: list[int]) -> Array:
+def _at(reflections: Plane, data: LatticeData, blocks: list[int]) -> Array:
     speed, force = data.speed[blocks], data.force[blocks]
-    return schedule.at(speed.ravel(), force.ravel()).reshape(*speed.shape, schedule.order)
+    return reflections.at(speed.ravel(), force.ravel()).reshape(*speed.shape, -1)
 
 
-def _fit(data: LatticeData, order: int, n_speed: int, n_force: int) -> Schedule:
+def fit_lattice_of(data: LatticeData, order: int, n_speed: int, n_force: int) -> Plane:
     """Return the reflections that make forward and backward errors of each section least, over the training blocks.
 
     Section i minimises Σ (f_{i−1} + k b)² + (b + k f_{i−1})² over k at the vertices: Burg's method, a least-squares
@@ -86,18 +87,11 @@ def _fit(data: LatticeData, order: int, n_speed: int, n_force: int) -> Schedule:
     """
     chosen = list(data.train)
     speed, force = data.speed[chosen], data.force[chosen]
-    knots = np.linspace(speed.min(), speed.max(), n_speed) if n_speed > 1 else np.zeros(1)
-    logs = log_force(force)
-    # The outermost hundredths of force are too rare for a vertex of their own.
-    rare, common = np.quantile(logs, [0.01, 0.99])
-    force_knots = np.linspace(rare, common, n_force) if n_force > 1 else np.zeros(1)
-    if n_speed > 1 and (np.ptp(knots) <= 0 or np.ptp(force_knots) <= 0):
-        return _fit(data, order, 1, 1)
-    plane = Schedule(knots, force_knots, np.zeros((n_speed * n_force, 0)))
+    plane = spanning(speed, force, n_speed, n_force)
     weights = plane.weights(speed.ravel(), force.ravel()).reshape(*speed.shape, -1)
-    parts = _covariances(n_speed, n_force)
+    parts = _covariances(len(plane.speed_knots), len(plane.force_knots))
     f = b = data.x[chosen]
-    reflections = np.zeros((n_speed * n_force, order))
+    reflections = np.zeros((weights.shape[2], order))
     for i in range(order):
         b = delayed(b)
         heard = slice(i + 1, None)  # before that a section still fills
@@ -111,7 +105,7 @@ def _fit(data: LatticeData, order: int, n_speed: int, n_force: int) -> Schedule:
         found = everywhere + _shrunk(gram / noise, (moment - gram.sum(axis=1) * everywhere) / noise, parts)
         reflections[:, i] = np.clip(found, -MAX_REFLECTION, MAX_REFLECTION)
         f, b, _ = rotate_back(f, b, weights @ reflections[:, i])
-    return Schedule(knots, force_knots, reflections)
+    return replace(plane, values=reflections)
 
 
 def _covariances(n_speed: int, n_force: int) -> list[NDArray[Any]]:

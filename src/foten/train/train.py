@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,21 +16,20 @@ import foten
 from foten.architecture import FotenArchitecture, FotenPlusArchitecture
 from foten.dsp.level import FRAME_MS
 from foten.models import build
-from foten.models.foten_plus import Excitation, FotenPlus
+from foten.models.foten_plus import FotenPlus
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
 from foten.recording.scaling import Scaling, fit_scaling
 from foten.recording.split import Split, split_blocks
 from foten.recording.trace import Trace
 from foten.recording.windows import targets, windows
-from foten.render.engine import NumpyFotenPlus
 from foten.render.synthesizer import FADE_FORCE, FADE_SPEED
 from foten.texture_file import Texture
 from foten.train.config import TrainConfig
 from foten.train.excitation import fit_excitation, fit_tail, settle_level
 from foten.train.export import export
 from foten.train.fit import Data, Epoch, Progress, fit, pick_device, predict, reproducible
-from foten.train.lattice import LatticeData, fit_lattice
+from foten.train.linear_part import engine_of, fit_linear_part, scale_at
 
 WARM_START = (45.0, 0.8)  # mm/s, N: mean of early contacts; Sec. V-a
 
@@ -86,10 +85,11 @@ def train_texture(
     data = Data(samples, targets(split.train, trace.block, m), targets(split.validation, trace.block, m), m)
     with reproducible():
         torch.manual_seed(config.seed)
-        likelihood = level_errors = tried = tail_gain = None
+        likelihood = level_errors = linear = tail_gain = None
         if isinstance(architecture, FotenPlusArchitecture):
-            on_stage("fitting level and lattice")
-            network, tried = _begin(architecture, data, trace, split, scaling, config.seed)
+            network, linear = fit_linear_part(
+                architecture, data, trace, split, scaling, config.seed, on_stage
+            )
             architecture = network.architecture
             data = _innovations(network, data, trace, split)
             trained = network.network.to(pick_device())
@@ -109,7 +109,7 @@ def train_texture(
             assert data.unit is not None
             residual = data.target[both] - predict(trained, data, both)
             fit_excitation(network.excitation, data, scaling, residual, config.seed)
-            sigma_before = _scale_at(network.excitation, samples)[both]
+            sigma_before = scale_at(network.excitation, samples)[both]
             tail_gain = fit_tail(network.excitation, data, residual, sigma_before)
             network.cpu()  # the closed loop is rendered by the engine, which knows no GPU
             on_stage("settling the level in the closed loop")
@@ -119,7 +119,7 @@ def train_texture(
             # Where rendering does not fade, as the judge counts it.
             n = data.validation
             heard = (trace.speed[n] >= FADE_SPEED) & (trace.force[n] >= FADE_FORCE)
-            sigma = (_scale_at(network.excitation, samples) * data.unit)[n]
+            sigma = (scale_at(network.excitation, samples) * data.unit)[n]
             missed = residual[len(data.train) :] * data.unit[n] / sigma
             nats = np.log(sigma) + missed**2 / 2 + 0.5 * math.log(2 * math.pi)
             likelihood = float(nats[heard].mean()) if heard.any() else None
@@ -153,7 +153,7 @@ def train_texture(
                 "validation_loss": best.validation_loss,
                 "validation_mae_scaled": best.validation_mae,
                 "validation_mae_scaled_shortcut": shortcut_mae,
-                "lattices": tried,
+                "linear_part": linear,
                 "validation_nll": likelihood,
                 "tail_gain_nat": tail_gain,
                 "level_errors_db": level_errors,
@@ -167,43 +167,6 @@ def train_texture(
         some = windows(samples, ends[:: max(1, len(ends) // 4096)], architecture.history)
         texture = export(network, key, architecture, scaling, some, warm_start, card)
     return Trained(texture, trace, split, progress, shortcut_mae)
-
-
-def _begin(
-    architecture: FotenPlusArchitecture, data: Data, trace: Trace, split: Split, scaling: Scaling, seed: int
-) -> tuple[FotenPlus, list[dict[str, float]]]:
-    """Return foten-plus with its level and its lattice fitted, and the lattices that were tried."""
-    level = Excitation(architecture.excitation_width).requires_grad_(False)
-    both = np.concatenate([data.train, data.validation])
-    fit_excitation(level, data, scaling, data.samples[both, 0], seed)
-
-    def by_block(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return values.reshape(trace.n_blocks, trace.block)
-
-    scale = _scale_at(level, data.samples)
-    speed, force = (np.concatenate([channel[:1], channel[:-1]]) for channel in (trace.speed, trace.force))
-    schedule, tried = fit_lattice(
-        LatticeData(
-            by_block(data.samples[:, 0] / scale),
-            by_block(scale),
-            by_block(speed),
-            by_block(force),
-            split.train,
-            split.validation,
-        ),
-        trace.block // 8,
-    )
-    found = replace(
-        architecture,
-        order=schedule.order,
-        n_speed=len(schedule.speed_knots),
-        n_force=len(schedule.force_knots),
-    )
-    network = FotenPlus(found)
-    network.level.load_state_dict(level.state_dict())
-    for name in ("speed_knots", "force_knots", "reflections"):
-        getattr(network, name).copy_(torch.from_numpy(getattr(schedule, name).copy()))
-    return network, tried
 
 
 def _innovations(network: FotenPlus, data: Data, trace: Trace, split: Split) -> Data:
@@ -236,17 +199,3 @@ def pick_warm_start(
         "found": {"speed": float(trace.speed[end - 1]), "force": float(trace.force[end - 1])},
     }
     return window, condition
-
-
-def engine_of(network: FotenPlus) -> NumpyFotenPlus:
-    """Return what renders a network that is not in a file yet."""
-    return NumpyFotenPlus(
-        network.architecture, {name: t.cpu().numpy() for name, t in network.state_dict().items()}
-    )
-
-
-def _scale_at(excitation: Excitation, samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the scale that goes with each sample to predict, shape (n,): speed and force are those of the sample before."""
-    condition = np.concatenate([samples[:1, 1:], samples[:-1, 1:]])
-    with torch.no_grad():
-        return excitation(torch.from_numpy(condition).to(excitation.out.weight)).cpu().double().numpy()

@@ -1,0 +1,184 @@
+"""The tones of a periodic surface: is there a wavelength, where on it was the hand, and how loud is each multiple."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.dsp.lattice import polynomial
+from foten.dsp.plane import Plane, spanning
+from foten.dsp.tones import tone
+from foten.train.lattice import LatticeData, fit_lattice_of
+
+Array = NDArray[np.float64]
+
+LONGEST_MM, SHORTEST_MM = 10.0, 0.2
+STANDS_OUT = 3.0  # times its surroundings, for a wavelength to be tried; irregular cloth has 4, surfaces without one 1.3
+MAX_TONES = 6
+N_SPEED, N_FORCE = 32, 2  # vertices: the tool turns a tone's phase by π within 30 mm/s
+ROUNDS = 8
+ROUGHNESS = 0.005  # how much neighbouring vertices are held together, as a share of what one vertex knows
+SMOOTHING = 0.6  # wavelengths over which a phase is taken to stray evenly
+TRUST = 3.0  # of the path, against what the samples of such a stretch say [1/rad²]
+WHITENING = 20  # order
+
+
+def wavelength(data: LatticeData, rate_hz: float) -> float | None:
+    """Return the length that a surface repeats itself after [mm], or None where none stands out.
+
+    The vibration over its level is cut into stretches of some millimetres, and each one's power is taken at spatial frequencies,
+    with the path for time: mean over stretches, against the median of its surroundings.
+    """
+    path = np.cumsum(data.speed, axis=1) / rate_hz
+    blocks = list(data.train)
+    for span in (15.0, 5.0):
+        stretches = [
+            (path[b, first:last] - path[b, first], data.x[b, first:last])
+            for b in blocks
+            for first, last in _stretches(path[b], span)
+        ]
+        if len(stretches) >= 20:
+            break
+    else:
+        return None
+    if len(stretches) > 200:
+        stretches = [stretches[i] for i in np.linspace(0, len(stretches) - 1, 200).astype(int)]
+    cycles = np.arange(1 / LONGEST_MM, 1 / SHORTEST_MM, 0.25 / span)
+    power = np.zeros(len(cycles))
+    for travelled, x in stretches:
+        windowed = x * np.sin(np.pi * travelled / span) ** 2
+        total = float(np.square(windowed).sum())
+        if total > 0:
+            power += np.abs(np.exp(-2j * np.pi * cycles[:, None] * travelled) @ windowed) ** 2 / total
+    around = np.array([np.median(power[max(0, i - 20) : i + 21]) for i in range(len(cycles))])
+    ratio = power / around
+    peak = int(np.argmax(ratio))
+    if ratio[peak] < STANDS_OUT:
+        return None
+    # The tool may make a multiple louder than the fundamental.
+    half = int(np.argmin(np.abs(cycles - cycles[peak] / 2)))
+    near = slice(max(0, half - 2), half + 3)
+    if cycles[peak] / 2 >= cycles[0] and ratio[near].max() >= STANDS_OUT:
+        peak = near.start + int(np.argmax(ratio[near]))
+    return float(1 / cycles[peak])
+
+
+def _stretches(path: Array, span: float) -> list[tuple[int, int]]:
+    """Return first and last sample of half-overlapping stretches of a path [mm], without those of fewer than 30 samples."""
+    found: list[tuple[int, int]] = []
+    first = 0
+    while True:
+        last = int(np.searchsorted(path, path[first] + span))
+        if last >= len(path):
+            return found
+        if last - first > 30:
+            found.append((first, last))
+        first = int(np.searchsorted(path, path[first] + span / 2))
+
+
+def n_tones(wavelength_mm: float, speed: Array, rate_hz: float) -> int:
+    """Return how many multiples the rate holds at the median speed [mm/s], at least one."""
+    fundamental_hz = float(np.median(speed)) / wavelength_mm
+    return int(np.clip(0.45 * rate_hz / max(fundamental_hz, 1e-9), 1, MAX_TONES))
+
+
+def fit_tones(data: LatticeData, wavelength_mm: float, rate_hz: float) -> tuple[Plane, Array]:
+    """Return the tones' coefficients over speed and force [scaled], and the phase at every sample, shape (n_blocks, block).
+
+    In turn, least squares for the coefficients given the phases, and a step of Gauss and Newton for the phases given the
+    coefficients, which may stray from the path by an even amount over about a wavelength. Errors are whitened: the tool's
+    resonance would else drown the high multiples, which know the phase best.
+    """
+    n = n_tones(wavelength_mm, data.speed[list(data.train)], rate_hz)
+    path = np.cumsum(data.speed, axis=1) / rate_hz
+    phase = _demodulated(data.x, path, wavelength_mm)
+    chosen = list(data.train)
+    table = spanning(data.speed[chosen], data.force[chosen], N_SPEED, N_FORCE)
+    table = replace(table, values=np.zeros((len(table.values), 2 * n)))
+    whitener = np.ones(1)
+    for _ in range(ROUNDS):
+        table = _fitted(data, table, phase, whitener)
+        value, slope = played(data, table, phase)
+        x = data.x - value / data.unit
+        whitener = polynomial(fit_lattice_of(replace(data, x=x), WHITENING, 1, 1).values[0])
+        missed, turned = _filtered(whitener, x), _filtered(whitener, slope / data.unit)
+        noise = float(np.square(missed[chosen]).mean())
+        step = _along(path, turned * missed / noise, turned * turned / noise, wavelength_mm)
+        phase = phase + np.clip(step, -0.4, 0.4)
+    return _fitted(data, table, phase, whitener), phase
+
+
+def _demodulated(x: Array, path: Array, wavelength_mm: float) -> Array:
+    """Return the phase of the fundamental at every sample: the path's, and what is left once it is taken out, smoothed."""
+    turned = 2 * np.pi * path / wavelength_mm
+    carried = x * np.exp(-1j * turned)
+    moved = np.diff(path, axis=1, prepend=0.0)
+    smooth = [_smoothed(path, moved * part, wavelength_mm, 1.0) for part in (carried.real, carried.imag)]
+    return turned + np.unwrap(np.angle(smooth[0] + 1j * smooth[1]), axis=1)
+
+
+def _along(path: Array, score: Array, information: Array, wavelength_mm: float) -> Array:
+    """Return the even stray of the phase that explains errors best, at every sample."""
+    known = _smoothed(path, information, wavelength_mm, SMOOTHING)
+    return _smoothed(path, score, wavelength_mm, SMOOTHING) / (known + TRUST)
+
+
+def _smoothed(path: Array, values: Array, wavelength_mm: float, width: float) -> Array:
+    """Return sums under a Gaussian of `width` wavelengths of path around every sample, each block by itself."""
+    step = wavelength_mm / 8
+    reach = int(4 * width * 8)
+    bell = np.exp(-0.5 * (np.arange(-reach, reach + 1) / (width * 8)) ** 2)
+    out = np.empty_like(values)
+    for block, (place, row) in enumerate(zip(path, values, strict=True)):
+        n = int(place[-1] / step) + 2
+        binned = np.bincount(np.clip((place / step).astype(int), 0, n - 1), weights=row, minlength=n)
+        out[block] = np.interp(place, np.arange(n) * step, np.convolve(binned, bell)[reach : reach + n])
+    return out
+
+
+def played(data: LatticeData, table: Plane, phase: Array) -> tuple[Array, Array]:
+    """Return T and ∂T/∂φ at every sample, scaled, shape (n_blocks, block)."""
+    coefficients = table.at(data.speed.ravel(), data.force.ravel()).reshape(*phase.shape, -1)
+    return tone(coefficients, phase)
+
+
+def _filtered(whitener: Array, x: Array) -> Array:
+    from scipy import signal
+
+    return np.asarray(signal.lfilter(whitener, [1.0], x, axis=-1))
+
+
+def _fitted(data: LatticeData, table: Plane, phase: Array, whitener: Array) -> Plane:
+    """Return the coefficients that leave the least whitened error over level, neighbours held together."""
+    n_vertices, n_columns = table.values.shape
+    gram, moment = np.zeros((n_vertices * n_columns,) * 2), np.zeros(n_vertices * n_columns)
+    multiples = np.arange(1, n_columns // 2 + 1)
+    for block in data.train:
+        angle = phase[block][:, None] * multiples
+        waves = np.stack([np.cos(angle), np.sin(angle)], axis=2).reshape(len(angle), -1)
+        waves = waves / data.unit[block][:, None]
+        weights = table.weights(data.speed[block], data.force[block])
+        near = np.flatnonzero(weights.any(axis=0))  # a block does not come by every vertex
+        design = (weights[:, near, None] * waves[:, None, :]).reshape(len(waves), -1)
+        design = _filtered(whitener, design.T)[:, whitener.size :]
+        target = _filtered(whitener, data.x[block])[whitener.size :]
+        columns = (near[:, None] * n_columns + np.arange(n_columns)).ravel()
+        gram[np.ix_(columns, columns)] += design @ design.T
+        moment[columns] += design @ target
+    # What a vertex knows of each wave, on the mean, is the unit of what holds it to its neighbours.
+    known = np.diag(gram).reshape(n_vertices, n_columns).mean(axis=0)
+    bonds = ROUGHNESS * _differences(len(table.speed_knots), len(table.force_knots))
+    gram += np.kron(bonds + 1e-5 * np.eye(n_vertices), np.diag(known))
+    return replace(table, values=np.linalg.solve(gram, moment).reshape(n_vertices, n_columns))
+
+
+def _differences(n_speed: int, n_force: int) -> Array:
+    """Return the quadratic form of the differences between neighbouring vertices, shape (n_speed · n_force,) twice."""
+
+    def chain(n: int) -> Array:
+        steps = np.diff(np.eye(n), axis=0)
+        return np.asarray(steps.T @ steps)
+
+    return np.asarray(np.kron(chain(n_speed), np.eye(n_force)) + np.kron(np.eye(n_speed), chain(n_force)))

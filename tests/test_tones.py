@@ -1,0 +1,154 @@
+"""Tones of the path: found, followed, lost and found again, and forgotten by a rendering."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from conftest import SCALING, SMALL, exported
+from foten.architecture import FotenPlusArchitecture
+from foten.dsp.tones import LARGEST_STEP, corrected, fitted_phase, tone
+from foten.render.closed_loop import ClosedLoop
+from foten.render.engine import engine_for
+from foten.train.lattice import LatticeData
+from foten.train.tones import fit_tones, n_tones, wavelength
+
+RATE = 1000.0
+LENGTH = 1.7  # mm
+WITH_TONES = FotenPlusArchitecture(
+    **{**SMALL, "n_layers": 1, "order": 4, "n_tones": 3, "n_tone_speed": 4, "n_tone_force": 2}
+)
+
+
+def stroke(n_blocks: int, block: int = 1500) -> tuple[np.ndarray, np.ndarray]:
+    """Return speeds [mm/s] between 30 and 170 and forces [N], each (n_blocks, block)."""
+    t = np.arange(n_blocks * block) / RATE
+    speed = 100 + 70 * np.sin(2 * np.pi * 0.9 * t)
+    force = 1 + 0.6 * np.sin(2 * np.pi * 0.37 * t)
+    return speed.reshape(n_blocks, block), force.reshape(n_blocks, block)
+
+
+def periodic(n_blocks: int, noise: float, jitter: float, seed: int = 0) -> tuple[LatticeData, np.ndarray]:
+    """Return a surface of three multiples that strays by `jitter` [rad²/mm], under coloured noise, and its true tones."""
+    rng = np.random.default_rng(seed)
+    speed, force = stroke(n_blocks)
+    moved = speed / RATE
+    strayed = np.cumsum(np.sqrt(jitter * moved) * rng.standard_normal(moved.shape), axis=1)
+    phase = 2 * np.pi * np.cumsum(moved, axis=1) / LENGTH + strayed + rng.uniform(0, 6, (n_blocks, 1))
+    loudness = np.sqrt(speed / 100)
+    played = loudness * (np.cos(phase) + 0.5 * np.sin(2 * phase) + 0.3 * np.cos(3 * phase + 1))
+    x = played + noise * lfilter([1.0], [1, -0.7], rng.standard_normal(speed.shape)) * np.sqrt(1 - 0.49)
+    blocks = range(n_blocks)
+    data = LatticeData(x, np.ones_like(x), speed, force, tuple(blocks[:-3]), tuple(blocks[-3:]))
+    return data, played
+
+
+def test_a_tone_and_its_derivative() -> None:
+    rng = np.random.default_rng(0)
+    coefficients, phase = rng.standard_normal((5, 6)), rng.uniform(0, 7, 5)
+    value, slope = tone(coefficients, phase)
+    expected = sum(
+        coefficients[:, 2 * h - 2] * np.cos(h * phase) + coefficients[:, 2 * h - 1] * np.sin(h * phase)
+        for h in (1, 2, 3)
+    )
+    np.testing.assert_allclose(value, expected, rtol=1e-12)
+    step = (tone(coefficients, phase + 1e-6)[0] - tone(coefficients, phase - 1e-6)[0]) / 2e-6
+    np.testing.assert_allclose(slope, step, rtol=1e-6, atol=1e-8)
+
+
+def test_an_innovation_moves_the_phase_by_the_kalman_gain() -> None:
+    phase, variance = corrected(np.array([1.0]), np.array([0.2]), np.array([0.5]), np.array([2.0]))
+    gain = 0.2 * 2 / (4 * 0.2 + 1)
+    assert phase[0] == pytest.approx(1 + gain * 0.5)
+    assert variance[0] == pytest.approx((1 - gain * 2) * 0.2)
+    thrown, _ = corrected(np.zeros(1), np.full(1, 3.0), np.full(1, 1e6), np.full(1, 0.3))
+    assert abs(thrown[0]) <= LARGEST_STEP
+
+
+def test_a_phase_is_fitted_to_a_window() -> None:
+    coefficients = np.broadcast_to([1.0, 0.0, 0.3, 0.4], (4, 60, 4))
+    travelled = np.broadcast_to(0.3 * np.arange(60), (4, 60))
+    true = np.array([0.1, 1.7, 3.3, 6.0])
+    samples, _ = tone(coefficients, travelled + true[:, None])
+    away = fitted_phase(samples, coefficients, travelled) - true
+    # Sixteen candidates: half of their distance at most, and a little for the multiples.
+    assert np.abs((away + np.pi) % (2 * np.pi) - np.pi).max() < 0.25
+
+
+def test_a_wavelength_is_found_and_none_in_noise() -> None:
+    data, _ = periodic(12, 0.8, 3e-3)
+    assert wavelength(data, RATE) == pytest.approx(LENGTH, rel=0.03)
+    rng = np.random.default_rng(1)
+    speed, force = stroke(12)
+    noise = LatticeData(
+        rng.standard_normal(speed.shape), np.ones_like(speed), speed, force, tuple(range(9)), (9, 10, 11)
+    )
+    assert wavelength(noise, RATE) is None
+
+
+def test_the_multiples_stay_below_the_rate() -> None:
+    assert n_tones(1.0, np.full(9, 100.0), 1000.0) == 4  # 100 Hz; 450 Hz is heard
+    assert n_tones(0.1, np.full(9, 100.0), 1000.0) == 1
+    assert n_tones(10.0, np.full(9, 100.0), 1000.0) == 6
+
+
+def test_tones_are_recovered_under_noise_and_stray() -> None:
+    data, played = periodic(15, 0.5, 3e-3)
+    table, phase = fit_tones(data, LENGTH, RATE)
+    coefficients = table.at(data.speed.ravel(), data.force.ravel()).reshape(*phase.shape, -1)
+    found = tone(coefficients, phase)[0]
+    held = list(data.validation)  # its phases are fitted, its amplitudes are not
+    missed = np.square(found - played)[held, 100:-100].mean() / np.square(played)[held, 100:-100].mean()
+    # Noise of a third of the tones' power, and a phase known from about a wavelength: 17 periods of 3 multiples a second.
+    assert missed < 0.1
+
+
+def test_a_rendering_with_tones_is_proved_and_its_first_sample_is_the_prediction() -> None:
+    texture = exported("foten-plus", WITH_TONES)
+    engine: Any = engine_for(texture)
+    windows = np.random.default_rng(0).standard_normal((3, texture.window, 3))
+    first = ClosedLoop(engine.start(windows)).step(np.zeros((3, 2)), None)
+    np.testing.assert_array_equal(first, engine.predict(windows))
+
+
+def test_a_rendering_forgets_the_window_that_it_started_from() -> None:
+    """Other phases of the surface, ±50 standard deviations: under the same noise they meet within four seconds."""
+    texture = exported("foten-plus", WITH_TONES)
+    engine: Any = engine_for(texture)
+    rng = np.random.default_rng(1)
+    windows = rng.standard_normal((3, texture.window, 3))
+    windows[1, :, 0] *= 50
+    windows[2, :, 0] = 50 * (-1.0) ** np.arange(texture.window)
+    n = 5000
+    speed = 90 + 60 * np.sin(np.arange(n) / 300)
+    physical = np.stack([speed, np.full(n, 1.0)], axis=1)
+    condition = (physical - SCALING.mean[1:]) / np.array(SCALING.sd[1:])
+    noise = np.tile(rng.standard_normal(n), (3, 1))
+    out = ClosedLoop(engine.start(windows)).run(np.tile(condition, (3, 1, 1)), noise)
+    apart = np.abs(out - out[0]).max(axis=0)
+    assert apart[:20].max() > 0.1
+    # The phase closes in by e in half a second: e^-8 of half a turn, through three multiples of it.
+    assert apart[4000:].max() < 0.02 * out[0].std()
+
+
+@pytest.mark.parametrize("tones", [False, True])
+def test_nothing_makes_it_grow(tones: bool) -> None:
+    """Windows of ±50 standard deviations, speed and force switched at every sample, noise at its bound."""
+    sizes = {**SMALL, "n_layers": 1, "order": 6, "n_speed": 3, "n_force": 2}
+    texture = exported("foten-plus", WITH_TONES if tones else FotenPlusArchitecture(**sizes))
+    engine: Any = engine_for(texture)
+    rng = np.random.default_rng(2)
+    streams, n = 16, 3000
+    windows = 50 * rng.standard_normal((streams, texture.window, 3)).clip(-1, 1)
+    loop = ClosedLoop(engine.start(windows))
+    condition = np.array([[0.0, 0.0], [350.0, 4.0]])[rng.integers(0, 2, (streams, n))]
+    condition = (condition - SCALING.mean[1:]) / np.array(SCALING.sd[1:])
+    noise = 5.68 * rng.choice([-1.0, 1.0], (streams, n))
+    out = loop.run(condition, noise)
+    assert np.isfinite(out).all()
+    energy = np.square(loop.state.states).sum(axis=0)
+    driven = 3.0 + 5.68 * float(engine.sigma(condition.reshape(-1, 2)).max())
+    assert (energy <= driven**2 / (1 - 0.9999**2)).all()
