@@ -68,21 +68,23 @@ def runs() -> Iterator[Run]:
             yield from (Run(texture, model, 1000.0, seed) for texture in LINEAR_FAMILY)
 
 
+def recording_of(
+    texture: str, rate_hz: float, seed: int, recordings: Path
+) -> tuple[Recording, PreprocessConfig]:
+    """Return a real recording or a simulated one of 64 s, and how it is preprocessed."""
+    if texture not in REAL:
+        return simulate(texture, 64.0, seed=seed), PreprocessConfig()
+    with np.load(recordings / f"{texture}.npz", allow_pickle=False) as columns:
+        channels = {
+            name: Channel(np.asarray(columns[column], dtype=float), 10_000.0)
+            for name, column in (("acceleration", "accel"), ("speed", "speed"), ("force", "force"))
+        }
+    return Recording(channels, texture=texture), PreprocessConfig(rate_hz=rate_hz, trim_ms=0, block_ms=200)
+
+
 def execute(run: Run, recordings: Path, keep: Path | None) -> dict[str, Any]:
     """Return the judge's document of one run, with its wall time."""
-    if run.texture in REAL:
-        with np.load(recordings / f"{run.texture}.npz", allow_pickle=False) as columns:
-            recording = Recording(
-                {
-                    name: Channel(np.asarray(columns[column], dtype=float), 10_000.0)
-                    for name, column in (("acceleration", "accel"), ("speed", "speed"), ("force", "force"))
-                },
-                texture=run.texture,
-            )
-        preprocess = PreprocessConfig(rate_hz=run.rate_hz, trim_ms=0, block_ms=200)
-    else:
-        recording = simulate(run.texture, 64.0, seed=run.split_seed)
-        preprocess = PreprocessConfig()
+    recording, preprocess = recording_of(run.texture, run.rate_hz, run.split_seed, recordings)
     config = dataclasses.replace(RECIPES["default"], threads=1, seed=run.split_seed)
     started = time.perf_counter()
     trained = train_texture(

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from foten.dsp import lattice
 from foten.dsp.lattice import LEAK, analyse, check_reflections, forecast, push
 from foten.dsp.plane import FORCE_FLOOR, Plane
-from foten.train.lattice import LatticeData, fit_lattice, validation_error
+from foten.train.lattice import LatticeData, fit_lattice, fit_lattice_of, validation_error
 
 
 def polynomial(reflections: np.ndarray) -> np.ndarray:
@@ -169,3 +169,19 @@ def test_a_growing_signal_gives_a_lattice_that_is_stable() -> None:
     data = LatticeData(x, np.ones_like(x), 0 * x, 0 * x, (0, 1, 2, 3), (4, 5))
     schedule, _ = fit_lattice(data, 20)
     assert np.abs(schedule.values).max() <= lattice.MAX_REFLECTION
+
+
+def test_reflections_of_chance_are_not_kept() -> None:
+    """Half a second of an AR(2) in five blocks: 80 sections beyond it are noise, and predict worse unless they are shrunk."""
+    rng = np.random.default_rng(5)
+    x = lfilter([0.3], [1, -1.5, 0.8], rng.standard_normal((25, 1000)))
+    x /= x.std()
+    still = np.full_like(x, 1.0)
+    data = LatticeData(x, still, still, still, tuple(range(5)), tuple(range(5, 25)))
+    long = fit_lattice_of(data, 80, 1, 1)
+    assert np.abs(long.values[0, 12:]).mean() < 0.5 * np.sqrt(
+        2 / np.pi / 5000
+    )  # what 5000 samples leave unshrunk
+    short = fit_lattice_of(data, 2, 1, 1)
+    # Unshrunk, 78 needless coefficients on 5000 samples cost 78/5000/2 = 0.8 %.
+    assert validation_error(long, data, 100) < 1.004 * validation_error(short, data, 100)

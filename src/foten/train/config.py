@@ -25,6 +25,10 @@ class TrainConfig:
     dropout: float = 0.0  # share of hidden values; 0.2 in Sec. IV-e
     loss: str = "huber"
     delta: float = 1.6  # Huber threshold, scaled; Sec. VI-b
+    max_order: int = 240  # samples that the lattice remembers at most; foten-plus alone, as the next three
+    table: bool = True  # try reflections that follow speed and force
+    tones: bool = True  # try tones of the path
+    tails: bool = True  # try an excitation with heavy tails
     seed: int = 0  # of the initial weights, the order of windows and dropout
     threads: int = 2  # each takes a share of every batch; part of what makes a file reproducible
 
@@ -33,7 +37,7 @@ class TrainConfig:
             raise ValueError(f"loss is {self.loss!r}, expected one of {', '.join(LOSSES)}")
         if self.schedule not in ("one_cycle", "constant"):
             raise ValueError(f"schedule is {self.schedule!r}, expected 'one_cycle' or 'constant'")
-        for name in ("batch", "patience", "threads"):
+        for name in ("batch", "patience", "threads", "max_order"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected 1 or more")
         if self.epochs < 0:

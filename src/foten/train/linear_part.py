@@ -17,6 +17,7 @@ from foten.recording.scaling import Scaling
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.render.engine import NumpyFotenPlus
+from foten.train.config import TrainConfig
 from foten.train.excitation import fit_excitation
 from foten.train.fit import Data
 from foten.train.lattice import LatticeData, fit_lattice, fit_lattice_of
@@ -50,7 +51,7 @@ def fit_linear_part(
     trace: Trace,
     split: Split,
     scaling: Scaling,
-    seed: int,
+    config: TrainConfig,
     on_stage: Callable[[str], None] = lambda stage: None,
 ) -> tuple[FotenPlus, dict[str, Any]]:
     """Return foten-plus with all but its network and excitation, and what was tried on the way.
@@ -58,14 +59,14 @@ def fit_linear_part(
     Tones are tried where a wavelength stands out, and kept where they lower the validation error.
     """
     on_stage("fitting level and lattice")
-    max_order = trace.block // 8
+    max_order = max(1, min(trace.block // 8, config.max_order))
     acceleration = data.samples[:, 0]
 
     def levelled(signal: Array) -> tuple[Excitation, LatticeData]:
         """Return the level of a signal, shape (n,), and what a lattice of it is fitted to."""
         level = Excitation(architecture.excitation_width).requires_grad_(False)
         both = np.concatenate([data.train, data.validation])
-        fit_excitation(level, data, scaling, signal[both], seed)
+        fit_excitation(level, data, scaling, signal[both], config.seed)
         scale = scale_at(level, data.samples)
         speed, force = (np.concatenate([channel[:1], channel[:-1]]) for channel in (trace.speed, trace.force))
         x, unit, speed, force = (
@@ -81,10 +82,10 @@ def fit_linear_part(
         return float(missed[:, first - network.architecture.history :].mean())
 
     level, given = levelled(acceleration)
-    reflections, tried = fit_lattice(given, max_order)
+    reflections, tried = fit_lattice(given, max_order, config.table)
     plain = assembled(architecture, level, reflections, None, trace.rate_hz)
     found: dict[str, Any] = {"lattices": tried, "validation_mae_scaled": error(plain), "wavelength_mm": None}
-    length = wavelength(given, trace.rate_hz)
+    length = wavelength(given, trace.rate_hz) if config.tones else None
     if length is None:
         return plain, found
     on_stage(f"the surface seems to repeat every {length:.3g} mm: fitting its tones")
@@ -102,7 +103,7 @@ def fit_linear_part(
     network = assembled(architecture, level, reflections, tones, trace.rate_hz)
     x, _, _ = engine_of(network).innovations(data.samples.reshape(trace.n_blocks, trace.block, 3))
     level, without = levelled(x.ravel() * scale_at(level, data.samples))
-    reflections, tried = fit_lattice(without, max_order)
+    reflections, tried = fit_lattice(without, max_order, config.table)
     network = assembled(architecture, level, reflections, tones, trace.rate_hz)
     found |= {
         "tones_validation_mae_scaled": error(network),

@@ -87,9 +87,7 @@ def train_texture(
         torch.manual_seed(config.seed)
         likelihood = level_errors = linear = tail_gain = None
         if isinstance(architecture, FotenPlusArchitecture):
-            network, linear = fit_linear_part(
-                architecture, data, trace, split, scaling, config.seed, on_stage
-            )
+            network, linear = fit_linear_part(architecture, data, trace, split, scaling, config, on_stage)
             architecture = network.architecture
             data = _innovations(network, data, trace, split)
             trained = network.network.to(pick_device())
@@ -110,7 +108,7 @@ def train_texture(
             residual = data.target[both] - predict(trained, data, both)
             fit_excitation(network.excitation, data, scaling, residual, config.seed)
             sigma_before = scale_at(network.excitation, samples)[both]
-            tail_gain = fit_tail(network.excitation, data, residual, sigma_before)
+            tail_gain = fit_tail(network.excitation, data, residual, sigma_before) if config.tails else None
             network.cpu()  # the closed loop is rendered by the engine, which knows no GPU
             on_stage("settling the level in the closed loop")
             level_errors = settle_level(

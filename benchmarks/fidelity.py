@@ -1,0 +1,204 @@
+"""Which ingredient of foten-plus pays: each left out or changed, paired with the default over textures and splits; resumable.
+
+    python benchmarks/fidelity.py run [--only PATTERN] [--seeds 0] [--textures a,b] [--recordings DIR]
+    python benchmarks/fidelity.py table
+
+A run trains and judges one texture with one ingredient changed and leaves one small JSON in `results/fidelity`. The table
+gives, for each ingredient, the validation error and the figures on the test blocks as ratios to the default's on the same
+texture and split: mean, standard error over pairs, number of pairs. Choose by the validation column; the others report.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import fnmatch
+import json
+import os
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+from foten.architecture import ARCHITECTURES
+from foten.datasets.simulate import LINEAR_FAMILY, TEXTURES
+from foten.evaluate.evaluate import evaluate
+from foten.experiments.truth import truth_for
+from foten.train.config import RECIPES
+from foten.train.train import train_texture
+from foten.whole_file import whole_file
+from main_table import REAL, recording_of
+
+RESULTS = Path(__file__).parent / "results" / "fidelity"
+DEFAULT = "default"
+INGREDIENTS: dict[str, dict[str, dict[str, Any]]] = {
+    DEFAULT: {},
+    "no network": {"train": {"epochs": 0}},
+    "no tones": {"train": {"tones": False}},
+    "one filter for all speeds": {"train": {"table": False, "tones": False}},
+    "lattice of 20": {"train": {"max_order": 20}},
+    "Gaussian excitation": {"train": {"tails": False}},
+    "absolute loss": {"train": {"loss": "mae"}},
+    "squared loss": {"train": {"loss": "mse"}},
+    "dropout 0.2": {"train": {"dropout": 0.2}},
+    "no weight decay": {"train": {"weight_decay": 0.0}},
+    "twice the epochs": {"train": {"epochs": 32, "patience": 12}},
+    "cosine and sine of the phase": {"sizes": {"phase_input": "cos_sin"}},
+    "log magnitude": {"sizes": {"magnitude_input": "log"}},
+    "bin embedding": {"sizes": {"bin_embedding": True}},
+    **{f"window {m}": {"sizes": {"window": m}} for m in (5, 10, 40, 64)},
+}
+FIGURES = {
+    "validation error": "validation.mae_scaled",
+    "one-step error": "one_step.mae_scaled",
+    "LSD": "free_run.lsd_db",
+    "long LSD": "free_run.lsd_long_db",
+    "level error": "free_run.level_error_db",
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """One texture and rate, one split, one ingredient changed."""
+
+    texture: str
+    rate_hz: float
+    seed: int
+    ingredient: str
+
+    @property
+    def name(self) -> str:
+        return f"{self.texture}-{self.rate_hz:g}-{self.seed}-{self.ingredient.replace(' ', '_')}"
+
+
+def runs(seeds: list[int], textures: list[str]) -> Iterator[Run]:
+    """Return every run, the defaults first."""
+    for ingredient in INGREDIENTS:
+        for seed in seeds:
+            for texture in textures:
+                rates = (10_000.0, 2500.0) if texture in REAL else (1000.0,)
+                yield from (Run(texture, rate, seed, ingredient) for rate in rates)
+
+
+def execute(run: Run, recordings: Path) -> dict[str, Any]:
+    """Return the figures of one run."""
+    recording, preprocess = recording_of(run.texture, run.rate_hz, run.seed, recordings)
+    changed = INGREDIENTS[run.ingredient]
+    config = dataclasses.replace(
+        RECIPES["default"], **{"threads": 1, "seed": run.seed, **changed.get("train", {})}
+    )
+    architecture = ARCHITECTURES["foten-plus"](**changed.get("sizes", {}))
+    started = time.perf_counter()
+    trained = train_texture(recording, "foten-plus", architecture, config, preprocess, split_seed=run.seed)
+    seconds = time.perf_counter() - started
+    document = evaluate(trained.texture, recording, truth_for(recording, trained.texture)).document
+    kept = {
+        key: {k: v for k, v in document[key].items() if k != "intervals"} for key in ("one_step", "free_run")
+    }
+    return {
+        "run": dataclasses.asdict(run),
+        "training_seconds": seconds,
+        "versions": trained.texture.card["training"]["versions"],
+        "validation": document["validation"],
+        **kept,
+        "ceiling": {k: v for k, v in document["ceiling"].items() if k != "intervals"},
+        "ar_best": document["references"]["ar_best"]["mae_scaled"],
+        "wavelength_mm": trained.texture.card["metrics"]["linear_part"]["wavelength_mm"],
+    }
+
+
+def run_all(arguments: argparse.Namespace) -> None:
+    RESULTS.mkdir(parents=True, exist_ok=True)
+    for run in runs(arguments.seeds, arguments.textures):
+        path = RESULTS / f"{run.name}.json"
+        if path.exists() or not fnmatch.fnmatch(run.name, arguments.only):
+            continue
+        if run.texture in REAL and not (arguments.recordings / f"{run.texture}.npz").exists():
+            print(f"{run.name}: skipped, no {run.texture}.npz in {arguments.recordings}", file=sys.stderr)
+            continue
+        claim = path.with_suffix(".running")
+        try:
+            claim.touch(exist_ok=False)
+        except FileExistsError:
+            continue
+        try:
+            document = execute(run, arguments.recordings)
+            with whole_file(path) as part:
+                part.write_text(json.dumps(document, indent=1) + "\n")
+        finally:
+            claim.unlink(missing_ok=True)
+        figures = "  ".join(f"{name} {at(document, path):.4f}" for name, path in FIGURES.items())
+        print(f"{run.name}: {figures} ({document['training_seconds']:.0f} s)", file=sys.stderr, flush=True)
+
+
+def at(document: dict[str, Any], path: str) -> float:
+    """Return a figure by its path."""
+    for key in path.split("."):
+        document = document[key]
+    return float(document)  # type: ignore[arg-type]
+
+
+def table(arguments: argparse.Namespace) -> None:
+    """Print the ratios to the default, by kind of texture."""
+    found = [json.loads(path.read_text()) for path in sorted(RESULTS.glob("*.json"))]
+    by_run = {
+        (d["run"]["texture"], d["run"]["rate_hz"], d["run"]["seed"], d["run"]["ingredient"]): d for d in found
+    }
+    kinds = {
+        "simulated twelve, 1 kHz": (tuple(TEXTURES), 1000.0),
+        "linear family, 1 kHz": (tuple(LINEAR_FAMILY), 1000.0),
+        "real four, 10 kHz": (REAL, 10_000.0),
+        "real four, 2.5 kHz": (REAL, 2500.0),
+    }
+    for title, (textures, rate) in kinds.items():
+        lines = []
+        for ingredient in INGREDIENTS:
+            pairs = [
+                (d, by_run[texture, hz, seed, DEFAULT])
+                for (texture, hz, seed, name), d in by_run.items()
+                if name == ingredient and texture in textures and hz == rate
+                if (texture, hz, seed, DEFAULT) in by_run
+            ]
+            if pairs:
+                cells = [_ratio([at(a, path) / at(b, path) for a, b in pairs]) for path in FIGURES.values()]
+                lines.append(f"| {ingredient} | {len(pairs)} | {' | '.join(cells)} |")
+        if len(lines) > 1:
+            print(f"**{title}**: ÷ the default\n\n| ingredient | pairs | {' | '.join(FIGURES)} |")
+            print("|" + "---|" * (2 + len(FIGURES)))
+            print("\n".join(lines), end="\n\n")
+
+
+def _ratio(values: list[float]) -> str:
+    if len(values) == 1:
+        return f"{values[0]:.3f}"
+    return f"{np.mean(values):.3f} ± {np.std(values, ddof=1) / np.sqrt(len(values)):.3f}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    commands = parser.add_subparsers(required=True)
+    run = commands.add_parser("run")
+    run.add_argument("--only", default="*", help="run names to match, as TEXTURE-RATE-SEED-INGREDIENT")
+    run.add_argument("--seeds", type=lambda text: [int(s) for s in text.split(",")], default=[0])
+    run.add_argument(
+        "--textures",
+        type=lambda text: text.split(","),
+        default=[*REAL, *LINEAR_FAMILY, *TEXTURES],
+    )
+    run.add_argument("--recordings", type=Path, default=Path("recordings"))
+    run.set_defaults(command=run_all)
+    commands.add_parser("table").set_defaults(command=table)
+    arguments = parser.parse_args()
+    arguments.command(arguments)
+
+
+if __name__ == "__main__":
+    main()
