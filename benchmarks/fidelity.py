@@ -12,10 +12,8 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import fnmatch
 import json
 import os
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -32,8 +30,7 @@ from foten.evaluate.evaluate import evaluate
 from foten.experiments.truth import truth_for
 from foten.train.config import RECIPES
 from foten.train.train import train_texture
-from foten.whole_file import whole_file
-from main_table import REAL, recording_of
+from main_table import REAL, at, recording_of, work_through
 
 RESULTS = Path(__file__).parent / "results" / "fidelity"
 DEFAULT = "default"
@@ -114,34 +111,11 @@ def execute(run: Run, recordings: Path) -> dict[str, Any]:
 
 
 def run_all(arguments: argparse.Namespace) -> None:
-    RESULTS.mkdir(parents=True, exist_ok=True)
-    for run in runs(arguments.seeds, arguments.textures):
-        path = RESULTS / f"{run.name}.json"
-        if path.exists() or not fnmatch.fnmatch(run.name, arguments.only):
-            continue
-        if run.texture in REAL and not (arguments.recordings / f"{run.texture}.npz").exists():
-            print(f"{run.name}: skipped, no {run.texture}.npz in {arguments.recordings}", file=sys.stderr)
-            continue
-        claim = path.with_suffix(".running")
-        try:
-            claim.touch(exist_ok=False)
-        except FileExistsError:
-            continue
-        try:
-            document = execute(run, arguments.recordings)
-            with whole_file(path) as part:
-                part.write_text(json.dumps(document, indent=1) + "\n")
-        finally:
-            claim.unlink(missing_ok=True)
-        figures = "  ".join(f"{name} {at(document, path):.4f}" for name, path in FIGURES.items())
-        print(f"{run.name}: {figures} ({document['training_seconds']:.0f} s)", file=sys.stderr, flush=True)
+    def told(document: dict[str, Any]) -> str:
+        return "  ".join(f"{name} {at(document, path):.4f}" for name, path in FIGURES.items())
 
-
-def at(document: dict[str, Any], path: str) -> float:
-    """Return a figure by its path."""
-    for key in path.split("."):
-        document = document[key]
-    return float(document)  # type: ignore[arg-type]
+    chosen = runs(arguments.seeds, arguments.textures)
+    work_through(chosen, RESULTS, arguments, lambda run: execute(run, arguments.recordings), told)
 
 
 def table(arguments: argparse.Namespace) -> None:

@@ -16,7 +16,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -103,10 +103,17 @@ def execute(run: Run, recordings: Path, keep: Path | None) -> dict[str, Any]:
     }
 
 
-def run_all(arguments: argparse.Namespace) -> None:
-    RESULTS.mkdir(parents=True, exist_ok=True)
-    for run in runs():
-        path = RESULTS / f"{run.name}.json"
+def work_through(
+    runs: Iterable[Any],
+    results: Path,
+    arguments: argparse.Namespace,
+    execute: Callable[[Any], dict[str, Any]],
+    told: Callable[[dict[str, Any]], str],
+) -> None:
+    """Execute the runs that have no result yet and match `--only`, and keep one JSON each."""
+    results.mkdir(parents=True, exist_ok=True)
+    for run in runs:
+        path = results / f"{run.name}.json"
         if path.exists() or not fnmatch.fnmatch(run.name, arguments.only):
             continue
         if run.texture in REAL and not (arguments.recordings / f"{run.texture}.npz").exists():
@@ -120,19 +127,26 @@ def run_all(arguments: argparse.Namespace) -> None:
             print(f"{run.name}: skipped, another process is at it (or died: {claim.name})", file=sys.stderr)
             continue
         try:
-            document = execute(run, arguments.recordings, arguments.keep)
+            document = execute(run)
             with whole_file(path) as part:
                 part.write_text(json.dumps(document, indent=1) + "\n")
         finally:
             claim.unlink(missing_ok=True)
-        free, ceiling = document["free_run"]["lsd_db"], document["ceiling"]["lsd_db"]
-        print(
-            f"{run.name}: mae {document['one_step']['mae_scaled']:.4f} ar {document['references']['ar']['mae_scaled']:.4f} "
-            f"lsd {free} ceiling {ceiling} ar {document['free_run_ar']['lsd_db']} "
-            f"bias {document['free_run']['level_bias_db']} ({document['training_seconds']:.0f} s)",
-            file=sys.stderr,
-            flush=True,
+        seconds = document["training_seconds"]
+        print(f"{run.name}: {told(document)} ({seconds:.0f} s)", file=sys.stderr, flush=True)
+
+
+def run_all(arguments: argparse.Namespace) -> None:
+    def told(document: dict[str, Any]) -> str:
+        return (
+            f"mae {document['one_step']['mae_scaled']:.4f} ar {document['references']['ar']['mae_scaled']:.4f} "
+            f"lsd {document['free_run']['lsd_db']} ceiling {document['ceiling']['lsd_db']} "
+            f"ar {document['free_run_ar']['lsd_db']} bias {document['free_run']['level_bias_db']}"
         )
+
+    work_through(
+        runs(), RESULTS, arguments, lambda run: execute(run, arguments.recordings, arguments.keep), told
+    )
 
 
 def _row(documents: list[dict[str, Any]], figure: Any) -> str:
@@ -155,13 +169,13 @@ class Figure:
     over: str = ""
 
     def __call__(self, document: dict[str, Any]) -> float | None:
-        found = [_at(document, path) for path in (self.path, self.over) if path]
+        found = [at(document, path) for path in (self.path, self.over) if path]
         if any(value is None for value in found):
             return None
         return float(found[0] if len(found) == 1 else found[0] / found[1])
 
 
-def _at(document: dict[str, Any], path: str) -> Any:
+def at(document: dict[str, Any], path: str) -> Any:
     for key in path.split("."):
         document = document[key]
     return document

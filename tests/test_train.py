@@ -23,7 +23,7 @@ from foten.recording.scaling import Scaling
 from foten.recording.windows import targets
 from foten.texture_file import texture_from_bytes
 from foten.train.config import RECIPES, TrainConfig
-from foten.train.excitation import fit_excitation, fit_tail, gaussianised, settle_level
+from foten.train.excitation import fit_scale, fit_tail, gaussianised, settle_level
 from foten.train.fit import Data, Epoch, fit, loss_of, predict
 from foten.train.linear_part import engine_of
 from foten.train.run import RunFolder
@@ -99,7 +99,7 @@ def test_excitation_recovers_a_power_law() -> None:
     data = Data(samples, np.arange(1, n - 5000), np.arange(n - 5000, n), 1)
     excitation = Excitation(16)
     residual = true[:-1] * rng.standard_normal(n - 1)
-    nll = fit_excitation(excitation, data, scaling, residual, seed=0)
+    nll = fit_scale(excitation, data, scaling, residual, seed=0)
     with torch.no_grad():
         found = excitation(torch.from_numpy(samples[:, 1:]).float()).numpy()
     # 40 000 residuals estimate a scale within 1/√(2·40000) = 0.4 %; a flexible σ costs some of it.
@@ -119,7 +119,7 @@ def test_excitation_keeps_no_shape_that_validation_contradicts() -> None:
     slope = np.where(np.arange(1, n) < 2000, 1.0, -1.0)
     residual = np.exp(slope * (speed[:-1] - 100) / 50) * rng.standard_normal(n - 1)
     excitation = Excitation(16)
-    fit_excitation(excitation, data, scaling, residual, seed=0)
+    fit_scale(excitation, data, scaling, residual, seed=0)
     found = excitation(torch.from_numpy(samples[:, 1:]).float())
     assert float(found.max() / found.min()) == pytest.approx(1.0, abs=1e-5)
 
@@ -314,7 +314,7 @@ def test_tails_that_follow_speed_are_found() -> None:
     residual = 0.7 * heavy_tailed(rng.standard_normal(n - 1), h, np.inf)
     data = Data(samples, np.arange(1, n - 10_000), np.arange(n - 10_000, n), 1)
     excitation = Excitation(16)
-    fit_excitation(excitation, data, scaling, residual, seed=0)
+    fit_scale(excitation, data, scaling, residual, seed=0)
     with torch.no_grad():
         before = excitation(torch.from_numpy(samples[:-1, 1:]).float()).double().numpy()
     gained = fit_tail(excitation, data, residual, before)
@@ -339,7 +339,7 @@ def test_gaussian_residuals_get_no_tails() -> None:
     residual = rng.standard_normal(n - 1)
     data = Data(samples, np.arange(1, n - 5000), np.arange(n - 5000, n), 1)
     excitation = Excitation(16)
-    fit_excitation(excitation, data, scaling, residual, seed=0)
+    fit_scale(excitation, data, scaling, residual, seed=0)
     fit_tail(excitation, data, residual, np.ones(n - 1))
     assert float(excitation.tails(torch.from_numpy(samples[:, 1:]).float()).max()) < 0.02
 

@@ -169,9 +169,9 @@ def tensor_shapes(key: str, architecture: FotenArchitecture) -> dict[str, tuple[
         for name in ("level", "excitation"):
             shapes |= _linear(f"{name}.hidden", architecture.excitation_width, 4)
             shapes |= _linear(f"{name}.out", 1, architecture.excitation_width)
-            shapes |= {f"{name}.power_law.weight": (1, 5), f"{name}.highest": (1,), f"{name}.largest": (1,)}
-            shapes |= _linear(f"{name}.tail", 1, 5)
+            shapes |= {f"{name}.power_law.weight": (1, 5), f"{name}.highest": (1,)}
             shapes |= {f"{name}.{part}": (2,) for part in ("mean", "sd", "floor")}
+        shapes |= {"excitation.largest": (1,), **_linear("excitation.tail", 1, 5)}
         return shapes
     return _foten_shapes(architecture)
 

@@ -10,12 +10,15 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.exceptions import Abort, TyperException
 
 from foten.whole_file import whole_file
+
+if TYPE_CHECKING:
+    from foten.texture_file import Texture
 
 app = typer.Typer(
     name="foten",
@@ -447,7 +450,7 @@ def train(
             end="",
         )
         alone = metrics["validation_mae_scaled_shortcut"]
-        print("" if alone is None else f", {alone:.4f} sd by its linear shortcut alone")
+        print("" if alone is None else f", {alone:.4f} sd without its network")
         if trained.trace.n_uncovered:
             print(f"{trained.trace.n_uncovered} samples that not every channel covers were left out")
         if trained.trace.n_dropped:
@@ -651,7 +654,8 @@ def info(
     )
     rows = {
         "texture": card["texture"] or "(unnamed)",
-        "model": f"{card['model']}, {n_parameters} numbers, window {card['window']} samples",
+        "model": f"{card['model']}, {n_parameters} numbers, hears {card['window']} samples",
+        **_linear_part(texture),
         "rate": f"{texture.rate_hz:g} Hz",
         "trained speed": "{:.4g} to {:.4g} mm/s".format(*texture.trained_range("speed")),
         "trained force": "{:.3g} to {:.3g} N".format(*texture.trained_range("force")),
@@ -665,6 +669,21 @@ def info(
     }
     for name, value in rows.items():
         print(f"{name:14s}{value}")
+
+
+def _linear_part(texture: Texture) -> dict[str, str]:
+    """Return what `info` says of the lattice and the tones; nothing of a model that has none."""
+    sizes, metrics = texture.card["sizes"], texture.card["metrics"]
+    if not texture.has_excitation:
+        return {}
+    vertices = sizes["n_speed"] * sizes["n_force"]
+    over = "for all speeds and forces" if vertices == 1 else f"over {vertices} speeds and forces"
+    rows = {"lattice": f"{sizes['order']} samples, {over}", "tones": "none"}
+    if sizes["n_tones"]:
+        length = (metrics.get("linear_part") or {}).get("wavelength_mm")
+        every = f", the surface repeats every {length:.3g} mm" if length else ""
+        rows["tones"] = f"{sizes['n_tones']} multiples{every}"
+    return rows
 
 
 @app.command()

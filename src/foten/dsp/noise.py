@@ -71,3 +71,14 @@ def heavy_tailed(noise: NDArray[np.float64], tail: NDArray[np.float64], limit: f
     Source: the h-distribution of Tukey; Goerg, "Lambert W random variables", Annals of Applied Statistics 5 (2011).
     """
     return np.clip(noise * np.exp(0.5 * tail * noise * noise), -limit, limit)
+
+
+def gaussianised(values: NDArray[np.float64], tail: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return z with z·exp(h z²/2) = u, what `heavy_tailed` undoes but for its limit: u and h of equal shapes, h from 0 on."""
+    log_u = np.log(np.maximum(np.abs(values), 1e-300))
+    # Newton's method on log |z|: from above the root of a convex function every step stays above.
+    q = log_u
+    for _ in range(20):
+        spread = tail * np.exp(2 * q)
+        q = q - (q + 0.5 * spread - log_u) / (1 + spread)
+    return np.copysign(np.exp(q), values)

@@ -9,7 +9,7 @@ filter that rings at v/λ, excited by noise, can do neither.
 The phase is known from what was heard, by a Kalman filter of one state: between two samples its variance grows by q v/rate,
 for the unevenness, and the innovation e of the lattice that predicts what is left of the vibration corrects it,
 
-    K = V h / (h² V + 1)      φ ← φ + K e      V ← (1 − K h) V      h = ∂e/∂φ
+    K = V h / (h² V + 1)      φ ← φ + K e      V ← (1 − K h) V      h = −∂e/∂φ
 
 with h the tone's derivative sent through the same lattice: so it follows a recorded surface. A rendering has no surface to
 follow; its phase is the path's, strays by √(q v/rate) e, and is drawn back to the path within half a second.
@@ -32,7 +32,12 @@ N_CANDIDATES = 16  # phases that a window is compared with
 
 
 def tone(coefficients: Array, phase: Array) -> tuple[Array, Array]:
-    """Return T and ∂T/∂φ: coefficients (…, 2 n_tones), cosine and sine of each multiple in turn, and phases (…) → (…)."""
+    """Return T and ∂T/∂φ, in the unit of the coefficients.
+
+    Args:
+        coefficients: of cosine and sine of each multiple in turn, shape (…, 2 n_tones).
+        phase: [rad], shape (…).
+    """
     multiples = np.arange(1, coefficients.shape[-1] // 2 + 1)
     angle = phase[..., None] * multiples
     cosine, sine = np.cos(angle), np.sin(angle)
@@ -41,7 +46,7 @@ def tone(coefficients: Array, phase: Array) -> tuple[Array, Array]:
 
 
 def corrected(phase: Array, variance: Array, e: Array, slope: Array) -> tuple[Array, Array]:
-    """Return phase and variance after an innovation e, whose derivative by the phase is −`slope`; any equal shapes."""
+    """Return phase [rad] and variance [rad²] after an innovation e with ∂e/∂φ = −`slope` [1/rad], each of shape (s,)."""
     gain = variance * slope / (slope * slope * variance + 1)
     step = np.clip(gain * np.clip(e, -LARGEST_INNOVATION, LARGEST_INNOVATION), -LARGEST_STEP, LARGEST_STEP)
     return phase + step, np.clip((1 - gain * slope) * variance, LEAST_VARIANCE, LARGEST_VARIANCE)
@@ -51,12 +56,12 @@ def fitted_phase(samples: Array, coefficients: Array, travelled: Array) -> Array
     """Return the phase, of a few candidates, at which the tone is nearest a window.
 
     Args:
-        samples: acceleration, shape (s, n).
-        coefficients: shape (s, n, 2 n_tones).
-        travelled: phase since the first sample, shape (s, n).
+        samples: acceleration, in any unit, shape (s, n).
+        coefficients: in the same, shape (s, n, 2 n_tones).
+        travelled: what the path alone adds to the phase up to each sample [rad], shape (s, n).
 
     Returns:
-        Phase at the first sample, shape (s,).
+        Phase where `travelled` is zero [rad], shape (s,).
     """
     candidates = 2 * np.pi * np.arange(N_CANDIDATES) / N_CANDIDATES
     missed = [

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from foten.evaluate.bootstrap import intervals
 from foten.evaluate.metrics import goodness_of_fit
 from foten.recording.scaling import Scaling
 from foten.recording.windows import windows
-from foten.render.engine import NumpyFotenPlus, Predictor
+from foten.render.engine import NumpyFotenPlus, Predictor, excitation_fit
 
 Array = NDArray[np.float64]
 
@@ -61,7 +60,7 @@ def _with_history(predictor: Predictor, samples: Array, n: NDArray[np.int64]) ->
 def excitation_scores(
     engine: NumpyFotenPlus, samples: Array, n: NDArray[np.int64], heard: NDArray[np.bool_]
 ) -> dict[str, Any]:
-    """Return how well σ(speed, force) describes the one-step error.
+    """Return how well the excitation, its scale and its tails, describes the one-step error.
 
     Settling the level in the closed loop (`train.excitation`) trades likelihood for level.
 
@@ -73,13 +72,12 @@ def excitation_scores(
             σ is that of a texture falling silent and the recording is its sensors' noise.
 
     Returns:
-        `nll`: mean Gaussian negative log-likelihood [nat, scaled]; `coverage_50`, `coverage_90`: the share of samples
-        inside the central 50 and 90 % of the predicted distribution; `standardised_sd`: 1 when σ is right; `intervals`.
+        `nll`: mean negative log-likelihood [nat, scaled]; `coverage_50`, `coverage_90`: the share of samples inside the
+        central 50 and 90 % of the predicted distribution; `standardised_sd`: of the errors, taken back through the tails to
+        what should be a standard normal, 1 when the excitation is right; `intervals`.
     """
-    sample, scale, *_ = engine.follow(_with_history(engine, samples, n))
-    assert scale is not None
-    standardised = (samples[n, 0] - sample) / scale
-    nll = np.log(scale) + 0.5 * standardised**2 + 0.5 * math.log(2 * math.pi)
+    forecast = engine.follow(_with_history(engine, samples, n))
+    standardised, nll = excitation_fit(forecast, samples[n, 0])
 
     def figures(index: NDArray[np.int64]) -> dict[str, float | None]:
         counted = heard[index]

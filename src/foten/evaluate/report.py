@@ -31,7 +31,10 @@ _FADE_S = 0.004  # at block borders, so that the joints do not click
 _PEAK = 0.9  # of full scale
 
 REFERENCES = {
-    "shortcut": ("the model's linear shortcut alone", "what the network adds is the difference to it"),
+    "shortcut": (
+        "the model without its network",
+        "lattice and tones; what the network adds is the difference to it",
+    ),
     "ar": ("AR(20)", "linear, least squares on the training blocks"),
     "ar_scheduled": ("AR(20) following speed and force", "each coefficient affine in speed and force"),
     "ar_best": ("best AR", "order and scheduling chosen on the validation blocks"),
@@ -361,9 +364,10 @@ def _one_step_section(document: Mapping[str, Any]) -> str:
     excitation = ""
     if one.get("nll") is not None:
         excitation = (
-            f"<p>The excitation σ(speed, force) against the one-step error: <b>{100 * one['coverage_50']:.0f} %</b> of "
-            f"the samples inside its central 50 %, <b>{100 * one['coverage_90']:.0f} %</b> inside its 90 %; error over σ "
-            f"has standard deviation <b>{one['standardised_sd']:.2f}</b> (1 when σ is right); negative log-likelihood "
+            f"<p>The excitation, its scale and tails, against the one-step error: <b>{100 * one['coverage_50']:.0f} %</b> of "
+            f"the samples inside its central 50 %, <b>{100 * one['coverage_90']:.0f} %</b> inside its 90 %; errors taken "
+            f"back through scale and tails have standard deviation <b>{one['standardised_sd']:.2f}</b> (1 when they are right); "
+            f"negative log-likelihood "
             f"{_minus(format(one['nll'], '.3f'))} nat.</p>"
         )
     return (

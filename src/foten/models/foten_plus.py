@@ -62,7 +62,7 @@ class FotenPlus(nn.Module):
                 ("tone_motion", (3,)),
             ):
                 self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
-        self.level = Excitation(architecture.excitation_width).requires_grad_(False)
+        self.level = Scale(architecture.excitation_width).requires_grad_(False)
         self.excitation = Excitation(architecture.excitation_width).requires_grad_(False)
 
     def forward(self, windows: Tensor) -> Tensor:
@@ -246,16 +246,11 @@ def _hat_weights(values: Tensor, knots: Tensor) -> Tensor:
     )
 
 
-class Excitation(nn.Module):
-    """The standard deviation of what a prediction misses, σ(speed, force) > 0.
+class Scale(nn.Module):
+    """A standard deviation that follows the hand: of a vibration, or of what a prediction of it misses.
 
     A power law of speed and force, times what a small network of both and of their logarithms adds: the level of a texture
     is near a power law, and falls by a factor of ten where speed, in standard deviations, hardly changes.
-
-    What it scales may have heavy tails, which follow speed and force too: impacts are rare when slow and many when fast.
-
-    It does not listen to the window: a σ that did fed the model's own errors back into the loop (measured on a mesh: level error
-    1.76 against 1.40 dB).
     """
 
     def __init__(self, width: int) -> None:
@@ -263,9 +258,6 @@ class Excitation(nn.Module):
         self.hidden = nn.Linear(4, width)
         self.out = nn.Linear(width, 1)
         self.power_law = nn.Linear(5, 1, bias=False)  # exponents of speed and force, and how they change
-        self.tail = nn.Linear(5, 1)
-        nn.init.zeros_(self.tail.weight)
-        nn.init.constant_(self.tail.bias, NO_TAIL)
         # Speed [mm/s] and force [N]: what undoes the scaling, and what a logarithm starts from.
         self.register_buffer("mean", torch.zeros(2))
         self.register_buffer("sd", torch.ones(2))
@@ -273,19 +265,13 @@ class Excitation(nn.Module):
         # A corner of the plane that the hand hardly visited is no louder than the loudest 3 % of where it was. Ten minutes
         # on jeans: 13.0 standard deviations with the 99th percentile, 11.4 with the 97th; the recording reaches 11.1.
         self.register_buffer("highest", torch.full((1,), 1e6))
-        # No excitation is larger than the largest that was left to explain.
-        self.register_buffer("largest", torch.full((1,), 1e6))
 
     def forward(self, condition: Tensor) -> Tensor:
-        """Return σ, scaled: speed and force (b, 2) scaled → (b,)."""
+        """Return the standard deviation: speed and force (b, 2) scaled → (b,)."""
         logs = self.logarithms(condition)
         features = torch.cat([condition, logs[:, :2]], dim=1)
         log_scale = (self.out(torch.tanh(self.hidden(features))) + self.power_law(logs))[:, 0]
         return torch.minimum(torch.exp(log_scale), self.highest)
-
-    def tails(self, condition: Tensor) -> Tensor:
-        """Return h, from 0 to 0.4, with which z·exp(h z²/2) is excitation, z Gaussian: (b, 2) scaled → (b,)."""
-        return HEAVIEST_TAIL * torch.sigmoid(self.tail(self.logarithms(condition))[:, 0])
 
     def logarithms(self, condition: Tensor) -> Tensor:
         """Return log speed x and log force y re their means, and x², xy, y²: (b, 2) scaled → (b, 5)."""
@@ -295,6 +281,28 @@ class Excitation(nn.Module):
 
     @torch.no_grad()
     def bound(self, condition: Tensor) -> None:
-        """Let σ nowhere exceed its 97th percentile over some conditions (b, 2) scaled, those of the training blocks."""
+        """Let it nowhere exceed its 97th percentile over some conditions (b, 2) scaled, those of the training blocks."""
         self.highest.fill_(1e6)
         self.highest.copy_(torch.quantile(self(condition), 0.97))
+
+
+class Excitation(Scale):
+    """σ(speed, force), the scale of what is random, in units of the lattice's innovation, and how heavy its tails are.
+
+    The tails follow speed and force too: impacts are rare when slow and many when fast.
+
+    It does not listen to the window: a σ that did fed the model's own errors back into the loop (measured on a mesh: level error
+    1.76 against 1.40 dB).
+    """
+
+    def __init__(self, width: int) -> None:
+        super().__init__(width)
+        self.tail = nn.Linear(5, 1)
+        nn.init.zeros_(self.tail.weight)
+        nn.init.constant_(self.tail.bias, NO_TAIL)
+        # No excitation is larger than the largest that was left to explain.
+        self.register_buffer("largest", torch.full((1,), 1e6))
+
+    def tails(self, condition: Tensor) -> Tensor:
+        """Return h, from 0 to `HEAVIEST_TAIL`: z·exp(h z²/2) is excitation, z Gaussian; (b, 2) scaled → (b,)."""
+        return HEAVIEST_TAIL * torch.sigmoid(self.tail(self.logarithms(condition))[:, 0])

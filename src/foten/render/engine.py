@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from foten.architecture import HEAVIEST_TAIL, FotenArchitecture, FotenPlusArchitecture
 from foten.dsp.lattice import analyse, check_reflections, forecast, push
-from foten.dsp.noise import heavy_tailed
+from foten.dsp.noise import gaussianised, heavy_tailed
 from foten.dsp.plane import Plane
 from foten.dsp.spectrum import WEAKEST_BIN, dft_matrices, last_sample_row, position_encoding
 from foten.dsp.tones import LARGEST_INNOVATION, START_VARIANCE, corrected, fitted_phase, tone
@@ -161,6 +162,21 @@ class Forecast(NamedTuple):
         )
 
 
+def excitation_fit(expected: Forecast, recorded: Array) -> tuple[Array, Array]:
+    """Return the errors taken back to what should be standard normal, and their negative log-likelihood [nat, scaled].
+
+    Args:
+        expected: of the recorded samples, with scale and tail.
+        recorded: scaled, any shape, the forecast's.
+    """
+    assert expected.scale is not None
+    assert expected.tail is not None
+    z = gaussianised((recorded - expected.sample) / expected.scale, expected.tail)
+    spread = expected.tail * z * z
+    nll = 0.5 * (z * z + spread) + np.log1p(spread) + np.log(expected.scale) + 0.5 * math.log(2 * math.pi)
+    return z, nll
+
+
 class State(Protocol):
     """What streams of a model remember, each stream by itself."""
 
@@ -215,14 +231,16 @@ class LatticeState:
     reflections: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        condition = self.seen[:, -1, 1:3]
-        self._heed(condition)
+        self._heed(self.seen[:, -1, 1:3])
         if self.tone is not None:
             # The way to the first sample belongs to the recording, of which nothing is to be left.
-            self.tone.path = -self.engine.motion[0] * self.engine.physical(condition)[:, 0]
+            self.tone.path = np.zeros_like(self.tone.phase)
 
     def _heed(self, condition: Array) -> None:
+        """Make ready for the sample after one at a speed and force (s, 2), scaled."""
         self.level, self.reflections = self.engine.level(condition), self.engine.reflections(condition).T
+        if self.tone is not None:
+            self.tone.move(condition)
 
     def forecast(self) -> Forecast:
         """Return tone, lattice's prediction and the network's correction of it."""
@@ -231,7 +249,7 @@ class LatticeState:
         unit = gain * self.level
         sample = x * self.level + unit * self.engine.correction(self.seen)
         if self.tone is not None:
-            sample = sample + self.tone.expected(condition)
+            sample = sample + self.tone.value
         scale = unit * self.engine.sigma(condition)
         return Forecast(sample, scale, self.engine.tail(condition), self.engine.largest)
 
@@ -275,15 +293,14 @@ class ToneState:
         self.path = np.zeros_like(self.phase)
         self.value = self.slope = self.grown = self.path
 
-    def expected(self, condition: Array) -> Array:
-        """Move on by a sample at a speed and force (s, 2), scaled, and return T there."""
+    def move(self, condition: Array) -> None:
+        """Move on by a sample at a speed and force (s, 2), scaled."""
         turn, jitter, _ = self.engine.motion
         speed = self.engine.physical(condition)[:, 0]
         self.phase, self.path = self.phase + turn * speed, self.path + turn * speed
         self.grown = jitter * speed
         self.variance = self.variance + self.grown
         self.value, self.slope = tone(self.engine.tones_at(condition), self.phase)
-        return self.value
 
     def correct(self, reflections: Array, level: Array, e: Array) -> None:
         """Take in what the innovation e, shape (s,), says of the phase."""
@@ -322,7 +339,8 @@ class _Search:
         """Take in a sample of each stream and return x and e of the best guess, each (s,)."""
         guesses = self._n_guesses
         k, level = np.tile(k, guesses), np.tile(level, guesses)
-        x = (np.tile(sample, guesses) - self._where.expected(np.tile(before, (guesses, 1)))) / level
+        self._where.move(np.tile(before, (guesses, 1)))
+        x = (np.tile(sample, guesses) - self._where.value) / level
         self._states, e = push(self._states, k, x)
         self._where.correct(k, level, e)
         chosen = self._chosen()
@@ -467,13 +485,13 @@ class NumpyFotenPlus:
             corrected: False leaves out what the network adds.
 
         Returns:
-            Sample and scale, each (s, n − window), scaled.
+            Each of shape (s, n − window), scaled.
         """
         parts = [self._follow(part, corrected) for part in self._in_parts(blocks)]
-        sample, scale = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
-        return Forecast(sample, scale)
+        sample, scale, tail = (np.concatenate([part[k] for part in parts]) for k in range(3))
+        return Forecast(sample, scale, tail, self.largest)
 
-    def _follow(self, blocks: Array, corrected: bool) -> tuple[Array, Array]:
+    def _follow(self, blocks: Array, corrected: bool) -> tuple[Array, Array, Array]:
         heard = self._analysed(blocks, N_GUESSES)
         x, e, unit = heard.x, heard.e, heard.unit
         asked = np.arange(self.window - 1, x.shape[1])
@@ -487,8 +505,10 @@ class NumpyFotenPlus:
             ]
             pieces = [self.correction(part).reshape(len(x), -1) for part in flat]
             innovation = innovation + np.concatenate(pieces, axis=1)
-        scale = unit * self.sigma(blocks[:, :-1, 1:].reshape(-1, 2)).reshape(unit.shape)
-        return blocks[:, self.window :, 0] + innovation * unit[:, asked], scale[:, asked]
+        before = blocks[:, self.window - 1 : -1, 1:].reshape(-1, 2)
+        scale = unit[:, asked] * self.sigma(before).reshape(len(x), -1)
+        sample = blocks[:, self.window :, 0] + innovation * unit[:, asked]
+        return sample, scale, self.tail(before).reshape(len(x), -1)
 
     def level(self, condition: Array) -> Array:
         """Return the level of the vibration: speed and force (b, 2) scaled → standard deviation (b,) scaled."""

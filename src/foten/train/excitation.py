@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from foten.architecture import HEAVIEST_TAIL
 from foten.dsp.level import frame_levels, frame_means
 from foten.dsp.noise import gaussian
-from foten.models.foten_plus import Excitation, FotenPlus
+from foten.models.foten_plus import Excitation, FotenPlus, Scale
 from foten.recording.scaling import Scaling
 from foten.recording.trace import Trace
 from foten.render.closed_loop import ClosedLoop
@@ -25,43 +25,41 @@ N_SETTLING = 3
 KEPT = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the fitted shape of log σ
 
 
-def fit_excitation(
-    excitation: Excitation, data: Data, scaling: Scaling, residual: NDArray[np.float64], seed: int
-) -> float:
-    """Fit σ(speed, force) to one-step residuals by Gaussian maximum likelihood.
+def fit_scale(scale: Scale, data: Data, scaling: Scaling, residual: NDArray[np.float64], seed: int) -> float:
+    """Fit the scale over speed and force of a vibration or of residuals, by Gaussian maximum likelihood.
 
     The shape of log σ over speed and force is fitted on the training blocks, and how much of it is kept, from none to all, is
     chosen by the likelihood of the validation blocks: in a recording of two seconds the differences between blocks are
     mostly chance. It did not cure the level errors of the real wood (−4.4 dB on one split before and after).
 
     Args:
-        excitation: fitted in place.
+        scale: fitted in place.
         data: the speed and force that go with each residual are those of the last sample of its window.
         scaling: of speed and force.
-        residual: recorded minus predicted at the training, then the validation indices, scaled,
+        residual: what it is the scale of, at the training, then the validation indices, in the unit that the scale is to have,
             shape (len(data.train) + len(data.validation),).
         seed: of the initial weights.
 
     Returns:
         The mean negative log-likelihood of the validation blocks [nat].
     """
-    device = excitation.out.weight.device
+    device = scale.out.weight.device
     n = np.concatenate([data.train, data.validation])
     condition = torch.from_numpy(data.samples[n - 1, 1:3]).to(device, torch.float64)
     squared = torch.from_numpy(residual**2).to(device, torch.float64) + 1e-12
     train, validation = slice(0, len(data.train)), slice(len(data.train), None)
     torch.manual_seed(seed)
-    excitation.hidden.reset_parameters()
+    scale.hidden.reset_parameters()
     with torch.no_grad():
-        excitation.mean.copy_(torch.tensor(scaling.mean[1:]))
-        excitation.sd.copy_(torch.tensor(scaling.sd[1:]))
-        excitation.out.weight.zero_()
-        excitation.power_law.weight.zero_()
-        excitation.highest.fill_(1e6)
-        excitation.out.bias.copy_(0.5 * torch.log(squared[train].mean(dim=0, keepdim=True)))
-    excitation.double().requires_grad_(True)
+        scale.mean.copy_(torch.tensor(scaling.mean[1:]))
+        scale.sd.copy_(torch.tensor(scaling.sd[1:]))
+        scale.out.weight.zero_()
+        scale.power_law.weight.zero_()
+        scale.highest.fill_(1e6)
+        scale.out.bias.copy_(0.5 * torch.log(squared[train].mean(dim=0, keepdim=True)))
+    scale.double().requires_grad_(True)
     optimiser = torch.optim.LBFGS(
-        excitation.parameters(),
+        scale.parameters(),
         max_iter=60,
         history_size=20,
         line_search_fn="strong_wolfe",
@@ -70,27 +68,27 @@ def fit_excitation(
 
     def closure() -> torch.Tensor:
         optimiser.zero_grad()
-        loss = _likelihood(excitation(condition[train]), squared[train])
+        loss = _likelihood(scale(condition[train]), squared[train])
         # Keeps σ smooth where the plane was hardly visited.
-        loss = loss + 1e-4 * (excitation.hidden.weight.square().sum() + excitation.out.weight.square().sum())
+        loss = loss + 1e-4 * (scale.hidden.weight.square().sum() + scale.out.weight.square().sum())
         loss.backward()
         return loss
 
     optimiser.step(closure)
-    excitation.requires_grad_(False)
-    shape = torch.log(excitation(condition)) - excitation.out.bias
+    scale.requires_grad_(False)
+    shape = torch.log(scale(condition)) - scale.out.bias
     found = []
     for kept in KEPT:
-        # The scale that maximises the likelihood of a given shape, in closed form.
-        scale = torch.sqrt((squared[train] * torch.exp(-2 * kept * shape[train])).mean())
-        nll = _likelihood(scale * torch.exp(kept * shape[validation]), squared[validation])
-        found.append((float(nll), kept, math.log(float(scale))))
-    nll, kept, log_scale = min(found)
-    excitation.out.weight.mul_(kept)
-    excitation.power_law.weight.mul_(kept)
-    excitation.out.bias.fill_(log_scale)
-    excitation.float()
-    excitation.bound(condition[train].float())
+        # The factor that maximises the likelihood of a given shape, in closed form.
+        factor = torch.sqrt((squared[train] * torch.exp(-2 * kept * shape[train])).mean())
+        nll = _likelihood(factor * torch.exp(kept * shape[validation]), squared[validation])
+        found.append((float(nll), kept, math.log(float(factor))))
+    nll, kept, log_factor = min(found)
+    scale.out.weight.mul_(kept)
+    scale.power_law.weight.mul_(kept)
+    scale.out.bias.fill_(log_factor)
+    scale.float()
+    scale.bound(condition[train].float())
     return nll
 
 
@@ -196,9 +194,9 @@ def settle_level(
     """Adjust σ until the closed loop is as loud as the recording, at every speed and force.
 
     A likelihood measures the error of one step. In the closed loop the lattice filters the excitation, and small errors
-    of its resonances, or a correction that feeds on itself, change the level by a dB. So the levels of frames are compared, and
-    what they miss is taken off log σ, its constant and its terms in log speed and log force, by a ridge regression on
-    how each frame answers to each term; three times over.
+    of its resonances, or a correction that feeds on itself, change the level by a dB. What the levels of frames miss is taken
+    off the terms of log σ in log speed and log force, by a ridge regression on how each frame answers to each term; what the
+    power of all misses, as far as that is beyond chance, off its constant; three times over.
 
     Args:
         network: its excitation is adjusted in place.

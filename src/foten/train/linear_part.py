@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from foten.architecture import FotenPlusArchitecture
 from foten.dsp.plane import Plane
-from foten.models.foten_plus import Excitation, FotenPlus
+from foten.models.foten_plus import FotenPlus, Scale
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.render.engine import NumpyFotenPlus
 from foten.train.config import TrainConfig
-from foten.train.excitation import fit_excitation
+from foten.train.excitation import fit_scale
 from foten.train.fit import Data
 from foten.train.lattice import LatticeData, fit_lattice, fit_lattice_of
 from foten.train.tones import fit_tones, played, wavelength
@@ -62,11 +62,11 @@ def fit_linear_part(
     max_order = max(1, min(trace.block // 8, config.max_order))
     acceleration = data.samples[:, 0]
 
-    def levelled(signal: Array) -> tuple[Excitation, LatticeData]:
+    def levelled(signal: Array) -> tuple[Scale, LatticeData]:
         """Return the level of a signal, shape (n,), and what a lattice of it is fitted to."""
-        level = Excitation(architecture.excitation_width).requires_grad_(False)
+        level = Scale(architecture.excitation_width).requires_grad_(False)
         both = np.concatenate([data.train, data.validation])
-        fit_excitation(level, data, scaling, signal[both], config.seed)
+        fit_scale(level, data, scaling, signal[both], config.seed)
         scale = scale_at(level, data.samples)
         speed, force = (np.concatenate([channel[:1], channel[:-1]]) for channel in (trace.speed, trace.force))
         x, unit, speed, force = (
@@ -119,7 +119,7 @@ def fit_linear_part(
 
 def assembled(
     architecture: FotenPlusArchitecture,
-    level: Excitation,
+    level: Scale,
     reflections: Plane,
     tones: Tones | None,
     rate_hz: float,
@@ -167,8 +167,8 @@ def engine_of(network: FotenPlus) -> NumpyFotenPlus:
     )
 
 
-def scale_at(excitation: Excitation, samples: Array) -> Array:
-    """Return the scale that goes with each sample to predict, shape (n,): speed and force are those of the sample before."""
+def scale_at(scale: Scale, samples: Array) -> Array:
+    """Return the scale of each sample, shape (n,), from the speed and force of the one before: samples (n, 3) scaled."""
     condition = np.concatenate([samples[:1, 1:], samples[:-1, 1:]])
     with torch.no_grad():
-        return excitation(torch.from_numpy(condition).to(excitation.out.weight)).cpu().double().numpy()
+        return scale(torch.from_numpy(condition).to(scale.out.weight)).cpu().double().numpy()

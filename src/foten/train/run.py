@@ -113,7 +113,7 @@ def _draw_curves(path: Path, epochs: list[Epoch], shortcut_mae: float | None) ->
         numbers, [line.validation_mae for line in epochs], "s-", ms=3, color="#D55E00", label="network"
     )
     if shortcut_mae is not None:
-        error.axhline(shortcut_mae, ls="--", color="#009E73", label="linear shortcut alone")
+        error.axhline(shortcut_mae, ls="--", color="#009E73", label="without the network")
     error.set(xlabel="epoch", ylabel="one-step validation error, scaled")
     for axes in (loss, error):
         axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, frameon=False)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -23,10 +22,11 @@ from foten.recording.scaling import Scaling, fit_scaling
 from foten.recording.split import Split, split_blocks
 from foten.recording.trace import Trace
 from foten.recording.windows import targets, windows
+from foten.render.engine import Forecast, excitation_fit
 from foten.render.synthesizer import FADE_FORCE, FADE_SPEED
 from foten.texture_file import Texture
 from foten.train.config import TrainConfig
-from foten.train.excitation import fit_excitation, fit_tail, settle_level
+from foten.train.excitation import fit_scale, fit_tail, settle_level
 from foten.train.export import export
 from foten.train.fit import Data, Epoch, Progress, fit, pick_device, predict, reproducible
 from foten.train.linear_part import engine_of, fit_linear_part, scale_at
@@ -106,7 +106,7 @@ def train_texture(
             assert data.target is not None
             assert data.unit is not None
             residual = data.target[both] - predict(trained, data, both)
-            fit_excitation(network.excitation, data, scaling, residual, config.seed)
+            fit_scale(network.excitation, data, scaling, residual, config.seed)
             sigma_before = scale_at(network.excitation, samples)[both]
             tail_gain = fit_tail(network.excitation, data, residual, sigma_before) if config.tails else None
             network.cpu()  # the closed loop is rendered by the engine, which knows no GPU
@@ -117,9 +117,12 @@ def train_texture(
             # Where rendering does not fade, as the judge counts it.
             n = data.validation
             heard = (trace.speed[n] >= FADE_SPEED) & (trace.force[n] >= FADE_FORCE)
-            sigma = (scale_at(network.excitation, samples) * data.unit)[n]
-            missed = residual[len(data.train) :] * data.unit[n] / sigma
-            nats = np.log(sigma) + missed**2 / 2 + 0.5 * math.log(2 * math.pi)
+            engine, where = engine_of(network), samples[n - 1, 1:]
+            missed = residual[len(data.train) :] * data.unit[n]
+            expected = Forecast(
+                0 * missed, engine.sigma(where) * data.unit[n], engine.tail(where), engine.largest
+            )
+            _, nats = excitation_fit(expected, missed)
             likelihood = float(nats[heard].mean()) if heard.any() else None
         warm_start, condition = pick_warm_start(trace, split, scaling, architecture.history)
         best = max((line for line in progress.epochs if line.best), key=lambda line: line.epoch)
