@@ -75,20 +75,24 @@ def untrained(key: str, architecture: FotenArchitecture | None = None, seed: int
             parameter += 0.1 * torch.randn_like(parameter)
         if key == "foten-plus":
             network.network.head_3.weight *= 0.1  # else the correction drowns the excitation
-            network.reflections.copy_(0.02 * torch.randn_like(network.reflections))
-            network.reflections[:, :2] += reflections_of(resonance(120.0, 0.95, 2))
-            network.speed_knots.copy_(torch.linspace(10.0, 200.0, len(network.speed_knots)))
-            network.force_knots.copy_(torch.linspace(-1.0, 0.9, len(network.force_knots)))
+            scales = [network.excitation]
+            for lattice in (network.lattice, *([network.rest] if architecture.n_tones else [])):
+                lattice.reflections.copy_(0.02 * torch.randn_like(lattice.reflections))
+                if lattice.reflections.shape[1] > 1:
+                    lattice.reflections[:, :2] += reflections_of(resonance(120.0, 0.95, 2))
+                lattice.speed_knots.copy_(torch.linspace(10.0, 200.0, len(lattice.speed_knots)))
+                lattice.force_knots.copy_(torch.linspace(-1.0, 0.9, len(lattice.force_knots)))
+                scales.append(lattice.level)
             if architecture.n_tones:
-                network.tone_speed_knots.copy_(torch.linspace(10.0, 200.0, len(network.tone_speed_knots)))
-                network.tone_force_knots.copy_(torch.linspace(-1.0, 0.9, len(network.tone_force_knots)))
-                network.tones.copy_(0.3 * torch.randn_like(network.tones))
-                network.tone_motion.copy_(torch.tensor([2 * np.pi / 2.5 / 1000, 3e-6, 2e-3]))
-            for scale in (network.level, network.excitation):
+                network.tones.speed_knots.copy_(torch.linspace(10.0, 200.0, len(network.tones.speed_knots)))
+                network.tones.force_knots.copy_(torch.linspace(-1.0, 0.9, len(network.tones.force_knots)))
+                network.tones.values.copy_(torch.randn_like(network.tones.values))
+                network.tones.motion.copy_(torch.tensor([2 * np.pi / 2.5 / 1000, 0.03, 2e-3]))
+            for scale in scales:
                 scale.mean.copy_(torch.tensor(SCALING.mean[1:]))
                 scale.sd.copy_(torch.tensor(SCALING.sd[1:]))
                 scale.out.weight *= 0.3
-                scale.out.bias.fill_(float(np.log(0.3)) if scale is network.level else 0.0)
+                scale.out.bias.fill_(0.0 if scale is network.excitation else float(np.log(0.3)))
                 scale.power_law.weight.copy_(torch.tensor([[0.7, 0.4, 0.0, 0.0, 0.0]]))
     return network.eval()
 

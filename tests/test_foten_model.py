@@ -237,11 +237,11 @@ def test_foten_plus_starts_as_its_lattice() -> None:
     """Oracle: the direct form of an AR(2)."""
     torch.manual_seed(0)
     network = build("foten-plus", FotenPlusArchitecture(order=2)).double().eval()
-    network.reflections[:, :2] = reflections_of(np.array([-0.9, 1.6]))
+    network.lattice.reflections[:, :2] = reflections_of(np.array([-0.9, 1.6]))
     with torch.no_grad():
-        network.level.out.weight.zero_()
-        network.level.out.bias.zero_()
-        network.level.power_law.weight.zero_()
+        network.lattice.level.out.weight.zero_()
+        network.lattice.level.out.bias.zero_()
+        network.lattice.level.power_law.weight.zero_()
     given = windows(network.architecture)
     with torch.no_grad():
         found = network(given).numpy()
@@ -273,7 +273,7 @@ def test_the_network_sees_a_vibration_of_unit_size_whatever_the_level() -> None:
     doubled[..., 0] *= 2
     with torch.no_grad():
         expected = 2 * network(given)
-        network.level.out.bias += math.log(2)
+        network.lattice.level.out.bias += math.log(2)
         np.testing.assert_allclose(network(doubled), expected, rtol=1e-9)  # rounding
 
 

@@ -237,7 +237,7 @@ def test_the_level_follows_the_excitation(texture: Texture) -> None:
         still[name] = np.zeros_like(still[name])
     engine: Any = engine_for(texture)
     scaled = np.array([[(80.0 - SCALING.mean[1]) / SCALING.sd[1], (1.0 - SCALING.mean[2]) / SCALING.sd[2]]])
-    expected = engine.level(scaled)[0] * engine.sigma(scaled)[0] * SCALING.sd[0]
+    expected = engine.lattice.level(scaled)[0] * engine.sigma(scaled)[0] * SCALING.sd[0]
     linear = proved_again(dataclasses.replace(texture, tensors=still))
     found = Synthesizer(linear, n_streams=64).render(*steady(450))[:, 150:]
     # 64·300·(1 − 0.95²) = 1800 independent samples: the RMS is known to 1/√(2·1800) = 1.7 %; three of them.
@@ -288,14 +288,14 @@ def test_it_starts_from_given_windows_and_leaves_them_alone(texture: Texture) ->
         ("golden.closed_loop", "64 closed-loop steps differs"),
         ("network.temporal.layers.0.feedforward_out.weight", "differs"),
         ("network.spectral.magnitude_in.weight", "differs"),
-        ("reflections", "differs"),
-        ("level.out.bias", "differs"),
+        ("lattice.reflections", "differs"),
+        ("lattice.level.out.bias", "differs"),
         ("excitation.out.bias", "differs"),
     ],
 )
 def test_a_texture_that_fails_its_own_proof_is_refused(texture: Texture, name: str, message: str) -> None:
     damaged = texture.tensors[name].copy()
-    damaged.flat[::5] += 0.05 if name == "reflections" else 0.5
+    damaged.flat[::5] += 0.05 if name == "lattice.reflections" else 0.5
     broken = dataclasses.replace(texture, tensors={**texture.tensors, name: damaged})
     with pytest.raises(ValueError, match=f"fails its own proof: .*{message}.*is the file damaged"):
         Synthesizer(broken)

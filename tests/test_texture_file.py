@@ -185,7 +185,9 @@ def test_a_card_that_does_not_fit_is_refused(texture: Texture, fields: dict[str,
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("name", ["warm_start", "reflections", "golden.one_step", "network.head_1.weight"])
+@pytest.mark.parametrize(
+    "name", ["warm_start", "lattice.reflections", "golden.one_step", "network.head_1.weight"]
+)
 def test_a_tensor_with_nan_is_refused(texture: Texture, name: str, value: float) -> None:
     tensor = texture.tensors[name].copy()
     tensor.flat[-1] = value
@@ -196,7 +198,7 @@ def test_a_tensor_with_nan_is_refused(texture: Texture, name: str, value: float)
 @pytest.mark.parametrize("dtype", [np.int64, np.float16, np.bool_])
 def test_only_floats_of_32_and_64_bits(texture: Texture, dtype: type) -> None:
     with pytest.raises(ValueError, match="expected float32 or float64"):
-        texture_from_bytes(with_tensor(texture, "reflections", np.zeros((6, 6), dtype)))
+        texture_from_bytes(with_tensor(texture, "lattice.reflections", np.zeros((6, 6), dtype)))
 
 
 @pytest.mark.parametrize(

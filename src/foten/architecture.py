@@ -97,13 +97,20 @@ class FotenPlusArchitecture(FotenArchitecture):
     order: int = 20  # p of the lattice, samples
     n_speed: int = 1  # its vertices over speed
     n_force: int = 1  # and over force
-    n_tones: int = 0  # multiples of the path's frequency; none for a surface that does not repeat
+    n_tones: int = (
+        0  # multiples of the path's frequency; none for a surface that does not repeat, nor what follows
+    )
     n_tone_speed: int = 1  # vertices of their amplitudes over speed
     n_tone_force: int = 1  # and over force
+    rest_order: int = 1  # of the lattice of what tones leave
+    n_rest_speed: int = 1  # its vertices over speed
+    n_rest_force: int = 1  # and over force
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("excitation_width", "order", "n_speed", "n_force", "n_tone_speed", "n_tone_force"):
+        for name in ("excitation_width", "order", "n_speed", "n_force"):
+            _check_count(name, getattr(self, name), 1)
+        for name in ("n_tone_speed", "n_tone_force", "rest_order", "n_rest_speed", "n_rest_force"):
             _check_count(name, getattr(self, name), 1)
         _check_count("n_tones", self.n_tones, 0)
         if type(self.correction_limit) not in (int, float) or not 0 < self.correction_limit < 1e6:
@@ -112,7 +119,7 @@ class FotenPlusArchitecture(FotenArchitecture):
     @property
     def history(self) -> int:
         """Return how many samples a prediction is given: a window of innovations, the lattice's order before it, and one."""
-        return self.window + self.order + 1
+        return self.window + max(self.order, self.rest_order) + 1
 
     @property
     def n_inputs(self) -> int:
@@ -159,21 +166,34 @@ def tensor_shapes(key: str, architecture: FotenArchitecture) -> dict[str, tuple[
     """
     if isinstance(architecture, FotenPlusArchitecture):
         shapes = {f"network.{name}": shape for name, shape in _foten_shapes(architecture).items()}
-        n_speed, n_force = architecture.n_speed, architecture.n_force
-        shapes |= {"speed_knots": (n_speed,), "force_knots": (n_force,)}
-        shapes |= {"reflections": (n_speed * n_force, architecture.order)}
+        width = architecture.excitation_width
+        shapes |= _lattice(
+            "lattice", architecture.n_speed, architecture.n_force, architecture.order, width
+        ) | _scale("excitation", width)
         if architecture.n_tones:
             n_speed, n_force = architecture.n_tone_speed, architecture.n_tone_force
-            shapes |= {"tone_speed_knots": (n_speed,), "tone_force_knots": (n_force,)}
-            shapes |= {"tones": (n_speed * n_force, 2 * architecture.n_tones), "tone_motion": (3,)}
-        for name in ("level", "excitation"):
-            shapes |= _linear(f"{name}.hidden", architecture.excitation_width, 4)
-            shapes |= _linear(f"{name}.out", 1, architecture.excitation_width)
-            shapes |= {f"{name}.power_law.weight": (1, 5), f"{name}.highest": (1,)}
-            shapes |= {f"{name}.{part}": (2,) for part in ("mean", "sd", "floor")}
+            shapes |= {"tones.speed_knots": (n_speed,), "tones.force_knots": (n_force,)}
+            shapes |= {"tones.values": (n_speed * n_force, 2 * architecture.n_tones), "tones.motion": (3,)}
+            n_speed, n_force = architecture.n_rest_speed, architecture.n_rest_force
+            shapes |= _lattice("rest", n_speed, n_force, architecture.rest_order, width)
         shapes |= {"excitation.largest": (1,), **_linear("excitation.tail", 1, 5)}
         return shapes
     return _foten_shapes(architecture)
+
+
+def _lattice(name: str, n_speed: int, n_force: int, order: int, width: int) -> dict[str, tuple[int, ...]]:
+    return {
+        f"{name}.speed_knots": (n_speed,),
+        f"{name}.force_knots": (n_force,),
+        f"{name}.reflections": (n_speed * n_force, order),
+        **_scale(f"{name}.level", width),
+    }
+
+
+def _scale(name: str, width: int) -> dict[str, tuple[int, ...]]:
+    shapes = _linear(f"{name}.hidden", width, 4) | _linear(f"{name}.out", 1, width)
+    shapes |= {f"{name}.power_law.weight": (1, 5), f"{name}.highest": (1,)}
+    return shapes | {f"{name}.{part}": (2,) for part in ("mean", "sd", "floor")}
 
 
 def _linear(name: str, outputs: int, inputs: int) -> dict[str, tuple[int, ...]]:

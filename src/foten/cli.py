@@ -682,7 +682,9 @@ def _linear_part(texture: Texture) -> dict[str, str]:
     if sizes["n_tones"]:
         length = (metrics.get("linear_part") or {}).get("wavelength_mm")
         every = f", the surface repeats every {length:.3g} mm" if length else ""
-        rows["tones"] = f"{sizes['n_tones']} multiples{every}"
+        rows["tones"] = (
+            f"{sizes['n_tones']} multiples{every}; of the rest a lattice of {sizes['rest_order']} samples"
+        )
     return rows
 
 

@@ -190,6 +190,8 @@ def _one_step(
     if texture.has_excitation:
         heard = (trace.speed[n] >= FADE_SPEED) & (trace.force[n] >= FADE_FORCE)
         scores = excitation_scores(engine, samples, n, heard)
+        if scores["nll"] is None:
+            reasons["one_step.nll"] = "the excitation is that of a rendering, or the hand was at rest"
         result = {**result, **scores, "intervals": {**result["intervals"], **scores["intervals"]}}
     references["zero"], references["persistence"] = score(Zero()), score(Persistence())
     if texture.has_excitation:

@@ -8,16 +8,24 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.dsp.distance import (
+    HIGHEST_HZ,
+    LOWEST_HZ,
+    POWER_FLOOR,
+    log_spectral_distance,
+    scored_bins,
+    segment_length,
+    welch,
+)
 from foten.dsp.level import FLOOR_DB, FRAME_MS, frame_levels, frame_means
 
-__all__ = ["FLOOR_DB", "FRAME_MS", "frame_levels", "frame_means"]  # re-exported: they are figures too
+# Re-exported: they are figures too.
+__all__ = ["FLOOR_DB", "FRAME_MS", "frame_levels", "frame_means"]
+__all__ += ["HIGHEST_HZ", "LOWEST_HZ", "log_spectral_distance", "scored_bins", "segment_length", "welch"]
 
 Array = NDArray[np.float64]
 
-LOWEST_HZ = 20.0  # below it the high-pass rules
-HIGHEST_HZ = 1000.0  # above it a hand feels nothing
 N_BANDS = 9
-_POWER_FLOOR = 1e-12  # of the recorded power in a bin: a silent synthesis is 120 dB off, not infinitely
 
 
 def mean_absolute_error(recorded: Array, predicted: Array) -> float:
@@ -46,34 +54,6 @@ def goodness_of_fit(recorded: Array, synthesized: Array) -> float:
 def _cosine(a: Array, b: Array) -> float:
     norm = math.sqrt(float(a @ a)) * math.sqrt(float(b @ b))
     return float(a @ b) / norm if norm > 0 else 0.0
-
-
-def welch(blocks: Array, rate_hz: float, n_segment: int) -> tuple[Array, Array]:
-    """Return frequencies [Hz] and power densities [(m/s²)²/Hz]: blocks (…, n) → (k,), (…, k).
-
-    Hann segments, half overlapping, the mean of each removed.
-    """
-    from scipy import signal
-
-    frequencies, density = signal.welch(blocks, rate_hz, nperseg=n_segment, axis=-1)
-    return frequencies, density
-
-
-def segment_length(block: int) -> int:
-    """Return Welch's segment for a block of so many samples: 256, or a quarter of the block if that is less."""
-    return min(256, max(8, block // 4))
-
-
-def scored_bins(frequencies: Array, rate_hz: float) -> NDArray[np.bool_]:
-    """Return which bins are scored: from 20 Hz to the lower of 1 kHz and 0.45 of the rate."""
-    return (frequencies >= LOWEST_HZ) & (frequencies <= min(HIGHEST_HZ, 0.45 * rate_hz))
-
-
-def log_spectral_distance(recorded: Array, synthesized: Array) -> Array:
-    """Return the RMS over bins of 10·log₁₀(P/Q) [dB], sees gain: densities (…, k) of scored bins → (…,)."""
-    floor = _POWER_FLOOR * recorded.max(axis=-1, keepdims=True)
-    ratio = 10 * np.log10(np.maximum(recorded, floor) / np.maximum(synthesized, floor))
-    return np.sqrt(np.square(ratio).mean(axis=-1))
 
 
 def level_slopes(levels: Array, speed: Array, force: Array) -> tuple[float, float] | None:
@@ -111,7 +91,7 @@ def band_errors(
     for low, high in pairwise(edges):
         inside = (frequencies >= low) & (frequencies < high if high < edges[-1] else frequencies <= high)
         p, q = float(recorded[inside].sum()), float(synthesized[inside].sum())
-        errors.append(10 * math.log10(max(q, _POWER_FLOOR * p) / p) if p > 0 else None)
+        errors.append(10 * math.log10(max(q, POWER_FLOOR * p) / p) if p > 0 else None)
     return errors
 
 

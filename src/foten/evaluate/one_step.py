@@ -62,7 +62,8 @@ def excitation_scores(
 ) -> dict[str, Any]:
     """Return how well the excitation, its scale and its tails, describes the one-step error.
 
-    Settling the level in the closed loop (`train.excitation`) trades likelihood for level.
+    Settling the level in the closed loop (`train.excitation`) trades likelihood for level. None of it is known where the
+    excitation is not that of a prediction, but of a rendering which knows its place on the surface (`dsp.tones`).
 
     Args:
         engine: of the model.
@@ -77,6 +78,8 @@ def excitation_scores(
         what should be a standard normal, 1 when the excitation is right; `intervals`.
     """
     forecast = engine.follow(_with_history(engine, samples, n))
+    if forecast.scale is None:
+        return {**dict.fromkeys(("nll", "coverage_50", "coverage_90", "standardised_sd")), "intervals": {}}
     standardised, nll = excitation_fit(forecast, samples[n, 0])
 
     def figures(index: NDArray[np.int64]) -> dict[str, float | None]:

@@ -11,21 +11,14 @@ from torch import Tensor, nn
 from foten.architecture import HEAVIEST_TAIL, FotenPlusArchitecture
 from foten.dsp.lattice import LEAK
 from foten.dsp.plane import FORCE_FLOOR
-from foten.dsp.tones import (
-    LARGEST_INNOVATION,
-    LARGEST_STEP,
-    LARGEST_VARIANCE,
-    LEAST_VARIANCE,
-    N_CANDIDATES,
-    START_VARIANCE,
-)
+from foten.dsp.tones import LARGEST_STRAY, N_CANDIDATES
 from foten.models.foten import Foten
 
 NO_TAIL = -30.0  # of which the logistic function is zero
 
 
 class FotenPlus(nn.Module):
-    """A lattice that follows speed and force, a bounded correction of it by FoTEN, and the scale of the excitation.
+    """A lattice that follows speed and force, a bounded correction of it by FoTEN, and an excitation; tones where it repeats.
 
     With ℓ(v, f) the `level` of the vibration, x = a/ℓ is of about unit size at every speed and force. A lattice whose reflections
     follow v and f (`dsp.lattice`) predicts x and leaves the innovation e, of unit variance; a unit of it is worth Π cᵢ in x. The
@@ -36,8 +29,11 @@ class FotenPlus(nn.Module):
     In the closed loop the excitation σ(v, f) times noise is added to that answer, so the lattice is driven by something
     that is bounded, whatever the network says, and stays bounded itself however speed and force move.
 
-    Level and lattice are fitted before training (`train.lattice`, `train.excitation`) and stay as they are. The head's last layer
-    starts at zero, so training starts at the lattice's error.
+    A surface that repeats is rendered otherwise: tones of the path (`dsp.tones`), plus a lattice of its own for the
+    `rest`, excited by chance alone. Its next sample is still predicted as above, from what was heard.
+
+    Level, lattices and tones are fitted before training (`train.lattice`, `train.tones`, `train.excitation`) and stay as they
+    are. The head's last layer starts at zero, so training starts at the lattice's error.
 
     Why e is an input: what a tool does after an impact depends on the impact, which is one large innovation that the
     acceleration hides under ringing (simulated styrofoam, share of the best AR's error: 0.96 without it, 0.94 with it).
@@ -47,149 +43,194 @@ class FotenPlus(nn.Module):
         super().__init__()
         self.architecture = architecture
         self.network = Corrector(architecture)
-        n_vertices = architecture.n_speed * architecture.n_force
-        # float64: at 10 kHz reflections reach 0.9999.
-        self.register_buffer("speed_knots", torch.zeros(architecture.n_speed, dtype=torch.float64))
-        self.register_buffer("force_knots", torch.zeros(architecture.n_force, dtype=torch.float64))
-        self.register_buffer("reflections", torch.zeros(n_vertices, architecture.order, dtype=torch.float64))
+        width = architecture.excitation_width
+        self.lattice = Lattice(architecture.n_speed, architecture.n_force, architecture.order, width)
         if architecture.n_tones:
-            n_vertices = architecture.n_tone_speed * architecture.n_tone_force
-            for name, shape in (
-                ("tone_speed_knots", (architecture.n_tone_speed,)),
-                ("tone_force_knots", (architecture.n_tone_force,)),
-                ("tones", (n_vertices, 2 * architecture.n_tones)),
-                # Phase for a mm/s and a sample, its variance for the same, and what a rendering forgets of it in a sample.
-                ("tone_motion", (3,)),
-            ):
-                self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
-        self.level = Scale(architecture.excitation_width).requires_grad_(False)
-        self.excitation = Excitation(architecture.excitation_width).requires_grad_(False)
+            self.tones = Tones(architecture)
+            self.rest = Lattice(
+                architecture.n_rest_speed, architecture.n_rest_force, architecture.rest_order, width
+            )
+        self.excitation = Excitation(width).requires_grad_(False)
+
+    @property
+    def excited(self) -> Lattice:
+        """Return the lattice that a rendering excites."""
+        return self.rest if self.architecture.n_tones else self.lattice
 
     def forward(self, windows: Tensor) -> Tensor:
         """Return the next samples: windows (b, m, 3) scaled, m the architecture's `history` → (b,) scaled."""
-        return self.forecast(self.start(windows))[0]
+        return self._expected(self._heard(windows, self.lattice))[0]
 
     def start(self, windows: Tensor) -> Heard:
-        """Return the state of streams that have heard the given scaled windows, shape (b, m, 3)."""
-        b, m, _ = windows.shape
-        samples, condition = windows[:, 1:, 0], windows[:, :-1, 1:]
-        rest = torch.zeros(self.architecture.order, b, dtype=windows.dtype, device=windows.device)
-        phase = torch.zeros(b, dtype=windows.dtype, device=windows.device)
-        if self.architecture.n_tones:
-            flat = condition.reshape(-1, 2)
-            turned = (self.tone_motion[0] * self._physical(flat)[:, 0]).reshape(b, m - 1).to(windows.dtype)
-            level = self.level(flat).reshape(b, m - 1)
-            coefficients = self._tones(flat).reshape(b, m - 1, -1) / level[..., None]
-            travelled = torch.cumsum(turned, dim=1)
-            candidates = 2 * math.pi * torch.arange(N_CANDIDATES, dtype=windows.dtype) / N_CANDIDATES
-            missed = [
-                (samples / level - _tone(coefficients, travelled + start)[0]).square().sum(dim=1)
-                for start in candidates
-            ]
-            phase = candidates[torch.stack(missed).argmin(dim=0)]
-        heard = Heard(
-            states=rest,
-            slopes=rest,
-            phase=phase,
-            variance=torch.full_like(phase, START_VARIANCE),
-            path=torch.zeros_like(phase),
-            condition=windows[:, 0, 1:],
-            seen=torch.zeros(b, self.architecture.window, 4, dtype=windows.dtype, device=windows.device),
-        )
-        for n in range(1, m):
-            heard = self._take_in(heard, windows[:, n, 0], windows[:, n, 1:], own=False)
+        """Return the state of a rendering that goes on from the given scaled windows, shape (b, m, 3)."""
         if not self.architecture.n_tones:
-            return heard
-        speed = self._physical(heard.condition)[:, 0].to(phase.dtype)
-        return heard._replace(path=-self.tone_motion[0].to(phase.dtype) * speed)
+            return self._heard(windows, self.lattice)
+        samples, condition = windows[:, 1:, 0], windows[:, :-1, 1:]
+        shape, flat = samples.shape, condition.reshape(-1, 2)
+        turned = self._turn(flat).reshape(shape).to(windows.dtype)
+        travelled = torch.cumsum(turned, dim=1)
+        level = self.lattice.level(flat).reshape(shape)
+        coefficients = self._tones_at(flat).reshape(*shape, -1)
+        candidates = 2 * math.pi * torch.arange(N_CANDIDATES, dtype=windows.dtype) / N_CANDIDATES
+        missed = [
+            ((samples - _tone(coefficients, travelled + start)) / level).square().sum(dim=1)
+            for start in candidates
+        ]
+        return self._heard(windows, self.rest, candidates[torch.stack(missed).argmin(dim=0)])
 
     def forecast(self, heard: Heard) -> tuple[Tensor, Tensor]:
-        """Return the next samples, and by how much a unit of excitation moves them: (b,), (b,); scaled."""
-        level, k = self.level(heard.condition), self._reflections(heard.condition)
-        cosine = torch.sqrt(1 - k * k)
-        expected = torch.zeros_like(level)
-        for i in reversed(range(k.shape[1])):
-            expected = cosine[:, i] * expected - k[:, i] * LEAK * heard.states[i]
-        unit = level * cosine.prod(dim=1)
-        sample = level * expected + unit * self.network(heard.seen)
-        if self.architecture.n_tones:
-            sample = sample + self._moved(heard)[1]
+        """Return the next samples of a rendering, and by how much a unit of excitation moves them: (b,), (b,); scaled."""
+        if not self.architecture.n_tones:
+            sample, unit = self._expected(heard)
+            return sample, unit * self.excitation(heard.condition)
+        x, level, unit = self.rest.forecast(heard.states, heard.condition)
+        sample = level * x + _tone(self._tones_at(heard.condition), self._moved(heard).phase)
         return sample, unit * self.excitation(heard.condition)
 
     def push(self, heard: Heard, sample: Tensor, condition: Tensor) -> Heard:
-        """Return the state after a sample (b,) of the model's own and its speed and force (b, 2), all scaled."""
-        return self._take_in(heard, sample, condition, own=True)
-
-    def tone_power(self, condition: Tensor) -> Tensor:
-        """Return the mean square of the tones: speed and force (b, 2) scaled → (b,), float64."""
-        if not self.architecture.n_tones:
-            return torch.zeros(len(condition), dtype=torch.float64)
-        return 0.5 * self._tones(condition.double()).square().sum(dim=1)
-
-    def _take_in(self, heard: Heard, sample: Tensor, condition: Tensor, own: bool) -> Heard:
-        level, k = self.level(heard.condition), self._reflections(heard.condition)
-        value = slope = torch.zeros_like(sample)
+        """Return the state after a rendered sample (b,) and its speed and force (b, 2), all scaled."""
         before = heard.condition
-        if self.architecture.n_tones:
-            heard, value, slope = self._moved(heard)
-        x = (sample - value) / level
-        states, e = _through(heard.states, k, x)
-        seen = torch.cat([x[:, None], condition, e[:, None]], dim=1)
-        after = heard._replace(
-            states=states, condition=condition, seen=torch.cat([heard.seen[:, 1:], seen[:, None]], dim=1)
-        )
+        heard, e = self._take_in(heard, self.excited, sample, condition)
         if not self.architecture.n_tones:
-            return after
-        chance = e.clamp(-LARGEST_INNOVATION, LARGEST_INNOVATION)
-        if own:
-            turn = 2 * math.pi
-            away = heard.phase - heard.path
-            away = away - turn * torch.round(away / turn)
-            speed = self._physical(before)[:, 0].to(sample.dtype)
-            jitter, forgetting = self.tone_motion[1:].to(sample.dtype)
-            phase = heard.phase - forgetting * away + torch.sqrt(jitter * speed) * chance
-            return after._replace(phase=phase)
-        slopes, h = _through(heard.slopes, k, slope / level)
-        gain = heard.variance * h / (h * h * heard.variance + 1)
-        step = gain * chance
-        phase = heard.phase + step.clamp(-LARGEST_STEP, LARGEST_STEP)
-        variance = ((1 - gain * h) * heard.variance).clamp(LEAST_VARIANCE, LARGEST_VARIANCE)
-        return after._replace(slopes=slopes, phase=phase, variance=variance)
+            return heard
+        away = heard.phase - heard.path
+        away = away - 2 * math.pi * torch.round(away / (2 * math.pi))
+        unevenness, forgetting = self.tones.motion[1:].to(sample.dtype)
+        turn = self._turn(before).to(sample.dtype)
+        alike = torch.exp(-turn / math.pi)
+        chance = unevenness * e.clamp(-LARGEST_STRAY, LARGEST_STRAY)
+        rate = alike * heard.rate + torch.sqrt(1 - alike * alike) * chance
+        return heard._replace(phase=heard.phase - forgetting * away + turn * rate, rate=rate)
 
-    def _moved(self, heard: Heard) -> tuple[Heard, Tensor, Tensor]:
-        """Return the streams a sample further along the path, the tone there and its derivative by the phase."""
-        speed = self._physical(heard.condition)[:, 0].to(heard.phase.dtype)
-        turn, jitter = self.tone_motion[:2].to(heard.phase.dtype)
-        moved = heard._replace(
-            phase=heard.phase + turn * speed,
-            path=heard.path + turn * speed,
-            variance=heard.variance + jitter * speed,
+    def rendered_power(self, condition: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the mean squares of what is random in a rendering and of its tones: (b, 2) scaled → (b,), (b,), float64."""
+        chance = (self.excited.level(condition) * self.excitation(condition)).double().square()
+        if not self.architecture.n_tones:
+            return chance, torch.zeros_like(chance)
+        return chance, 0.5 * self._tones_at(condition).double().square().sum(dim=1)
+
+    def _heard(self, windows: Tensor, lattice: Lattice, phase: Tensor | None = None) -> Heard:
+        """Return what a lattice makes of windows; tones that begin at a phase are taken off before."""
+        b, m, _ = windows.shape
+        nothing = torch.zeros(b, dtype=windows.dtype, device=windows.device)
+        heard = Heard(
+            states=nothing.new_zeros(lattice.reflections.shape[1], b),
+            seen=nothing.new_zeros(b, self.architecture.window, 4),
+            condition=windows[:, 0, 1:],
+            phase=nothing if phase is None else phase,
+            path=nothing,
+            rate=nothing,
         )
-        return moved, *_tone(self._tones(heard.condition), moved.phase)
+        for n in range(1, m):
+            heard, _ = self._take_in(heard, lattice, windows[:, n, 0], windows[:, n, 1:])
+        if lattice is self.lattice:
+            return heard
+        # The way to the first sample belongs to the recording, of which nothing is to be left.
+        return heard._replace(path=-self._turn(heard.condition).to(heard.path.dtype))
 
-    def _physical(self, condition: Tensor) -> Tensor:
-        return (condition.double() * self.level.sd.double() + self.level.mean.double()).clamp(min=0.0)
+    def _take_in(
+        self, heard: Heard, lattice: Lattice, sample: Tensor, condition: Tensor
+    ) -> tuple[Heard, Tensor]:
+        if lattice is not self.lattice:
+            heard = self._moved(heard)
+            sample = sample - _tone(self._tones_at(heard.condition), heard.phase)
+        x = sample / lattice.level(heard.condition)
+        states, e = lattice.push(heard.states, heard.condition, x)
+        seen = torch.cat([x[:, None], condition, e[:, None]], dim=1)
+        seen = torch.cat([heard.seen[:, 1:], seen[:, None]], dim=1)
+        return heard._replace(states=states, condition=condition, seen=seen), e
 
-    def _reflections(self, condition: Tensor) -> Tensor:
-        physical = self._physical(condition)
-        return _bilinear(physical, self.speed_knots, self.force_knots, self.reflections).to(condition.dtype)
+    def _expected(self, heard: Heard) -> tuple[Tensor, Tensor]:
+        """Return what is to be expected of the next samples, and what a unit of innovation is worth: (b,), (b,); scaled."""
+        x, level, unit = self.lattice.forecast(heard.states, heard.condition)
+        return level * x + unit * self.network(heard.seen), unit
 
-    def _tones(self, condition: Tensor) -> Tensor:
-        physical = self._physical(condition)
-        found = _bilinear(physical, self.tone_speed_knots, self.tone_force_knots, self.tones)
-        return found.to(condition.dtype)
+    def _moved(self, heard: Heard) -> Heard:
+        """Return the streams a sample further along the path."""
+        turn = self._turn(heard.condition).to(heard.phase.dtype)
+        return heard._replace(phase=heard.phase + turn, path=heard.path + turn)
+
+    def _turn(self, condition: Tensor) -> Tensor:
+        """Return by how much the phase moves on in a sample [rad]: speed and force (b, 2) scaled → (b,), float64."""
+        return self.tones.motion[0] * self.lattice.physical(condition)[:, 0]
+
+    def _tones_at(self, condition: Tensor) -> Tensor:
+        return (
+            self.tones(self.lattice.physical(condition)).to(condition.dtype)
+            * self.lattice.level(condition)[:, None]
+        )
 
 
 class Heard(NamedTuple):
-    """What streams of foten-plus remember, as `render.engine` has it; `condition` is that of the last sample."""
+    """What streams remember, as `render.engine` has it; `condition` is that of the last sample."""
 
     states: Tensor
-    slopes: Tensor
-    phase: Tensor
-    variance: Tensor
-    path: Tensor
-    condition: Tensor
     seen: Tensor
+    condition: Tensor
+    phase: Tensor
+    path: Tensor
+    rate: Tensor
+
+
+class Lattice(nn.Module):
+    """A level and reflections over speed and force: of the whole vibration, or of what tones leave of it."""
+
+    def __init__(self, n_speed: int, n_force: int, order: int, width: int) -> None:
+        super().__init__()
+        self.level = Scale(width).requires_grad_(False)
+        # float64: at 10 kHz reflections reach 0.9999.
+        self.register_buffer("speed_knots", torch.zeros(n_speed, dtype=torch.float64))
+        self.register_buffer("force_knots", torch.zeros(n_force, dtype=torch.float64))
+        self.register_buffer("reflections", torch.zeros(n_speed * n_force, order, dtype=torch.float64))
+
+    def forecast(self, states: Tensor, condition: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the x expected next, the level, and what a unit of innovation is worth: (p, b), (b, 2) → (b,) each."""
+        level, k = self.level(condition), self.at(condition)
+        cosine = torch.sqrt(1 - k * k)
+        expected = torch.zeros_like(level)
+        for i in reversed(range(k.shape[1])):
+            expected = cosine[:, i] * expected - k[:, i] * LEAK * states[i]
+        return expected, level, level * cosine.prod(dim=1)
+
+    def push(self, states: Tensor, condition: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the states after x, shape (b,), and its innovation: states (p, b), condition before it (b, 2)."""
+        k = self.at(condition)
+        cosine = torch.sqrt(1 - k * k)
+        after, f = [x], x
+        for i in range(k.shape[1]):
+            b = LEAK * states[i]
+            f, backward = (f + k[:, i] * b) / cosine[:, i], (b + k[:, i] * f) / cosine[:, i]
+            after.append(backward)
+        return torch.stack(after[:-1]), f
+
+    def at(self, condition: Tensor) -> Tensor:
+        """Return the reflections: speed and force (b, 2) scaled → (b, p)."""
+        physical = self.physical(condition)
+        return _bilinear(physical, self.speed_knots, self.force_knots, self.reflections).to(condition.dtype)
+
+    def physical(self, condition: Tensor) -> Tensor:
+        """Return speed [mm/s] and force [N], none negative: scaled (b, 2) → (b, 2), float64."""
+        return (condition.double() * self.level.sd.double() + self.level.mean.double()).clamp(min=0.0)
+
+
+class Tones(nn.Module):
+    """Coefficients of the tones over speed and force, in units of the vibration's level, and how their phase moves."""
+
+    def __init__(self, architecture: FotenPlusArchitecture) -> None:
+        super().__init__()
+        n_speed, n_force = architecture.n_tone_speed, architecture.n_tone_force
+        for name, shape in (
+            ("speed_knots", (n_speed,)),
+            ("force_knots", (n_force,)),
+            ("values", (n_speed * n_force, 2 * architecture.n_tones)),
+            # Phase for a mm/s and a sample; by how much periods differ; what a rendering forgets of its stray in a sample.
+            ("motion", (3,)),
+        ):
+            self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
+
+    def forward(self, physical: Tensor) -> Tensor:
+        """Return the coefficients: speed [mm/s] and force [N] (b, 2) → (b, 2 n_tones), float64."""
+        return _bilinear(physical, self.speed_knots, self.force_knots, self.values)
 
 
 class Corrector(Foten):
@@ -206,24 +247,13 @@ class Corrector(Foten):
         return self.limit * torch.tanh(super().forward(windows) / self.limit)
 
 
-def _through(states: Tensor, k: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the lattice's states after x, shape (b,), and its innovation: states (p, b), reflections (b, p)."""
-    cosine = torch.sqrt(1 - k * k)
-    after, f = [x], x
-    for i in range(k.shape[1]):
-        b = LEAK * states[i]
-        f, backward = (f + k[:, i] * b) / cosine[:, i], (b + k[:, i] * f) / cosine[:, i]
-        after.append(backward)
-    return torch.stack(after[:-1]), f
-
-
-def _tone(coefficients: Tensor, phase: Tensor) -> tuple[Tensor, Tensor]:
-    """Return T and its derivative by the phase: coefficients (…, 2 n_tones) and phases (…) → (…)."""
+def _tone(coefficients: Tensor, phase: Tensor) -> Tensor:
+    """Return T: coefficients (…, 2 n_tones) and phases (…) → (…)."""
     multiples = torch.arange(1, coefficients.shape[-1] // 2 + 1, dtype=phase.dtype, device=phase.device)
     angle = phase[..., None] * multiples
-    cosine, sine = torch.cos(angle), torch.sin(angle)
-    a, b = coefficients[..., 0::2], coefficients[..., 1::2]
-    return (a * cosine + b * sine).sum(dim=-1), (multiples * (b * cosine - a * sine)).sum(dim=-1)
+    return (coefficients[..., 0::2] * torch.cos(angle) + coefficients[..., 1::2] * torch.sin(angle)).sum(
+        dim=-1
+    )
 
 
 def _bilinear(physical: Tensor, speed_knots: Tensor, force_knots: Tensor, values: Tensor) -> Tensor:

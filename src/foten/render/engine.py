@@ -15,14 +15,12 @@ from foten.dsp.lattice import analyse, check_reflections, forecast, push
 from foten.dsp.noise import gaussianised, heavy_tailed
 from foten.dsp.plane import Plane
 from foten.dsp.spectrum import WEAKEST_BIN, dft_matrices, last_sample_row, position_encoding
-from foten.dsp.tones import LARGEST_INNOVATION, START_VARIANCE, corrected, fitted_phase, tone
+from foten.dsp.tones import LARGEST_STRAY, fitted_phase, tone
 from foten.texture_file import Texture
 
 Array = NDArray[np.float64]
 
 _AT_ONCE = 8_000_000  # reflections held in memory
-N_GUESSES = 4  # of the phase, while a recording is followed
-_MISFIT_TURNS = 0.5  # between two new guesses, that an innovation is remembered for
 
 
 class Predictor(Protocol):
@@ -220,261 +218,197 @@ class LatticeState:
     Attributes:
         states: b₀ … b_{p−1} of the lattice, shape (p, s).
         seen: what the network sees of the last m samples: x, speed, force, innovation; shape (s, m, 4).
-        tone: where the streams are on the surface; None where it does not repeat.
     """
 
     engine: NumpyFotenPlus
     states: Array
     seen: Array
-    tone: ToneState | None = None
     level: Array = field(init=False)
     reflections: Array = field(init=False)
 
     def __post_init__(self) -> None:
         self._heed(self.seen[:, -1, 1:3])
-        if self.tone is not None:
-            # The way to the first sample belongs to the recording, of which nothing is to be left.
-            self.tone.path = np.zeros_like(self.tone.phase)
 
     def _heed(self, condition: Array) -> None:
         """Make ready for the sample after one at a speed and force (s, 2), scaled."""
-        self.level, self.reflections = self.engine.level(condition), self.engine.reflections(condition).T
-        if self.tone is not None:
-            self.tone.move(condition)
+        lattice = self.engine.lattice
+        self.level, self.reflections = lattice.level(condition), lattice.reflections(condition).T
 
     def forecast(self) -> Forecast:
-        """Return tone, lattice's prediction and the network's correction of it."""
-        condition = self.seen[:, -1, 1:3]
+        """Return the lattice's prediction and the network's correction of it."""
         x, gain = forecast(self.states, self.reflections)
         unit = gain * self.level
         sample = x * self.level + unit * self.engine.correction(self.seen)
-        if self.tone is not None:
-            sample = sample + self.tone.value
-        scale = unit * self.engine.sigma(condition)
-        return Forecast(sample, scale, self.engine.tail(condition), self.engine.largest)
+        return self.engine.excited(sample, unit, self.seen[:, -1, 1:3])
 
     def push(self, sample: Array, condition: Array) -> None:
         """Take in the samples that followed the last forecast."""
-        if self.tone is None:
-            x = sample / self.level
-            self.states, e = push(self.states, self.reflections, x)
-        else:
-            x = (sample - self.tone.value) / self.level
-            self.states, e = push(self.states, self.reflections, x)
-            self.tone.wander(e)
+        x = sample / self.level
+        self.states, e = push(self.states, self.reflections, x)
         self.seen[:, :-1] = self.seen[:, 1:]
         self.seen[:, -1, 0], self.seen[:, -1, 3] = x, e
         self.seen[:, -1, 1:3] = condition
         self._heed(condition)
 
 
-@dataclass
-class ToneState:
-    """Where streams are on a surface that repeats.
+class ToneMotion(NamedTuple):
+    """How the phase of tones moves.
 
     Attributes:
-        phase, variance: of the fundamental [rad, rad²], shape (s,).
-        slopes: the lattice's state for the tone's derivative, shape (p, s); heard of a recording, not kept up in a rendering.
-        path: phase that the path alone would have, from zero at the first sample of its own, shape (s,).
-        value, slope: T and ∂T/∂φ of the sample to come, shape (s,).
-        grown: by how much the phase's variance grew on the way to it, shape (s,).
+        turn: phase for a mm/s and a sample [rad].
+        unevenness: standard deviation of a period's length, as a share of it.
+        forgetting: share of the stray which is taken back in a sample.
+    """
+
+    turn: float
+    unevenness: float
+    forgetting: float
+
+
+@dataclass
+class ToneState:
+    """Streams of foten-plus on a surface that repeats: tones of the path, and a lattice for what they leave.
+
+    Attributes:
+        states: of the lattice of the rest, shape (p, s).
+        condition: speed and force of the last sample, scaled, shape (s, 2).
+        phase: of the fundamental at the last sample [rad], shape (s,).
+        path: the phase that the path alone would have, from zero where the rendering began, shape (s,).
+        rate: by what share the phase turns faster than the path says, shape (s,).
+        level, reflections, value: for the sample to come; T in scaled acceleration.
     """
 
     engine: NumpyFotenPlus
+    states: Array
+    condition: Array
     phase: Array
-    variance: Array
-    slopes: Array
     path: Array = field(init=False)
+    rate: Array = field(init=False)
+    level: Array = field(init=False)
+    reflections: Array = field(init=False)
     value: Array = field(init=False)
-    slope: Array = field(init=False)
-    grown: Array = field(init=False)
 
     def __post_init__(self) -> None:
+        self.path = self.rate = np.zeros_like(self.phase)
+        self._heed(self.condition)
+        # The way to the first sample belongs to the recording, of which nothing is to be left.
         self.path = np.zeros_like(self.phase)
-        self.value = self.slope = self.grown = self.path
 
-    def move(self, condition: Array) -> None:
-        """Move on by a sample at a speed and force (s, 2), scaled."""
-        turn, jitter, _ = self.engine.motion
-        speed = self.engine.physical(condition)[:, 0]
-        self.phase, self.path = self.phase + turn * speed, self.path + turn * speed
-        self.grown = jitter * speed
-        self.variance = self.variance + self.grown
-        self.value, self.slope = tone(self.engine.tones_at(condition), self.phase)
+    def _heed(self, condition: Array) -> None:
+        """Move on to the sample after one at a speed and force (s, 2), scaled."""
+        self.condition, rest = condition, self.engine.rest
+        self.level, self.reflections = rest.level(condition), rest.reflections(condition).T
+        turned = self.engine.motion.turn * self.engine.lattice.physical(condition)[:, 0]
+        self.phase, self.path = self.phase + turned, self.path + turned
+        self.value = tone(self.engine.tones_at(condition), self.phase)
 
-    def correct(self, reflections: Array, level: Array, e: Array) -> None:
-        """Take in what the innovation e, shape (s,), says of the phase."""
-        self.slopes, slope = push(self.slopes, reflections, self.slope / level)
-        self.phase, self.variance = corrected(self.phase, self.variance, e, slope)
+    def forecast(self) -> Forecast:
+        """Return the tones and what the lattice predicts of the rest."""
+        x, gain = forecast(self.states, self.reflections)
+        return self.engine.excited(self.value + x * self.level, gain * self.level, self.condition)
 
-    def wander(self, e: Array) -> None:
-        """Let the phase stray as the surface does, the innovation e for chance, and draw it towards that of the path alone.
+    def push(self, sample: Array, condition: Array) -> None:
+        """Take in the samples that followed the last forecast.
 
-        A rendering so forgets where it started: streams under the same noise meet.
+        The phase strays as the surface does, the innovation for chance, and is drawn towards that of the path alone: a
+        rendering forgets where it started, and streams under the same noise meet.
         """
-        _, _, forgetting = self.engine.motion
+        self.states, e = push(self.states, self.reflections, (sample - self.value) / self.level)
+        motion, speed = self.engine.motion, self.engine.lattice.physical(self.condition)[:, 0]
         away = self.phase - self.path
-        self.phase = self.phase - forgetting * (away - 2 * np.pi * np.round(away / (2 * np.pi)))
-        self.phase = self.phase + np.sqrt(self.grown) * np.clip(e, -LARGEST_INNOVATION, LARGEST_INNOVATION)
-
-
-class _Search:
-    """Streams of recorded samples whose phase is followed from several guesses at once, the best of them believed.
-
-    A Kalman filter that starts at the wrong phase may stay there: what it hears fits half of the multiples. So in every
-    twentieth of a second the worst guess is given up for one beside the best.
-    """
-
-    def __init__(self, engine: NumpyFotenPlus, phase: Array, n_guesses: int) -> None:
-        self._engine, self._n_streams, self._n_guesses = engine, len(phase), n_guesses
-        apart = 2 * np.pi * np.arange(n_guesses) / n_guesses
-        n = n_guesses * len(phase)
-        self._states = np.zeros((engine.order, n))
-        start = (apart[:, None] + phase).ravel()
-        self._where = ToneState(engine, start, np.full(n, START_VARIANCE), np.zeros((engine.order, n)))
-        self._misfit = np.ones((n_guesses, len(phase)))
-        self._n = 0
-
-    def step(self, sample: Array, before: Array, level: Array, k: Array) -> tuple[Array, Array]:
-        """Take in a sample of each stream and return x and e of the best guess, each (s,)."""
-        guesses = self._n_guesses
-        k, level = np.tile(k, guesses), np.tile(level, guesses)
-        self._where.move(np.tile(before, (guesses, 1)))
-        x = (np.tile(sample, guesses) - self._where.value) / level
-        self._states, e = push(self._states, k, x)
-        self._where.correct(k, level, e)
-        chosen = self._chosen()
-        if guesses > 1:
-            squared = np.minimum(np.square(e).reshape(guesses, -1), LARGEST_INNOVATION**2)
-            self._misfit += (squared - self._misfit) / (_MISFIT_TURNS * self._engine.search_every)
-            self._n += 1
-            if self._n % self._engine.search_every == 0:
-                self._try_another()
-        return x[chosen], e[chosen]
-
-    def _chosen(self) -> NDArray[np.int64]:
-        return self._misfit.argmin(axis=0) * self._n_streams + np.arange(self._n_streams)
-
-    def _try_another(self) -> None:
-        """Set the worst guess of each stream beside the best, a little behind it in what it has to its credit."""
-        streams = np.arange(self._n_streams)
-        best, worst = self._misfit.argmin(axis=0), self._misfit.argmax(axis=0)
-        to, since = worst * self._n_streams + streams, best * self._n_streams + streams
-        turn = 2 * np.pi * (0.5 + 0.381966 * (self._n // self._engine.search_every))  # never twice the same
-        self._states[:, to], self._where.slopes[:, to] = self._states[:, since], self._where.slopes[:, since]
-        self._where.phase[to] = self._where.phase[since] + turn
-        self._where.variance[to] = START_VARIANCE
-        self._misfit[worst, streams] = 1.2 * self._misfit[best, streams]
-
-    def best(self) -> ToneState:
-        """Return where the best guess of each stream is."""
-        chosen, where = self._chosen(), self._where
-        return ToneState(self._engine, where.phase[chosen], where.variance[chosen], where.slopes[:, chosen])
-
-    def best_states(self) -> Array:
-        """Return the lattice's state of the best guess of each stream, shape (p, s)."""
-        return self._states[:, self._chosen()]
-
-
-class _Heard(NamedTuple):
-    """Recorded blocks through tone and lattice: x, e and unit (s, n); states (p, s); where the streams are in the end."""
-
-    x: Array
-    e: Array
-    unit: Array
-    states: Array
-    tone: ToneState | None
+        self.phase = self.phase - motion.forgetting * (away - 2 * np.pi * np.round(away / (2 * np.pi)))
+        turn = motion.turn * speed
+        alike = np.exp(-turn / np.pi)
+        chance = motion.unevenness * np.clip(e, -LARGEST_STRAY, LARGEST_STRAY)
+        self.rate = alike * self.rate + np.sqrt(1 - alike * alike) * chance
+        self.phase = self.phase + turn * self.rate
+        self._heed(condition)
 
 
 class NumpyFotenPlus:
-    """Tones of the path, a lattice that follows the hand, the network's bounded correction, and the scale of the excitation."""
+    """A lattice that follows the hand, the network's bounded correction, and the excitation; tones where it repeats."""
 
     def __init__(self, architecture: FotenPlusArchitecture, tensors: Mapping[str, NDArray[Any]]) -> None:
         self.window = architecture.history
         self._m = architecture.window
-        self.order = architecture.order
         self._limit = architecture.correction_limit
         self._network = NumpyFoten(architecture, tensors, "network.")
         self._w = _Weights(tensors, "")
+        self._sigma = _Scale(tensors, "excitation.")
         self.largest = float(self._w["excitation.largest"][0])
-        check_reflections(self._w["reflections"])
-        self._reflections = Plane(self._w["speed_knots"], self._w["force_knots"], self._w["reflections"])
+        self.lattice = self.rest = _Lattice(tensors, "lattice.")
         self._tones: Plane | None = None
-        self.motion = (0.0, 0.0, 0.0)
         if architecture.n_tones:
-            self._tones = Plane(self._w["tone_speed_knots"], self._w["tone_force_knots"], self._w["tones"])
-            turn, jitter, forgetting = self._w["tone_motion"]
-            self.motion = (float(turn), float(jitter), float(forgetting))
-            # A twentieth of a second: a rendering forgets its phase in half of one.
-            self.search_every = max(1, round(0.1 / float(forgetting)))
+            self.rest = _Lattice(tensors, "rest.")
+            self._tones = Plane(
+                *(self._w[f"tones.{part}"] for part in ("speed_knots", "force_knots", "values"))
+            )
+            self.motion = ToneMotion(*(float(value) for value in self._w["tones.motion"]))
 
     def predict(self, windows: Array) -> Array:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
-        return self.start(windows).forecast().sample
+        return self._listening(windows).forecast().sample
 
-    def start(self, windows: Array) -> LatticeState:
-        """Return the state of streams that have heard the given scaled windows, shape (s, m, 3)."""
-        heard = [self._analysed(part) for part in self._in_parts(windows)]
-        x, e, states = (
-            np.concatenate([getattr(part, name) for part in heard], axis=axis)
-            for name, axis in (("x", 0), ("e", 0), ("states", 1))
-        )
+    def start(self, windows: Array) -> State:
+        """Return the state of renderings that go on from the given scaled windows, shape (s, m, 3).
+
+        Where there are tones their first sample is not what `predict` expects: that has to infer the phase.
+        """
+        if self._tones is None:
+            return self._listening(windows)
+        before = windows[:, :-1, 1:]
+        flat, shape = before.reshape(-1, 2), before.shape[:2]
+        travelled = np.cumsum(self.motion.turn * self.lattice.physical(flat)[:, 0].reshape(shape), axis=1)
+        level = self.lattice.level(flat).reshape(shape)
+        coefficients = self.tones_at(flat).reshape(*shape, -1) / level[..., None]
+        phase = travelled + fitted_phase(windows[:, 1:, 0] / level, coefficients, travelled)[:, None]
+        rest = windows[:, 1:, 0] - level * tone(coefficients, phase)
+        states = [part[3] for part in self._analysed(self.rest, rest, before)]
+        return ToneState(self, np.concatenate(states, axis=1), windows[:, -1, 1:], phase[:, -1])
+
+    def _listening(self, windows: Array) -> LatticeState:
+        parts = self._analysed(self.lattice, windows[:, 1:, 0], windows[:, :-1, 1:])
+        x, e = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
         seen = np.concatenate([x[..., None], windows[:, 1:, 1:], e[..., None]], axis=2)[:, -self._m :]
-        where = None
-        if self._tones is not None:
-            tones = [part.tone for part in heard if part.tone is not None]
-            where = ToneState(
-                self,
-                np.concatenate([part.phase for part in tones]),
-                np.concatenate([part.variance for part in tones]),
-                np.concatenate([part.slopes for part in tones], axis=1),
-            )
-        return LatticeState(self, states, seen, where)
+        return LatticeState(self, np.concatenate([part[3] for part in parts], axis=1), seen)
 
-    def _in_parts(self, blocks: Array) -> list[Array]:
-        """Return blocks (s, n, 3) in parts whose reflections fit into memory."""
-        n_at_once = max(1, _AT_ONCE // (blocks.shape[1] * self.order))
-        return [blocks[i : i + n_at_once] for i in range(0, max(1, len(blocks)), n_at_once)]
-
-    def _analysed(self, blocks: Array, n_guesses: int = 1) -> _Heard:
-        """Return what recorded blocks leave for the network, of all samples but the first.
+    def _analysed(
+        self, lattice: _Lattice, samples: Array, before: Array
+    ) -> list[tuple[Array, Array, Array, Array]]:
+        """Return what a lattice makes of recorded samples, in parts whose reflections fit into memory.
 
         A sample's level and reflections are those of the speed and force before it: a prediction knows no others (Eq. 1).
-        """
-        before = blocks[:, :-1, 1:]
-        flat, shape = before.reshape(-1, 2), before.shape[:2]
-        level = self.level(flat).reshape(shape)
-        reflections = self.reflections(flat).reshape(*shape, -1)
-        samples = blocks[:, 1:, 0]
-        if self._tones is None:
-            x = samples / level
-            e, gain, states = analyse(x, reflections)
-            return _Heard(x, e, gain * level, states, None)
-        turned = self.motion[0] * self.physical(flat)[:, 0].reshape(shape)
-        coefficients = self.tones_at(flat).reshape(*shape, -1)
-        first = slice(0, self.window - 1)
-        travelled = np.cumsum(turned[:, first], axis=1)
-        phase = fitted_phase(
-            samples[:, first] / level[:, first], coefficients[:, first] / level[:, first, None], travelled
-        )
-        search = _Search(self, phase, n_guesses)
-        x, e = np.empty(shape), np.empty(shape)
-        for n in range(shape[1]):
-            x[:, n], e[:, n] = search.step(samples[:, n], before[:, n], level[:, n], reflections[:, n].T)
-        gain = np.sqrt(1 - reflections * reflections).prod(axis=2)
-        return _Heard(x, e, gain * level, search.best_states(), search.best())
 
-    def innovations(self, blocks: Array) -> tuple[Array, Array, Array]:
+        Args:
+            lattice: of what the samples are.
+            samples: scaled, shape (s, n).
+            before: speed and force before each, scaled, shape (s, n, 2).
+
+        Returns:
+            x, its innovations, what a unit of them is worth in scaled acceleration, each (s, n); the last states (p, s).
+        """
+        n_at_once = max(1, _AT_ONCE // (samples.shape[1] * lattice.order))
+        parts = []
+        for i in range(0, max(1, len(samples)), n_at_once):
+            some, flat = samples[i : i + n_at_once], before[i : i + n_at_once].reshape(-1, 2)
+            level = lattice.level(flat).reshape(some.shape)
+            e, gain, states = analyse(some / level, lattice.reflections(flat).reshape(*some.shape, -1))
+            parts.append((some / level, e, gain * level, states))
+        return parts
+
+    def innovations(self, blocks: Array, phase: Array | None = None) -> tuple[Array, Array, Array]:
         """Return x, the lattice's innovations, and what a unit of them is worth in scaled acceleration, each (s, n).
 
         Args:
             blocks: scaled, shape (s, n, 3); the first sample of each gives zeros, having nothing before it.
+            phase: of the tones at every sample [rad], shape (s, n), for what they leave; None for the whole vibration.
         """
-        heard = [self._analysed(part, N_GUESSES) for part in self._in_parts(blocks)]
-        x, e, unit = (
-            np.pad(np.concatenate([getattr(part, name) for part in heard]), ((0, 0), (1, 0)))
-            for name in ("x", "e", "unit")
-        )
+        samples, before, lattice = blocks[:, 1:, 0], blocks[:, :-1, 1:], self.lattice
+        if phase is not None:
+            coefficients = self.tones_at(before.reshape(-1, 2)).reshape(*samples.shape, -1)
+            samples, lattice = samples - tone(coefficients, phase[:, 1:]), self.rest
+        parts = self._analysed(lattice, samples, before)
+        x, e, unit = (np.pad(np.concatenate([part[k] for part in parts]), ((0, 0), (1, 0))) for k in range(3))
         return x, e, unit
 
     def follow(self, blocks: Array, corrected: bool = True) -> Forecast:
@@ -485,19 +419,13 @@ class NumpyFotenPlus:
             corrected: False leaves out what the network adds.
 
         Returns:
-            Each of shape (s, n − window), scaled.
+            Each of shape (s, n − window), scaled; the sample alone where there are tones, whose excitation is a rendering's.
         """
-        parts = [self._follow(part, corrected) for part in self._in_parts(blocks)]
-        sample, scale, tail = (np.concatenate([part[k] for part in parts]) for k in range(3))
-        return Forecast(sample, scale, tail, self.largest)
-
-    def _follow(self, blocks: Array, corrected: bool) -> tuple[Array, Array, Array]:
-        heard = self._analysed(blocks, N_GUESSES)
-        x, e, unit = heard.x, heard.e, heard.unit
-        asked = np.arange(self.window - 1, x.shape[1])
+        x, e, unit = self.innovations(blocks)
+        asked = np.arange(self.window, blocks.shape[1])
         innovation = -e[:, asked]  # predicted minus recorded
         if corrected:
-            seen = np.stack([x, blocks[:, 1:, 1], blocks[:, 1:, 2], e], axis=2)
+            seen = np.stack([x, blocks[..., 1], blocks[..., 2], e], axis=2)
             windows = asked[:, None] + np.arange(-self._m, 0)
             flat = [
                 seen[:, part].reshape(-1, self._m, 4)
@@ -505,52 +433,77 @@ class NumpyFotenPlus:
             ]
             pieces = [self.correction(part).reshape(len(x), -1) for part in flat]
             innovation = innovation + np.concatenate(pieces, axis=1)
-        before = blocks[:, self.window - 1 : -1, 1:].reshape(-1, 2)
-        scale = unit[:, asked] * self.sigma(before).reshape(len(x), -1)
         sample = blocks[:, self.window :, 0] + innovation * unit[:, asked]
-        return sample, scale, self.tail(before).reshape(len(x), -1)
+        if self._tones is not None:
+            return Forecast(sample)
+        before = blocks[:, self.window - 1 : -1, 1:].reshape(-1, 2)
+        scale = unit[:, asked] * self.sigma(before).reshape(sample.shape)
+        return Forecast(sample, scale, self.tail(before).reshape(sample.shape), self.largest)
 
-    def level(self, condition: Array) -> Array:
-        """Return the level of the vibration: speed and force (b, 2) scaled → standard deviation (b,) scaled."""
-        return self._scale("level", condition)
+    def excited(self, sample: Array, unit: Array, condition: Array) -> Forecast:
+        """Return a forecast with the excitation of a speed and force (b, 2): scaled samples and the innovation's unit (b,)."""
+        return Forecast(sample, unit * self.sigma(condition), self.tail(condition), self.largest)
 
     def sigma(self, condition: Array) -> Array:
         """Return the excitation's scale in units of the lattice's innovation: speed and force (b, 2) scaled → (b,)."""
-        return self._scale("excitation", condition)
+        return self._sigma(condition)
 
     def tail(self, condition: Array) -> Array:
         """Return h of the excitation's tails: speed and force (b, 2) scaled → (b,)."""
-        logs = self._logarithms("excitation", condition)
-        return HEAVIEST_TAIL / (1 + np.exp(-self._w.linear("excitation.tail", _powers(logs))[:, 0]))
-
-    def physical(self, condition: Array) -> Array:
-        """Return speed [mm/s] and force [N], none negative: scaled (b, 2) → (b, 2)."""
-        return np.maximum(condition * self._w["level.sd"] + self._w["level.mean"], 0.0)
-
-    def reflections(self, condition: Array) -> Array:
-        """Return the lattice's reflections: speed and force (b, 2) scaled → (b, p)."""
-        return self._reflections.at(*self.physical(condition).T)
+        powers = _powers(self._sigma.logarithms(condition))
+        return HEAVIEST_TAIL / (1 + np.exp(-self._w.linear("excitation.tail", powers)[:, 0]))
 
     def tones_at(self, condition: Array) -> Array:
         """Return the tones' coefficients: speed and force (b, 2) scaled → (b, 2 n_tones) scaled."""
         assert self._tones is not None
-        return self._tones.at(*self.physical(condition).T)
+        return self._tones.at(*self.lattice.physical(condition).T) * self.lattice.level(condition)[:, None]
 
     def correction(self, seen: Array) -> Array:
         """Return what the network adds, in units of the innovation: x, speed, force and e (b, m, 4) → (b,)."""
         return self._limit * np.tanh(self._network.predict(seen) / self._limit)
 
-    def _scale(self, name: str, condition: Array) -> Array:
-        logs = self._logarithms(name, condition)
-        hidden = np.tanh(self._w.linear(f"{name}.hidden", np.concatenate([condition, logs], axis=1)))
-        log_scale = self._w.linear(f"{name}.out", hidden)
-        log_scale = log_scale + _powers(logs) @ self._w[f"{name}.power_law.weight"].T
-        return np.minimum(np.exp(log_scale[:, 0]), self._w[f"{name}.highest"])
 
-    def _logarithms(self, name: str, condition: Array) -> Array:
-        mean, sd, floor = (self._w[f"{name}.{part}"] for part in ("mean", "sd", "floor"))
-        physical = np.maximum(condition * sd + mean, 0.0)
-        return np.log((physical + floor) / (mean + floor))
+class _Scale:
+    """A standard deviation over speed and force (b, 2) scaled → (b,)."""
+
+    def __init__(self, tensors: Mapping[str, NDArray[Any]], prefix: str) -> None:
+        self._w = _Weights(tensors, prefix)
+
+    def __call__(self, condition: Array) -> Array:
+        logs = self.logarithms(condition)
+        hidden = np.tanh(self._w.linear("hidden", np.concatenate([condition, logs], axis=1)))
+        log_scale = self._w.linear("out", hidden) + _powers(logs) @ self._w["power_law.weight"].T
+        return np.minimum(np.exp(log_scale[:, 0]), self._w["highest"])
+
+    def logarithms(self, condition: Array) -> Array:
+        floor = self._w["floor"]
+        return np.log((self.physical(condition) + floor) / (self._w["mean"] + floor))
+
+    def physical(self, condition: Array) -> Array:
+        return np.maximum(condition * self._w["sd"] + self._w["mean"], 0.0)
+
+
+class _Lattice:
+    """Level and reflections over speed and force."""
+
+    def __init__(self, tensors: Mapping[str, NDArray[Any]], prefix: str) -> None:
+        weights = _Weights(tensors, prefix)
+        check_reflections(weights["reflections"])
+        self.order = weights["reflections"].shape[1]
+        self._plane = Plane(weights["speed_knots"], weights["force_knots"], weights["reflections"])
+        self._level = _Scale(tensors, f"{prefix}level.")
+
+    def level(self, condition: Array) -> Array:
+        """Return the level of the vibration: speed and force (b, 2) scaled → standard deviation (b,) scaled."""
+        return self._level(condition)
+
+    def reflections(self, condition: Array) -> Array:
+        """Return the reflections: speed and force (b, 2) scaled → (b, p)."""
+        return self._plane.at(*self.physical(condition).T)
+
+    def physical(self, condition: Array) -> Array:
+        """Return speed [mm/s] and force [N], none negative: scaled (b, 2) → (b, 2)."""
+        return self._level.physical(condition)
 
 
 def _powers(logs: Array) -> Array:

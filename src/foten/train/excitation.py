@@ -11,17 +11,22 @@ import torch
 from numpy.typing import NDArray
 
 from foten.architecture import HEAVIEST_TAIL
+from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length, welch
 from foten.dsp.level import frame_levels, frame_means
 from foten.dsp.noise import gaussian
 from foten.models.foten_plus import Excitation, FotenPlus, Scale
 from foten.recording.scaling import Scaling
+from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.render.closed_loop import ClosedLoop
+from foten.train.config import TrainConfig
 from foten.train.fit import Data
 
 Array = NDArray[np.float64]
+EngineOf = Callable[[FotenPlus], Any]
 
 N_SETTLING = 3
+N_HEARD = 5  # free runs of a block that a distance is the mean of
 KEPT = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the fitted shape of log σ
 
 
@@ -182,9 +187,68 @@ def gaussianised(u: torch.Tensor, h: torch.Tensor) -> torch.Tensor:
     return torch.exp(q - (q + 0.5 * h * z2 - log_u) / (1 + h * z2))
 
 
+def fit_excitation(
+    network: FotenPlus,
+    engine_of: EngineOf,
+    residual: Array,
+    random: Data,
+    samples: Array,
+    trace: Trace,
+    split: Split,
+    scaling: Scaling,
+    config: TrainConfig,
+) -> tuple[list[float], float]:
+    """Give a network its excitation: scale, tails, and level in the closed loop.
+
+    Args:
+        network: its excitation is fitted in place.
+        engine_of: what renders the network.
+        residual: what is left to chance at the training, then the validation indices, in innovations.
+        random: whose residuals they are.
+        samples: scaled acceleration, speed and force, shape (n, 3).
+        trace, split, scaling, config: of the training.
+
+    Returns:
+        What `settle_level` and `fit_tail` return.
+    """
+    both = np.concatenate([random.train, random.validation])
+    fit_scale(network.excitation, random, scaling, residual, config.seed)
+    gained = 0.0
+    if config.tails:
+        with torch.no_grad():
+            condition = torch.from_numpy(samples[both - 1, 1:]).to(network.excitation.out.weight)
+            sigma = network.excitation(condition).cpu().double().numpy()
+        gained = fit_tail(network.excitation, random, residual, sigma)
+    network.cpu()  # the closed loop is rendered by the engine, which knows no GPU
+    blocks = (*split.train, *split.validation)
+    return settle_level(network, engine_of, samples, trace, blocks, random.train, config.seed), gained
+
+
+def free_run_distance(
+    network: FotenPlus, engine_of: EngineOf, samples: Array, trace: Trace, blocks: tuple[int, ...], seed: int
+) -> tuple[float, float]:
+    """Return how far the free run is from recorded blocks, on noise of its own: log-spectral distance and level error [dB]."""
+    picked, m = list(blocks), network.architecture.history
+    by_block = samples.reshape(trace.n_blocks, trace.block, 3)[picked]
+    settled = max(m, round(0.2 * trace.block))
+    start, condition = (np.tile(part, (N_HEARD, 1, 1)) for part in (by_block[:, :m], by_block[:, m:, 1:]))
+    noise = np.stack([gaussian(seed, 2**33 + k, 0, trace.block - m) for k in range(len(start))])
+    rendered = ClosedLoop(engine_of(network).start(start)).run(condition, noise)[:, settled - m :]
+    n_segment = segment_length(trace.block)
+    recorded, played = by_block[:, settled:, 0], rendered.reshape(N_HEARD, len(picked), -1)
+    frequencies, p = welch(recorded, trace.rate_hz, n_segment)
+    _, q = welch(played, trace.rate_hz, n_segment)
+    bins = scored_bins(frequencies, trace.rate_hz)
+    reference = float(np.sqrt(np.square(recorded).mean()))
+    levels = [frame_levels(signal, trace.rate_hz, reference) for signal in (recorded, played)]
+    return float(log_spectral_distance(p[None, :, bins], q[..., bins]).mean()), float(
+        np.abs(levels[1] - levels[0]).mean()
+    )
+
+
 def settle_level(
     network: FotenPlus,
-    engine_of: Callable[[FotenPlus], Any],
+    engine_of: EngineOf,
     samples: Array,
     trace: Trace,
     blocks: tuple[int, ...],
@@ -229,9 +293,9 @@ def settle_level(
         # A frame's power is the mean of ℓ²σ² and the tones': it answers to a term of log σ by that term's mean under ℓ²σ².
         # What rang before is levelled with the sample that it rings into, so nothing carries over.
         with torch.no_grad():
-            weight = (network.level(condition) * network.excitation(condition)).double().square()
+            weight, of_tones = network.rendered_power(condition)
             terms = network.excitation.logarithms(condition).double()
-            power = weight + network.tone_power(condition)
+            power = weight + of_tones
         moved = (weight[:, None] * terms).numpy().reshape(len(picked), -1, terms.shape[1])
         total = frame_means(power.numpy().reshape(len(picked), -1), rate).reshape(-1, 1)
         constant = frame_means(weight.numpy().reshape(len(picked), -1), rate).reshape(-1, 1)

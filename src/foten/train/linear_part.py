@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import nn
 
 from foten.architecture import FotenPlusArchitecture
 from foten.dsp.plane import Plane
@@ -20,32 +21,39 @@ from foten.render.engine import NumpyFotenPlus
 from foten.train.config import TrainConfig
 from foten.train.excitation import fit_scale
 from foten.train.fit import Data
-from foten.train.lattice import LatticeData, fit_lattice, fit_lattice_of
-from foten.train.tones import fit_tones, played, wavelength
+from foten.train.lattice import LatticeData, fit_lattice
+from foten.train.tones import FittedTones, fit_tones, played, wavelength
 
 Array = NDArray[np.float64]
 
-JITTERS = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1)  # rad²/mm, tried
 FORGETTING_S = 0.5  # in which a rendering forgets the phase it started with
-TONES_MUST_GAIN = 0.01  # of the validation error, to be kept
 
 
 @dataclass(frozen=True)
-class Tones:
-    """The tones of a surface that repeats.
+class LinearPart:
+    """All of foten-plus but its network and excitation.
 
     Attributes:
-        wavelength_mm: that it repeats after.
-        table: coefficients over speed and force, scaled.
-        jitter: by how much the phase's variance grows on the way [rad²/mm].
+        network: with level, lattice and tones in place.
+        phase: of the fundamental at every sample, as well as the whole recording knows it [rad], shape (n_blocks, block);
+            None where the surface does not repeat.
+        found: what was tried on the way.
     """
 
-    wavelength_mm: float
-    table: Plane
-    jitter: float
+    network: FotenPlus
+    phase: Array | None
+    found: dict[str, Any]
 
 
-def fit_linear_part(
+@dataclass(frozen=True)
+class FittedLattice:
+    """A level and the reflections of what is levelled."""
+
+    level: Scale
+    reflections: Plane
+
+
+def fit_linear_parts(
     architecture: FotenPlusArchitecture,
     data: Data,
     trace: Trace,
@@ -53,11 +61,8 @@ def fit_linear_part(
     scaling: Scaling,
     config: TrainConfig,
     on_stage: Callable[[str], None] = lambda stage: None,
-) -> tuple[FotenPlus, dict[str, Any]]:
-    """Return foten-plus with all but its network and excitation, and what was tried on the way.
-
-    Tones are tried where a wavelength stands out, and kept where they lower the validation error.
-    """
+) -> list[LinearPart]:
+    """Return foten-plus with all but its network and excitation; once more with tones where a wavelength stands out."""
     on_stage("fitting level and lattice")
     max_order = max(1, min(trace.block // 8, config.max_order))
     acceleration = data.samples[:, 0]
@@ -74,90 +79,79 @@ def fit_linear_part(
         )
         return level, LatticeData(x, unit, speed, force, split.train, split.validation)
 
-    def error(network: FotenPlus) -> float:
-        blocks = data.samples.reshape(trace.n_blocks, trace.block, 3)[list(split.validation)]
-        first = max(network.architecture.history, trace.block // 4)
-        expected = engine_of(network).follow(blocks, corrected=False).sample
-        missed = np.abs(blocks[:, network.architecture.history :, 0] - expected)
-        return float(missed[:, first - network.architecture.history :].mean())
-
     level, given = levelled(acceleration)
     reflections, tried = fit_lattice(given, max_order, config.table)
-    plain = assembled(architecture, level, reflections, None, trace.rate_hz)
-    found: dict[str, Any] = {"lattices": tried, "validation_mae_scaled": error(plain), "wavelength_mm": None}
+    lattice = FittedLattice(level, reflections)
+    found: dict[str, Any] = {"lattices": tried, "wavelength_mm": None}
+    plain = LinearPart(assembled(architecture, lattice), None, found)
     length = wavelength(given, trace.rate_hz) if config.tones else None
     if length is None:
-        return plain, found
+        return [plain]
     on_stage(f"the surface seems to repeat every {length:.3g} mm: fitting its tones")
-    table, phase = fit_tones(given, length, trace.rate_hz)
-    rest = acceleration - played(given, table, phase)[0].ravel()
-    level, without = levelled(rest)
-    n_speed, n_force = len(reflections.speed_knots), len(reflections.force_knots)
-    reflections = fit_lattice_of(without, reflections.values.shape[1], n_speed, n_force)
-    jitters = []
-    for jitter in JITTERS:
-        tones = Tones(length, table, jitter)
-        jitters.append((error(assembled(architecture, level, reflections, tones, trace.rate_hz)), tones))
-    _, tones = min(jitters, key=lambda pair: pair[0])
-    # Once more for what is left when the phase is known from the past alone.
-    network = assembled(architecture, level, reflections, tones, trace.rate_hz)
-    x, _, _ = engine_of(network).innovations(data.samples.reshape(trace.n_blocks, trace.block, 3))
-    level, without = levelled(x.ravel() * scale_at(level, data.samples))
-    reflections, tried = fit_lattice(without, max_order, config.table)
-    network = assembled(architecture, level, reflections, tones, trace.rate_hz)
-    found |= {
-        "tones_validation_mae_scaled": error(network),
-        "jitters": [
-            {"jitter_rad2_per_mm": t.jitter, "validation_mae_scaled": missed} for missed, t in jitters
-        ],
-        "tones_tried_mm": length,
+    fitted = fit_tones(given, length, trace.rate_hz)
+    # Of what the tones leave when the phase is known as well as it can be.
+    rest_level, rest = levelled(
+        acceleration - (played(given, fitted.table, fitted.phase) * given.unit).ravel()
+    )
+    reflections, tried_for_rest = fit_lattice(rest, max_order, config.table)
+    with_tones = {
+        "lattices": tried,
+        "lattices_of_the_rest": tried_for_rest,
+        "wavelength_mm": fitted.wavelength_mm,
+        "unevenness": fitted.unevenness,
     }
-    if found["tones_validation_mae_scaled"] > (1 - TONES_MUST_GAIN) * found["validation_mae_scaled"]:
-        return plain, found
-    return network, {**found, "wavelength_mm": length, "lattices": tried}
+    rendered = FittedLattice(rest_level, reflections)
+    network = assembled(architecture, lattice, fitted, rendered, trace.rate_hz)
+    return [plain, LinearPart(network, fitted.phase, with_tones)]
 
 
 def assembled(
     architecture: FotenPlusArchitecture,
-    level: Scale,
-    reflections: Plane,
-    tones: Tones | None,
-    rate_hz: float,
+    lattice: FittedLattice,
+    tones: FittedTones | None = None,
+    rest: FittedLattice | None = None,
+    rate_hz: float = 0.0,
 ) -> FotenPlus:
-    """Return a network with a fitted level, lattice and tones, its own weights drawn from PyTorch's current seed."""
-    sizes: dict[str, Any] = {
-        "order": reflections.values.shape[1],
-        "n_speed": len(reflections.speed_knots),
-        "n_force": len(reflections.force_knots),
-    }
-    buffers = {
-        "speed_knots": reflections.speed_knots,
-        "force_knots": reflections.force_knots,
-        "reflections": reflections.values,
-    }
-    if tones is not None:
-        table = tones.table
-        sizes |= {
-            "n_tones": table.values.shape[1] // 2,
-            "n_tone_speed": len(table.speed_knots),
-            "n_tone_force": len(table.force_knots),
-        }
-        motion = (
-            2 * np.pi / (tones.wavelength_mm * rate_hz),
-            tones.jitter / rate_hz,
-            1 / (FORGETTING_S * rate_hz),
+    """Return a network with a fitted lattice, or tones and two of them, its own weights drawn from PyTorch's current seed."""
+    order, n_speed, n_force = _sizes(lattice)
+    architecture = replace(architecture, order=order, n_speed=n_speed, n_force=n_force)
+    if tones is not None and rest is not None:
+        rest_order, n_rest_speed, n_rest_force = _sizes(rest)
+        architecture = replace(
+            architecture,
+            n_tones=tones.table.values.shape[1] // 2,
+            n_tone_speed=len(tones.table.speed_knots),
+            n_tone_force=len(tones.table.force_knots),
+            rest_order=rest_order,
+            n_rest_speed=n_rest_speed,
+            n_rest_force=n_rest_force,
         )
-        buffers |= {
-            "tone_speed_knots": table.speed_knots,
-            "tone_force_knots": table.force_knots,
-            "tones": table.values,
-            "tone_motion": np.array(motion),
-        }
-    network = FotenPlus(replace(architecture, **sizes))
-    network.level.load_state_dict(level.state_dict())
-    for name, values in buffers.items():
-        getattr(network, name).copy_(torch.from_numpy(values.copy()))
+    network = FotenPlus(architecture)
+    _put(network.lattice, lattice.reflections, "reflections")
+    network.lattice.level.load_state_dict(lattice.level.state_dict())
+    if tones is not None and rest is not None:
+        _put(network.tones, tones.table, "values")
+        turn = 2 * np.pi / (tones.wavelength_mm * rate_hz)
+        motion = np.array([turn, tones.unevenness, 1 / (FORGETTING_S * rate_hz)])
+        network.tones.motion.copy_(torch.from_numpy(motion))
+        _put(network.rest, rest.reflections, "reflections")
+        network.rest.level.load_state_dict(rest.level.state_dict())
     return network
+
+
+def _sizes(lattice: FittedLattice) -> tuple[int, int, int]:
+    """Return order and vertices over speed and force."""
+    plane = lattice.reflections
+    return plane.values.shape[1], len(plane.speed_knots), len(plane.force_knots)
+
+
+def _put(module: nn.Module, plane: Plane, values: str) -> None:
+    for name, array in (
+        ("speed_knots", plane.speed_knots),
+        ("force_knots", plane.force_knots),
+        (values, plane.values),
+    ):
+        module.get_buffer(name).copy_(torch.from_numpy(array.copy()))
 
 
 def engine_of(network: FotenPlus) -> NumpyFotenPlus:

@@ -26,10 +26,12 @@ from foten.render.engine import Forecast, excitation_fit
 from foten.render.synthesizer import FADE_FORCE, FADE_SPEED
 from foten.texture_file import Texture
 from foten.train.config import TrainConfig
-from foten.train.excitation import fit_scale, fit_tail, settle_level
+from foten.train.excitation import fit_excitation, free_run_distance
 from foten.train.export import export
 from foten.train.fit import Data, Epoch, Progress, fit, pick_device, predict, reproducible
-from foten.train.linear_part import engine_of, fit_linear_part, scale_at
+from foten.train.linear_part import LinearPart, engine_of, fit_linear_parts
+
+Array = NDArray[np.float64]
 
 WARM_START = (45.0, 0.8)  # mm/s, N: mean of early contacts; Sec. V-a
 
@@ -87,9 +89,11 @@ def train_texture(
         torch.manual_seed(config.seed)
         likelihood = level_errors = linear = tail_gain = None
         if isinstance(architecture, FotenPlusArchitecture):
-            network, linear = fit_linear_part(architecture, data, trace, split, scaling, config, on_stage)
-            architecture = network.architecture
-            data = _innovations(network, data, trace, split)
+            parts = fit_linear_parts(architecture, data, trace, split, scaling, config, on_stage)
+            part, linear = _chosen(parts, samples, trace, split, scaling, config, on_stage)
+            network, architecture = part.network, part.network.architecture
+            data = _innovations(network, samples, trace, split)
+            random = data if part.phase is None else _innovations(network, samples, trace, split, part.phase)
             trained = network.network.to(pick_device())
         else:
             trained = network = build(key, architecture).to(pick_device())
@@ -101,26 +105,21 @@ def train_texture(
         progress = fit(trained, data, config, on_epoch, checkpoint, resume)
         shortcut_mae = progress.epochs[0].validation_mae if isinstance(network, FotenPlus) else None
         if isinstance(network, FotenPlus):
-            on_stage("fitting the excitation")
-            both = np.concatenate([data.train, data.validation])
-            assert data.target is not None
-            assert data.unit is not None
-            residual = data.target[both] - predict(trained, data, both)
-            fit_scale(network.excitation, data, scaling, residual, config.seed)
-            sigma_before = scale_at(network.excitation, samples)[both]
-            tail_gain = fit_tail(network.excitation, data, residual, sigma_before) if config.tails else None
-            network.cpu()  # the closed loop is rendered by the engine, which knows no GPU
-            on_stage("settling the level in the closed loop")
-            level_errors = settle_level(
-                network, engine_of, samples, trace, (*split.train, *split.validation), data.train, config.seed
+            on_stage("fitting the excitation and settling its level in the closed loop")
+            both = np.concatenate([random.train, random.validation])
+            assert random.target is not None
+            assert random.unit is not None
+            residual = random.target[both] - (predict(trained, random, both) if part.phase is None else 0.0)
+            level_errors, tail_gain = fit_excitation(
+                network, engine_of, residual, random, samples, trace, split, scaling, config
             )
             # Where rendering does not fade, as the judge counts it.
             n = data.validation
             heard = (trace.speed[n] >= FADE_SPEED) & (trace.force[n] >= FADE_FORCE)
             engine, where = engine_of(network), samples[n - 1, 1:]
-            missed = residual[len(data.train) :] * data.unit[n]
+            missed = residual[len(data.train) :] * random.unit[n]
             expected = Forecast(
-                0 * missed, engine.sigma(where) * data.unit[n], engine.tail(where), engine.largest
+                0 * missed, engine.sigma(where) * random.unit[n], engine.tail(where), engine.largest
             )
             _, nats = excitation_fit(expected, missed)
             likelihood = float(nats[heard].mean()) if heard.any() else None
@@ -170,14 +169,52 @@ def train_texture(
     return Trained(texture, trace, split, progress, shortcut_mae)
 
 
-def _innovations(network: FotenPlus, data: Data, trace: Trace, split: Split) -> Data:
-    """Return what the network learns: to predict the lattice's innovations from levelled samples and past innovations."""
+def _chosen(
+    parts: list[LinearPart],
+    samples: Array,
+    trace: Trace,
+    split: Split,
+    scaling: Scaling,
+    config: TrainConfig,
+    on_stage: Callable[[str], None],
+) -> tuple[LinearPart, dict[str, Any]]:
+    """Return the better of the linear parts, and what was tried.
+
+    What decides is the product of two errors of the free run, heard without a network, on the validation blocks:
+    log-spectral distance and level error.
+    """
+    if len(parts) == 1:
+        return parts[0], parts[0].found
+    on_stage("listening to the free run with tones and without")
+    for part in parts:
+        random = _innovations(part.network, samples, trace, split, part.phase)
+        assert random.target is not None
+        residual = random.target[np.concatenate([random.train, random.validation])]
+        fit_excitation(part.network, engine_of, residual, random, samples, trace, split, scaling, config)
+        lsd_db, level_error_db = free_run_distance(
+            part.network, engine_of, samples, trace, split.validation, config.seed
+        )
+        part.found["heard"] = {"lsd_db": lsd_db, "level_error_db": level_error_db}
+    best = min(parts, key=lambda part: part.found["heard"]["lsd_db"] * part.found["heard"]["level_error_db"])
+    rest = [part.found for part in parts if part is not best]
+    return best, {**best.found, "rejected": rest}
+
+
+def _innovations(
+    network: FotenPlus, samples: Array, trace: Trace, split: Split, phase: Array | None = None
+) -> Data:
+    """Return what the network learns: to predict the lattice's innovations from levelled samples and past innovations.
+
+    Given the phase of tones, those of what the tones leave.
+    """
     engine, m = engine_of(network), network.architecture.history
-    blocks = data.samples.reshape(trace.n_blocks, trace.block, 3)
-    x, e, unit = engine.innovations(blocks)
+    blocks = samples.reshape(trace.n_blocks, trace.block, 3)
+    x, e, unit = engine.innovations(blocks, phase)
     samples = np.concatenate([x[..., None], blocks[..., 1:], e[..., None]], axis=2)
     train, validation = (targets(part, trace.block, m) for part in (split.train, split.validation))
-    return Data(samples.reshape(-1, 4), train, validation, data.window, e.ravel(), unit.ravel())
+    return Data(
+        samples.reshape(-1, 4), train, validation, network.architecture.window, e.ravel(), unit.ravel()
+    )
 
 
 def pick_warm_start(

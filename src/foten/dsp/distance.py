@@ -1,0 +1,40 @@
+"""How far apart two spectra are: what training chooses by and what the judge scores."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LOWEST_HZ = 20.0  # below it the high-pass rules
+HIGHEST_HZ = 1000.0  # above it a hand feels nothing
+POWER_FLOOR = 1e-12  # of the recorded power in a bin: a silent synthesis is 120 dB off, not infinitely
+
+
+def welch(blocks: Array, rate_hz: float, n_segment: int) -> tuple[Array, Array]:
+    """Return frequencies [Hz] and power densities [(m/s²)²/Hz]: blocks (…, n) → (k,), (…, k).
+
+    Hann segments, half overlapping, the mean of each removed.
+    """
+    from scipy import signal
+
+    frequencies, density = signal.welch(blocks, rate_hz, nperseg=n_segment, axis=-1)
+    return frequencies, density
+
+
+def segment_length(block: int) -> int:
+    """Return Welch's segment for a block of so many samples: 256, or a quarter of the block if that is less."""
+    return min(256, max(8, block // 4))
+
+
+def scored_bins(frequencies: Array, rate_hz: float) -> NDArray[np.bool_]:
+    """Return which bins are scored: from 20 Hz to the lower of 1 kHz and 0.45 of the rate."""
+    return (frequencies >= LOWEST_HZ) & (frequencies <= min(HIGHEST_HZ, 0.45 * rate_hz))
+
+
+def log_spectral_distance(recorded: Array, synthesized: Array) -> Array:
+    """Return the RMS over bins of 10·log₁₀(P/Q) [dB], sees gain: densities (…, k) of scored bins → (…,)."""
+    floor = POWER_FLOOR * recorded.max(axis=-1, keepdims=True)
+    ratio = 10 * np.log10(np.maximum(recorded, floor) / np.maximum(synthesized, floor))
+    return np.sqrt(np.square(ratio).mean(axis=-1))
