@@ -30,6 +30,7 @@ SCALING = Scaling(mean=(0.1, 100.0, 1.0), sd=(2.0, 60.0, 0.5))
 CARD: dict[str, Any] = {
     "rate_hz": 1000.0,
     "trained_range": {"speed": [8.0, 220.0], "force": [0.3, 2.5]},
+    "beyond_exponents": {"speed": 0.7, "force": 0.4},
     "saturation": 12.0,
     "lowpass_hz": 20.0,
     "delay_ms": 11.3,

@@ -157,16 +157,32 @@ def test_shapes_are_checked(texture: Texture) -> None:
         Synthesizer(texture, n_streams=2).render(np.ones((3, 5)), np.ones((3, 5)))
 
 
-def test_clamping_is_counted(texture: Texture) -> None:
+def test_what_lies_beyond_the_range_is_counted(texture: Texture) -> None:
     synthesizer = Synthesizer(texture)
     speed = np.array([0.0, 4.0, 8.0, 100.0, 220.0, 220.1, 900.0])
     force = np.array([1.0, 0.1, 0.3, 2.5, 2.6, 9.0, 1.0])
     synthesizer.render(speed, force)
     synthesizer.render(speed[-1:], force[-1:])
     s = synthesizer.statistics
-    assert (s.n, s.n_speed_clamped, s.n_force_clamped, s.n_below_range, s.n_saturated) == (8, 3, 2, 2, 0)
+    assert (s.n, s.n_speed_beyond, s.n_force_beyond, s.n_below_range, s.n_saturated) == (8, 3, 2, 2, 0)
+    assert (s.n_speed_clamped, s.n_force_clamped) == (2, 1)
+
+
+def test_above_the_range_the_level_grows_by_its_power_law_and_no_further_than_twice_the_range(
+    texture: Texture,
+) -> None:
+    speed = np.linspace(100.0, 900.0, 200)
+    force = np.linspace(1.0, 9.0, 200)
     inside = Synthesizer(texture).render(np.minimum(speed, HIGH[0]), np.minimum(force, HIGH[1]))
-    np.testing.assert_array_equal(Synthesizer(texture).render(speed, force), inside)
+    growth = np.clip(speed / HIGH[0], 1, 2) ** 0.7 * np.clip(force / HIGH[1], 1, 2) ** 0.4
+    np.testing.assert_allclose(Synthesizer(texture).render(speed, force), growth * inside, rtol=1e-12)
+
+
+def test_the_papers_network_clamps(plain_texture: Texture) -> None:
+    card = {**plain_texture.card, "beyond_exponents": {"speed": 0.0, "force": 0.0}}
+    plain = dataclasses.replace(plain_texture, card=card)
+    inside = Synthesizer(plain).render(*steady(50, HIGH[0], HIGH[1]))
+    np.testing.assert_array_equal(Synthesizer(plain).render(*steady(50, 900.0, 9.0)), inside)
 
 
 @pytest.mark.parametrize("excitation", [True, False])

@@ -10,11 +10,15 @@ from scipy.signal import lfilter
 
 from conftest import SCALING, SMALL, exported
 from foten.architecture import FotenPlusArchitecture
-from foten.dsp.tones import fitted_phase, tone, tone_slope
+from foten.datasets.simulate import simulate
+from foten.dsp.tones import fitted_phase, heard_of, tone, tone_slope
 from foten.render.closed_loop import ClosedLoop
 from foten.render.engine import engine_for
+from foten.render.synthesizer import Synthesizer
+from foten.train.config import TrainConfig
 from foten.train.lattice import LatticeData
 from foten.train.tones import fit_tones, n_tones, played, wavelength
+from foten.train.train import train_texture
 
 RATE = 1000.0
 LENGTH = 1.7  # mm
@@ -117,12 +121,23 @@ def test_a_rendering_goes_on_where_the_recording_was() -> None:
     condition = np.broadcast_to((physical - SCALING.mean[1:]) / SCALING.sd[1:], (4, m + n, 2))
     start = np.array([0.2, 1.9, 3.3, 5.5])[:, None]
     phase = start + engine.motion.turn * 120.0 * np.arange(m + n)
-    coefficients = engine.tones_at(condition.reshape(-1, 2)).reshape(4, m + n, -1)
+    flat = condition.reshape(-1, 2)
+    coefficients = engine.tones_at(flat, engine.turned(flat)).reshape(4, m + n, -1)
     true = tone(coefficients, phase)
     windows = np.concatenate([true[:, :m, None], condition[:, :m]], axis=2)
     found = ClosedLoop(engine.start(windows)).run(condition[:, m:], None)
     # The phase is one of 32: up to 0.1 rad away, three times that in the third multiple.
     assert np.square(found - true[:, m:]).mean() < 0.05 * np.square(true[:, m:]).mean()
+
+
+def test_tones_go_on_with_the_path_above_the_trained_speed_and_never_alias() -> None:
+    texture = exported("foten-plus", WITH_TONES)  # up to 220 mm/s, 2.5 mm: 88 Hz
+    rendered = Synthesizer(texture, excitation=False).render(np.full(4000, 330.0), np.ones(4000))[2000:]
+    power = np.abs(np.fft.rfft(rendered * np.hanning(2000))) ** 2
+    lines = np.argsort(power)[-3:] * 0.5
+    assert np.abs(lines - 132.0).min() <= 0.5
+    assert heard_of(3, np.array([2 * np.pi * 0.151]))[0] == pytest.approx([1, 1, 1, 1, 0.94, 0.94])
+    assert heard_of(3, np.array([2 * np.pi * 0.17]))[0, 4:] == pytest.approx([0, 0])
 
 
 def test_a_rendering_forgets_the_window_that_it_started_from() -> None:
@@ -163,3 +178,31 @@ def test_nothing_makes_it_grow(tones: bool) -> None:
     energy = np.square(loop.state.states).sum(axis=0)
     driven = 3.0 + 5.68 * float(engine.sigma(condition.reshape(-1, 2)).max())
     assert (energy <= driven**2 / (1 - 0.9999**2)).all()
+
+
+def test_tones_are_fitted_to_a_mesh_and_to_nothing_that_has_none() -> None:
+    """The simulator's coarse mesh repeats every 2.5 mm; a process with a ringing resonance repeats nothing."""
+    found = {}
+    for key in ("steel-mesh-1", "linear-hum"):
+        recording = simulate(key, 16.0, seed=3)
+        config = TrainConfig(epochs=0, threads=1, max_order=20)
+        texture = train_texture(recording, "foten-plus", FotenPlusArchitecture(**SMALL), config).texture
+        found[key] = texture.card["metrics"]["linear_part"]["wavelength_mm"]
+        assert (found[key] is None) == (texture.architecture.n_tones == 0)
+    assert found["steel-mesh-1"] == pytest.approx(2.5, rel=2e-3)
+    assert found["linear-hum"] is None
+
+
+def test_a_multiple_that_is_louder_than_the_fundamental_does_not_halve_the_wavelength() -> None:
+    rng = np.random.default_rng(5)
+    speed, force = stroke(12)
+    phase = 2 * np.pi * np.cumsum(speed / RATE, axis=1) / LENGTH
+    x = 0.5 * np.cos(phase) + np.cos(2 * phase) + 0.3 * rng.standard_normal(speed.shape)
+    data = LatticeData(x, np.ones_like(x), speed, force, tuple(range(9)), (9, 10, 11))
+    assert wavelength(data, RATE) == pytest.approx(LENGTH, rel=0.03)
+
+
+def test_a_forecast_can_be_asked_twice() -> None:
+    engine: Any = engine_for(exported("foten-plus", WITH_TONES))
+    state = engine.start(np.random.default_rng(0).standard_normal((2, engine.window, 3)))
+    np.testing.assert_array_equal(state.forecast().sample, state.forecast().sample)

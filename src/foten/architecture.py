@@ -77,6 +77,11 @@ class FotenArchitecture:
         return 1
 
     @property
+    def modulated(self) -> bool:
+        """Return whether speed and force scale and shift what both branches find."""
+        return False
+
+    @property
     def n_bins(self) -> int:
         """Return how many bins the spectral branch sees."""
         return self.window if self.bins == "all" else self.window // 2 + 1
@@ -93,6 +98,7 @@ class FotenPlusArchitecture(FotenArchitecture):
     correction_limit: float = (
         3.0  # in standard deviations of the lattice's innovation; |correction| stays below it
     )
+    hand: str = "head"  # where speed and force enter: "head" alone, as the paper's, or also each of "tokens", or as "modulation"
     excitation_width: int = 16  # hidden units of log level and of log σ over speed and force
     order: int = 20  # p of the lattice, samples
     n_speed: int = 1  # its vertices over speed
@@ -113,6 +119,8 @@ class FotenPlusArchitecture(FotenArchitecture):
         for name in ("n_tone_speed", "n_tone_force", "rest_order", "n_rest_speed", "n_rest_force"):
             _check_count(name, getattr(self, name), 1)
         _check_count("n_tones", self.n_tones, 0)
+        if self.hand not in ("head", "tokens", "modulation"):
+            raise ValueError(f"hand is {self.hand!r}, expected 'head', 'tokens' or 'modulation'")
         if type(self.correction_limit) not in (int, float) or not 0 < self.correction_limit < 1e6:
             raise ValueError(f"correction_limit is {self.correction_limit!r}, expected a positive number")
 
@@ -123,8 +131,13 @@ class FotenPlusArchitecture(FotenArchitecture):
 
     @property
     def n_inputs(self) -> int:
-        """Return how many numbers of each sample the temporal branch sees: its acceleration and its innovation."""
-        return 2
+        """Return how many numbers of each sample the temporal branch sees: acceleration and innovation, speed and force."""
+        return 4 if self.hand == "tokens" else 2
+
+    @property
+    def modulated(self) -> bool:
+        """Return whether speed and force scale and shift what both branches find."""
+        return self.hand == "modulation"
 
 
 def _check_count(name: str, value: object, minimum: int) -> None:
@@ -176,7 +189,7 @@ def tensor_shapes(key: str, architecture: FotenArchitecture) -> dict[str, tuple[
             shapes |= {"tones.values": (n_speed * n_force, 2 * architecture.n_tones), "tones.motion": (3,)}
             n_speed, n_force = architecture.n_rest_speed, architecture.n_rest_force
             shapes |= _lattice("rest", n_speed, n_force, architecture.rest_order, width)
-        shapes |= {"excitation.largest": (1,), **_linear("excitation.tail", 1, 5)}
+        shapes |= {"excitation.largest": (2,), **_linear("excitation.tail", 1, 5)}
         return shapes
     return _foten_shapes(architecture)
 
@@ -227,4 +240,6 @@ def _foten_shapes(architecture: FotenArchitecture) -> dict[str, tuple[int, ...]]
     if architecture.bin_embedding:
         shapes["spectral.bins"] = (architecture.n_bins, width)
     shapes |= _linear("spectral_embedding", d, 1) | _linear("head_1", first, 2 * d + 2)
+    if architecture.modulated:
+        shapes |= _linear("modulation", 4 * d, 2)
     return shapes | _linear("head_2", second, first) | _linear("head_3", 1, second)

@@ -350,6 +350,7 @@ def train(
 
     from foten.architecture import ARCHITECTURES, architecture_from
     from foten.datasets.hdf5 import load_recording
+    from foten.recording import felt
     from foten.recording.inspect import inspect_recording
     from foten.recording.preprocess import PreprocessConfig
     from foten.texture_file import write_texture
@@ -401,7 +402,8 @@ def train(
         },
         resume,
     )
-    problems = inspect_recording(recording).problems
+    inspection = inspect_recording(recording)
+    problems, shares = inspection.problems, inspection.carried
     with TrainingDisplay(config.epochs) as display:
 
         def on_epoch(line: Any) -> None:
@@ -410,6 +412,11 @@ def train(
                 many = f"{len(problems)} problem{'s' * (len(problems) > 1)}"
                 display.note(
                     f"foten inspect finds {many} in {recording_file.name}, the first: {problems[0].text}"
+                )
+            if line.epoch == 0 and shares and preprocess_config.rate_hz < felt.smallest_rate(shares):
+                display.note(
+                    f"of what a hand feels of {recording_file.name}, {felt.in_words(shares)}: "
+                    f"--rate {felt.smallest_rate(shares):g} would hold more of it"
                 )
             display.show(line)
             folder.log(line)
@@ -616,11 +623,12 @@ def render(
         print(f"wrote {audible}, where 1 m/s² is {gain:.3g} of full scale")
     share = {name: f"{100 * count / statistics['n']:.1f} %" for name, count in statistics.items()}
     for name, unit in (("speed", "mm/s"), ("force", "N")):
+        if statistics[f"n_{name}_beyond"]:
+            high, power = texture.trained_range(name)[1], texture.beyond_exponent(name)
+            grown = f"the level grew with {name}^{power:.2g} there" if power else "the level stayed there"
+            print(f"{name} was above the trained {high:.4g} {unit} for {share[f'n_{name}_beyond']}; {grown}")
         if statistics[f"n_{name}_clamped"]:
-            high = texture.trained_range(name)[1]
-            print(
-                f"{name} was above the trained {high:.4g} {unit} for {share[f'n_{name}_clamped']} and clamped"
-            )
+            print(f"{name} was above twice that for {share[f'n_{name}_clamped']}, and taken as twice that")
     if statistics["n_below_range"]:
         print(
             f"speed or force was below the trained range for {share['n_below_range']}; the vibration fades there"

@@ -48,6 +48,7 @@ _CARD: Mapping[str, type | tuple[type, ...]] = {
     "units": dict,
     "scaling": dict,
     "trained_range": dict,
+    "beyond_exponents": dict,
     "saturation": (int, float),
     "lowpass_hz": (int, float),
     "delay_ms": (int, float),
@@ -109,6 +110,10 @@ class Texture:
         """Return the lowest and highest trained `speed` [mm/s] or `force` [N]."""
         low, high = self.card["trained_range"][channel]
         return float(low), float(high)
+
+    def beyond_exponent(self, channel: str) -> float:
+        """Return the power of `speed` or `force` that the level grows with above its trained range."""
+        return float(self.card["beyond_exponents"][channel])
 
     def to_bytes(self) -> bytes:
         """Return the file's bytes; the same texture gives the same bytes."""
@@ -210,6 +215,9 @@ def check_card(card: Any) -> None:
         bounds = card["trained_range"].get(channel)
         if not (_are_numbers(bounds, 2) and 0 <= bounds[0] <= bounds[1]):
             raise ValueError(f"the trained range of {channel} is {bounds!r}, expected [low, high]")
+        exponent = card["beyond_exponents"].get(channel)
+        if not (_are_numbers([exponent], 1) and 0 <= exponent <= 2):
+            raise ValueError(f"the exponent of {channel} beyond its range is {exponent!r}, expected 0 to 2")
     scaling = card["scaling"]
     if not all(_are_numbers(scaling.get(key), 3) for key in ("mean", "sd")):
         raise ValueError("the scaling in the card is not three means and three standard deviations")

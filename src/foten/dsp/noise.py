@@ -63,7 +63,9 @@ def gaussian(key: int, stream: int, first: int, n: int) -> NDArray[np.float64]:
     return x * (_LINEAR + _CUBIC * (x * x))
 
 
-def heavy_tailed(noise: NDArray[np.float64], tail: NDArray[np.float64], limit: float) -> NDArray[np.float64]:
+def heavy_tailed(
+    noise: NDArray[np.float64], tail: NDArray[np.float64], limit: NDArray[np.float64] | float
+) -> NDArray[np.float64]:
     """Return z·exp(h z²/2), at most `limit` in size: Gaussian numbers z with tails as heavy as h says, any equal shapes.
 
     h = 0 leaves them as they are; the share of small values stays, and large ones become larger.

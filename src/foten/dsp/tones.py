@@ -47,6 +47,15 @@ def tone(coefficients: Array, phase: Array) -> Array:
     return (coefficients[..., 0::2] * cosine + coefficients[..., 1::2] * sine).sum(axis=-1)
 
 
+def heard_of(n_tones: int, turned: Array) -> Array:
+    """Return how much of each multiple the rate can hold, where a sample turns the phase by `turned` [rad]: (…) → (…, 2 n_tones).
+
+    All of it up to 0.45 of the rate, nothing from half of it, where it would come back as another tone.
+    """
+    multiples = np.repeat(np.arange(1, n_tones + 1), 2)
+    return np.clip(10.0 - 10.0 * multiples * turned[..., None] / np.pi, 0.0, 1.0)
+
+
 def tone_slope(coefficients: Array, phase: Array) -> Array:
     """Return ∂T/∂φ, in the unit of the coefficients a radian: as `tone`."""
     cosine, sine, multiples = _waves(coefficients, phase)

@@ -113,16 +113,25 @@ class Foten(nn.Module):
         self.head_2 = nn.Linear(first, second)
         self.head_3 = nn.Linear(second, 1)
         self.dropout = Dropout()
+        self.modulation = nn.Linear(2, 4 * d) if architecture.modulated else None
+        if self.modulation is not None:
+            nn.init.zeros_(self.modulation.weight)
+            nn.init.zeros_(self.modulation.bias)
 
     def forward(self, windows: Tensor) -> Tensor:
         """Return the next samples: windows (b, m, 3) of scaled acceleration, speed, force → (b,) scaled.
 
-        Where `n_inputs` is 2, windows are (b, m, 4) with what else the temporal branch sees last.
+        Where `n_inputs` is 2, windows are (b, m, 4) with what else the temporal branch sees last; where it is 4, it sees all.
         """
         acceleration = windows[:, :, 0]
-        temporal = self.temporal(torch.cat([windows[:, :, :1], windows[:, :, 3:]], dim=2))
+        without_hand = torch.cat([windows[:, :, :1], windows[:, :, 3:]], dim=2)
+        temporal = self.temporal(windows if self.architecture.n_inputs == 4 else without_hand)
         spectral = self.spectral_embedding(self.spectral(acceleration)[:, None])
-        fused = torch.cat([temporal, spectral, windows[:, -1, 1:3]], dim=1)
+        found = torch.cat([temporal, spectral], dim=1)
+        if self.modulation is not None:
+            scale, shift = self.modulation(windows[:, -1, 1:3]).chunk(2, dim=1)
+            found = found * (1 + scale) + shift
+        fused = torch.cat([found, windows[:, -1, 1:3]], dim=1)
         hidden = self.dropout(torch.relu(self.head_1(fused)))
         hidden = self.dropout(torch.relu(self.head_2(hidden)))
         return self.head_3(hidden)[:, 0]

@@ -155,10 +155,11 @@ class FotenPlus(nn.Module):
         return self.tones.motion[0] * self.lattice.physical(condition)[:, 0]
 
     def _tones_at(self, condition: Tensor) -> Tensor:
-        return (
-            self.tones(self.lattice.physical(condition)).to(condition.dtype)
-            * self.lattice.level(condition)[:, None]
-        )
+        coefficients = self.tones(self.lattice.physical(condition))
+        multiples = torch.arange(1, coefficients.shape[1] // 2 + 1).repeat_interleave(2)
+        # As much as the rate can hold, `dsp.tones.heard_of`.
+        held = (10.0 - 10.0 * multiples * self._turn(condition)[:, None] / math.pi).clamp(0.0, 1.0)
+        return (coefficients * held).to(condition.dtype) * self.lattice.level(condition)[:, None]
 
 
 class Heard(NamedTuple):
@@ -330,8 +331,9 @@ class Excitation(Scale):
         self.tail = nn.Linear(5, 1)
         nn.init.zeros_(self.tail.weight)
         nn.init.constant_(self.tail.bias, NO_TAIL)
-        # No excitation is larger than the largest that was left to explain.
-        self.register_buffer("largest", torch.full((1,), 1e6))
+        # No excitation is larger than the largest that was left to explain, in units of σ and in scaled acceleration: where the
+        # hand is fast and firm a rare shock of a slow one would be beyond all that was recorded.
+        self.register_buffer("largest", torch.full((2,), 1e6))
 
     def tails(self, condition: Tensor) -> Tensor:
         """Return h, from 0 to `HEAVIEST_TAIL`: z·exp(h z²/2) is excitation, z Gaussian; (b, 2) scaled → (b,)."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from foten.dsp.filters import butterworth, filter_recorded
 from foten.dsp.kinematics import speed_of
+from foten.recording import felt
 from foten.recording.preprocess import WRONG_SIGN, PreprocessConfig, hand_of, times_of
 from foten.recording.recording import UNITS, Channel, Recording
 
@@ -123,6 +124,12 @@ class Inspection:
     recording_sha256: str = ""
 
     @property
+    def carried(self) -> dict[float, float]:
+        """Return the share of what a hand feels that a rate of the model carries, by rate [Hz]; empty where none is known."""
+        rates = [channel.rate_hz for channel in self.channels if channel.name in self.psd]
+        return felt.carried(self.psd, min(rates)) if rates else {}
+
+    @property
     def problems(self) -> tuple[Finding, ...]:
         """Return the findings that are problems."""
         return tuple(finding for finding in self.findings if finding.severity == PROBLEM)
@@ -147,6 +154,7 @@ class Inspection:
             "channels": [asdict(channel) for channel in self.channels],
             "coverage": coverage,
             "findings": [asdict(finding) for finding in self.findings],
+            "carried_by_rate_hz": {f"{rate:g}": share for rate, share in self.carried.items()},
         }
 
     def to_text(self) -> str:
@@ -170,6 +178,9 @@ class Inspection:
                 f"speed {plane.speed_range[0]:.4g} to {plane.speed_range[1]:.4g} mm/s, "
                 f"force {plane.force_range[0]:.3g} to {plane.force_range[1]:.3g} N"
             )
+        if self.carried:
+            best = felt.smallest_rate(self.carried)
+            lines.append(f"of what a hand feels, {felt.in_words(self.carried)}; train with --rate {best:g}")
         for severity in (PROBLEM, NOTE):
             lines += [f"{severity:<8} {f.text}" for f in self.findings if f.severity == severity]
         if not self.problems:
@@ -886,7 +897,10 @@ def _unvisited(plane: Coverage) -> Iterable[Finding]:
         )
     if quick < 150:
         yield Finding(
-            NOTE, "range", "speed", f"never faster than {quick:.0f} mm/s: rendering will clamp there"
+            NOTE,
+            "range",
+            "speed",
+            f"never faster than {quick:.0f} mm/s: above it the level grows by a power law, it is not learnt",
         )
     if light > 0.5:
         yield Finding(
@@ -897,7 +911,10 @@ def _unvisited(plane: Coverage) -> Iterable[Finding]:
         )
     if heavy < 6:
         yield Finding(
-            NOTE, "range", "force", f"force above {heavy:.2g} N never visited: rendering will clamp there"
+            NOTE,
+            "range",
+            "force",
+            f"force above {heavy:.2g} N never visited: above it the level grows by a power law, it is not learnt",
         )
     if plane.fraction < 0.15:
         yield Finding(

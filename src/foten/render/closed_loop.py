@@ -30,7 +30,8 @@ class ClosedLoop:
 
         Args:
             condition: speed and force that go with the new sample, shape (s, 2), scaled. The prediction
-                sees those up to the sample before (Eq. 1).
+                sees those up to the sample before (Eq. 1). Where that speed is cut to what was trained, the true one
+                [mm/s] may stand in a third column: the path's tones go by it.
             noise: standard normal, shape (s,); None for the deterministic loop.
         """
         expected = self.state.forecast()
@@ -43,7 +44,7 @@ class ClosedLoop:
         return sample
 
     def run(self, condition: Array, noise: Array | None) -> Array:
-        """Return n samples of each stream, shape (s, n): condition (s, n, 2), noise (s, n) or None."""
+        """Return n samples of each stream, shape (s, n): condition (s, n, 2 or 3), noise (s, n) or None."""
         out = np.empty(condition.shape[:2])
         for i in range(condition.shape[1]):
             out[:, i] = self.step(condition[:, i], None if noise is None else noise[:, i])

@@ -15,7 +15,7 @@ from foten.dsp.lattice import analyse, check_reflections, forecast, push
 from foten.dsp.noise import gaussianised, heavy_tailed
 from foten.dsp.plane import Plane
 from foten.dsp.spectrum import WEAKEST_BIN, dft_matrices, last_sample_row, position_encoding
-from foten.dsp.tones import LARGEST_STRAY, fitted_phase, tone
+from foten.dsp.tones import LARGEST_STRAY, fitted_phase, heard_of, tone
 from foten.texture_file import Texture
 
 Array = NDArray[np.float64]
@@ -74,7 +74,9 @@ class NumpyFoten:
     def predict(self, windows: Array) -> Array:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
         acceleration = np.ascontiguousarray(windows[:, :, 0])
-        seen = np.concatenate([windows[:, :, :1], windows[:, :, 3:]], axis=2)
+        seen = windows
+        if self._architecture.n_inputs < 4:
+            seen = np.concatenate([windows[:, :, :1], windows[:, :, 3:]], axis=2)
         tokens = self._w.linear("temporal.embedding", seen) + self._positions
         n_layers = self._architecture.n_layers
         for layer in range(n_layers):
@@ -83,7 +85,11 @@ class NumpyFoten:
         if self._architecture.pre_norm:
             temporal = self._w.norm("temporal.norm", temporal)
         spectral = self._w.linear("spectral_embedding", self._spectral(acceleration)[:, None])
-        hidden = np.concatenate([temporal, spectral, windows[:, -1, 1:3]], axis=1)
+        found = np.concatenate([temporal, spectral], axis=1)
+        if self._architecture.modulated:
+            scale, shift = np.split(self._w.linear("modulation", windows[:, -1, 1:3]), 2, axis=1)
+            found = found * (1 + scale) + shift
+        hidden = np.concatenate([found, windows[:, -1, 1:3]], axis=1)
         hidden = np.maximum(self._w.linear("head_1", hidden), 0.0)
         hidden = np.maximum(self._w.linear("head_2", hidden), 0.0)
         return self._w.linear("head_3", hidden)[:, 0]
@@ -144,20 +150,24 @@ class NumpyFoten:
 
 
 class Forecast(NamedTuple):
-    """The next sample without excitation, by how much a unit of excitation moves it, and how heavy its tails are; scaled."""
+    """The next sample without excitation, by how much a unit of excitation moves it, and how heavy its tails are; scaled.
+
+    `largest` bounds the excitation in its unit and in scaled acceleration.
+    """
 
     sample: Array
     scale: Array | None = None
     tail: Array | None = None
-    largest: float = np.inf
+    largest: tuple[float, float] = (np.inf, np.inf)
 
     def excited(self, noise: Array) -> Array:
         """Return the sample with excitation from standard normal noise, shape (s,)."""
         if self.scale is None:
             return self.sample
-        return self.sample + self.scale * (
-            noise if self.tail is None else heavy_tailed(noise, self.tail, self.largest)
-        )
+        if self.tail is None:
+            return self.sample + self.scale * noise
+        limit = np.minimum(self.largest[0], self.largest[1] / self.scale)
+        return self.sample + self.scale * heavy_tailed(noise, self.tail, limit)
 
 
 def excitation_fit(expected: Forecast, recorded: Array) -> tuple[Array, Array]:
@@ -183,7 +193,7 @@ class State(Protocol):
         ...
 
     def push(self, sample: Array, condition: Array) -> None:
-        """Take in the next samples (s,) and their speed and force (s, 2), all scaled."""
+        """Take in the next samples (s,) and their speed and force (s, 2 or 3), as `ClosedLoop` has them."""
         ...
 
 
@@ -208,7 +218,7 @@ class WindowState:
         """Move the windows on by a sample."""
         self.windows[:, :-1] = self.windows[:, 1:]
         self.windows[:, -1, 0] = sample
-        self.windows[:, -1, 1:] = condition
+        self.windows[:, -1, 1:] = condition[:, :2]
 
 
 @dataclass
@@ -247,8 +257,8 @@ class LatticeState:
         self.states, e = push(self.states, self.reflections, x)
         self.seen[:, :-1] = self.seen[:, 1:]
         self.seen[:, -1, 0], self.seen[:, -1, 3] = x, e
-        self.seen[:, -1, 1:3] = condition
-        self._heed(condition)
+        self.seen[:, -1, 1:3] = condition[:, :2]
+        self._heed(condition[:, :2])
 
 
 class ToneMotion(NamedTuple):
@@ -275,7 +285,7 @@ class ToneState:
         phase: of the fundamental at the last sample [rad], shape (s,).
         path: the phase that the path alone would have, from zero where the rendering began, shape (s,).
         rate: by what share the phase turns faster than the path says, shape (s,).
-        level, reflections, value: for the sample to come; T in scaled acceleration.
+        level, reflections, turned, value: for the sample to come: what the path turned the phase by [rad]; T, scaled.
     """
 
     engine: NumpyFotenPlus
@@ -286,6 +296,7 @@ class ToneState:
     rate: Array = field(init=False)
     level: Array = field(init=False)
     reflections: Array = field(init=False)
+    turned: Array = field(init=False)
     value: Array = field(init=False)
 
     def __post_init__(self) -> None:
@@ -296,11 +307,11 @@ class ToneState:
 
     def _heed(self, condition: Array) -> None:
         """Move on to the sample after one at a speed and force (s, 2), scaled."""
-        self.condition, rest = condition, self.engine.rest
-        self.level, self.reflections = rest.level(condition), rest.reflections(condition).T
-        turned = self.engine.motion.turn * self.engine.lattice.physical(condition)[:, 0]
-        self.phase, self.path = self.phase + turned, self.path + turned
-        self.value = tone(self.engine.tones_at(condition), self.phase)
+        self.condition, rest = condition[:, :2], self.engine.rest
+        self.level, self.reflections = rest.level(self.condition), rest.reflections(self.condition).T
+        self.turned = self.engine.turned(condition)
+        self.phase, self.path = self.phase + self.turned, self.path + self.turned
+        self.value = tone(self.engine.tones_at(self.condition, self.turned), self.phase)
 
     def forecast(self) -> Forecast:
         """Return the tones and what the lattice predicts of the rest."""
@@ -314,14 +325,13 @@ class ToneState:
         rendering forgets where it started, and streams under the same noise meet.
         """
         self.states, e = push(self.states, self.reflections, (sample - self.value) / self.level)
-        motion, speed = self.engine.motion, self.engine.lattice.physical(self.condition)[:, 0]
+        motion = self.engine.motion
         away = self.phase - self.path
         self.phase = self.phase - motion.forgetting * (away - 2 * np.pi * np.round(away / (2 * np.pi)))
-        turn = motion.turn * speed
-        alike = np.exp(-turn / np.pi)
+        alike = np.exp(-self.turned / np.pi)
         chance = motion.unevenness * np.clip(e, -LARGEST_STRAY, LARGEST_STRAY)
         self.rate = alike * self.rate + np.sqrt(1 - alike * alike) * chance
-        self.phase = self.phase + turn * self.rate
+        self.phase = self.phase + self.turned * self.rate
         self._heed(condition)
 
 
@@ -335,7 +345,8 @@ class NumpyFotenPlus:
         self._network = NumpyFoten(architecture, tensors, "network.")
         self._w = _Weights(tensors, "")
         self._sigma = _Scale(tensors, "excitation.")
-        self.largest = float(self._w["excitation.largest"][0])
+        in_sigma, in_acceleration = self._w["excitation.largest"]
+        self.largest = float(in_sigma), float(in_acceleration)
         self.lattice = self.rest = _Lattice(tensors, "lattice.")
         self._tones: Plane | None = None
         if architecture.n_tones:
@@ -358,9 +369,10 @@ class NumpyFotenPlus:
             return self._listening(windows)
         before = windows[:, :-1, 1:]
         flat, shape = before.reshape(-1, 2), before.shape[:2]
-        travelled = np.cumsum(self.motion.turn * self.lattice.physical(flat)[:, 0].reshape(shape), axis=1)
+        turned = self.turned(flat)
+        travelled = np.cumsum(turned.reshape(shape), axis=1)
         level = self.lattice.level(flat).reshape(shape)
-        coefficients = self.tones_at(flat).reshape(*shape, -1) / level[..., None]
+        coefficients = self.tones_at(flat, turned).reshape(*shape, -1) / level[..., None]
         phase = travelled + fitted_phase(windows[:, 1:, 0] / level, coefficients, travelled)[:, None]
         rest = windows[:, 1:, 0] - level * tone(coefficients, phase)
         states = [part[3] for part in self._analysed(self.rest, rest, before)]
@@ -405,7 +417,8 @@ class NumpyFotenPlus:
         """
         samples, before, lattice = blocks[:, 1:, 0], blocks[:, :-1, 1:], self.lattice
         if phase is not None:
-            coefficients = self.tones_at(before.reshape(-1, 2)).reshape(*samples.shape, -1)
+            flat = before.reshape(-1, 2)
+            coefficients = self.tones_at(flat, self.turned(flat)).reshape(*samples.shape, -1)
             samples, lattice = samples - tone(coefficients, phase[:, 1:]), self.rest
         parts = self._analysed(lattice, samples, before)
         x, e, unit = (np.pad(np.concatenate([part[k] for part in parts]), ((0, 0), (1, 0))) for k in range(3))
@@ -453,10 +466,17 @@ class NumpyFotenPlus:
         powers = _powers(self._sigma.logarithms(condition))
         return HEAVIEST_TAIL / (1 + np.exp(-self._w.linear("excitation.tail", powers)[:, 0]))
 
-    def tones_at(self, condition: Array) -> Array:
-        """Return the tones' coefficients: speed and force (b, 2) scaled → (b, 2 n_tones) scaled."""
+    def turned(self, condition: Array) -> Array:
+        """Return by how much the path turns the tones' phase in a sample [rad]: (b, 2 or 3), as `ClosedLoop` has it, → (b,)."""
+        speed = condition[:, 2] if condition.shape[1] > 2 else self.lattice.physical(condition)[:, 0]
+        return self.motion.turn * speed
+
+    def tones_at(self, condition: Array, turned: Array) -> Array:
+        """Return the tones' coefficients: speed and force (b, 2) scaled and turns (b,) → (b, 2 n_tones) scaled."""
         assert self._tones is not None
-        return self._tones.at(*self.lattice.physical(condition).T) * self.lattice.level(condition)[:, None]
+        coefficients = self._tones.at(*self.lattice.physical(condition).T)
+        level = self.lattice.level(condition)[:, None]
+        return coefficients * level * heard_of(coefficients.shape[1] // 2, turned)
 
     def correction(self, seen: Array) -> Array:
         """Return what the network adds, in units of the innovation: x, speed, force and e (b, m, 4) → (b,)."""

@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 
 FADE_SPEED = 5.0  # mm/s; a texture fades below this, or below its trained range where that ends higher
 FADE_FORCE = 0.1  # N
+FURTHEST = 2.0  # times the trained range's end, that the level grows to
 _NOISE_BLOCK = 4096  # samples of noise drawn at a time
 
 
@@ -25,12 +26,15 @@ class RenderStatistics:
 
     Attributes:
         n: samples rendered, over all streams.
-        n_speed_clamped, n_force_clamped: samples whose speed or force lay above the trained range.
+        n_speed_beyond, n_force_beyond: samples whose speed or force lay above the trained range.
+        n_speed_clamped, n_force_clamped: of those the ones above twice the range, where nothing changes any more.
         n_below_range: samples below the trained range, where the vibration fades.
         n_saturated: samples that the saturator cut.
     """
 
     n: int = 0
+    n_speed_beyond: int = 0
+    n_force_beyond: int = 0
     n_speed_clamped: int = 0
     n_force_clamped: int = 0
     n_below_range: int = 0
@@ -44,7 +48,12 @@ class Synthesizer:
     range (at least below 5 mm/s) and with force likewise (at least below 0.1 N): a still pen does not buzz, whatever
     was recorded. The loop itself runs on, so that the texture is there again with the first movement.
 
-    Differs from the paper: it clamps to the recorded range on both sides (Sec. VIII) and so vibrates at rest.
+    Above the trained range the loop sees the range's end, tones go on with the path, and the level grows by a power law of the
+    training blocks, up to twice the range. On simulated surfaces recorded in half of the hand's range
+    (`benchmarks/outside.py`) that came nearest the truth of what was tried.
+
+    Differs from the paper: it clamps to the recorded range on both sides (Sec. VIII), and so vibrates at rest and does not
+    grow.
 
     Args:
         texture: from `read_texture`.
@@ -71,6 +80,7 @@ class Synthesizer:
         self._low = np.array([texture.trained_range("speed")[0], texture.trained_range("force")[0]])
         self._high = np.array([texture.trained_range("speed")[1], texture.trained_range("force")[1]])
         self._fade = np.maximum(self._low, [FADE_SPEED, FADE_FORCE])
+        self._exponents = np.array([texture.beyond_exponent("speed"), texture.beyond_exponent("force")])
         self.reset()
 
     def reset(self, windows: Array | None = None) -> None:
@@ -105,11 +115,14 @@ class Synthesizer:
         condition = self._checked(speed, force)
         n = condition.shape[1]
         clamped = np.clip(condition, self._low, self._high)
+        heeded = np.minimum(condition, FURTHEST * self._high)
         scaled = (clamped - self._scaling.mean[1:]) / np.array(self._scaling.sd[1:])
-        vibration = self._loop.run(scaled, self._draw(n) if self.excitation else None)
+        given = np.concatenate([scaled, heeded[..., :1]], axis=-1)
+        vibration = self._loop.run(given, self._draw(n) if self.excitation else None)
         fade = np.minimum(condition / self._fade, 1.0).prod(axis=-1)
-        self._count(condition, clamped)
-        out = self._scaling.unscale_acceleration(vibration) * fade
+        growth = (np.maximum(heeded / self._high, 1.0) ** self._exponents).prod(axis=-1)
+        self._count(condition, clamped, heeded)
+        out = self._scaling.unscale_acceleration(vibration) * fade * growth
         return out[0] if self.n_streams == 1 else out
 
     def _checked(self, speed: Array, force: Array) -> Array:
@@ -140,9 +153,11 @@ class Synthesizer:
         self._position += n
         return drawn
 
-    def _count(self, condition: Array, clamped: Array) -> None:
-        above = condition > clamped
+    def _count(self, condition: Array, clamped: Array, heeded: Array) -> None:
+        beyond, above = condition > self._high, condition > heeded
         self.statistics.n += condition.shape[0] * condition.shape[1]
+        self.statistics.n_speed_beyond += int(beyond[..., 0].sum())
+        self.statistics.n_force_beyond += int(beyond[..., 1].sum())
         self.statistics.n_speed_clamped += int(above[..., 0].sum())
         self.statistics.n_force_clamped += int(above[..., 1].sum())
         self.statistics.n_below_range += int((condition < clamped).any(axis=-1).sum())

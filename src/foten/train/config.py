@@ -23,6 +23,7 @@ class TrainConfig:
     weight_decay: float = 1e-4
     clip_norm: float = 1.0  # of the gradient; 0 for none
     dropout: float = 0.0  # share of hidden values; 0.2 in Sec. IV-e
+    average: float = 0.0  # share of the averaged weights that a step keeps, 0 for the last ones alone
     loss: str = "huber"
     delta: float = 1.6  # Huber threshold, scaled; Sec. VI-b
     max_order: int = 240  # samples that the lattice remembers at most; foten-plus alone, as the next three
@@ -42,6 +43,8 @@ class TrainConfig:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected 1 or more")
         if self.epochs < 0:
             raise ValueError(f"epochs is {self.epochs}, expected 0 or more")
+        if not 0 <= self.average < 1:
+            raise ValueError(f"average is {self.average}, expected from 0 to below 1")
         if not 0 <= self.dropout <= 0.9:
             raise ValueError(f"dropout is {self.dropout}, expected from 0 to 0.9")
         if not self.learning_rate > 0 or not self.delta > 0 or self.weight_decay < 0:

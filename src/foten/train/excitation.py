@@ -168,8 +168,6 @@ def fit_tail(
             excitation.power_law.weight += factor[None, :5].float()
             excitation.out.bias += factor[5:].float()
             excitation.bound(condition[train].float())
-        scale = excitation(condition[train].float()).numpy()
-        excitation.largest.fill_(float(np.abs(residual[train] / scale).max()))
     return max(0.0, gained)
 
 
@@ -219,9 +217,21 @@ def fit_excitation(
             condition = torch.from_numpy(samples[both - 1, 1:]).to(network.excitation.out.weight)
             sigma = network.excitation(condition).cpu().double().numpy()
         gained = fit_tail(network.excitation, random, residual, sigma)
+    _bound(network.excitation, random, residual[: len(random.train)])
     network.cpu()  # the closed loop is rendered by the engine, which knows no GPU
     blocks = (*split.train, *split.validation)
     return settle_level(network, engine_of, samples, trace, blocks, random.train, config.seed), gained
+
+
+def _bound(excitation: Excitation, random: Data, residual: Array) -> None:
+    """Let no excitation be larger than what was left to explain at the training indices, (n,), in σ and in acceleration."""
+    assert random.unit is not None
+    with torch.no_grad():
+        condition = torch.from_numpy(random.samples[random.train - 1, 1:3]).to(excitation.out.weight)
+        scale = excitation(condition).cpu().double().numpy()
+        unit = random.unit[random.train]
+        largest = [float(np.abs(values).max()) for values in (residual / scale, residual * unit)]
+        excitation.largest.copy_(torch.tensor(largest))
 
 
 def free_run_distance(

@@ -41,12 +41,12 @@ class TorchPredictor:
             heard = self._network.start(torch.from_numpy(np.ascontiguousarray(windows)))
             return self._network.forecast(heard)[1].numpy()
 
-    def _heavy(self, z: float, condition: NDArray[np.float64]) -> float:
+    def _heavy(self, z: float, condition: NDArray[np.float64], scale: float) -> float:
         excitation = self._network.excitation
         with torch.no_grad():
             h = float(excitation.tails(torch.from_numpy(condition[None]))[0])
-        largest = float(excitation.largest)
-        return max(-largest, min(largest, z * math.exp(0.5 * h * z * z)))
+        limit = min(float(excitation.largest[0]), float(excitation.largest[1]) / scale)
+        return max(-limit, min(limit, z * math.exp(0.5 * h * z * z)))
 
     def closed_loop(
         self,
@@ -66,7 +66,7 @@ class TorchPredictor:
                     window = np.concatenate([window[:, 1:], [[[out[n], *row]]]], axis=1)
                     continue
                 sample, scale = self._network.forecast(heard)
-                sample = sample + scale * self._heavy(noise[n], before)
+                sample = sample + scale * self._heavy(noise[n], before, float(scale[0]))
                 heard = self._network.push(heard, sample, torch.from_numpy(row[None].astype(np.float64)))
                 out[n], before = float(sample[0]), row
         return out

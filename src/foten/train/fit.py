@@ -142,9 +142,10 @@ def fit(
     steps = max(1, math.ceil(len(train) / config.batch))
     scheduler = torch.optim.lr_scheduler.LambdaLR(optimiser, _schedule(config, steps * max(1, config.epochs)))
     criterion = loss_of(config)
+    averaged = [parameter.detach().clone() for parameter in trained] if config.average > 0 else []
     progress = Progress()
     if checkpoint is not None and resume:
-        progress = _resume(checkpoint, config, network, optimiser, scheduler)
+        progress = _resume(checkpoint, config, network, optimiser, scheduler, averaged)
         for line in progress.epochs:
             on_epoch(line)
 
@@ -169,9 +170,19 @@ def fit(
             nn.utils.clip_grad_norm_(trained, config.clip_norm)
         optimiser.step()
         scheduler.step()
+        for kept, parameter in zip(averaged, trained, strict=False):
+            kept.lerp_(parameter.detach(), 1 - config.average)
         return torch.stack(losses).sum()
 
+    def swap() -> None:
+        """Exchange the weights being trained for the averaged ones, or back; nothing where none are."""
+        for kept, parameter in zip(averaged, trained, strict=False):
+            held = parameter.detach().clone()
+            parameter.data.copy_(kept)
+            kept.copy_(held)
+
     def finish(epoch: int, train_loss: float, started: float) -> None:
+        swap()
         validation_loss, mae = _validate(network, windows, goal, unit, validation, criterion)
         best = validation_loss < progress.best_loss
         if best:
@@ -179,6 +190,7 @@ def fit(
             progress.best_state = {
                 name: tensor.detach().clone() for name, tensor in network.state_dict().items()
             }
+        swap()
         progress.epochs.append(
             Epoch(epoch, train_loss, validation_loss, mae, time.perf_counter() - started, best)
         )
@@ -205,7 +217,7 @@ def fit(
             if not math.isfinite(progress.epochs[-1].train_loss):
                 raise ValueError("the training loss is not finite; is the acceleration full of outliers?")
             if checkpoint is not None:
-                _save(checkpoint, config, network, optimiser, scheduler, progress)
+                _save(checkpoint, config, network, optimiser, scheduler, averaged, progress)
     except KeyboardInterrupt:
         progress.interrupted = True
     finally:
@@ -271,7 +283,13 @@ def _validate(
 
 
 def _save(
-    path: Path, config: TrainConfig, network: nn.Module, optimiser: Any, scheduler: Any, progress: Progress
+    path: Path,
+    config: TrainConfig,
+    network: nn.Module,
+    optimiser: Any,
+    scheduler: Any,
+    averaged: list[Tensor],
+    progress: Progress,
 ) -> None:
     with whole_file(path) as part:
         torch.save(
@@ -280,6 +298,7 @@ def _save(
                 "network": network.state_dict(),
                 "optimiser": optimiser.state_dict(),
                 "scheduler": scheduler.state_dict(),
+                "averaged": averaged,
                 "epochs": [asdict(epoch) for epoch in progress.epochs],
                 "best_loss": progress.best_loss,
                 "best_state": progress.best_state,
@@ -288,7 +307,14 @@ def _save(
         )
 
 
-def _resume(path: Path, config: TrainConfig, network: nn.Module, optimiser: Any, scheduler: Any) -> Progress:
+def _resume(
+    path: Path,
+    config: TrainConfig,
+    network: nn.Module,
+    optimiser: Any,
+    scheduler: Any,
+    averaged: list[Tensor],
+) -> Progress:
     try:
         saved = torch.load(path, weights_only=True, map_location="cpu")
     except (pickle.UnpicklingError, RuntimeError, EOFError, OSError) as error:
@@ -300,5 +326,7 @@ def _resume(path: Path, config: TrainConfig, network: nn.Module, optimiser: Any,
     network.load_state_dict(saved["network"])
     optimiser.load_state_dict(saved["optimiser"])
     scheduler.load_state_dict(saved["scheduler"])
+    for kept, tensor in zip(averaged, saved["averaged"], strict=True):
+        kept.copy_(tensor)
     epochs = [Epoch(**line) for line in saved["epochs"]]
     return Progress(epochs, saved["best_loss"], saved["best_state"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 import foten
 from foten.architecture import FotenArchitecture, FotenPlusArchitecture
-from foten.dsp.level import FRAME_MS
+from foten.dsp.level import FRAME_MS, frame_levels, frame_means
 from foten.models import build
 from foten.models.foten_plus import FotenPlus
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -33,6 +34,7 @@ from foten.train.linear_part import LinearPart, engine_of, fit_linear_parts
 
 Array = NDArray[np.float64]
 
+TONES_MAY_PAINT = 1.05  # times the log-spectral distance without them, on the validation blocks
 WARM_START = (45.0, 0.8)  # mm/s, N: mean of early contacts; Sec. V-a
 
 
@@ -131,6 +133,7 @@ def train_texture(
                 "speed": [float(low[1]), float(high[1])],
                 "force": [float(low[2]), float(high[2])],
             },
+            "beyond_exponents": _beyond_exponents(trace, split, key),
             "saturation": saturation,
             "lowpass_hz": preprocess_config.render_lowpass_hz,
             "delay_ms": preprocess_config.delay_ms,
@@ -181,7 +184,7 @@ def _chosen(
     """Return the better of the linear parts, and what was tried.
 
     What decides is the product of two errors of the free run, heard without a network, on the validation blocks:
-    log-spectral distance and level error.
+    log-spectral distance and level error. Tones that paint another spectrum are none of the surface's, whatever the level.
     """
     if len(parts) == 1:
         return parts[0], parts[0].found
@@ -195,7 +198,11 @@ def _chosen(
             part.network, engine_of, samples, trace, split.validation, config.seed
         )
         part.found["heard"] = {"lsd_db": lsd_db, "level_error_db": level_error_db}
-    best = min(parts, key=lambda part: part.found["heard"]["lsd_db"] * part.found["heard"]["level_error_db"])
+    allowed = TONES_MAY_PAINT * parts[0].found["heard"]["lsd_db"]
+    best = min(
+        (part for part in parts if part is parts[0] or part.found["heard"]["lsd_db"] <= allowed),
+        key=lambda part: part.found["heard"]["lsd_db"] * part.found["heard"]["level_error_db"],
+    )
     rest = [part.found for part in parts if part is not best]
     return best, {**best.found, "rejected": rest}
 
@@ -215,6 +222,34 @@ def _innovations(
     return Data(
         samples.reshape(-1, 4), train, validation, network.architecture.window, e.ravel(), unit.ravel()
     )
+
+
+def _beyond_exponents(trace: Trace, split: Split, key: str) -> dict[str, float]:
+    """Return the powers of speed and force that the level grows with, from the faster and the firmer half of the training blocks.
+
+    Levels in frames, least squares over their logarithms; 0 where speed or force hardly varies, and for the paper's network,
+    which clamps (Sec. VIII).
+    """
+    chosen = list(split.train)
+    if key != "foten-plus" or trace.block < FRAME_MS * trace.rate_hz / 1000:
+        return {"speed": 0.0, "force": 0.0}
+    levels, speed, force = (
+        of(trace.blocks(channel)[chosen], trace.rate_hz, *rest).ravel()
+        for of, channel, *rest in (
+            (frame_levels, trace.acceleration, 1.0),
+            (frame_means, trace.speed),
+            (frame_means, trace.force),
+        )
+    )
+    logs = np.log10(np.maximum(np.stack([speed, force]), [[FADE_SPEED], [FADE_FORCE]]))
+    found = {}
+    for row, name in enumerate(("speed", "force")):
+        upper = logs[row] >= np.median(logs[row])
+        design = np.stack([np.ones(upper.sum()), *logs[:, upper]], axis=1)
+        varied = upper.sum() >= 20 and np.ptp(np.percentile(logs[row, upper], [10, 90])) >= math.log10(1.2)
+        slope = np.linalg.lstsq(design, levels[upper], rcond=None)[0][1 + row] if varied else 0.0
+        found[name] = float(np.clip(slope / 20, 0.0, 1.5))
+    return found
 
 
 def pick_warm_start(

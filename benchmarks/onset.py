@@ -1,0 +1,117 @@
+"""The first 100 ms of a stroke from the warm start: how near level and spectrum are to settled ones, and is there a click.
+
+    python benchmarks/onset.py TEXTURE.foten... [--strokes 50] [--streams 8] [--save DIR]
+
+A first stroke begins at once with a speed and a force drawn from the trained range and holds them, rendered from the warm
+start under several streams of noise. Settled is what the same streams are from 1 s on. Level: mean over strokes of the power in
+a window of 40 ms over the settled power [dB]. Spectrum: mean over strokes of the same in third-octave bands (40 ms hold no
+finer), root mean square over the bands. Settled windows scatter too: the last pair is the largest level and spectrum of ten
+such windows. Click: how often samples of the first 20 ms exceed the settled 99.9th percentile.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+from foten.render.synthesizer import Synthesizer
+from foten.texture_file import Texture, read_texture
+from foten.whole_file import whole_file
+
+WINDOW_MS = 40.0
+STARTS_MS = (0.0, 20.0, 60.0, 100.0)
+SETTLED_S, LASTS_S = 1.0, 2.0
+CLICK_MS = 20.0
+
+
+def third_octaves(rate_hz: float) -> np.ndarray:
+    """Return the edges of third-octave bands from 50 Hz, the lowest that 40 ms tell apart, to 0.45 of the rate or 1 kHz [Hz]."""
+    highest = min(1000.0, 0.45 * rate_hz)
+    return 50.0 * 2 ** (np.arange(int(3 * np.log2(highest / 50.0)) + 1) / 3)
+
+
+def band_powers(windows: np.ndarray, rate_hz: float) -> np.ndarray:
+    """Return the power in each band, mean over windows (k, n) → (bands,)."""
+    n = windows.shape[1]
+    power = (np.abs(np.fft.rfft(windows * np.hanning(n), axis=1)) ** 2).mean(axis=0)
+    hertz = np.fft.rfftfreq(n, 1 / rate_hz)
+    edges = third_octaves(rate_hz)
+    return np.array([power[(hertz >= low) & (hertz < high)].sum() for low, high in pairwise(edges)])
+
+
+def judge(texture: Texture, n_strokes: int, n_streams: int, seed: int = 0) -> dict[str, Any]:
+    """Return the figures of one texture."""
+    rng = np.random.default_rng(seed)
+    rate = texture.rate_hz
+    window, n = round(WINDOW_MS * rate / 1000), round(LASTS_S * rate)
+    (slow, fast), (light, heavy) = (texture.trained_range(channel) for channel in ("speed", "force"))
+    speeds = rng.uniform(max(slow, 20.0 if fast > 40 else slow), fast, n_strokes)
+    forces = rng.uniform(max(light, 0.2 if heavy > 0.4 else light), heavy, n_strokes)
+    synthesizer = Synthesizer(texture, seed, n_streams * n_strokes)
+    hand = (np.repeat(values, n_streams)[:, None] + np.zeros(n) for values in (speeds, forces))
+    rendered = synthesizer.render(*hand).reshape(n_strokes, n_streams, n)
+    settled = rendered[:, :, round(SETTLED_S * rate) :]
+    cut = settled[..., : settled.shape[2] // window * window].reshape(n_strokes, -1, window)
+    loud = np.square(settled).mean(axis=(1, 2))
+    colours = np.stack([band_powers(windows, rate) for windows in cut])
+    heard = (colours > 0).all(axis=0)
+
+    def away(first: int) -> tuple[float, float]:
+        part = rendered[:, :, first : first + window]
+        level = 10 * np.log10(np.square(part).mean(axis=(1, 2)) / loud)
+        powers = np.stack([band_powers(windows, rate) for windows in part])
+        ratio = 10 * np.log10(powers[:, heard] / colours[:, heard])
+        return float(level.mean()), float(np.sqrt(np.square(ratio.mean(axis=0)).mean()))
+
+    limits = np.quantile(np.abs(settled), 0.999, axis=(1, 2))
+    begun = np.abs(rendered[:, :, : round(CLICK_MS * rate / 1000)]) > limits[:, None, None]
+    strays = [away(round(SETTLED_S * rate) + k * window) for k in range(10)]
+    return {
+        "texture": texture.card["texture"],
+        "rate_hz": rate,
+        "n_strokes": n_strokes,
+        "starts_ms": STARTS_MS,
+        "level_db": [away(round(start * rate / 1000))[0] for start in STARTS_MS],
+        "spectrum_db": [away(round(start * rate / 1000))[1] for start in STARTS_MS],
+        "settled_level_db": max(abs(stray[0]) for stray in strays),
+        "settled_spectrum_db": max(stray[1] for stray in strays),
+        "click_share": float(begun.mean()),
+        "click_standard_error": float(begun.mean(axis=(1, 2)).std(ddof=1) / np.sqrt(n_strokes)),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("textures", nargs="+", type=Path)
+    parser.add_argument("--strokes", type=int, default=50)
+    parser.add_argument("--streams", type=int, default=8, help="of noise, for each stroke")
+    parser.add_argument("--save", type=Path, metavar="DIR", help="keep each result as JSON there")
+    arguments = parser.parse_args()
+    print(
+        "texture, then level / spectrum [dB] in the 40 ms from 0, 20, 60, 100 ms on, settled; over the 99.9th percentile"
+    )
+    for path in arguments.textures:
+        found = judge(read_texture(path), arguments.strokes, arguments.streams)
+        if arguments.save is not None:
+            arguments.save.mkdir(parents=True, exist_ok=True)
+            with whole_file(arguments.save / f"{path.stem}.json") as part:
+                part.write_text(json.dumps(found, indent=1) + "\n")
+        cells = [f"{a:+.2f}/{b:.2f}" for a, b in zip(found["level_db"], found["spectrum_db"], strict=True)]
+        cells.append(f"{found['settled_level_db']:.2f}/{found['settled_spectrum_db']:.2f}")
+        click = f"{100 * found['click_share']:.3f} ± {100 * found['click_standard_error']:.3f} %"
+        print(f"{path.stem:36s} {'  '.join(cells)}  {click}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

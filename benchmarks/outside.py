@@ -1,0 +1,169 @@
+"""Above the trained range, towards rest and under jumps: clamp, fade or grow, whichever is nearest the simulated truth.
+
+    python benchmarks/outside.py [--textures a,b] [--save FILE]
+
+Each simulated texture is recorded under a hand that uses half of the range (0 to 175 mm/s, 0.05 to 2 N), trained without a
+network, and rendered under another hand that uses all of it and, once more, under speeds and forces that jump every half
+second. Frames of 40 ms of the rendering and of the truth are compared where the hand was: level bias, level error and the
+distance of the pooled spectra. `grow` is what the synthesizer does; `clamp` hands it the range's end, `fade` takes that
+down again by the factor that the range was exceeded by.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+from foten.architecture import FotenPlusArchitecture
+from foten.datasets.simulate import ACCELEROMETER_NOISE, TEXTURES, vibration
+from foten.datasets.stroking import Stroking, stroking
+from foten.dsp.level import FRAME_MS, frame_levels, frame_means
+from foten.recording.preprocess import PreprocessConfig, preprocess
+from foten.recording.recording import Channel, Recording
+from foten.recording.trace import Trace
+from foten.render.synthesizer import Synthesizer
+from foten.texture_file import Texture
+from foten.train.config import RECIPES
+from foten.train.train import train_texture
+from foten.whole_file import whole_file
+
+RATE_HZ = 10_000.0
+N_STREAMS = 5
+POLICIES = ("clamp", "fade", "grow")
+
+
+def recorded(key: str, hand: Stroking, seed: int) -> Recording:
+    """Return what the sensors would have recorded of a hand, speed and force known exactly."""
+    rng = np.random.default_rng([seed, *key.encode()])
+    acceleration = vibration(TEXTURES[key], hand, rng)
+    acceleration += rng.normal(0, ACCELEROMETER_NOISE * np.sqrt(RATE_HZ / 2), acceleration.shape)
+    channels = {
+        f"acceleration_{axis}": Channel(np.ascontiguousarray(column), RATE_HZ)
+        for axis, column in zip("xyz", acceleration.T, strict=True)
+    }
+    channels |= {"speed": Channel(hand.speed, RATE_HZ), "force": Channel(hand.force, RATE_HZ)}
+    return Recording(channels, texture=key)
+
+
+def halved(hand: Stroking) -> Stroking:
+    """Return a hand half as fast and half as firm."""
+    return dataclasses.replace(
+        hand, position=0.5 * hand.position, velocity=0.5 * hand.velocity, force=0.5 * hand.force
+    )
+
+
+def jumping(seconds: float, seed: int) -> Stroking:
+    """Return a hand whose speed and force take another value every half second, within the half range."""
+    rng = np.random.default_rng(seed)
+    n, held = round(seconds * RATE_HZ), round(0.5 * RATE_HZ)
+    n_values = n // held + 1
+    speed = np.repeat(rng.uniform(20, 170, n_values), held)[:n]
+    force = np.repeat(rng.uniform(0.2, 1.5, n_values), held)[:n]
+    velocity = np.stack([speed, np.zeros(n)], axis=1)
+    return Stroking(RATE_HZ, np.cumsum(velocity, axis=0) / RATE_HZ, velocity, force, np.zeros((n, 2)))
+
+
+def rendered(texture: Texture, trace: Trace) -> dict[str, np.ndarray]:
+    """Return the renderings of a trace's hand by policy, each (N_STREAMS, n)."""
+    speed, force = (
+        np.minimum(channel, texture.trained_range(name)[1])
+        for name, channel in (("speed", trace.speed), ("force", trace.force))
+    )
+    clamped = Synthesizer(texture, 0, N_STREAMS).render(speed, force)
+    exceeded = np.maximum(trace.speed, speed + 1e-9) / (speed + 1e-9)
+    exceeded *= np.maximum(trace.force, force + 1e-9) / (force + 1e-9)
+    grown = Synthesizer(texture, 0, N_STREAMS).render(trace.speed, trace.force)
+    return dict(zip(POLICIES, (clamped, clamped / exceeded, grown), strict=True))
+
+
+def pooled(frames: np.ndarray) -> np.ndarray:
+    """Return the mean power spectrum of frames (…, k), 25 to 450 Hz."""
+    power = np.abs(np.fft.rfft(frames * np.hanning(frames.shape[-1]), axis=-1)) ** 2
+    return power.reshape(-1, power.shape[-1]).mean(axis=0)[1:19]
+
+
+def figures(truth: np.ndarray, ours: np.ndarray, where: np.ndarray, rate_hz: float) -> dict[str, float]:
+    """Return bias, error and spectral distance [dB] over the frames `where`: (n,), (streams, n), (frames,)."""
+    frame = round(FRAME_MS * rate_hz / 1000)
+    cut = [
+        x[..., : len(where) * frame].reshape(*x.shape[:-1], -1, frame)[..., where, :] for x in (truth, ours)
+    ]
+    levels = [frame_levels(x, rate_hz, 1.0)[..., : len(where)][..., where] for x in (truth, ours)]
+    ratio = 10 * np.log10(pooled(cut[1]) / pooled(cut[0]))
+    return {
+        "frames": int(where.sum()),
+        "level_bias_db": float((levels[1] - levels[0]).mean()),
+        "level_error_db": float(np.abs(levels[1] - levels[0]).mean()),
+        "lsd_db": float(np.sqrt(np.square(ratio).mean())),
+    }
+
+
+def judge(key: str) -> dict[str, Any]:
+    """Return the figures of one texture by region and policy."""
+    config = dataclasses.replace(RECIPES["default"], threads=1, epochs=0)
+    half = recorded(key, halved(stroking(64.0, 100, RATE_HZ)), 1)
+    texture = train_texture(half, "foten-plus", FotenPlusArchitecture(), config).texture
+    high = [texture.trained_range(channel)[1] for channel in ("speed", "force")]
+    whole = preprocess(recorded(key, stroking(64.0, 101, RATE_HZ), 2), PreprocessConfig())
+    jumps = preprocess(recorded(key, jumping(64.0, 3), 3), PreprocessConfig())
+    speed, force = (frame_means(channel, whole.rate_hz) for channel in (whole.speed, whole.force))
+    # The frames in which a jump is: the first of every half second, and the next.
+    at = np.arange(len(frame_means(jumps.speed, jumps.rate_hz)))
+    since_jump = (at * FRAME_MS) % 500
+    regions = {
+        "inside": (whole, (speed > 20) & (speed < high[0]) & (force < high[1])),
+        "towards rest": (whole, (speed < 20) & (force < high[1])),
+        "faster": (whole, (speed > high[0]) & (force < high[1])),
+        "firmer": (whole, (speed > 20) & (speed < high[0]) & (force > high[1])),
+        "both": (whole, (speed > high[0]) & (force > high[1])),
+        "80 ms from a jump": (jumps, since_jump < 2 * FRAME_MS),
+        "later": (jumps, since_jump >= 4 * FRAME_MS),
+    }
+    found: dict[str, Any] = {"beyond_exponents": dict(texture.card["beyond_exponents"]), "trained_to": high}
+    signals = {id(trace): rendered(texture, trace) for trace in (whole, jumps)}
+    for policy in POLICIES:
+        found[policy] = {
+            name: figures(trace.acceleration, signals[id(trace)][policy], where, trace.rate_hz)
+            for name, (trace, where) in regions.items()
+            if where.sum() >= 10
+        }
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--textures", type=lambda text: text.split(","), default=list(TEXTURES))
+    parser.add_argument("--save", type=Path, metavar="FILE", help="keep the figures as JSON there")
+    arguments = parser.parse_args()
+    found: dict[str, Any] = {}
+    for key in arguments.textures:
+        found[key] = judge(key)
+        if arguments.save is not None:
+            with whole_file(arguments.save) as part:
+                part.write_text(json.dumps(found, indent=1) + "\n")
+        print(f"{key}: done", flush=True)
+    regions = list(found[arguments.textures[0]]["grow"])
+    print(f"\nmean of {len(found)} textures: level bias / level error / distance of pooled spectra [dB]\n")
+    print("| where | " + " | ".join(POLICIES) + " |\n|" + "---|" * (1 + len(POLICIES)))
+    for region in regions:
+        cells = []
+        for policy in POLICIES:
+            rows = [f[policy][region] for f in found.values() if region in f[policy]]
+            means = [np.mean([row[k] for row in rows]) for k in ("level_bias_db", "level_error_db", "lsd_db")]
+            cells.append(" / ".join(f"{mean:.1f}" for mean in means))
+        print(f"| {region} | " + " | ".join(cells) + " |")
+
+
+if __name__ == "__main__":
+    main()
