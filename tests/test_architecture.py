@@ -6,7 +6,15 @@ from typing import Any
 
 import pytest
 
-from foten.architecture import ARCHITECTURES, architecture_from, sizes, tensor_shapes
+from foten.architecture import (
+    ARCHITECTURES,
+    FotenArchitecture,
+    FotenPlusArchitecture,
+    architecture_from,
+    multiply_adds,
+    sizes,
+    tensor_shapes,
+)
 from foten.models import build
 
 VARIANTS: list[dict[str, Any]] = [
@@ -66,3 +74,13 @@ def test_impossible_sizes_are_refused(change: dict[str, Any], match: str) -> Non
 def test_unknown_models_are_refused() -> None:
     with pytest.raises(ValueError, match="expected one of foten, foten-plus"):
         architecture_from("fotan", {})
+
+
+def test_our_network_costs_no_more_than_a_quarter_above_the_papers() -> None:
+    paper = multiply_adds(FotenArchitecture())
+    assert paper == pytest.approx(1.05e6, rel=0.01)  # summed by hand, layer by layer
+    for order in (20, 240):
+        assert multiply_adds(FotenPlusArchitecture(order=order)) < 1.01 * paper
+    assert multiply_adds(FotenPlusArchitecture(order=240, hand="modulation")) < 1.25 * paper
+    # Tones and a lattice alone: no network.
+    assert multiply_adds(FotenPlusArchitecture(n_tones=6, rest_order=40)) < 1000

@@ -172,6 +172,39 @@ def sizes(architecture: FotenArchitecture) -> dict[str, Any]:
     return {**asdict(architecture), "head": list(architecture.head)}
 
 
+def multiply_adds(architecture: FotenArchitecture) -> int:
+    """Return the multiplications and additions in pairs that a rendered sample costs, without those that change nothing.
+
+    Left out: all but one query of the last temporal layer, all but one sample of Eq. 9, and the magnitudes above half of the
+    rate, which are those below it. Where there are tones a rendering needs no network.
+    """
+    linear = 0
+    if isinstance(architecture, FotenPlusArchitecture):
+        order = architecture.rest_order if architecture.n_tones else architecture.order
+        # A sample is forecast and taken in; four vertices are mixed for each reflection and each coefficient of a tone.
+        scales = (2 + bool(architecture.n_tones)) * (6 * architecture.excitation_width + 5)
+        linear = 10 * order + 12 * architecture.n_tones + scales
+        if architecture.n_tones:
+            return linear
+    m, d, width = architecture.window, architecture.d_model, architecture.spectral_width
+    n_bins, n_magnitudes = architecture.n_bins, m // 2 + 1
+
+    def layer(n_tokens: int, n_asked: int, width: int) -> int:
+        projected = 2 * n_tokens * width * width + n_asked * width * width
+        attended = 2 * n_asked * n_tokens * width + n_asked * width * width
+        return projected + attended + 2 * n_asked * width * architecture.d_feedforward
+
+    temporal = m * architecture.n_inputs * d + (architecture.n_layers - 1) * layer(m, m, d) + layer(m, 1, d)
+    lifted = 2 * width if width > 1 else 0
+    n_phase = 2 if architecture.phase_input == "cos_sin" else 1
+    spectral = 2 * m * n_magnitudes + 2 * n_bins + d
+    for n_tokens, n_inputs in ((n_magnitudes, 1), (n_bins, n_phase)):
+        spectral += layer(n_tokens, n_tokens, width) + n_tokens * lifted * (1 + n_inputs) // 2
+    first, second = architecture.head
+    head = (2 * d + 2) * first + first * second + second + architecture.modulated * 10 * d
+    return linear + temporal + spectral + head
+
+
 def tensor_shapes(key: str, architecture: FotenArchitecture) -> dict[str, tuple[int, ...]]:
     """Return the name and shape of every tensor of a network, as a texture file holds them.
 
