@@ -41,6 +41,7 @@ INGREDIENTS: dict[str, dict[str, dict[str, Any]]] = {
     "one filter for all speeds": {"train": {"table": False, "tones": False}},
     "lattice of 20": {"train": {"max_order": 20}},
     "Gaussian excitation": {"train": {"tails": False}},
+    "no swell": {"train": {"swell": False}},
     "absolute loss": {"train": {"loss": "mae"}},
     "squared loss": {"train": {"loss": "mse"}},
     "dropout 0.2": {"train": {"dropout": 0.2}},

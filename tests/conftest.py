@@ -77,6 +77,7 @@ def untrained(key: str, architecture: FotenArchitecture | None = None, seed: int
         if key == "foten-plus":
             network.network.head_3.weight *= 0.1  # else the correction drowns the excitation
             scales = [network.excitation]
+            network.excitation.swell.copy_(torch.tensor([0.98, 0.3]))
             for lattice in (network.lattice, *([network.rest] if architecture.n_tones else [])):
                 lattice.reflections.copy_(0.02 * torch.randn_like(lattice.reflections))
                 if lattice.reflections.shape[1] > 1:

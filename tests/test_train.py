@@ -21,10 +21,11 @@ from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.recording.scaling import Scaling
 from foten.recording.windows import targets
+from foten.render.closed_loop import ClosedLoop
 from foten.render.engine import Forecast
 from foten.texture_file import texture_from_bytes
 from foten.train.config import RECIPES, TrainConfig
-from foten.train.excitation import fit_scale, fit_tail, gaussianised, settle_level
+from foten.train.excitation import fit_scale, fit_swell, fit_tail, gaussianised, settle_level
 from foten.train.fit import Data, Epoch, fit, loss_of, predict
 from foten.train.linear_part import engine_of
 from foten.train.run import RunFolder
@@ -388,3 +389,27 @@ def test_no_excitation_is_larger_than_what_was_left_to_explain(trained: Trained)
         forecast = Forecast(np.zeros(2), np.full(2, scale), np.full(2, 0.25), engine.largest)
         shocks = forecast.excited(np.array([5.6, -5.6]))
         assert shocks == pytest.approx(np.array([1, -1]) * min(scale * in_sigma, in_acceleration))
+
+
+def test_a_swell_is_given_to_a_recording_that_is_spikier_than_its_free_run(trained: Trained) -> None:
+    """The same blocks, and the same with half of each eight times louder: kurtosis 3 and about 6."""
+    texture, trace, split = trained.texture, trained.trace, trained.split
+    network = build("foten-plus", texture.architecture)
+    network.load_state_dict({name: torch.from_numpy(texture.tensors[name]) for name in network.state_dict()})
+    blocks = (*split.train, *split.validation)
+    m = network.architecture.history
+    samples = texture.scaling.scale(trace.stacked()).reshape(trace.n_blocks, trace.block, 3)
+    loop = ClosedLoop(engine_of(network).start(samples[:, :m]))
+    noise = np.random.default_rng(0).standard_normal((trace.n_blocks, trace.block - m))
+    samples[:, m:, 0] = loop.run(samples[:, m:, 1:], noise)
+    found = []
+    for factor in (1.0, 8.0):
+        made = samples.copy()
+        made[:, trace.block // 2 :, 0] *= factor
+        n = [targets(part, trace.block, m) for part in (split.train, split.validation)]
+        data = Data(made.reshape(-1, 3), *n, m)
+        residual = np.concatenate([made.reshape(-1, 3)[part, 0] for part in n])
+        fit_swell(network, engine_of, residual, data, made.reshape(-1, 3), trace, blocks, 0)
+        found.append(network.excitation.swell.numpy().copy())
+    assert found[0][1] < 0.15
+    assert found[1][1] > 0.3

@@ -222,7 +222,7 @@ def tensor_shapes(key: str, architecture: FotenArchitecture) -> dict[str, tuple[
             shapes |= {"tones.values": (n_speed * n_force, 2 * architecture.n_tones), "tones.motion": (3,)}
             n_speed, n_force = architecture.n_rest_speed, architecture.n_rest_force
             shapes |= _lattice("rest", n_speed, n_force, architecture.rest_order, width)
-        shapes |= {"excitation.largest": (2,), **_linear("excitation.tail", 1, 5)}
+        shapes |= {"excitation.largest": (2,), "excitation.swell": (2,), **_linear("excitation.tail", 1, 5)}
         return shapes
     return _foten_shapes(architecture)
 

@@ -16,6 +16,7 @@ the last bit wherever IEEE arithmetic is not contracted. The sum bounds every nu
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,10 @@ _WEYL_0, _WEYL_1 = 0x9E3779B9, 0xBB67AE85
 _MASK = 0xFFFFFFFF
 _SUM_SD = math.sqrt(8 * (2.0**32 - 1) / 12)
 _LINEAR, _CUBIC = 0.97846856, 0.00750807
+
+LARGEST_SHOCK = 4.0
+LARGEST_SWELL = 3.0  # standard deviations
+_MEAN_SIZE, _SIZE_SD = math.sqrt(2 / math.pi), math.sqrt(1 - 2 / math.pi)  # of |z|
 
 
 def philox(counter: NDArray[np.uint64], key: int) -> NDArray[np.uint64]:
@@ -84,3 +89,40 @@ def gaussianised(values: NDArray[np.float64], tail: NDArray[np.float64]) -> NDAr
         spread = tail * np.exp(2 * q)
         q = q - (q + 0.5 * spread - log_u) / (1 + spread)
     return np.copysign(np.exp(q), values)
+
+
+@dataclass
+class Swell:
+    """How much louder than usual streams are: a slow wander that no speed or force explains.
+
+    A real texture has louder and softer places. The logarithm of their loudness, g, is a first-order process driven by how large
+    the excitation's own numbers are,
+
+        g ← ρ g + √(1 − ρ²) s (min(|z|, 4) − √(2/π)) / √(1 − 2/π)
+
+    within ±3s, so it needs no other noise, depends on nothing that was heard, and is forgotten as ρⁿ. The factor is exp(g − s²),
+    whose mean square is near 1. With it the kurtosis of a Gaussian texture grows by about exp(4s²).
+
+    Source: the exponential GARCH of Nelson, Econometrica 59 (1991), fitted by the kurtosis rather than one step ahead.
+
+    Attributes:
+        kept: ρ, of g in a sample.
+        sd: s.
+        state: g of each stream, shape (s,).
+    """
+
+    kept: float
+    sd: float
+    state: NDArray[np.float64]
+
+    def factor(self) -> NDArray[np.float64]:
+        """Return by how much the next excitation is louder than usual, shape (s,)."""
+        return np.exp(self.state - self.sd * self.sd)
+
+    def push(self, noise: NDArray[np.float64] | None) -> None:
+        """Take in the standard normal numbers of a sample, shape (s,); None leaves all as it is."""
+        if noise is None or self.sd == 0:
+            return
+        driven = (np.minimum(np.abs(noise), LARGEST_SHOCK) - _MEAN_SIZE) / _SIZE_SD
+        state = self.kept * self.state + math.sqrt(1 - self.kept * self.kept) * self.sd * driven
+        self.state = np.clip(state, -LARGEST_SWELL * self.sd, LARGEST_SWELL * self.sd)

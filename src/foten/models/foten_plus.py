@@ -334,6 +334,8 @@ class Excitation(Scale):
         # No excitation is larger than the largest that was left to explain, in units of σ and in scaled acceleration: where the
         # hand is fast and firm a rare shock of a slow one would be beyond all that was recorded.
         self.register_buffer("largest", torch.full((2,), 1e6))
+        # How the loudness swells by itself (`dsp.noise.Swell`): what is kept of it in a sample, and its standard deviation.
+        self.register_buffer("swell", torch.zeros(2))
 
     def tails(self, condition: Tensor) -> Tensor:
         """Return h, from 0 to `HEAVIEST_TAIL`: z·exp(h z²/2) is excitation, z Gaussian; (b, 2) scaled → (b,)."""

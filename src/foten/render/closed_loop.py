@@ -40,7 +40,7 @@ class ClosedLoop:
         if beyond.any():
             self.n_saturated += int(beyond.sum())
             sample = np.clip(sample, -self.limit, self.limit)
-        self.state.push(sample, condition)
+        self.state.push(sample, condition, noise)
         return sample
 
     def run(self, condition: Array, noise: Array | None) -> Array:

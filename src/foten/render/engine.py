@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from foten.architecture import HEAVIEST_TAIL, FotenArchitecture, FotenPlusArchitecture
 from foten.dsp.lattice import analyse, check_reflections, forecast, push
-from foten.dsp.noise import gaussianised, heavy_tailed
+from foten.dsp.noise import Swell, gaussianised, heavy_tailed
 from foten.dsp.plane import Plane
 from foten.dsp.spectrum import WEAKEST_BIN, dft_matrices, last_sample_row, position_encoding
 from foten.dsp.tones import LARGEST_STRAY, fitted_phase, heard_of, tone
@@ -192,8 +192,8 @@ class State(Protocol):
         """Return the next samples, shape (s,)."""
         ...
 
-    def push(self, sample: Array, condition: Array) -> None:
-        """Take in the next samples (s,) and their speed and force (s, 2 or 3), as `ClosedLoop` has them."""
+    def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
+        """Take in the next samples (s,), their speed and force (s, 2 or 3) and the noise in them, as `ClosedLoop` has them."""
         ...
 
 
@@ -214,7 +214,7 @@ class WindowState:
         scale = None if self.sigma is None else self.sigma(self.windows[:, -1, 1:])
         return Forecast(self.predictor.predict(self.windows), scale)
 
-    def push(self, sample: Array, condition: Array) -> None:
+    def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
         """Move the windows on by a sample."""
         self.windows[:, :-1] = self.windows[:, 1:]
         self.windows[:, -1, 0] = sample
@@ -228,11 +228,13 @@ class LatticeState:
     Attributes:
         states: b₀ … b_{p−1} of the lattice, shape (p, s).
         seen: what the network sees of the last m samples: x, speed, force, innovation; shape (s, m, 4).
+        swell: how much louder than usual the streams are.
     """
 
     engine: NumpyFotenPlus
     states: Array
     seen: Array
+    swell: Swell
     level: Array = field(init=False)
     reflections: Array = field(init=False)
 
@@ -249,10 +251,11 @@ class LatticeState:
         x, gain = forecast(self.states, self.reflections)
         unit = gain * self.level
         sample = x * self.level + unit * self.engine.correction(self.seen)
-        return self.engine.excited(sample, unit, self.seen[:, -1, 1:3])
+        return self.engine.excited(sample, unit * self.swell.factor(), self.seen[:, -1, 1:3])
 
-    def push(self, sample: Array, condition: Array) -> None:
+    def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
         """Take in the samples that followed the last forecast."""
+        self.swell.push(noise)
         x = sample / self.level
         self.states, e = push(self.states, self.reflections, x)
         self.seen[:, :-1] = self.seen[:, 1:]
@@ -283,6 +286,7 @@ class ToneState:
         states: of the lattice of the rest, shape (p, s).
         condition: speed and force of the last sample, scaled, shape (s, 2).
         phase: of the fundamental at the last sample [rad], shape (s,).
+        swell: how much louder than usual the streams are.
         path: the phase that the path alone would have, from zero where the rendering began, shape (s,).
         rate: by what share the phase turns faster than the path says, shape (s,).
         level, reflections, turned, value: for the sample to come: what the path turned the phase by [rad]; T, scaled.
@@ -292,6 +296,7 @@ class ToneState:
     states: Array
     condition: Array
     phase: Array
+    swell: Swell
     path: Array = field(init=False)
     rate: Array = field(init=False)
     level: Array = field(init=False)
@@ -316,14 +321,16 @@ class ToneState:
     def forecast(self) -> Forecast:
         """Return the tones and what the lattice predicts of the rest."""
         x, gain = forecast(self.states, self.reflections)
-        return self.engine.excited(self.value + x * self.level, gain * self.level, self.condition)
+        unit = gain * self.level * self.swell.factor()
+        return self.engine.excited(self.value + x * self.level, unit, self.condition)
 
-    def push(self, sample: Array, condition: Array) -> None:
+    def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
         """Take in the samples that followed the last forecast.
 
         The phase strays as the surface does, the innovation for chance, and is drawn towards that of the path alone: a
         rendering forgets where it started, and streams under the same noise meet.
         """
+        self.swell.push(noise)
         self.states, e = push(self.states, self.reflections, (sample - self.value) / self.level)
         motion = self.engine.motion
         away = self.phase - self.path
@@ -376,13 +383,20 @@ class NumpyFotenPlus:
         phase = travelled + fitted_phase(windows[:, 1:, 0] / level, coefficients, travelled)[:, None]
         rest = windows[:, 1:, 0] - level * tone(coefficients, phase)
         states = [part[3] for part in self._analysed(self.rest, rest, before)]
-        return ToneState(self, np.concatenate(states, axis=1), windows[:, -1, 1:], phase[:, -1])
+        return ToneState(
+            self, np.concatenate(states, axis=1), windows[:, -1, 1:], phase[:, -1], self._swell(len(windows))
+        )
 
     def _listening(self, windows: Array) -> LatticeState:
         parts = self._analysed(self.lattice, windows[:, 1:, 0], windows[:, :-1, 1:])
         x, e = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
         seen = np.concatenate([x[..., None], windows[:, 1:, 1:], e[..., None]], axis=2)[:, -self._m :]
-        return LatticeState(self, np.concatenate([part[3] for part in parts], axis=1), seen)
+        states = np.concatenate([part[3] for part in parts], axis=1)
+        return LatticeState(self, states, seen, self._swell(len(windows)))
+
+    def _swell(self, n_streams: int) -> Swell:
+        kept, sd = self._w["excitation.swell"]
+        return Swell(float(kept), float(sd), np.zeros(n_streams))
 
     def _analysed(
         self, lattice: _Lattice, samples: Array, before: Array

@@ -30,6 +30,9 @@ class TrainConfig:
     table: bool = True  # try reflections that follow speed and force
     tones: bool = True  # try tones of the path
     tails: bool = True  # try an excitation with heavy tails
+    swell: bool = (
+        True  # let the loudness of the excitation wander, where the recording is spikier than the free run
+    )
     seed: int = 0  # of the initial weights, the order of windows and dropout
     threads: int = 2  # each takes a share of every batch; part of what makes a file reproducible
 

@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 EngineOf = Callable[[FotenPlus], Any]
 
 N_SETTLING = 3
+SWELLS_S = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2)  # that a swell may last
+MOST_SWELL = 0.6  # standard deviation of the log of loudness
 N_HEARD = 5  # free runs of a block that a distance is the mean of
 KEPT = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the fitted shape of log σ
 
@@ -220,7 +222,85 @@ def fit_excitation(
     _bound(network.excitation, random, residual[: len(random.train)])
     network.cpu()  # the closed loop is rendered by the engine, which knows no GPU
     blocks = (*split.train, *split.validation)
-    return settle_level(network, engine_of, samples, trace, blocks, random.train, config.seed), gained
+    errors = settle_level(network, engine_of, samples, trace, blocks, random.train, config.seed)
+    if config.swell:
+        fit_swell(network, engine_of, residual, random, samples, trace, blocks, config.seed)
+    return errors, gained
+
+
+def fit_swell(
+    network: FotenPlus,
+    engine_of: EngineOf,
+    residual: Array,
+    random: Data,
+    samples: Array,
+    trace: Trace,
+    blocks: tuple[int, ...],
+    seed: int,
+) -> None:
+    """Let the loudness swell by itself where the recording is spikier than the free run, by more than a standard error.
+
+    exp(4s²) is the ratio of their kurtoses over all training and validation blocks; how long a swell lasts is what describes the
+    autocovariance of log u² best, u what is left to chance over its scale: 4s² ρᵏ.
+
+    Args:
+        network: its excitation is changed in place.
+        engine_of, residual, random, samples, trace, blocks, seed: as `fit_excitation` and `settle_level` have them.
+    """
+    m = network.architecture.history
+    by_block = samples.reshape(trace.n_blocks, trace.block, 3)[list(blocks)]
+    settled = max(m, round(0.2 * trace.block))
+    start, condition = (np.tile(part, (N_HEARD, 1, 1)) for part in (by_block[:, :m], by_block[:, m:, 1:]))
+    noise = np.stack([gaussian(seed, 2**34 + k, 0, trace.block - m) for k in range(len(start))])
+    rendered = ClosedLoop(engine_of(network).start(start)).run(condition, noise)[:, settled - m :]
+    rendered = np.concatenate(
+        rendered.reshape(N_HEARD, len(blocks), -1), axis=1
+    )  # every run of a block beside it
+    spikier, doubt = _spikier(by_block[:, settled:, 0], rendered)
+    sd = min(MOST_SWELL, 0.5 * math.sqrt(spikier)) if spikier > doubt else 0.0
+    both = np.concatenate([random.train, random.validation])
+    with torch.no_grad():
+        seen = torch.from_numpy(samples[both - 1, 1:]).to(network.excitation.out.weight)
+        u = residual / network.excitation(seen).double().numpy()
+    lasts = _lasts_s(np.log(np.maximum(u * u, 1e-8)).reshape(len(blocks), -1), trace.rate_hz)
+    network.excitation.swell.copy_(torch.tensor([math.exp(-1 / (lasts * trace.rate_hz)), sd]))
+
+
+def _spikier(recorded: Array, rendered: Array) -> tuple[float, float]:
+    """Return the log of the ratio of kurtoses over all blocks, (n_blocks, any) each, and its jackknifed standard error."""
+
+    def log_kurtosis(blocks: Array) -> Array:
+        """Return log kurtosis of all, then without each block in turn."""
+        second, fourth = (np.power(blocks, k).mean(axis=1) for k in (2, 4))
+        n = len(blocks)
+        sums = [
+            np.concatenate([[part.sum() / n], (part.sum() - part) / max(1, n - 1)])
+            for part in (second, fourth)
+        ]
+        return np.log(sums[1] / np.square(sums[0]))
+
+    ratio = log_kurtosis(recorded) - log_kurtosis(rendered)
+    n = len(recorded)
+    if n < 3:
+        return 0.0, math.inf
+    without = ratio[1:]
+    return float(ratio[0]), float(np.sqrt((n - 1) / n * np.square(without - without.mean()).sum()))
+
+
+def _lasts_s(levels: Array, rate_hz: float) -> float:
+    """Return the time constant of the slow part of log powers (n_blocks, n), of those tried the nearest [s]."""
+    centred = levels - levels.mean()
+    longest = levels.shape[1] // 3
+    lags = np.unique(np.geomspace(max(2.0, 0.002 * rate_hz), max(3.0, longest), 24).astype(int))
+    lags = lags[lags < levels.shape[1]]
+    found = np.array([(centred[:, lag:] * centred[:, :-lag]).mean() for lag in lags])
+
+    def missed(time_s: float) -> float:
+        shape = np.exp(-lags / (time_s * rate_hz))
+        size = max(0.0, float(shape @ found) / float(shape @ shape))
+        return float(np.square(found - size * shape).sum())
+
+    return min(SWELLS_S, key=missed)
 
 
 def _bound(excitation: Excitation, random: Data, residual: Array) -> None:

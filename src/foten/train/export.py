@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from foten.architecture import FotenArchitecture, sizes
-from foten.dsp.noise import gaussian
+from foten.dsp.noise import Swell, gaussian
 from foten.models.foten_plus import FotenPlus
 from foten.recording.scaling import Scaling
 from foten.render.engine import engine_for
@@ -39,7 +39,11 @@ class TorchPredictor:
         """Return by how much a unit of excitation moves the next samples: windows (b, m, 3) scaled → (b,) scaled."""
         with torch.no_grad():
             heard = self._network.start(torch.from_numpy(np.ascontiguousarray(windows)))
-            return self._network.forecast(heard)[1].numpy()
+            return self._network.forecast(heard)[1].numpy() * self._swell().factor()
+
+    def _swell(self) -> Swell:
+        kept, sd = (float(value) for value in self._network.excitation.swell)
+        return Swell(kept, sd, np.zeros(1))
 
     def _heavy(self, z: float, condition: NDArray[np.float64], scale: float) -> float:
         excitation = self._network.excitation
@@ -60,13 +64,16 @@ class TorchPredictor:
         with torch.no_grad():
             heard = self._network.start(torch.from_numpy(window)) if self.excited else None
             before = window[0, -1, 1:]
+            swell = self._swell() if self.excited else None
             for n, row in enumerate(condition):
-                if heard is None:
+                if heard is None or swell is None:
                     out[n] = self.predict(window)[0]
                     window = np.concatenate([window[:, 1:], [[[out[n], *row]]]], axis=1)
                     continue
                 sample, scale = self._network.forecast(heard)
-                sample = sample + scale * self._heavy(noise[n], before, float(scale[0]))
+                loud = float(scale[0]) * float(swell.factor()[0])
+                sample = sample + loud * self._heavy(noise[n], before, loud)
+                swell.push(noise[n : n + 1])
                 heard = self._network.push(heard, sample, torch.from_numpy(row[None].astype(np.float64)))
                 out[n], before = float(sample[0]), row
         return out
