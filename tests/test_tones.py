@@ -17,7 +17,7 @@ from foten.render.engine import engine_for
 from foten.render.synthesizer import Synthesizer
 from foten.train.config import TrainConfig
 from foten.train.lattice import LatticeData
-from foten.train.tones import fit_tones, n_tones, played, wavelength
+from foten.train.tones import _unevenness, fit_tones, n_tones, played, wavelength
 from foten.train.train import train_texture
 
 RATE = 1000.0
@@ -206,3 +206,23 @@ def test_a_forecast_can_be_asked_twice() -> None:
     engine: Any = engine_for(exported("foten-plus", WITH_TONES))
     state = engine.start(np.random.default_rng(0).standard_normal((2, engine.window, 3)))
     np.testing.assert_array_equal(state.forecast().sample, state.forecast().sample)
+
+
+def test_a_phase_that_the_tool_turns_with_speed_is_not_unevenness() -> None:
+    rng = np.random.default_rng(0)
+    speed, _ = stroke(30)
+    path = np.cumsum(speed / RATE, axis=1)
+    q = 4 * np.pi**2 * 0.03**2 / LENGTH
+    strayed = np.cumsum(np.sqrt(q * speed / RATE) * rng.standard_normal(speed.shape), axis=1)
+    turned = np.pi * speed / 150  # by π within 150 mm/s
+    # Some hundred places whose variances scatter by a tenth, a little turned by what their speeds still differ.
+    assert _unevenness(path, strayed + turned, speed, LENGTH) == pytest.approx(0.03, rel=0.4)
+
+
+def test_a_slope_at_the_lowest_spatial_frequencies_is_no_wavelength() -> None:
+    """Short strokes over a surface whose power falls with spatial frequency: the first bin has all others below it."""
+    rng = np.random.default_rng(0)
+    x = lfilter([1.0], [1, -1.98, 0.9801], rng.standard_normal((12, 3000)))
+    speed = np.full_like(x, 120.0)
+    data = LatticeData(x, np.ones_like(x), speed, np.ones_like(x), tuple(range(9)), (9, 10, 11))
+    assert wavelength(data, 10_000.0) is None

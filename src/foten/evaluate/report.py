@@ -33,7 +33,7 @@ _PEAK = 0.9  # of full scale
 REFERENCES = {
     "shortcut": (
         "the model without its network",
-        "lattice and tones; what the network adds is the difference to it",
+        "the lattice; what the network adds is the difference to it",
     ),
     "ar": ("AR(20)", "linear, least squares on the training blocks"),
     "ar_scheduled": ("AR(20) following speed and force", "each coefficient affine in speed and force"),
