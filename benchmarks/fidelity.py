@@ -16,6 +16,7 @@ import json
 import os
 import time
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from foten.experiments.truth import truth_for
 from foten.train.config import RECIPES
 from foten.train.train import train_texture
 from main_table import REAL, at, recording_of, work_through
+from self_forced import fine_tuning
 
 RESULTS = Path(__file__).parent / "results" / "fidelity"
 DEFAULT = "default"
@@ -53,6 +55,7 @@ INGREDIENTS: dict[str, dict[str, dict[str, Any]]] = {
     "cosine and sine of the phase": {"sizes": {"phase_input": "cos_sin"}},
     "log magnitude": {"sizes": {"magnitude_input": "log"}},
     "bin embedding": {"sizes": {"bin_embedding": True}},
+    "fine-tuned on its own output": {"fine_tune": True},
     **{f"window {m}": {"sizes": {"window": m}} for m in (5, 10, 40, 64)},
 }
 FIGURES = {
@@ -96,7 +99,10 @@ def execute(run: Run, recordings: Path) -> dict[str, Any]:
     )
     architecture = ARCHITECTURES["foten-plus"](**changed.get("sizes", {}))
     started = time.perf_counter()
-    trained = train_texture(recording, "foten-plus", architecture, config, preprocess, split_seed=run.seed)
+    with fine_tuning() if changed.get("fine_tune") else nullcontext([]) as looks:
+        trained = train_texture(
+            recording, "foten-plus", architecture, config, preprocess, split_seed=run.seed
+        )
     seconds = time.perf_counter() - started
     document = evaluate(trained.texture, recording, truth_for(recording, trained.texture)).document
     kept = {
@@ -107,6 +113,7 @@ def execute(run: Run, recordings: Path) -> dict[str, Any]:
         "training_seconds": seconds,
         "versions": trained.texture.card["training"]["versions"],
         "validation": document["validation"],
+        "fine_tuning": looks,
         **kept,
         "ceiling": {k: v for k, v in document["ceiling"].items() if k != "intervals"},
         "ar_best": document["references"]["ar_best"]["mae_scaled"],

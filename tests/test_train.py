@@ -25,11 +25,18 @@ from foten.render.closed_loop import ClosedLoop
 from foten.render.engine import Forecast
 from foten.texture_file import texture_from_bytes
 from foten.train.config import RECIPES, TrainConfig
-from foten.train.excitation import fit_scale, fit_swell, fit_tail, gaussianised, settle_level
+from foten.train.excitation import (
+    fit_excitation,
+    fit_scale,
+    fit_swell,
+    fit_tail,
+    gaussianised,
+    settle_level,
+)
 from foten.train.fit import Data, Epoch, fit, loss_of, predict
 from foten.train.linear_part import engine_of
 from foten.train.run import RunFolder
-from foten.train.train import Trained, train_texture
+from foten.train.train import Trained, _innovations, train_texture
 
 SMALL = {
     "d_model": 8,
@@ -413,3 +420,22 @@ def test_a_swell_is_given_to_a_recording_that_is_spikier_than_its_free_run(train
         found.append(network.excitation.swell.numpy().copy())
     assert found[0][1] < 0.15
     assert found[1][1] > 0.3
+
+
+def test_an_excitation_fitted_twice_is_that_fitted_once(trained: Trained) -> None:
+    texture, trace, split = trained.texture, trained.trace, trained.split
+    network = build("foten-plus", texture.architecture)
+    network.load_state_dict({name: torch.from_numpy(texture.tensors[name]) for name in network.state_dict()})
+    samples = texture.scaling.scale(trace.stacked())
+    random = _innovations(network, samples, trace, split)
+    assert random.target is not None
+    residual = random.target[np.concatenate([random.train, random.validation])] ** 3  # heavy-tailed
+    found = []
+    for swell in (0.0, 0.4):
+        network.excitation.swell.copy_(torch.tensor([0.99, swell]))
+        fit_excitation(
+            network, engine_of, residual, random, samples, trace, split, texture.scaling, TrainConfig()
+        )
+        found.append(copy.deepcopy(network.excitation.state_dict()))
+    for name, tensor in found[0].items():
+        assert torch.equal(tensor, found[1][name]), name

@@ -329,13 +329,20 @@ class Excitation(Scale):
     def __init__(self, width: int) -> None:
         super().__init__(width)
         self.tail = nn.Linear(5, 1)
-        nn.init.zeros_(self.tail.weight)
-        nn.init.constant_(self.tail.bias, NO_TAIL)
         # No excitation is larger than the largest that was left to explain, in units of σ and in scaled acceleration: where the
         # hand is fast and firm a rare shock of a slow one would be beyond all that was recorded.
         self.register_buffer("largest", torch.full((2,), 1e6))
         # How the loudness swells by itself (`dsp.noise.Swell`): what is kept of it in a sample, and its standard deviation.
         self.register_buffer("swell", torch.zeros(2))
+        self.forget()
+
+    @torch.no_grad()
+    def forget(self) -> None:
+        """Let it have neither tails nor swell nor bound."""
+        self.tail.weight.zero_()
+        self.tail.bias.fill_(NO_TAIL)
+        self.largest.fill_(1e6)
+        self.swell.zero_()
 
     def tails(self, condition: Tensor) -> Tensor:
         """Return h, from 0 to `HEAVIEST_TAIL`: z·exp(h z²/2) is excitation, z Gaussian; (b, 2) scaled → (b,)."""

@@ -198,7 +198,7 @@ def fit_excitation(
     scaling: Scaling,
     config: TrainConfig,
 ) -> tuple[list[float], float]:
-    """Give a network its excitation: scale, tails, and level in the closed loop.
+    """Give a network its excitation: scale, tails, and level in the closed loop; nothing is left of one that it had.
 
     Args:
         network: its excitation is fitted in place.
@@ -212,6 +212,7 @@ def fit_excitation(
         What `settle_level` and `fit_tail` return.
     """
     both = np.concatenate([random.train, random.validation])
+    network.excitation.forget()
     fit_scale(network.excitation, random, scaling, residual, config.seed)
     gained = 0.0
     if config.tails:
