@@ -1,11 +1,12 @@
 """Which ingredient of foten-plus pays: each left out or changed, paired with the default over textures and splits; resumable.
 
     python benchmarks/fidelity.py run [--only PATTERN] [--seeds 0] [--textures a,b] [--recordings DIR]
-    python benchmarks/fidelity.py table
+    python benchmarks/fidelity.py table [--page docs/fidelity.md]
 
 A run trains and judges one texture with one ingredient changed and leaves one small JSON in `results/fidelity`. The table
-gives, for each ingredient, the validation error and the figures on the test blocks as ratios to the default's on the same
-texture and split: mean, standard error over pairs, number of pairs. Choose by the validation column; the others report.
+gives, for each ingredient, the validation error and the figures on the test blocks as ratios to those of what it stands beside
+on the same texture and split: mean, standard error over pairs, number of pairs. Choose by the validation column; the others
+report.
 """
 
 from __future__ import annotations
@@ -31,19 +32,25 @@ from foten.evaluate.evaluate import evaluate
 from foten.experiments.truth import truth_for
 from foten.train.config import RECIPES
 from foten.train.train import train_texture
-from main_table import REAL, at, recording_of, work_through
+from main_table import REAL, at, between, recording_of, work_through
 from self_forced import fine_tuning
 
 RESULTS = Path(__file__).parent / "results" / "fidelity"
-DEFAULT = "default"
-INGREDIENTS: dict[str, dict[str, dict[str, Any]]] = {
+DEFAULT, BARE = "default", "no network"
+INGREDIENTS: dict[str, dict[str, Any]] = {
     DEFAULT: {},
-    "no network": {"train": {"epochs": 0}},
-    "no tones": {"train": {"tones": False}},
-    "one filter for all speeds": {"train": {"table": False, "tones": False}},
-    "lattice of 20": {"train": {"max_order": 20}},
-    "Gaussian excitation": {"train": {"tails": False}},
-    "no swell": {"train": {"swell": False}},
+    BARE: {"train": {"epochs": 0}},
+    # What is fitted before the network is heard without one, beside the default without one.
+    **{
+        name: {"train": {"epochs": 0, **change}, "beside": BARE}
+        for name, change in {
+            "no tones": {"tones": False},
+            "one filter for all speeds": {"table": False, "tones": False},
+            "lattice of 20": {"max_order": 20},
+            "Gaussian excitation": {"tails": False},
+            "no swell": {"swell": False},
+        }.items()
+    },
     "absolute loss": {"train": {"loss": "mae"}},
     "squared loss": {"train": {"loss": "mse"}},
     "dropout 0.2": {"train": {"dropout": 0.2}},
@@ -51,10 +58,10 @@ INGREDIENTS: dict[str, dict[str, dict[str, Any]]] = {
     "averaged weights": {"train": {"average": 0.999}},
     "speed and force in each token": {"sizes": {"hand": "tokens"}},
     "speed and force modulate": {"sizes": {"hand": "modulation"}},
-    "twice the epochs": {"train": {"epochs": 32, "patience": 12}},
     "cosine and sine of the phase": {"sizes": {"phase_input": "cos_sin"}},
     "log magnitude": {"sizes": {"magnitude_input": "log"}},
     "bin embedding": {"sizes": {"bin_embedding": True}},
+    "twice the epochs": {"train": {"epochs": 32, "patience": 12}},
     "fine-tuned on its own output": {"fine_tune": True},
     **{f"window {m}": {"sizes": {"window": m}} for m in (5, 10, 40, 64)},
 }
@@ -130,7 +137,7 @@ def run_all(arguments: argparse.Namespace) -> None:
 
 
 def table(arguments: argparse.Namespace) -> None:
-    """Print the ratios to the default, by kind of texture."""
+    """Print the ratios to what each ingredient stands beside, by kind of texture, or put them into a page."""
     found = [json.loads(path.read_text()) for path in sorted(RESULTS.glob("*.json"))]
     by_run = {
         (d["run"]["texture"], d["run"]["rate_hz"], d["run"]["seed"], d["run"]["ingredient"]): d for d in found
@@ -141,22 +148,24 @@ def table(arguments: argparse.Namespace) -> None:
         "real four, 10 kHz": (REAL, 10_000.0),
         "real four, 2.5 kHz": (REAL, 2500.0),
     }
+    tables = []
     for title, (textures, rate) in kinds.items():
         lines = []
-        for ingredient in INGREDIENTS:
+        for ingredient, changed in INGREDIENTS.items():
+            beside = changed.get("beside", DEFAULT)
             pairs = [
-                (d, by_run[texture, hz, seed, DEFAULT])
+                (d, by_run[texture, hz, seed, beside])
                 for (texture, hz, seed, name), d in by_run.items()
-                if name == ingredient and texture in textures and hz == rate
-                if (texture, hz, seed, DEFAULT) in by_run
+                if name == ingredient != beside and texture in textures and hz == rate
+                if (texture, hz, seed, beside) in by_run
             ]
             if pairs:
                 cells = [_ratio([at(a, path) / at(b, path) for a, b in pairs]) for path in FIGURES.values()]
-                lines.append(f"| {ingredient} | {len(pairs)} | {' | '.join(cells)} |")
-        if len(lines) > 1:
-            print(f"**{title}**: ÷ the default\n\n| ingredient | pairs | {' | '.join(FIGURES)} |")
-            print("|" + "---|" * (2 + len(FIGURES)))
-            print("\n".join(lines), end="\n\n")
+                lines.append(f"| {ingredient} | {beside} | {len(pairs)} | {' | '.join(cells)} |")
+        if lines:
+            head = f"| {title} | ÷ | pairs | {' | '.join(FIGURES)} |\n|" + "---|" * (3 + len(FIGURES))
+            tables.append("\n".join([head, *lines]))
+    between(arguments.page, "ingredients", "\n\n".join(tables))
 
 
 def _ratio(values: list[float]) -> str:
@@ -180,7 +189,9 @@ def main() -> None:
     )
     run.add_argument("--recordings", type=Path, default=Path("recordings"))
     run.set_defaults(command=run_all)
-    commands.add_parser("table").set_defaults(command=table)
+    tabulate = commands.add_parser("table")
+    tabulate.add_argument("--page", type=Path, help="put the tables between their markers in this file")
+    tabulate.set_defaults(command=table)
     arguments = parser.parse_args()
     arguments.command(arguments)
 

@@ -311,15 +311,17 @@ def _means(groups: dict[tuple[str, float], dict[str, list[dict[str, Any]]]], col
         yield f"| {' | '.join(cells + ([''] * 2 if columns is FREE_RUN else []))} |"
 
 
-def write_table(arguments: argparse.Namespace) -> None:
-    text = table()
-    if arguments.readme is None:
+def between(page: Path | None, name: str, text: str) -> None:
+    """Put text between the markers of that name in a Markdown file, or print it where there is none."""
+    if page is None:
         print(text)
         return
-    begin, end = "<!-- main_table -->", "<!-- /main_table -->"
-    before, _, rest = arguments.readme.read_text().partition(begin)
-    _, _, after = rest.partition(end)
-    with whole_file(arguments.readme) as part:
+    begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
+    before, found, rest = page.read_text().partition(begin)
+    _, closed, after = rest.partition(end)
+    if not found or not closed:
+        sys.exit(f"{page.name}: has no {begin} … {end} to put the tables between")
+    with whole_file(page) as part:
         part.write_text(f"{before}{begin}\n{text}\n{end}{after}")
 
 
@@ -335,7 +337,7 @@ def main() -> None:
     run.set_defaults(command=run_all)
     tabulate = commands.add_parser("table")
     tabulate.add_argument("--readme", type=Path, help="put the table between its markers in this file")
-    tabulate.set_defaults(command=write_table)
+    tabulate.set_defaults(command=lambda arguments: between(arguments.readme, "main_table", table()))
     arguments = parser.parse_args()
     arguments.command(arguments)
 
