@@ -399,7 +399,10 @@ def test_no_excitation_is_larger_than_what_was_left_to_explain(trained: Trained)
 
 
 def test_a_swell_is_given_to_a_recording_that_is_spikier_than_its_free_run(trained: Trained) -> None:
-    """The same blocks, and the same with half of each eight times louder: kurtosis 3 and about 6."""
+    """The same blocks, and the same with a half or a quarter of each eight times louder: kurtosis 3, about 6, about 12.
+
+    Of so few blocks the kurtosis is known to within a factor of two, so a swell that explained all of it would be too much.
+    """
     texture, trace, split = trained.texture, trained.trace, trained.split
     network = build("foten-plus", texture.architecture)
     network.load_state_dict({name: torch.from_numpy(texture.tensors[name]) for name in network.state_dict()})
@@ -410,16 +413,17 @@ def test_a_swell_is_given_to_a_recording_that_is_spikier_than_its_free_run(train
     noise = np.random.default_rng(0).standard_normal((trace.n_blocks, trace.block - m))
     samples[:, m:, 0] = loop.run(samples[:, m:, 1:], noise)
     found = []
-    for factor in (1.0, 8.0):
+    for louder in (0.0, 0.5, 0.25):
         made = samples.copy()
-        made[:, trace.block // 2 :, 0] *= factor
+        made[:, trace.block - round(louder * trace.block) :, 0] *= 8
         n = [targets(part, trace.block, m) for part in (split.train, split.validation)]
         data = Data(made.reshape(-1, 3), *n, m)
         residual = np.concatenate([made.reshape(-1, 3)[part, 0] for part in n])
         fit_swell(network, engine_of, residual, data, made.reshape(-1, 3), trace, blocks, 0)
         found.append(network.excitation.swell.numpy().copy())
     assert found[0][1] < 0.15
-    assert found[1][1] > 0.3
+    assert 0.1 < found[1][1] < 0.5 * math.sqrt(math.log(2))
+    assert 0.3 < found[2][1]
 
 
 def test_an_excitation_fitted_twice_is_that_fitted_once(trained: Trained) -> None:
