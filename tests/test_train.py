@@ -423,7 +423,7 @@ def test_a_swell_is_given_to_a_recording_that_is_spikier_than_its_free_run(train
         found.append(network.excitation.swell.numpy().copy())
     assert found[0][1] < 0.15
     assert 0.1 < found[1][1] < 0.5 * math.sqrt(math.log(2))
-    assert 0.3 < found[2][1]
+    assert found[2][1] > 0.3
 
 
 def test_an_excitation_fitted_twice_is_that_fitted_once(trained: Trained) -> None:
