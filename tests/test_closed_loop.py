@@ -1,4 +1,5 @@
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from scipy.signal import lfilter
@@ -81,6 +82,17 @@ def test_the_saturator_cuts_counts_and_feeds_back_what_it_cut() -> None:
         found, [[2, 4, 5, 5], [-2, -4, -5, -5]]
     )  # 8 and 10 are cut, 5 doubles again
     assert loop.n_saturated == 4
+
+
+def test_a_bounded_state_hears_what_it_played_before_the_cut() -> None:
+    class Half(WindowState):
+        bounded: ClassVar[bool] = True
+
+    start = np.zeros((1, 2, 3))
+    start[0, -1, 0] = 40.0
+    loop = ClosedLoop(Half(Taps(np.array([0.0, 0.5])), start), limit=6.0)
+    np.testing.assert_array_equal(loop.run(np.zeros((1, 4, 2)), None), [[6, 6, 5, 2.5]])
+    assert loop.n_saturated == 2
 
 
 def test_noise_without_a_scale_and_a_scale_without_noise_are_the_deterministic_loop() -> None:

@@ -160,16 +160,17 @@ def test_a_rendering_forgets_the_window_that_it_started_from() -> None:
     assert apart[4000:].max() < 0.02 * out[0].std()
 
 
+@pytest.mark.parametrize("limit", [np.inf, 2.0])
 @pytest.mark.parametrize("tones", [False, True])
-def test_nothing_makes_it_grow(tones: bool) -> None:
-    """Windows of ±50 standard deviations, speed and force switched at every sample, noise at its bound."""
+def test_nothing_makes_it_grow(tones: bool, limit: float) -> None:
+    """Windows of ±50 standard deviations, speed and force switched at every sample, noise at its bound; and the saturator."""
     sizes = {**SMALL, "n_layers": 1, "order": 6, "n_speed": 3, "n_force": 2}
     texture = exported("foten-plus", WITH_TONES if tones else FotenPlusArchitecture(**sizes))
     engine: Any = engine_for(texture)
     rng = np.random.default_rng(2)
     streams, n = 16, 3000
     windows = 50 * rng.standard_normal((streams, texture.window, 3)).clip(-1, 1)
-    loop = ClosedLoop(engine.start(windows))
+    loop = ClosedLoop(engine.start(windows), limit)
     condition = np.array([[0.0, 0.0], [350.0, 4.0]])[rng.integers(0, 2, (streams, n))]
     condition = (condition - SCALING.mean[1:]) / np.array(SCALING.sd[1:])
     noise = 5.68 * rng.choice([-1.0, 1.0], (streams, n))
@@ -217,6 +218,16 @@ def test_a_phase_that_the_tool_turns_with_speed_is_not_unevenness() -> None:
     turned = np.pi * speed / 150  # by π within 150 mm/s
     # Some hundred places whose variances scatter by a tenth, a little turned by what their speeds still differ.
     assert _unevenness(path, strayed + turned, speed, LENGTH) == pytest.approx(0.03, rel=0.4)
+
+
+@pytest.mark.parametrize("varied", [0.0, 0.1])
+def test_a_hum_under_a_steady_hand_is_no_wavelength(varied: float) -> None:
+    rng = np.random.default_rng(3)
+    seconds = np.arange(4000) / RATE
+    x = rng.standard_normal((12, 4000)) + 2 * np.sin(2 * np.pi * 50 * seconds)
+    speed = 100 * (1 + varied * np.sin(2 * np.pi * seconds / 3 + np.arange(12)[:, None]))
+    data = LatticeData(x, np.ones_like(x), speed, np.ones_like(x), tuple(range(9)), (9, 10, 11))
+    assert wavelength(data, RATE) is None
 
 
 def test_a_slope_at_the_lowest_spatial_frequencies_is_no_wavelength() -> None:

@@ -319,7 +319,7 @@ def test_blocks_shorter_than_two_windows_are_refused(recording: Recording) -> No
 def test_a_block_too_short_to_settle_its_level_is_refused_before_training(recording: Recording) -> None:
     said = []
     with pytest.raises(
-        ValueError, match=r"a block of 40 ms holds no frame of 40 ms .* --block of 50 ms or more"
+        ValueError, match=r"a block of 40 ms holds no frame of 40 ms .* --block of 56 ms or more"
     ):
         train_texture(
             recording,
@@ -330,6 +330,13 @@ def test_a_block_too_short_to_settle_its_level_is_refused_before_training(record
             on_epoch=said.append,
         )
     assert not said
+
+
+def test_the_block_that_the_refusal_asks_for_is_long_enough(recording: Recording) -> None:
+    config = dataclasses.replace(QUICK, epochs=0)
+    sizes = FotenPlusArchitecture(**{**SMALL, "window": 8})
+    trained = train_texture(recording, "foten-plus", sizes, config, PreprocessConfig(trim_ms=0, block_ms=56))
+    assert np.isfinite(trained.texture.card["metrics"]["validation_level_error_db"])
 
 
 def test_tails_that_follow_speed_are_found() -> None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FORCE_FLOOR = 0.05  # N; what a logarithm of force starts from
+LEAST_SPREAD = 0.02  # of the largest speed, and of force: what a hand has to vary by for a second vertex
 
 
 @dataclass(frozen=True)
@@ -65,13 +66,14 @@ def hat_weights(values: Array, knots: Array) -> Array:
 def spanning(speed: Array, force: Array, n_speed: int, n_force: int) -> Plane:
     """Return an empty table over where a hand was: speeds [mm/s] and forces [N], any equal shapes.
 
-    One vertex stands for all where the hand did not move about. The outermost hundredths of force are too rare for a vertex.
+    One vertex stands for all where the hand did not vary by 2 %. The outermost hundredths of force are too rare for a vertex.
     """
     speeds = np.array([speed.min(), speed.max()])
     forces = np.quantile(log_force(force), [0.01, 0.99])
 
-    def knots(ends: Array, n: int) -> Array:
-        return np.linspace(ends[0], ends[1], n) if n > 1 and ends[1] > ends[0] else np.zeros(1)
+    def knots(ends: Array, n: int, least: float) -> Array:
+        return np.linspace(ends[0], ends[1], n) if n > 1 and ends[1] - ends[0] > least else np.zeros(1)
 
-    speed_knots, force_knots = knots(speeds, n_speed), knots(forces, n_force)
+    speed_knots = knots(speeds, n_speed, LEAST_SPREAD * float(speeds[1]))
+    force_knots = knots(forces, n_force, LEAST_SPREAD)
     return Plane(speed_knots, force_knots, np.zeros((len(speed_knots) * len(force_knots), 0)))

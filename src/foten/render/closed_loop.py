@@ -18,7 +18,9 @@ class ClosedLoop:
 
     Attributes:
         state: what the streams remember; changed by every step.
-        limit: the saturator's bound on a sample; it is there for safety and counts its hits in `n_saturated`.
+        limit: the saturator's bound on a sample; it is there for safety and counts its hits in `n_saturated`. A state that is
+            bounded by itself hears what it played before the cut: the innovation of a cut sample is as large as the cut, over
+            the gain of the lattice, and a real fabric that began from ±50 standard deviations kept itself at the limit for good.
     """
 
     state: State
@@ -36,12 +38,10 @@ class ClosedLoop:
         """
         expected = self.state.forecast()
         sample = expected.sample if noise is None else expected.excited(noise)
-        beyond = np.abs(sample) > self.limit
-        if beyond.any():
-            self.n_saturated += int(beyond.sum())
-            sample = np.clip(sample, -self.limit, self.limit)
-        self.state.push(sample, condition, noise)
-        return sample
+        played = np.clip(sample, -self.limit, self.limit)
+        self.n_saturated += int((played != sample).sum())
+        self.state.push(sample if self.state.bounded else played, condition, noise)
+        return played
 
     def run(self, condition: Array, noise: Array | None) -> Array:
         """Return n samples of each stream, shape (s, n): condition (s, n, 2 or 3), noise (s, n) or None."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -186,7 +186,14 @@ def excitation_fit(expected: Forecast, recorded: Array) -> tuple[Array, Array]:
 
 
 class State(Protocol):
-    """What streams of a model remember, each stream by itself."""
+    """What streams of a model remember, each stream by itself.
+
+    Attributes:
+        bounded: whether it stays within bounds on its own output, whatever speed and force do.
+    """
+
+    @property
+    def bounded(self) -> bool: ...
 
     def forecast(self) -> Forecast:
         """Return the next samples, shape (s,)."""
@@ -208,6 +215,7 @@ class WindowState:
     predictor: Predictor
     windows: Array
     sigma: Callable[[Array], Array] | None = None
+    bounded: ClassVar[bool] = False
 
     def forecast(self) -> Forecast:
         """Return the prediction from the windows."""
@@ -237,6 +245,7 @@ class LatticeState:
     swell: Swell
     level: Array = field(init=False)
     reflections: Array = field(init=False)
+    bounded: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         self._heed(self.seen[:, -1, 1:3])
@@ -303,6 +312,7 @@ class ToneState:
     reflections: Array = field(init=False)
     turned: Array = field(init=False)
     value: Array = field(init=False)
+    bounded: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         self.path = self.rate = np.zeros_like(self.phase)

@@ -19,6 +19,7 @@ SHORTEST_MM = 0.2
 LEAST_PERIODS = 3.0  # in a stretch: so many of a window's own lobes lie at the lowest spatial frequencies
 STANDS_OUT = 3.0  # times its surroundings, for a wavelength to be tried; irregular cloth has 4, surfaces without one 1.3
 TWICE_CHANCE = 2.0  # the largest that noise would reach
+OF_THE_PATH = 1.2  # times what stands out over time: a hum at a steady speed repeats over both
 MAX_TONES = 6
 N_SPEED, N_FORCE = 32, 2  # vertices: the tool turns a tone's phase by π within 30 mm/s
 ROUNDS = 8
@@ -33,13 +34,14 @@ def wavelength(data: LatticeData, rate_hz: float) -> float | None:
     """Return the length that a surface repeats itself after [mm], or None where none stands out.
 
     The vibration over its level is cut into stretches of some millimetres, and each one's power is taken at spatial frequencies,
-    with the path for time: mean over stretches, against the median of its surroundings.
+    with the path for time: mean over stretches, against the median of its surroundings. What stands out as much with time for the
+    path is a hum or a resonance, and a hand that kept its speed cannot tell it from a surface that repeats.
     """
     path = np.cumsum(data.speed, axis=1) / rate_hz
     blocks = list(data.train)
     for span in (15.0, 5.0):
         stretches = [
-            (path[b, first:last] - path[b, first], data.x[b, first:last])
+            (path[b, first:last] - path[b, first], np.arange(last - first) / rate_hz, data.x[b, first:last])
             for b in blocks
             for first, last in _stretches(path[b], span)
         ]
@@ -50,20 +52,26 @@ def wavelength(data: LatticeData, rate_hz: float) -> float | None:
     if len(stretches) > 200:
         stretches = [stretches[i] for i in np.linspace(0, len(stretches) - 1, 200).astype(int)]
     cycles = np.arange(LEAST_PERIODS / span, 1 / SHORTEST_MM, 0.25 / span)
-    power = np.zeros(len(cycles))
-    for travelled, x in stretches:
+    usual_speed = float(np.mean([travelled[-1] / elapsed[-1] for travelled, elapsed, _ in stretches]))
+    powers = np.zeros((2, len(cycles)))
+    for travelled, elapsed, x in stretches:
         windowed = x * np.sin(np.pi * travelled / span) ** 2
         total = float(np.square(windowed).sum())
         if total > 0:
-            power += np.abs(np.exp(-2j * np.pi * cycles[:, None] * travelled) @ windowed) ** 2 / total
-    around = np.array([np.median(power[max(0, i - 20) : i + 21]) for i in range(len(cycles))])
-    ratio = power / around
+            for power, way in zip(powers, (travelled, usual_speed * elapsed), strict=True):
+                power += np.abs(np.exp(-2j * np.pi * cycles[:, None] * way) @ windowed) ** 2 / total
+    ratio, over_time = (
+        power / np.array([np.median(power[max(0, i - 20) : i + 21]) for i in range(len(cycles))])
+        for power in powers
+    )
     # At either end all surroundings lie on one side, and a slope stands out.
-    line = np.flatnonzero((power[1:-1] > power[:-2]) & (power[1:-1] >= power[2:])) + 1
+    heard = powers[0]
+    line = np.flatnonzero((heard[1:-1] > heard[:-2]) & (heard[1:-1] >= heard[2:])) + 1
     ratio[np.setdiff1d(np.arange(len(ratio)), line)] = 0.0
     peak = int(np.argmax(ratio))
     enough = max(STANDS_OUT, TWICE_CHANCE * _largest_by_chance(len(stretches), len(cycles)))
-    if ratio[peak] < enough:
+    like_it = np.abs(cycles - cycles[peak]) <= 0.1 * cycles[peak]
+    if ratio[peak] < max(enough, OF_THE_PATH * over_time[like_it].max()):
         return None
     # The tool may make a multiple louder than the fundamental.
     half = int(np.argmin(np.abs(cycles - cycles[peak] / 2)))

@@ -79,17 +79,15 @@ def train_texture(
             f"a block of {trace.block} samples is too short for windows of {m}, expected five times as long: "
             "use a longer --block or a shorter --window"
         )
-    if key == "foten-plus" and 0.8 * trace.block < FRAME_MS * trace.rate_hz / 1000:
-        raise ValueError(
-            f"a block of {1000 * trace.block / trace.rate_hz:g} ms holds no frame of {FRAME_MS:g} ms after its first fifth, "
-            f"and the level could not be settled: use a --block of {FRAME_MS / 0.8:g} ms or more"
-        )
+    if key == "foten-plus":
+        _check_that_a_frame_is_left(trace, m, config.max_order)
     scaling = fit_scaling(trace, split.train)
     samples = scaling.scale(trace.stacked())
     data = Data(samples, targets(split.train, trace.block, m), targets(split.validation, trace.block, m), m)
     with reproducible():
         torch.manual_seed(config.seed)
         likelihood = level_errors = linear = tail_gain = None
+        played: tuple[float | None, float | None] = (None, None)
         if isinstance(architecture, FotenPlusArchitecture):
             parts = fit_linear_parts(architecture, data, trace, split, scaling, config, on_stage)
             part, linear = _chosen(parts, samples, trace, split, scaling, config, on_stage)
@@ -125,6 +123,8 @@ def train_texture(
             )
             _, nats = excitation_fit(expected, missed)
             likelihood = float(nats[heard].mean()) if heard.any() else None
+            on_stage("listening to the free run on the validation blocks")
+            played = free_run_distance(network, engine_of, samples, trace, split.validation, config.seed)
         warm_start, condition = pick_warm_start(trace, split, scaling, architecture.history)
         best = max((line for line in progress.epochs if line.best), key=lambda line: line.epoch)
         card: dict[str, Any] = {
@@ -158,6 +158,8 @@ def train_texture(
                 "validation_mae_scaled_shortcut": shortcut_mae,
                 "linear_part": linear,
                 "validation_nll": likelihood,
+                "validation_lsd_db": played[0],
+                "validation_level_error_db": played[1],
                 "tail_gain_nat": tail_gain,
                 "level_errors_db": level_errors,
                 "recorded_peak_sd": peak,
@@ -170,6 +172,19 @@ def train_texture(
         some = windows(samples, ends[:: max(1, len(ends) // 4096)], architecture.history)
         texture = export(network, key, architecture, scaling, some, warm_start, card)
     return Trained(texture, trace, split, progress, shortcut_mae)
+
+
+def _check_that_a_frame_is_left(trace: Trace, m: int, max_order: int) -> None:
+    """Check that a block holds a frame after its first fifth and after the longest history, for the level to be settled on."""
+    rate = trace.rate_hz
+    frame, history = FRAME_MS * rate / 1000, m + 1 + min(max_order, trace.block // 8)
+    if trace.block - max(0.2 * trace.block, history) >= frame:
+        return
+    enough = max(frame / 0.8, (frame + m + 1) / (1 - 1 / 8))
+    raise ValueError(
+        f"a block of {1000 * trace.block / rate:g} ms holds no frame of {FRAME_MS:g} ms after its first {history} samples, and "
+        f"the level could not be settled: use a --block of {math.ceil(1000 * enough / rate)} ms or more"
+    )
 
 
 def _chosen(
@@ -233,14 +248,11 @@ def _beyond_exponents(trace: Trace, split: Split, key: str) -> dict[str, float]:
     chosen = list(split.train)
     if key != "foten-plus" or trace.block < FRAME_MS * trace.rate_hz / 1000:
         return {"speed": 0.0, "force": 0.0}
-    levels, speed, force = (
-        of(trace.blocks(channel)[chosen], trace.rate_hz, *rest).ravel()
-        for of, channel, *rest in (
-            (frame_levels, trace.acceleration, 1.0),
-            (frame_means, trace.speed),
-            (frame_means, trace.force),
-        )
+    acceleration, speed, force = (
+        trace.blocks(channel)[chosen] for channel in (trace.acceleration, trace.speed, trace.force)
     )
+    levels = frame_levels(acceleration, trace.rate_hz, float(np.sqrt(np.square(acceleration).mean()))).ravel()
+    speed, force = (frame_means(channel, trace.rate_hz).ravel() for channel in (speed, force))
     logs = np.log10(np.maximum(np.stack([speed, force]), [[FADE_SPEED], [FADE_FORCE]]))
     found = {}
     for row, name in enumerate(("speed", "force")):
