@@ -5,14 +5,15 @@
 
 A run trains and judges one texture with one ingredient changed and leaves one small JSON in `results/fidelity`. The table
 gives, for each ingredient, the validation error and the figures on the test blocks as ratios to those of what it stands beside
-on the same texture and split: mean, standard error over pairs, number of pairs. Choose by the validation column; the others
-report.
+on the same texture and split, made by the same sources: mean, standard error over pairs, number of pairs. Choose by the columns
+of the validation blocks; the others report.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import hashlib
 import json
 import os
 import time
@@ -26,6 +27,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
+import foten
 from foten.architecture import ARCHITECTURES
 from foten.datasets.simulate import LINEAR_FAMILY, TEXTURES
 from foten.evaluate.evaluate import evaluate
@@ -66,8 +68,10 @@ INGREDIENTS: dict[str, dict[str, Any]] = {
     **{f"window {m}": {"sizes": {"window": m}} for m in (5, 10, 40, 64)},
 }
 FIGURES = {
-    "validation error": "validation.mae_scaled",
-    "one-step error": "one_step.mae_scaled",
+    "validation: one step": "validation.mae_scaled",
+    "LSD ": "heard.lsd_db",
+    "level error ": "heard.level_error_db",
+    "test: one step": "one_step.mae_scaled",
     "LSD": "free_run.lsd_db",
     "long LSD": "free_run.lsd_long_db",
     "level error": "free_run.level_error_db",
@@ -86,6 +90,14 @@ class Run:
     @property
     def name(self) -> str:
         return f"{self.texture}-{self.rate_hz:g}-{self.seed}-{self.ingredient.replace(' ', '_')}"
+
+
+def source_sha256() -> str:
+    """Return the digest of the package's sources: runs of different ones are no pair."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(foten.__file__).parent.rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 def runs(seeds: list[int], textures: list[str]) -> Iterator[Run]:
@@ -119,7 +131,12 @@ def execute(run: Run, recordings: Path) -> dict[str, Any]:
         "run": dataclasses.asdict(run),
         "training_seconds": seconds,
         "versions": trained.texture.card["training"]["versions"],
+        "source_sha256": source_sha256(),
         "validation": document["validation"],
+        "heard": {
+            name: trained.texture.card["metrics"][f"validation_{name}"]
+            for name in ("lsd_db", "level_error_db")
+        },
         "fine_tuning": looks,
         **kept,
         "ceiling": {k: v for k, v in document["ceiling"].items() if k != "intervals"},
@@ -140,7 +157,8 @@ def table(arguments: argparse.Namespace) -> None:
     """Print the ratios to what each ingredient stands beside, by kind of texture, or put them into a page."""
     found = [json.loads(path.read_text()) for path in sorted(RESULTS.glob("*.json"))]
     by_run = {
-        (d["run"]["texture"], d["run"]["rate_hz"], d["run"]["seed"], d["run"]["ingredient"]): d for d in found
+        (*(d["run"][key] for key in ("texture", "rate_hz", "seed", "ingredient")), d["source_sha256"]): d
+        for d in found
     }
     kinds = {
         "simulated twelve, 1 kHz": (tuple(TEXTURES), 1000.0),
@@ -154,13 +172,13 @@ def table(arguments: argparse.Namespace) -> None:
         for ingredient, changed in INGREDIENTS.items():
             beside = changed.get("beside", DEFAULT)
             pairs = [
-                (d, by_run[texture, hz, seed, beside])
-                for (texture, hz, seed, name), d in by_run.items()
+                (d, by_run[texture, hz, seed, beside, source])
+                for (texture, hz, seed, name, source), d in by_run.items()
                 if name == ingredient != beside and texture in textures and hz == rate
-                if (texture, hz, seed, beside) in by_run
+                if (texture, hz, seed, beside, source) in by_run
             ]
             if pairs:
-                cells = [_ratio([at(a, path) / at(b, path) for a, b in pairs]) for path in FIGURES.values()]
+                cells = [_ratio([(at(a, path), at(b, path)) for a, b in pairs]) for path in FIGURES.values()]
                 lines.append(f"| {ingredient} | {beside} | {len(pairs)} | {' | '.join(cells)} |")
         if lines:
             head = f"| {title} | ÷ | pairs | {' | '.join(FIGURES)} |\n|" + "---|" * (3 + len(FIGURES))
@@ -168,7 +186,10 @@ def table(arguments: argparse.Namespace) -> None:
     between(arguments.page, "ingredients", "\n\n".join(tables))
 
 
-def _ratio(values: list[float]) -> str:
+def _ratio(pairs: list[tuple[float | None, float | None]]) -> str:
+    if any(None in pair for pair in pairs):
+        return "–"
+    values = [a / b for a, b in pairs]  # type: ignore[operator]
     if len(values) == 1:
         return f"{values[0]:.3f}"
     return f"{np.mean(values):.3f} ± {np.std(values, ddof=1) / np.sqrt(len(values)):.3f}"

@@ -3,9 +3,9 @@
     python benchmarks/limits.py [--recordings DIR] [--rate 10000] [--save FILE]
 
 All on the test blocks of five splits, scored as the judge does (`free_run`): AR(20) with white noise, the anchor; Gaussian
-noise with the mean spectrum of all training and validation blocks, which is all that a model can know of a surface under a
-steady hand; the other blocks themselves, which are the real texture; and two that cheat: noise with the mean spectrum of the
-test blocks, and with each test block's own.
+noise with the mean spectrum of all training and validation blocks, all that a model can know that heeds neither speed nor
+force; the other blocks themselves, which are the real texture; and three that cheat: the same noise as loud as each test
+block, noise with the mean spectrum of the test blocks, and with each test block's own.
 """
 
 from __future__ import annotations
@@ -65,11 +65,15 @@ def judge(texture: str, rate_hz: float, seed: int, recordings: Path) -> dict[str
     def noise(of: list[np.ndarray]) -> np.ndarray:
         return np.stack([noise_like(source, test.shape[1], rate_hz, rng) for source in of], axis=1)
 
+    level = test.std(axis=1)[None, :, None]
     anchor = synthesize_linear(linear, trace, split.test, scaling, seed, N_RUNS)[:, :, part]
     return {
         ANCHOR: distance(anchor),
         "noise like all known blocks": distance(noise([known] * len(test))),
         "the known blocks themselves": distance(np.repeat(known[:, None], len(test), axis=1)),
+        "cheating: noise like all known, as loud as each": distance(
+            level * noise([known] * len(test)) / noise([known] * len(test)).std(axis=(0, 2), keepdims=True)
+        ),
         "cheating: noise like all test blocks": distance(noise([test] * len(test))),
         "cheating: noise like each test block": distance(noise([block[None] for block in test])),
     }

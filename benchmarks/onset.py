@@ -65,25 +65,30 @@ def judge(texture: Texture, n_strokes: int, n_streams: int, seed: int = 0) -> di
     colours = np.stack([band_powers(windows, rate) for windows in cut])
     heard = (colours > 0).all(axis=0)
 
-    def away(first: int) -> tuple[float, float]:
+    def away(first: int) -> tuple[float, float, float]:
         part = rendered[:, :, first : first + window]
         level = 10 * np.log10(np.square(part).mean(axis=(1, 2)) / loud)
         powers = np.stack([band_powers(windows, rate) for windows in part])
         ratio = 10 * np.log10(powers[:, heard] / colours[:, heard])
-        return float(level.mean()), float(np.sqrt(np.square(ratio.mean(axis=0)).mean()))
+        spectrum = np.sqrt(np.square(ratio.mean(axis=0)).mean())
+        return float(level.mean()), float(spectrum), float(np.abs(level).mean())
 
     limits = np.quantile(np.abs(settled), 0.999, axis=(1, 2))
     begun = np.abs(rendered[:, :, : round(CLICK_MS * rate / 1000)]) > limits[:, None, None]
+    begin = [away(round(start * rate / 1000)) for start in STARTS_MS]
     strays = [away(round(SETTLED_S * rate) + k * window) for k in range(10)]
     return {
         "texture": texture.card["texture"],
         "rate_hz": rate,
         "n_strokes": n_strokes,
         "starts_ms": STARTS_MS,
-        "level_db": [away(round(start * rate / 1000))[0] for start in STARTS_MS],
-        "spectrum_db": [away(round(start * rate / 1000))[1] for start in STARTS_MS],
+        "level_db": [found[0] for found in begin],
+        "spectrum_db": [found[1] for found in begin],
+        # Of each stroke by itself, over several streams of noise: what chance does is in the settled one as well.
+        "level_abs_db": [found[2] for found in begin],
         "settled_level_db": max(abs(stray[0]) for stray in strays),
         "settled_spectrum_db": max(stray[1] for stray in strays),
+        "settled_level_abs_db": max(stray[2] for stray in strays),
         "click_share": float(begun.mean()),
         "click_standard_error": float(begun.mean(axis=(1, 2)).std(ddof=1) / np.sqrt(n_strokes)),
     }
@@ -99,7 +104,8 @@ def main() -> None:
     parser.add_argument("--save", type=Path, metavar="DIR", help="keep each result as JSON there")
     arguments = parser.parse_args()
     print(
-        "texture, then level / spectrum [dB] in the 40 ms from 0, 20, 60, 100 ms on, settled; over the 99.9th percentile"
+        "texture, then level / spectrum / level of single strokes [dB] in the 40 ms from 0, 20, 60, 100 ms on, settled; "
+        "over the 99.9th percentile"
     )
     for path in arguments.textures:
         found = judge(read_texture(path), arguments.strokes, arguments.streams)
@@ -107,8 +113,11 @@ def main() -> None:
             arguments.save.mkdir(parents=True, exist_ok=True)
             with whole_file(arguments.save / f"{path.stem}.json") as part:
                 part.write_text(json.dumps(found, indent=1) + "\n")
-        cells = [f"{a:+.2f}/{b:.2f}" for a, b in zip(found["level_db"], found["spectrum_db"], strict=True)]
-        cells.append(f"{found['settled_level_db']:.2f}/{found['settled_spectrum_db']:.2f}")
+        names = ("level_db", "spectrum_db", "level_abs_db")
+        cells = [
+            f"{a:+.2f}/{b:.2f}/{c:.2f}" for a, b, c in zip(*(found[name] for name in names), strict=True)
+        ]
+        cells.append("/".join(f"{found[f'settled_{name}']:.2f}" for name in names))
         click = f"{100 * found['click_share']:.3f} ± {100 * found['click_standard_error']:.3f} %"
         print(f"{path.stem:36s} {'  '.join(cells)}  {click}", flush=True)
 

@@ -126,7 +126,7 @@ def judge(key: str) -> dict[str, Any]:
         "firmer": (whole, (speed > 20) & (speed < high[0]) & (force > high[1])),
         "both": (whole, (speed > high[0]) & (force > high[1])),
         "80 ms from a jump": (jumps, since_jump < 2 * FRAME_MS),
-        "later": (jumps, since_jump >= 4 * FRAME_MS),
+        "later": (jumps, (since_jump >= 4 * FRAME_MS) & (since_jump <= 500 - 2 * FRAME_MS)),
     }
     found: dict[str, Any] = {"beyond_exponents": dict(texture.card["beyond_exponents"]), "trained_to": high}
     signals = {id(trace): rendered(texture, trace) for trace in (whole, jumps)}
