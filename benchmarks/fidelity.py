@@ -63,7 +63,8 @@ INGREDIENTS: dict[str, dict[str, Any]] = {
     "cosine and sine of the phase": {"sizes": {"phase_input": "cos_sin"}},
     "log magnitude": {"sizes": {"magnitude_input": "log"}},
     "bin embedding": {"sizes": {"bin_embedding": True}},
-    "twice the epochs": {"train": {"epochs": 32, "patience": 12}},
+    "twice the epochs": {"train": {"epochs": 64, "patience": 20}},
+    "four times the learning rate": {"train": {"learning_rate": 2e-3}},
     "fine-tuned on its own output": {"fine_tune": True},
     **{f"window {m}": {"sizes": {"window": m}} for m in (5, 10, 40, 64)},
 }
