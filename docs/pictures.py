@@ -26,7 +26,7 @@ import numpy as np
 from scipy.signal import welch
 
 from foten.datasets.linear_family import linear_truth, one_step_bounds
-from foten.datasets.simulate import TEXTURES, simulate
+from foten.datasets.simulate import TEXTURES, second_realisation, simulate
 from foten.dsp.filters import butterworth
 from foten.evaluate.free_run import scored, synthesize, synthesize_linear
 from foten.evaluate.metrics import (
@@ -37,7 +37,6 @@ from foten.evaluate.metrics import (
 )
 from foten.evaluate.metrics import welch as spectra
 from foten.evaluate.references import FIRST_SCORED, ORDERS, fit_linear
-from foten.experiments.truth import truth_for
 from foten.recording.felt import RATES_HZ, carried
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.scaling import fit_scaling
@@ -129,9 +128,10 @@ def one_step(arguments: argparse.Namespace) -> None:
 def silence(arguments: argparse.Namespace) -> None:
     """Errors of another realisation of the very same surface, played louder and softer."""
     recording = simulate(SHOWN, 64.0, seed=SEED)
-    texture = read_texture(arguments.textures / f"{SHOWN}-1000-foten-plus-{SEED}.foten")
-    trace = preprocess(recording, PreprocessConfig())
-    other = truth_for(recording, texture).realisations[0]
+    trace, other = (
+        preprocess(one, PreprocessConfig())
+        for one in (recording, second_realisation(recording, SEED + 1_000_003))
+    )
     blocks = [t.blocks(t.acceleration)[:, scored(t.block)] for t in (trace, other)]
     sd = blocks[0].std()
     rate, n_segment = trace.rate_hz, segment_length(trace.block)
