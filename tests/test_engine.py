@@ -29,6 +29,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 PLUS = {
     "hand-in-tokens": {**SMALL, "hand": "tokens"},
     "hand-modulates": {**SMALL, "hand": "modulation"},
+    "network-not-heard": {**SMALL, "heard": False, "order": 7},
     "a-table": {**SMALL, "order": 7, "n_speed": 4, "n_force": 3},
     "tones": {**SMALL, "order": 5, "n_tones": 3, "n_tone_speed": 5, "n_tone_force": 2, "rest_order": 8},
     "tones-on-a-table": {**SMALL, "n_tones": 2, "n_tone_speed": 4, "n_rest_speed": 3, "n_rest_force": 2},

@@ -16,13 +16,14 @@ from foten.datasets.simulate import simulate
 from foten.dsp.noise import heavy_tailed
 from foten.models import build
 from foten.models.dropout import Dropout, set_dropout
-from foten.models.foten_plus import Excitation
+from foten.models.foten_plus import Excitation, FotenPlus
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.recording.scaling import Scaling
 from foten.recording.windows import targets
 from foten.render.closed_loop import ClosedLoop
 from foten.render.engine import Forecast
+from foten.render.engine import engine_for as engine_of_texture
 from foten.texture_file import texture_from_bytes
 from foten.train.config import RECIPES, TrainConfig
 from foten.train.excitation import (
@@ -450,3 +451,24 @@ def test_an_excitation_fitted_twice_is_that_fitted_once(trained: Trained) -> Non
         found.append(copy.deepcopy(network.excitation.state_dict()))
     for name, tensor in found[0].items():
         assert torch.equal(tensor, found[1][name]), name
+
+
+@pytest.mark.parametrize("nearer", [True, False])
+def test_the_network_is_heard_where_it_brings_the_free_run_nearer(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch, nearer: bool
+) -> None:
+    def distance(network: FotenPlus, *rest: object) -> tuple[float, float]:
+        return 2.0, 0.97 if network.architecture.heard == nearer else 1.0
+
+    monkeypatch.setattr("foten.train.train.free_run_distance", distance)
+    config = dataclasses.replace(QUICK, learning_rate=5e-3, tones=False)
+    texture = train_texture(recording, "foten-plus", FotenPlusArchitecture(**SMALL), config, SHORT).texture
+    tried = texture.card["metrics"]["renderings"]
+    assert set(tried) == {"without network", "with network"}
+    assert texture.architecture.heard == nearer
+    assert texture.card["metrics"]["validation_level_error_db"] == 0.97
+    # Whatever is heard, the next sample is predicted with the network.
+    engine = engine_of_texture(texture)
+    windows = texture.tensors["warm_start"][None].astype(float)
+    same = engine.start(windows).forecast().sample == engine.predict(windows)
+    assert bool(same[0]) == nearer

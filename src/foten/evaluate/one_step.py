@@ -62,8 +62,9 @@ def excitation_scores(
 ) -> dict[str, Any]:
     """Return how well the excitation, its scale and its tails, describes the one-step error.
 
-    Settling the level in the closed loop (`train.excitation`) trades likelihood for level. None of it is known where the
-    excitation is not that of a prediction, but of a rendering which knows its place on the surface (`dsp.tones`).
+    Settling the level in the closed loop (`train.excitation`) trades likelihood for level. The error is that of the forecast
+    which a rendering hears, with the network or without; none of it is known where the rendering knows its place on the
+    surface (`dsp.tones`).
 
     Args:
         engine: of the model.
@@ -77,7 +78,7 @@ def excitation_scores(
         central 50 and 90 % of the predicted distribution; `standardised_sd`: of the errors, taken back through the tails to
         what should be a standard normal, 1 when the excitation is right; `intervals`.
     """
-    forecast = engine.follow(_with_history(engine, samples, n))
+    forecast = engine.follow(_with_history(engine, samples, n), corrected=engine.heard)
     if forecast.scale is None:
         return {**dict.fromkeys(("nll", "coverage_50", "coverage_90", "standardised_sd")), "intervals": {}}
     standardised, nll = excitation_fit(forecast, samples[n, 0])

@@ -29,8 +29,10 @@ class FotenPlus(nn.Module):
     In the closed loop the excitation σ(v, f) times noise is added to that answer, so the lattice is driven by something
     that is bounded, whatever the network says, and stays bounded itself however speed and force move.
 
-    A surface that repeats is rendered otherwise: tones of the path (`dsp.tones`), plus a lattice of its own for the
-    `rest`, excited by chance alone. Its next sample is still predicted as above, from what was heard.
+    Whether a rendering hears the network is chosen on the validation blocks (`train.train`): what makes the next sample
+    likelier does not always bring the free run nearer. A surface that repeats is rendered otherwise: tones of the path
+    (`dsp.tones`), plus a lattice of its own for the `rest`, excited by chance alone. Its next sample is still predicted as
+    above, from what was heard.
 
     Level, lattices and tones are fitted before training (`train.lattice`, `train.tones`, `train.excitation`) and stay as they
     are. The head's last layer starts at zero, so training starts at the lattice's error.
@@ -81,7 +83,7 @@ class FotenPlus(nn.Module):
     def forecast(self, heard: Heard) -> tuple[Tensor, Tensor]:
         """Return the next samples of a rendering, and by how much a unit of excitation moves them: (b,), (b,); scaled."""
         if not self.architecture.n_tones:
-            sample, unit = self._expected(heard)
+            sample, unit = self._expected(heard, self.architecture.heard)
             return sample, unit * self.excitation(heard.condition)
         x, level, unit = self.rest.forecast(heard.states, heard.condition)
         sample = level * x + _tone(self._tones_at(heard.condition), self._moved(heard).phase)
@@ -140,10 +142,10 @@ class FotenPlus(nn.Module):
         seen = torch.cat([heard.seen[:, 1:], seen[:, None]], dim=1)
         return heard._replace(states=states, condition=condition, seen=seen), e
 
-    def _expected(self, heard: Heard) -> tuple[Tensor, Tensor]:
+    def _expected(self, heard: Heard, corrected: bool = True) -> tuple[Tensor, Tensor]:
         """Return what is to be expected of the next samples, and what a unit of innovation is worth: (b,), (b,); scaled."""
         x, level, unit = self.lattice.forecast(heard.states, heard.condition)
-        return level * x + unit * self.network(heard.seen), unit
+        return level * x + (unit * self.network(heard.seen) if corrected else 0.0), unit
 
     def _moved(self, heard: Heard) -> Heard:
         """Return the streams a sample further along the path."""

@@ -237,12 +237,14 @@ class LatticeState:
         states: b₀ … b_{p−1} of the lattice, shape (p, s).
         seen: what the network sees of the last m samples: x, speed, force, innovation; shape (s, m, 4).
         swell: how much louder than usual the streams are.
+        corrected: whether the network is heard.
     """
 
     engine: NumpyFotenPlus
     states: Array
     seen: Array
     swell: Swell
+    corrected: bool
     level: Array = field(init=False)
     reflections: Array = field(init=False)
     bounded: ClassVar[bool] = True
@@ -256,10 +258,12 @@ class LatticeState:
         self.level, self.reflections = lattice.level(condition), lattice.reflections(condition).T
 
     def forecast(self) -> Forecast:
-        """Return the lattice's prediction and the network's correction of it."""
+        """Return the lattice's prediction and, where it is heard, the network's correction of it."""
         x, gain = forecast(self.states, self.reflections)
         unit = gain * self.level
-        sample = x * self.level + unit * self.engine.correction(self.seen)
+        sample = x * self.level
+        if self.corrected:
+            sample = sample + unit * self.engine.correction(self.seen)
         return self.engine.excited(sample, unit * self.swell.factor(), self.seen[:, -1, 1:3])
 
     def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
@@ -357,6 +361,7 @@ class NumpyFotenPlus:
 
     def __init__(self, architecture: FotenPlusArchitecture, tensors: Mapping[str, NDArray[Any]]) -> None:
         self.window = architecture.history
+        self.heard = architecture.heard and not architecture.n_tones
         self._m = architecture.window
         self._limit = architecture.correction_limit
         self._network = NumpyFoten(architecture, tensors, "network.")
@@ -375,15 +380,16 @@ class NumpyFotenPlus:
 
     def predict(self, windows: Array) -> Array:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
-        return self._listening(windows).forecast().sample
+        return self._listening(windows, corrected=True).forecast().sample
 
     def start(self, windows: Array) -> State:
         """Return the state of renderings that go on from the given scaled windows, shape (s, m, 3).
 
-        Where there are tones their first sample is not what `predict` expects: that has to infer the phase.
+        Their first sample is not what `predict` expects where the network is not heard, or where there are tones, whose phase
+        `predict` has to infer.
         """
         if self._tones is None:
-            return self._listening(windows)
+            return self._listening(windows, self.heard)
         before = windows[:, :-1, 1:]
         flat, shape = before.reshape(-1, 2), before.shape[:2]
         turned = self.turned(flat)
@@ -397,12 +403,12 @@ class NumpyFotenPlus:
             self, np.concatenate(states, axis=1), windows[:, -1, 1:], phase[:, -1], self._swell(len(windows))
         )
 
-    def _listening(self, windows: Array) -> LatticeState:
+    def _listening(self, windows: Array, corrected: bool) -> LatticeState:
         parts = self._analysed(self.lattice, windows[:, 1:, 0], windows[:, :-1, 1:])
         x, e = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
         seen = np.concatenate([x[..., None], windows[:, 1:, 1:], e[..., None]], axis=2)[:, -self._m :]
         states = np.concatenate([part[3] for part in parts], axis=1)
-        return LatticeState(self, states, seen, self._swell(len(windows)))
+        return LatticeState(self, states, seen, self._swell(len(windows)), corrected)
 
     def _swell(self, n_streams: int) -> Swell:
         kept, sd = self._w["excitation.swell"]
@@ -456,7 +462,8 @@ class NumpyFotenPlus:
             corrected: False leaves out what the network adds.
 
         Returns:
-            Each of shape (s, n − window), scaled; the sample alone where there are tones, whose excitation is a rendering's.
+            Each of shape (s, n − window), scaled; the sample alone where the excitation is not that of such a forecast, but of a
+            rendering with tones, or with or without the network.
         """
         x, e, unit = self.innovations(blocks)
         asked = np.arange(self.window, blocks.shape[1])
@@ -471,7 +478,7 @@ class NumpyFotenPlus:
             pieces = [self.correction(part).reshape(len(x), -1) for part in flat]
             innovation = innovation + np.concatenate(pieces, axis=1)
         sample = blocks[:, self.window :, 0] + innovation * unit[:, asked]
-        if self._tones is not None:
+        if self._tones is not None or corrected != self.heard:
             return Forecast(sample)
         before = blocks[:, self.window - 1 : -1, 1:].reshape(-1, 2)
         scale = unit[:, asked] * self.sigma(before).reshape(sample.shape)
