@@ -135,7 +135,7 @@ def fine_tuning() -> Iterator[list[tuple[float, float, float]]]:
     def fit_twice(network: FotenPlus, engine_of: EngineOf, residual: Any, random: Data, *rest: Any) -> Any:
         found = fit_excitation(network, engine_of, residual, random, *rest)
         # Neither while linear parts are compared nor where tones are rendered without the network.
-        if not network.architecture.heard or not network.network.head_3.weight.any():
+        if not network.architecture.network_heard or not network.network.head_3.weight.any():
             return found
         samples, trace, split, _, config = rest
         seen[:] = fine_tune(network, engine_of, random, samples, trace, split, config.seed)

@@ -25,9 +25,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy.signal import welch
 
-from foten.datasets.linear_family import linear_truth, one_step_bounds
 from foten.datasets.simulate import TEXTURES, second_realisation, simulate
-from foten.dsp.filters import butterworth
 from foten.evaluate.free_run import scored, synthesize, synthesize_linear
 from foten.evaluate.metrics import (
     frame_levels,
@@ -37,6 +35,7 @@ from foten.evaluate.metrics import (
 )
 from foten.evaluate.metrics import welch as spectra
 from foten.evaluate.references import FIRST_SCORED, ORDERS, fit_linear
+from foten.experiments.truth import linear_bounds
 from foten.recording.felt import RATES_HZ, carried
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.scaling import fit_scaling
@@ -173,19 +172,10 @@ def bound(arguments: argparse.Namespace) -> None:
         scaling = fit_scaling(trace, split.train)
         samples = scaling.scale(trace.stacked())
         n = targets(split.test, trace.block, FIRST_SCORED)
-        (b0, b1, b2, a1, a2), *_ = butterworth("highpass", PreprocessConfig().highpass_hz, trace.rate_hz)
         orders = np.unique(np.geomspace(5, 160, 12).astype(int))
         of_window, infinite = [], 0.0
         for order in orders:
-            whole, window = one_step_bounds(
-                linear_truth(recording),
-                trace.speed,
-                trace.force,
-                trace.rate_hz,
-                np.array([b0, b1, b2]),
-                np.array([1.0, a1, a2]),
-                int(order),
-            )
+            whole, window = linear_bounds(recording, trace, PreprocessConfig().highpass_hz, int(order))
             of_window.append(window[n].mean())
             infinite = float(whole[n].mean())
         axes.axhline(1.0, color=CEILING, label="least possible, all of the past known")

@@ -84,4 +84,4 @@ def test_our_network_costs_no_more_than_a_quarter_above_the_papers() -> None:
     assert multiply_adds(FotenPlusArchitecture(order=240, hand="modulation")) < 1.25 * paper
     # Tones and a lattice alone: no network.
     assert multiply_adds(FotenPlusArchitecture(n_tones=6, rest_order=40)) < 1000
-    assert multiply_adds(FotenPlusArchitecture(order=40, heard=False)) < 1000
+    assert multiply_adds(FotenPlusArchitecture(order=40, network_heard=False)) < 1000

@@ -6,9 +6,10 @@ import pytest
 import torch
 
 from conftest import SMALL, exported, untrained
-from foten.architecture import ARCHITECTURES, FotenArchitecture
+from foten.architecture import ARCHITECTURES, FotenArchitecture, FotenPlusArchitecture
+from foten.evaluate.one_step import excitation_scores
 from foten.models import MODELS
-from foten.render.engine import ENGINES, engine_for
+from foten.render.engine import ENGINES, engine_for, excitation_fit
 from foten.texture_file import ONE_STEP_TOLERANCE, Texture, texture_from_bytes
 
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -29,7 +30,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 PLUS = {
     "hand-in-tokens": {**SMALL, "hand": "tokens"},
     "hand-modulates": {**SMALL, "hand": "modulation"},
-    "network-not-heard": {**SMALL, "heard": False, "order": 7},
+    "network-not-heard": {**SMALL, "network_heard": False, "order": 7},
     "a-table": {**SMALL, "order": 7, "n_speed": 4, "n_force": 3},
     "tones": {**SMALL, "order": 5, "n_tones": 3, "n_tone_speed": 5, "n_tone_force": 2, "rest_order": 8},
     "tones-on-a-table": {**SMALL, "n_tones": 2, "n_tone_speed": 4, "n_rest_speed": 3, "n_rest_force": 2},
@@ -150,3 +151,20 @@ def test_a_model_without_an_engine_is_named(plain_texture: Texture) -> None:
 def test_sizes_are_checked(fields: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         FotenArchitecture(**fields)
+
+
+def test_scores_are_those_of_the_forecast_that_a_rendering_hears() -> None:
+    """The excitation of a rendering without the network says nothing of the errors of a prediction with it."""
+    rng = np.random.default_rng(0)
+    for heard in (False, True):
+        architecture = FotenPlusArchitecture(**{**SMALL, "network_heard": heard})
+        engine: Any = engine_for(exported("foten-plus", architecture))
+        samples = rng.standard_normal((2 * 120, 3))
+        n = np.array([[60], [180]]) + np.arange(50)
+        scores = excitation_scores(engine, samples, n, np.ones(n.shape, dtype=bool))
+        rows = np.stack([samples[row[0] - engine.window : row[-1] + 1] for row in n])
+        followed = engine.follow(rows, corrected=heard)
+        _, nats = excitation_fit(followed, samples[n, 0])
+        assert scores["nll"] == pytest.approx(nats.mean())
+        assert engine.follow(rows, corrected=not heard).scale is None
+        assert np.abs(engine.follow(rows, corrected=not heard).sample - followed.sample).max() > 1e-3

@@ -20,10 +20,13 @@ from foten.models.foten_plus import Excitation, FotenPlus
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.recording.scaling import Scaling
+from foten.recording.split import Split
+from foten.recording.trace import Trace
 from foten.recording.windows import targets
 from foten.render.closed_loop import ClosedLoop
 from foten.render.engine import Forecast
 from foten.render.engine import engine_for as engine_of_texture
+from foten.render.synthesizer import Synthesizer
 from foten.texture_file import texture_from_bytes
 from foten.train.config import RECIPES, TrainConfig
 from foten.train.excitation import (
@@ -37,7 +40,7 @@ from foten.train.excitation import (
 from foten.train.fit import Data, Epoch, fit, loss_of, predict
 from foten.train.linear_part import engine_of
 from foten.train.run import RunFolder
-from foten.train.train import Trained, _innovations, train_texture
+from foten.train.train import Trained, _beyond_exponents, _innovations, train_texture
 
 SMALL = {
     "d_model": 8,
@@ -407,10 +410,7 @@ def test_no_excitation_is_larger_than_what_was_left_to_explain(trained: Trained)
 
 
 def test_a_swell_is_given_to_a_recording_that_is_spikier_than_its_free_run(trained: Trained) -> None:
-    """The same blocks, and the same with a half or a quarter of each eight times louder: kurtosis 3, about 6, about 12.
-
-    Of so few blocks the kurtosis is known to within a factor of two, so a swell that explained all of it would be too much.
-    """
+    """The same blocks, and the same with a quarter of each eight times louder: kurtosis 3 and about 12."""
     texture, trace, split = trained.texture, trained.trace, trained.split
     network = build("foten-plus", texture.architecture)
     network.load_state_dict({name: torch.from_numpy(texture.tensors[name]) for name in network.state_dict()})
@@ -421,7 +421,7 @@ def test_a_swell_is_given_to_a_recording_that_is_spikier_than_its_free_run(train
     noise = np.random.default_rng(0).standard_normal((trace.n_blocks, trace.block - m))
     samples[:, m:, 0] = loop.run(samples[:, m:, 1:], noise)
     found = []
-    for louder in (0.0, 0.5, 0.25):
+    for louder in (0.0, 0.25):
         made = samples.copy()
         made[:, trace.block - round(louder * trace.block) :, 0] *= 8
         n = [targets(part, trace.block, m) for part in (split.train, split.validation)]
@@ -430,8 +430,7 @@ def test_a_swell_is_given_to_a_recording_that_is_spikier_than_its_free_run(train
         fit_swell(network, engine_of, residual, data, made.reshape(-1, 3), trace, blocks, 0)
         found.append(network.excitation.swell.numpy().copy())
     assert found[0][1] < 0.15
-    assert 0.1 < found[1][1] < 0.5 * math.sqrt(math.log(2))
-    assert found[2][1] > 0.3
+    assert found[1][1] > 0.3
 
 
 def test_an_excitation_fitted_twice_is_that_fitted_once(trained: Trained) -> None:
@@ -457,18 +456,58 @@ def test_an_excitation_fitted_twice_is_that_fitted_once(trained: Trained) -> Non
 def test_the_network_is_heard_where_it_brings_the_free_run_nearer(
     recording: Recording, monkeypatch: pytest.MonkeyPatch, nearer: bool
 ) -> None:
+    bias = {}
+
     def distance(network: FotenPlus, *rest: object) -> tuple[float, float]:
-        return 2.0, 0.97 if network.architecture.heard == nearer else 1.0
+        bias[network.architecture.network_heard] = network.excitation.out.bias.numpy().copy()
+        return 2.0, 0.97 if network.architecture.network_heard == nearer else 1.0
 
     monkeypatch.setattr("foten.train.train.free_run_distance", distance)
     config = dataclasses.replace(QUICK, learning_rate=5e-3, tones=False)
     texture = train_texture(recording, "foten-plus", FotenPlusArchitecture(**SMALL), config, SHORT).texture
     tried = texture.card["metrics"]["renderings"]
     assert set(tried) == {"without network", "with network"}
-    assert texture.architecture.heard == nearer
+    assert texture.architecture.network_heard == nearer
     assert texture.card["metrics"]["validation_level_error_db"] == 0.97
+    assert bias[True] != bias[False]
+    assert texture.tensors["excitation.out.bias"] == bias[nearer]
+    Synthesizer(texture)  # proves the free run that PyTorch made
     # Whatever is heard, the next sample is predicted with the network.
     engine = engine_of_texture(texture)
     windows = texture.tensors["warm_start"][None].astype(float)
     same = engine.start(windows).forecast().sample == engine.predict(windows)
     assert bool(same[0]) == nearer
+
+
+def test_growth_beyond_the_range_is_that_of_the_texture_however_quiet_it_is() -> None:
+    """Noise as loud as v·√f under a hand that slowly varies both, at 1 m/s² and at 5 mm/s²."""
+    rng = np.random.default_rng(0)
+    t = np.arange(60_000) / 1000
+    speed, force = 100 * 2.5 ** np.sin(0.7 * t), 1.0 * 2.0 ** np.sin(1.9 * t)
+    acceleration = speed / 100 * np.sqrt(force) * rng.standard_normal(t.size)
+    split = Split(tuple(range(42)), tuple(range(42, 51)), tuple(range(51, 60)), 60, 1000, "contiguous", 0)
+    found = []
+    for loudness in (1.0, 0.005):
+        trace = Trace(loudness * acceleration, speed, force, 1000.0, 1000)
+        found.append(_beyond_exponents(trace, split, "foten-plus"))
+    # Four seeds came within 0.041; a reference of 1 m/s² gave 0.26 and 0.04 to a texture of 20 mm/s².
+    assert found[0] == pytest.approx({"speed": 1.0, "force": 0.5}, abs=0.1)
+    assert found[1] == pytest.approx(found[0], rel=1e-9)
+
+
+@pytest.mark.parametrize(("spikier", "sd"), [(0.4, 0.5 * math.sqrt(0.4 * 0.75)), (0.15, 0.0), (-0.3, 0.0)])
+def test_a_swell_is_as_large_as_what_is_beyond_chance(
+    trained: Trained, monkeypatch: pytest.MonkeyPatch, spikier: float, sd: float
+) -> None:
+    """Known to within 0.2, a logarithm of 0.4 counts three quarters: 1 − (0.2/0.4)²."""
+    monkeypatch.setattr("foten.train.excitation._spikier", lambda recorded, rendered: (spikier, 0.2))
+    texture, trace, split = trained.texture, trained.trace, trained.split
+    network = build("foten-plus", texture.architecture)
+    network.load_state_dict({name: torch.from_numpy(texture.tensors[name]) for name in network.state_dict()})
+    samples = texture.scaling.scale(trace.stacked())
+    random = _innovations(network, samples, trace, split)
+    assert random.target is not None
+    residual = random.target[np.concatenate([random.train, random.validation])]
+    blocks = (*split.train, *split.validation)
+    fit_swell(network, engine_of, residual, random, samples, trace, blocks, 0)
+    assert network.excitation.swell[1] == pytest.approx(sd, rel=1e-6)

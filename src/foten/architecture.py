@@ -99,7 +99,7 @@ class FotenPlusArchitecture(FotenArchitecture):
         3.0  # in standard deviations of the lattice's innovation; |correction| stays below it
     )
     hand: str = "head"  # where speed and force enter: "head" alone, as the paper's, or also each of "tokens", or as "modulation"
-    heard: bool = True  # whether a rendering hears the network; one with tones never does
+    network_heard: bool = True  # whether a rendering hears the network; one with tones never does
     excitation_width: int = 16  # hidden units of log level and of log σ over speed and force
     order: int = 20  # p of the lattice, samples
     n_speed: int = 1  # its vertices over speed
@@ -122,8 +122,8 @@ class FotenPlusArchitecture(FotenArchitecture):
         _check_count("n_tones", self.n_tones, 0)
         if self.hand not in ("head", "tokens", "modulation"):
             raise ValueError(f"hand is {self.hand!r}, expected 'head', 'tokens' or 'modulation'")
-        if not isinstance(self.heard, bool):
-            raise ValueError(f"heard is {self.heard!r}, expected true or false")
+        if not isinstance(self.network_heard, bool):
+            raise ValueError(f"network_heard is {self.network_heard!r}, expected true or false")
         if type(self.correction_limit) not in (int, float) or not 0 < self.correction_limit < 1e6:
             raise ValueError(f"correction_limit is {self.correction_limit!r}, expected a positive number")
 
@@ -187,7 +187,7 @@ def multiply_adds(architecture: FotenArchitecture) -> int:
         # A sample is forecast and taken in; four vertices are mixed for each reflection and each coefficient of a tone.
         scales = (2 + bool(architecture.n_tones)) * (6 * architecture.excitation_width + 5)
         linear = 10 * order + 12 * architecture.n_tones + scales
-        if architecture.n_tones or not architecture.heard:
+        if architecture.n_tones or not architecture.network_heard:
             return linear
     m, d, width = architecture.window, architecture.d_model, architecture.spectral_width
     n_bins, n_magnitudes = architecture.n_bins, m // 2 + 1

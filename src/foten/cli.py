@@ -689,7 +689,9 @@ def _linear_part(texture: Texture) -> dict[str, str]:
     vertices = sizes["n_speed"] * sizes["n_force"]
     over = "for all speeds and forces" if vertices == 1 else f"over {vertices} speeds and forces"
     rows = {"lattice": f"{sizes['order']} samples, {over}", "tones": "none"}
-    rows["network"] = "is heard" if sizes["heard"] and not sizes["n_tones"] else "predicts, and is not heard"
+    rows["network"] = (
+        "is heard" if sizes["network_heard"] and not sizes["n_tones"] else "predicts, and is not heard"
+    )
     if sizes["n_tones"]:
         length = (metrics.get("linear_part") or {}).get("wavelength_mm")
         every = f", the surface repeats every {length:.3g} mm" if length else ""

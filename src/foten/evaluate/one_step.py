@@ -78,7 +78,7 @@ def excitation_scores(
         central 50 and 90 % of the predicted distribution; `standardised_sd`: of the errors, taken back through the tails to
         what should be a standard normal, 1 when the excitation is right; `intervals`.
     """
-    forecast = engine.follow(_with_history(engine, samples, n), corrected=engine.heard)
+    forecast = engine.follow(_with_history(engine, samples, n), corrected=engine.network_heard)
     if forecast.scale is None:
         return {**dict.fromkeys(("nll", "coverage_50", "coverage_90", "standardised_sd")), "intervals": {}}
     standardised, nll = excitation_fit(forecast, samples[n, 0])

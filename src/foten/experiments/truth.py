@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from foten.datasets.linear_family import LINEAR_FAMILY, linear_truth, one_step_bounds
 from foten.datasets.simulate import second_realisation
@@ -11,7 +12,10 @@ from foten.evaluate.evaluate import Truth, trace_for
 from foten.evaluate.free_run import N_SEEDS
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
+from foten.recording.trace import Trace
 from foten.texture_file import Texture
+
+Array = NDArray[np.float64]
 
 
 def truth_for(
@@ -40,14 +44,19 @@ def truth_for(
     if config.highpass_order != 2 or config.zero_phase:
         return Truth(realisations, why_no_bound="known with a causal high-pass of order 2 alone")
     trace = trace_for(texture, recording, trim_ms, block_ms)
-    (b0, b1, b2, a1, a2), *_ = butterworth("highpass", config.highpass_hz, config.rate_hz)
-    bound, bound_window = one_step_bounds(
-        linear_truth(recording),
-        trace.speed,
-        trace.force,
-        config.rate_hz,
-        np.array([b0, b1, b2]),
-        np.array([1.0, a1, a2]),
-        texture.window,
-    )
-    return Truth(realisations, bound, bound_window)
+    return Truth(realisations, *linear_bounds(recording, trace, config.highpass_hz, texture.window))
+
+
+def linear_bounds(recording: Recording, trace: Trace, highpass_hz: float, window: int) -> tuple[Array, Array]:
+    """Return the least expected absolute one-step errors [m/s²] of all of the past and of a window [samples], shape (n,) each.
+
+    Args:
+        recording: of the linear family.
+        trace: of it, causally high-passed with order 2.
+        highpass_hz: cut-off of that high-pass.
+        window: m, samples.
+    """
+    (b0, b1, b2, a1, a2), *_ = butterworth("highpass", highpass_hz, trace.rate_hz)
+    numerator, denominator = np.array([b0, b1, b2]), np.array([1.0, a1, a2])
+    truth = linear_truth(recording)
+    return one_step_bounds(truth, trace.speed, trace.force, trace.rate_hz, numerator, denominator, window)

@@ -83,7 +83,7 @@ class FotenPlus(nn.Module):
     def forecast(self, heard: Heard) -> tuple[Tensor, Tensor]:
         """Return the next samples of a rendering, and by how much a unit of excitation moves them: (b,), (b,); scaled."""
         if not self.architecture.n_tones:
-            sample, unit = self._expected(heard, self.architecture.heard)
+            sample, unit = self._expected(heard, self.architecture.network_heard)
             return sample, unit * self.excitation(heard.condition)
         x, level, unit = self.rest.forecast(heard.states, heard.condition)
         sample = level * x + _tone(self._tones_at(heard.condition), self._moved(heard).phase)

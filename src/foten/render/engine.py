@@ -361,7 +361,7 @@ class NumpyFotenPlus:
 
     def __init__(self, architecture: FotenPlusArchitecture, tensors: Mapping[str, NDArray[Any]]) -> None:
         self.window = architecture.history
-        self.heard = architecture.heard and not architecture.n_tones
+        self.network_heard = architecture.network_heard and not architecture.n_tones
         self._m = architecture.window
         self._limit = architecture.correction_limit
         self._network = NumpyFoten(architecture, tensors, "network.")
@@ -389,7 +389,7 @@ class NumpyFotenPlus:
         `predict` has to infer.
         """
         if self._tones is None:
-            return self._listening(windows, self.heard)
+            return self._listening(windows, self.network_heard)
         before = windows[:, :-1, 1:]
         flat, shape = before.reshape(-1, 2), before.shape[:2]
         turned = self.turned(flat)
@@ -478,7 +478,7 @@ class NumpyFotenPlus:
             pieces = [self.correction(part).reshape(len(x), -1) for part in flat]
             innovation = innovation + np.concatenate(pieces, axis=1)
         sample = blocks[:, self.window :, 0] + innovation * unit[:, asked]
-        if self._tones is not None or corrected != self.heard:
+        if self._tones is not None or corrected != self.network_heard:
             return Forecast(sample)
         before = blocks[:, self.window - 1 : -1, 1:].reshape(-1, 2)
         scale = unit[:, asked] * self.sigma(before).reshape(sample.shape)

@@ -250,16 +250,8 @@ def fit_swell(
         network: its excitation is changed in place.
         engine_of, residual, random, samples, trace, blocks, seed: as `fit_excitation` and `settle_level` have them.
     """
-    m = network.architecture.history
-    by_block = samples.reshape(trace.n_blocks, trace.block, 3)[list(blocks)]
-    settled = max(m, round(0.2 * trace.block))
-    start, condition = (np.tile(part, (N_HEARD, 1, 1)) for part in (by_block[:, :m], by_block[:, m:, 1:]))
-    noise = np.stack([gaussian(seed, 2**34 + k, 0, trace.block - m) for k in range(len(start))])
-    rendered = ClosedLoop(engine_of(network).start(start)).run(condition, noise)[:, settled - m :]
-    rendered = np.concatenate(
-        rendered.reshape(N_HEARD, len(blocks), -1), axis=1
-    )  # every run of a block beside it
-    spikier, doubt = _spikier(by_block[:, settled:, 0], rendered)
+    recorded, rendered = _free_runs(network, engine_of, samples, trace, blocks, seed, 2**34)
+    spikier, doubt = _spikier(recorded, np.concatenate(rendered, axis=1))  # every run of a block beside it
     beyond_chance = max(0.0, 1 - (doubt / spikier) ** 2) if spikier > 0 else 0.0
     sd = min(MOST_SWELL, 0.5 * math.sqrt(spikier * beyond_chance))
     both = np.concatenate([random.train, random.validation])
@@ -318,18 +310,37 @@ def _bound(excitation: Excitation, random: Data, residual: Array) -> None:
         excitation.largest.copy_(torch.tensor(largest))
 
 
+def _free_runs(
+    network: FotenPlus,
+    engine_of: EngineOf,
+    samples: Array,
+    trace: Trace,
+    blocks: tuple[int, ...],
+    seed: int,
+    first_stream: int,
+) -> tuple[Array, Array]:
+    """Return recorded blocks and free runs under their speed and force, scaled: (n_blocks, n), (N_HEARD, n_blocks, n).
+
+    The first fifth of each block is left out, or all of the history that the run began from where that is longer.
+
+    Args:
+        first_stream: of the noise; the judge's begin at 0, and each that listens has its own.
+    """
+    m = network.architecture.history
+    by_block = samples.reshape(trace.n_blocks, trace.block, 3)[list(blocks)]
+    settled = max(m, round(0.2 * trace.block))
+    start, condition = (np.tile(part, (N_HEARD, 1, 1)) for part in (by_block[:, :m], by_block[:, m:, 1:]))
+    noise = np.stack([gaussian(seed, first_stream + k, 0, trace.block - m) for k in range(len(start))])
+    rendered = ClosedLoop(engine_of(network).start(start)).run(condition, noise)[:, settled - m :]
+    return by_block[:, settled:, 0], rendered.reshape(N_HEARD, len(blocks), -1)
+
+
 def free_run_distance(
     network: FotenPlus, engine_of: EngineOf, samples: Array, trace: Trace, blocks: tuple[int, ...], seed: int
 ) -> tuple[float, float]:
     """Return how far the free run is from recorded blocks, on noise of its own: log-spectral distance and level error [dB]."""
-    picked, m = list(blocks), network.architecture.history
-    by_block = samples.reshape(trace.n_blocks, trace.block, 3)[picked]
-    settled = max(m, round(0.2 * trace.block))
-    start, condition = (np.tile(part, (N_HEARD, 1, 1)) for part in (by_block[:, :m], by_block[:, m:, 1:]))
-    noise = np.stack([gaussian(seed, 2**33 + k, 0, trace.block - m) for k in range(len(start))])
-    rendered = ClosedLoop(engine_of(network).start(start)).run(condition, noise)[:, settled - m :]
+    recorded, played = _free_runs(network, engine_of, samples, trace, blocks, seed, 2**33)
     n_segment = segment_length(trace.block)
-    recorded, played = by_block[:, settled:, 0], rendered.reshape(N_HEARD, len(picked), -1)
     frequencies, p = welch(recorded, trace.rate_hz, n_segment)
     _, q = welch(played, trace.rate_hz, n_segment)
     bins = scored_bins(frequencies, trace.rate_hz)

@@ -116,7 +116,7 @@ def train_texture(
             settled = _settled(network, correction, random, samples, trace, split, scaling, config)
             level_errors, tail_gain, played, renderings = settled
             architecture = network.architecture
-            residual = random.target[both] - (correction if architecture.heard else 0.0)
+            residual = random.target[both] - (correction if architecture.network_heard else 0.0)
             # Where rendering does not fade, as the judge counts it.
             n = data.validation
             heard = (trace.speed[n] >= FADE_SPEED) & (trace.force[n] >= FADE_FORCE)
@@ -190,7 +190,7 @@ def _settled(
     """Give a network its excitation, and choose whether a rendering hears it.
 
     What decides is, as for tones, log-spectral distance times level error of the free run on the validation blocks. The network
-    has to be nearer by 2 %: without it a rendered sample costs a thousandth.
+    has to be nearer by 2 %: without it a rendered sample costs less than a hundredth (`architecture.multiply_adds`).
 
     Args:
         network: changed in place.
@@ -206,7 +206,7 @@ def _settled(
     assert random.target is not None
     tried = []
     for heard in (False, True) if correction.any() else (False,):
-        network.architecture = replace(network.architecture, heard=heard)
+        network.architecture = replace(network.architecture, network_heard=heard)
         residual = random.target[both] - (correction if heard else 0.0)
         found = fit_excitation(network, engine_of, residual, random, samples, trace, split, scaling, config)
         played = free_run_distance(network, engine_of, samples, trace, split.validation, config.seed)
@@ -214,7 +214,7 @@ def _settled(
     nearness = [played[0] * played[1] for _, _, played, _ in tried]
     best = len(tried) - 1 if nearness[-1] < NETWORK_IS_NEARER * nearness[0] else 0
     heard, (level_errors, tail_gain), played, excitation = tried[best]
-    network.architecture = replace(network.architecture, heard=heard)
+    network.architecture = replace(network.architecture, network_heard=heard)
     network.excitation.load_state_dict(excitation)
     names = ("without network", "with network")
     return level_errors, tail_gain, played, {names[one]: list(p) for one, _, p, _ in tried}
