@@ -54,8 +54,9 @@ SEED = 1
 INK, OURS, PAPER, LINEAR, CEILING = "#333333", "#2b83cf", "#e08a1e", "#1a9c72", "#b77ab0"
 
 
-def save(figure: Any, name: str) -> None:
-    figure.tight_layout()
+def save(figure: Any, name: str, tight: bool = True) -> None:
+    if tight:
+        figure.tight_layout()
     figure.savefig(HERE / "pictures" / f"{name}.png", dpi=110, facecolor="white")
     plt.close(figure)
     print(name)
@@ -204,8 +205,9 @@ def bound(arguments: argparse.Namespace) -> None:
         axes.set(xscale="log", xlabel="samples known", title=key, xticks=ORDERS, xticklabels=map(str, ORDERS))
         axes.minorticks_off()
     panels[0].set_ylabel("mean error ÷ that of the whole past")
-    panels[0].legend(fontsize=7)
-    save(figure, "bound")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="lower center", ncols=5, fontsize=8)
+    figure.subplots_adjust(bottom=0.25)
+    save(figure, "bound", tight=False)
 
 
 def _documents(model: str) -> dict[str, list[dict[str, Any]]]:

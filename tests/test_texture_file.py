@@ -59,6 +59,9 @@ def test_a_header_of_any_length_is_read(texture: Texture) -> None:
         data = dataclasses.replace(texture, card={**texture.card, "notes": "x" * n}).to_bytes()
         seen.add(data[0])
         assert texture_from_bytes(data).card["notes"] == "x" * n
+        for length in range(10):
+            with pytest.raises(ValueError, match="truncated"):
+                texture_from_bytes(data[:length])
     assert seen == set(range(0, 256, 8))
 
 

@@ -665,7 +665,7 @@ def info(
         "texture": card["texture"] or "(unnamed)",
         "model": f"{card['model']}, {n_parameters} numbers, hears {card['window']} samples",
         **_linear_part(texture),
-        "cost": f"{multiply_adds(texture.architecture) / 1e6:.3g} million multiply-adds a rendered sample",
+        "cost": f"{multiply_adds(texture.architecture):,} multiply-adds a rendered sample",
         "rate": f"{texture.rate_hz:g} Hz",
         "trained speed": "{:.4g} to {:.4g} mm/s".format(*texture.trained_range("speed")),
         "trained force": "{:.3g} to {:.3g} N".format(*texture.trained_range("force")),

@@ -157,14 +157,14 @@ def texture_from_bytes(data: bytes) -> Texture:
     from safetensors import SafetensorError
     from safetensors.numpy import load
 
+    if len(data) < 9:
+        raise ValueError(f"the file has {len(data)} bytes, expected a texture file; is it truncated?")
     # A header's length may begin with the very byte that a pickle begins with; the brace after it tells them apart.
     if data[8:9] != b"{" and (data[:1] == b"\x80" or data[:4] == b"PK\x03\x04"):
         raise ValueError(
             "this is a pickle or a PyTorch checkpoint, expected a texture file; "
             "pickles can run code and are never opened: export with 'foten train'"
         )
-    if len(data) < 8:
-        raise ValueError(f"the file has {len(data)} bytes, expected a texture file; is it truncated?")
     (length,) = struct.unpack("<Q", data[:8])
     if not 0 < length <= min(_MAX_HEADER, len(data) - 8):
         raise ValueError("this is not a texture file, or it is truncated")
