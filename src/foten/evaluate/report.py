@@ -364,7 +364,8 @@ def _one_step_section(document: Mapping[str, Any]) -> str:
     excitation = ""
     if one.get("nll") is not None:
         excitation = (
-            f"<p>The excitation, its scale and tails, against the one-step error: <b>{100 * one['coverage_50']:.0f} %</b> of "
+            f"<p>The excitation, its scale and tails, against the error of what a rendering expects of the next sample: "
+            f"<b>{100 * one['coverage_50']:.0f} %</b> of "
             f"the samples inside its central 50 %, <b>{100 * one['coverage_90']:.0f} %</b> inside its 90 %; errors taken "
             f"back through scale and tails have standard deviation <b>{one['standardised_sd']:.2f}</b> (1 when they are right); "
             f"negative log-likelihood "

