@@ -20,11 +20,11 @@ from torch import Tensor
 
 import foten.train.train as train_module
 from foten.models.foten_plus import FotenPlus
-from foten.recording.split import Split
-from foten.recording.trace import Trace
 from foten.recording.windows import window_indices
-from foten.train.excitation import EngineOf, fit_excitation, free_run_distance
+from foten.train.config import TrainConfig
+from foten.train.excitation import fit_excitation, free_run_distance
 from foten.train.fit import Data, predict
+from foten.train.prepared import Prepared
 
 N_UPDATES = 60
 N_STREAMS, N_GROUPS = 32, 4
@@ -37,13 +37,7 @@ MAY_LOSE = 1.005  # times the one-step error before
 
 
 def fine_tune(
-    network: FotenPlus,
-    engine_of: EngineOf,
-    random: Data,
-    samples: np.ndarray,
-    trace: Trace,
-    split: Split,
-    seed: int,
+    network: FotenPlus, random: Data, prepared: Prepared, seed: int
 ) -> list[tuple[float, float, float]]:
     """Fine-tune a network in place, and leave it where its free run was nearest the validation blocks.
 
@@ -52,8 +46,12 @@ def fine_tune(
     """
     draw = np.random.default_rng(seed)
     torch.manual_seed(seed)
-    by_block = torch.from_numpy(samples.reshape(trace.n_blocks, trace.block, 3)).float()
-    m, train = network.architecture.history, np.array(split.train)
+    by_block = torch.from_numpy(prepared.samples).float()
+    m, train, block_length = (
+        network.architecture.history,
+        np.array(prepared.split.train),
+        prepared.trace.block,
+    )
     optimiser = torch.optim.Adam(network.network.parameters(), lr=LEARNING_RATE)
     flat, goal = torch.from_numpy(random.samples).float(), torch.from_numpy(random.target).float()
     offsets = torch.from_numpy(window_indices(np.zeros(1, dtype=np.int64), random.window))
@@ -62,13 +60,13 @@ def fine_tune(
 
     def look() -> tuple[float, float, float]:
         missed = random.target[random.validation] - predict(network.network, random, random.validation)
-        free = free_run_distance(network, engine_of, samples, trace, split.validation, seed)
+        free = free_run_distance(network, prepared, prepared.split.validation, seed)
         return float(np.abs(missed).mean()), *free
 
     looks.append(look())
     for update in range(1, N_UPDATES + 1):
         block = draw.choice(train, N_STREAMS)
-        first = draw.integers(0, trace.block - m - N_WARM - N_HEARD, N_STREAMS)
+        first = draw.integers(0, block_length - m - N_WARM - N_HEARD, N_STREAMS)
         cut = torch.stack(
             [by_block[b, f : f + m + N_WARM + N_HEARD] for b, f in zip(block, first, strict=True)]
         )
@@ -132,16 +130,17 @@ def fine_tuning() -> Iterator[list[tuple[float, float, float]]]:
     """Let `train_texture` fine-tune before it fits the excitation for good; yields what was seen on the way."""
     seen: list[tuple[float, float, float]] = []
 
-    def fit_twice(network: FotenPlus, engine_of: EngineOf, residual: Any, random: Data, *rest: Any) -> Any:
-        found = fit_excitation(network, engine_of, residual, random, *rest)
+    def fit_twice(
+        network: FotenPlus, residual: Any, random: Data, prepared: Prepared, config: TrainConfig
+    ) -> Any:
+        found = fit_excitation(network, residual, random, prepared, config)
         # Neither while linear parts are compared nor where tones are rendered without the network.
         if not network.architecture.network_heard or not network.network.head_3.weight.any():
             return found
-        samples, trace, split, _, config = rest
-        seen[:] = fine_tune(network, engine_of, random, samples, trace, split, config.seed)
+        seen[:] = fine_tune(network, random, prepared, config.seed)
         both = np.concatenate([random.train, random.validation])
         left = random.target[both] - predict(network.network, random, both)
-        return fit_excitation(network, engine_of, left, random, *rest)
+        return fit_excitation(network, left, random, prepared, config)
 
     before = train_module.fit_excitation
     train_module.fit_excitation = fit_twice

@@ -30,6 +30,7 @@ from foten.render.synthesizer import Synthesizer
 from foten.texture_file import texture_from_bytes
 from foten.train.config import RECIPES, TrainConfig
 from foten.train.excitation import (
+    engine_of,
     fit_excitation,
     fit_scale,
     fit_swell,
@@ -38,7 +39,7 @@ from foten.train.excitation import (
     settle_level,
 )
 from foten.train.fit import Data, Epoch, fit, loss_of, predict
-from foten.train.linear_part import engine_of
+from foten.train.prepared import prepare
 from foten.train.run import RunFolder
 from foten.train.train import Trained, _beyond_exponents, _innovations, train_texture
 
@@ -262,12 +263,10 @@ def test_level_is_settled_in_the_closed_loop(trained: Trained) -> None:
     network.network.head_3.weight.data.zero_()
     network.excitation.highest.fill_(1e6)
     network.excitation.largest.fill_(1e6)
-    samples = texture.scaling.scale(trace.stacked())
-    heard = targets(split.train, trace.block, 12)
-    blocks = (*split.train, *split.validation)
-    before = settle_level(copy.deepcopy(network), engine_of, samples, trace, blocks, heard, 0)[0]
+    prepared, heard = prepare(trace, split), targets(split.train, trace.block, 12)
+    before = settle_level(copy.deepcopy(network), prepared, heard, 0)[0]
     network.excitation.out.bias += math.log(2)
-    errors = settle_level(network, engine_of, samples, trace, blocks, heard, 0)
+    errors = settle_level(network, prepared, heard, 0)
     # The head still adds its bias, which does not double.
     assert errors[0] - before == pytest.approx(6.02, abs=0.2)
     # What is left is less than twelve seconds can tell: half a dB.
@@ -414,9 +413,8 @@ def test_a_swell_is_given_to_a_recording_that_is_spikier_than_its_free_run(train
     texture, trace, split = trained.texture, trained.trace, trained.split
     network = build("foten-plus", texture.architecture)
     network.load_state_dict({name: torch.from_numpy(texture.tensors[name]) for name in network.state_dict()})
-    blocks = (*split.train, *split.validation)
-    m = network.architecture.history
-    samples = texture.scaling.scale(trace.stacked()).reshape(trace.n_blocks, trace.block, 3)
+    prepared, m = prepare(trace, split), network.architecture.history
+    samples = prepared.samples
     loop = ClosedLoop(engine_of(network).start(samples[:, :m]))
     noise = np.random.default_rng(0).standard_normal((trace.n_blocks, trace.block - m))
     samples[:, m:, 0] = loop.run(samples[:, m:, 1:], noise)
@@ -424,10 +422,10 @@ def test_a_swell_is_given_to_a_recording_that_is_spikier_than_its_free_run(train
     for louder in (0.0, 0.25):
         made = samples.copy()
         made[:, trace.block - round(louder * trace.block) :, 0] *= 8
-        n = [targets(part, trace.block, m) for part in (split.train, split.validation)]
+        n = prepared.targets(m)
         data = Data(made.reshape(-1, 3), *n, m)
         residual = np.concatenate([made.reshape(-1, 3)[part, 0] for part in n])
-        fit_swell(network, engine_of, residual, data, made.reshape(-1, 3), trace, blocks, 0)
+        fit_swell(network, residual, data, dataclasses.replace(prepared, samples=made), 0)
         found.append(network.excitation.swell.numpy().copy())
     assert found[0][1] < 0.15
     assert found[1][1] > 0.3
@@ -437,16 +435,14 @@ def test_an_excitation_fitted_twice_is_that_fitted_once(trained: Trained) -> Non
     texture, trace, split = trained.texture, trained.trace, trained.split
     network = build("foten-plus", texture.architecture)
     network.load_state_dict({name: torch.from_numpy(texture.tensors[name]) for name in network.state_dict()})
-    samples = texture.scaling.scale(trace.stacked())
-    random = _innovations(network, samples, trace, split)
+    prepared = prepare(trace, split)
+    random = _innovations(network, prepared)
     assert random.target is not None
     residual = random.target[np.concatenate([random.train, random.validation])] ** 3  # heavy-tailed
     found = []
     for swell in (0.0, 0.4):
         network.excitation.swell.copy_(torch.tensor([0.99, swell]))
-        fit_excitation(
-            network, engine_of, residual, random, samples, trace, split, texture.scaling, TrainConfig()
-        )
+        fit_excitation(network, residual, random, prepared, TrainConfig())
         found.append(copy.deepcopy(network.excitation.state_dict()))
     for name, tensor in found[0].items():
         assert torch.equal(tensor, found[1][name]), name
@@ -504,10 +500,9 @@ def test_a_swell_is_as_large_as_what_is_beyond_chance(
     texture, trace, split = trained.texture, trained.trace, trained.split
     network = build("foten-plus", texture.architecture)
     network.load_state_dict({name: torch.from_numpy(texture.tensors[name]) for name in network.state_dict()})
-    samples = texture.scaling.scale(trace.stacked())
-    random = _innovations(network, samples, trace, split)
+    prepared = prepare(trace, split)
+    random = _innovations(network, prepared)
     assert random.target is not None
     residual = random.target[np.concatenate([random.train, random.validation])]
-    blocks = (*split.train, *split.validation)
-    fit_swell(network, engine_of, residual, random, samples, trace, blocks, 0)
+    fit_swell(network, residual, random, prepared, 0)
     assert network.excitation.swell[1] == pytest.approx(sd, rel=1e-6)

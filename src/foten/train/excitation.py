@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import torch
@@ -16,14 +14,13 @@ from foten.dsp.level import frame_levels, frame_means
 from foten.dsp.noise import gaussian
 from foten.models.foten_plus import Excitation, FotenPlus, Scale
 from foten.recording.scaling import Scaling
-from foten.recording.split import Split
-from foten.recording.trace import Trace
 from foten.render.closed_loop import ClosedLoop
+from foten.render.engine import NumpyFotenPlus
 from foten.train.config import TrainConfig
 from foten.train.fit import Data
+from foten.train.prepared import Prepared
 
 Array = NDArray[np.float64]
-EngineOf = Callable[[FotenPlus], Any]
 
 N_SETTLING = 3
 SWELLS_S = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2)  # that a swell may last
@@ -188,57 +185,41 @@ def gaussianised(u: torch.Tensor, h: torch.Tensor) -> torch.Tensor:
 
 
 def fit_excitation(
-    network: FotenPlus,
-    engine_of: EngineOf,
-    residual: Array,
-    random: Data,
-    samples: Array,
-    trace: Trace,
-    split: Split,
-    scaling: Scaling,
-    config: TrainConfig,
+    network: FotenPlus, residual: Array, random: Data, prepared: Prepared, config: TrainConfig
 ) -> tuple[list[float], float]:
     """Give a network its excitation: scale, tails, and level in the closed loop; nothing is left of one that it had.
 
     Args:
         network: its excitation is fitted in place.
-        engine_of: what renders the network.
         residual: what is left to chance at the training, then the validation indices, in innovations.
         random: whose residuals they are.
-        samples: scaled acceleration, speed and force, shape (n, 3).
-        trace, split, scaling, config: of the training.
+        prepared, config: of the training.
 
     Returns:
         What `settle_level` and `fit_tail` return.
     """
-    both = np.concatenate([random.train, random.validation])
     network.excitation.forget()
-    fit_scale(network.excitation, random, scaling, residual, config.seed)
+    fit_scale(network.excitation, random, prepared.scaling, residual, config.seed)
     gained = 0.0
     if config.tails:
-        with torch.no_grad():
-            condition = torch.from_numpy(samples[both - 1, 1:]).to(network.excitation.out.weight)
-            sigma = network.excitation(condition).cpu().double().numpy()
-        gained = fit_tail(network.excitation, random, residual, sigma)
+        gained = fit_tail(network.excitation, random, residual, _sigma(network.excitation, random))
     _bound(network.excitation, random, residual[: len(random.train)])
     network.cpu()  # the closed loop is rendered by the engine, which knows no GPU
-    blocks = (*split.train, *split.validation)
-    errors = settle_level(network, engine_of, samples, trace, blocks, random.train, config.seed)
+    errors = settle_level(network, prepared, random.train, config.seed)
     if config.swell:
-        fit_swell(network, engine_of, residual, random, samples, trace, blocks, config.seed)
+        fit_swell(network, residual, random, prepared, config.seed)
     return errors, gained
 
 
-def fit_swell(
-    network: FotenPlus,
-    engine_of: EngineOf,
-    residual: Array,
-    random: Data,
-    samples: Array,
-    trace: Trace,
-    blocks: tuple[int, ...],
-    seed: int,
-) -> None:
+def _sigma(excitation: Excitation, random: Data) -> Array:
+    """Return σ at the training, then the validation indices."""
+    n = np.concatenate([random.train, random.validation])
+    with torch.no_grad():
+        condition = torch.from_numpy(random.samples[n - 1, 1:3]).to(excitation.out.weight)
+        return excitation(condition).cpu().double().numpy()
+
+
+def fit_swell(network: FotenPlus, residual: Array, random: Data, prepared: Prepared, seed: int) -> None:
     """Let the loudness swell by itself where the recording is spikier than the free run, as far as that is beyond chance.
 
     exp(4s²) is the ratio of their kurtoses over all training and validation blocks, its logarithm shrunk by how little it is
@@ -248,18 +229,15 @@ def fit_swell(
 
     Args:
         network: its excitation is changed in place.
-        engine_of, residual, random, samples, trace, blocks, seed: as `fit_excitation` and `settle_level` have them.
+        residual, random, prepared, seed: as `fit_excitation` has them.
     """
-    recorded, rendered = _free_runs(network, engine_of, samples, trace, blocks, seed, 2**34)
+    recorded, rendered = _free_runs(network, prepared, prepared.known, seed, 2**34)
     spikier, doubt = _spikier(recorded, np.concatenate(rendered, axis=1))  # every run of a block beside it
     beyond_chance = max(0.0, 1 - (doubt / spikier) ** 2) if spikier > 0 else 0.0
     sd = min(MOST_SWELL, 0.5 * math.sqrt(spikier * beyond_chance))
-    both = np.concatenate([random.train, random.validation])
-    with torch.no_grad():
-        seen = torch.from_numpy(samples[both - 1, 1:]).to(network.excitation.out.weight)
-        u = residual / network.excitation(seen).double().numpy()
-    lasts = _lasts_s(np.log(np.maximum(u * u, 1e-8)).reshape(len(blocks), -1), trace.rate_hz)
-    network.excitation.swell.copy_(torch.tensor([math.exp(-1 / (lasts * trace.rate_hz)), sd]))
+    u, rate = residual / _sigma(network.excitation, random), prepared.trace.rate_hz
+    lasts = _lasts_s(np.log(np.maximum(u * u, 1e-8)).reshape(len(prepared.known), -1), rate)
+    network.excitation.swell.copy_(torch.tensor([math.exp(-1 / (lasts * rate)), sd]))
 
 
 def _spikier(recorded: Array, rendered: Array) -> tuple[float, float]:
@@ -302,22 +280,20 @@ def _lasts_s(levels: Array, rate_hz: float) -> float:
 def _bound(excitation: Excitation, random: Data, residual: Array) -> None:
     """Let no excitation be larger than what was left to explain at the training indices, (n,), in σ and in acceleration."""
     assert random.unit is not None
-    with torch.no_grad():
-        condition = torch.from_numpy(random.samples[random.train - 1, 1:3]).to(excitation.out.weight)
-        scale = excitation(condition).cpu().double().numpy()
-        unit = random.unit[random.train]
-        largest = [float(np.abs(values).max()) for values in (residual / scale, residual * unit)]
-        excitation.largest.copy_(torch.tensor(largest))
+    scale, unit = _sigma(excitation, random)[: len(residual)], random.unit[random.train]
+    largest = [float(np.abs(values).max()) for values in (residual / scale, residual * unit)]
+    excitation.largest.copy_(torch.tensor(largest))
+
+
+def engine_of(network: FotenPlus) -> NumpyFotenPlus:
+    """Return what renders a network that is not in a file yet."""
+    return NumpyFotenPlus(
+        network.architecture, {name: t.cpu().numpy() for name, t in network.state_dict().items()}
+    )
 
 
 def _free_runs(
-    network: FotenPlus,
-    engine_of: EngineOf,
-    samples: Array,
-    trace: Trace,
-    blocks: tuple[int, ...],
-    seed: int,
-    first_stream: int,
+    network: FotenPlus, prepared: Prepared, blocks: tuple[int, ...], seed: int, first_stream: int
 ) -> tuple[Array, Array]:
     """Return recorded blocks and free runs under their speed and force, scaled: (n_blocks, n), (N_HEARD, n_blocks, n).
 
@@ -326,20 +302,21 @@ def _free_runs(
     Args:
         first_stream: of the noise; the judge's begin at 0, and each that listens has its own.
     """
-    m = network.architecture.history
-    by_block = samples.reshape(trace.n_blocks, trace.block, 3)[list(blocks)]
-    settled = max(m, round(0.2 * trace.block))
+    m, block = network.architecture.history, prepared.trace.block
+    by_block = prepared.samples[list(blocks)]
+    settled = max(m, round(0.2 * block))
     start, condition = (np.tile(part, (N_HEARD, 1, 1)) for part in (by_block[:, :m], by_block[:, m:, 1:]))
-    noise = np.stack([gaussian(seed, first_stream + k, 0, trace.block - m) for k in range(len(start))])
+    noise = np.stack([gaussian(seed, first_stream + k, 0, block - m) for k in range(len(start))])
     rendered = ClosedLoop(engine_of(network).start(start)).run(condition, noise)[:, settled - m :]
     return by_block[:, settled:, 0], rendered.reshape(N_HEARD, len(blocks), -1)
 
 
 def free_run_distance(
-    network: FotenPlus, engine_of: EngineOf, samples: Array, trace: Trace, blocks: tuple[int, ...], seed: int
+    network: FotenPlus, prepared: Prepared, blocks: tuple[int, ...], seed: int
 ) -> tuple[float, float]:
     """Return how far the free run is from recorded blocks, on noise of its own: log-spectral distance and level error [dB]."""
-    recorded, played = _free_runs(network, engine_of, samples, trace, blocks, seed, 2**33)
+    trace = prepared.trace
+    recorded, played = _free_runs(network, prepared, blocks, seed, 2**33)
     n_segment = segment_length(trace.block)
     frequencies, p = welch(recorded, trace.rate_hz, n_segment)
     _, q = welch(played, trace.rate_hz, n_segment)
@@ -352,13 +329,7 @@ def free_run_distance(
 
 
 def settle_level(
-    network: FotenPlus,
-    engine_of: EngineOf,
-    samples: Array,
-    trace: Trace,
-    blocks: tuple[int, ...],
-    trained: NDArray[np.int64],
-    seed: int,
+    network: FotenPlus, prepared: Prepared, trained: NDArray[np.int64], seed: int
 ) -> list[float]:
     """Adjust σ until the closed loop is as loud as the recording, at every speed and force.
 
@@ -369,25 +340,23 @@ def settle_level(
 
     Args:
         network: its excitation is adjusted in place.
-        engine_of: what renders the network.
-        samples: scaled acceleration, speed and force, shape (n, 3).
-        trace: for block length and rate.
-        blocks: training and validation blocks; the loop runs under their speed and force, the first fifth not counted.
+        prepared: the loop runs under the speed and force of its training and validation blocks, the first fifth not counted.
         trained: indices of the trained samples, within whose range σ stays.
         seed: of the excitation.
 
     Returns:
         By how much the closed loop is louder than the recording before each adjustment [dB].
     """
-    picked, rate, m = list(blocks), trace.rate_hz, network.architecture.history
-    by_block = samples.reshape(trace.n_blocks, trace.block, 3)[picked]
+    trace, m = prepared.trace, network.architecture.history
+    rate, by_block = trace.rate_hz, prepared.samples[list(prepared.known)]
     settled = max(m, round(0.2 * trace.block))
     recorded = by_block[:, settled:, 0]
     reference = float(np.sqrt(np.square(recorded).mean()))
     level = frame_levels(recorded, rate, reference)
     # Streams of their own: the judge, who counts from 0, must not hear the noise that the level was settled on.
-    noise = np.stack([gaussian(seed, 2**32 + k, 0, trace.block - m) for k in range(len(picked))])
+    noise = np.stack([gaussian(seed, 2**32 + k, 0, trace.block - m) for k in range(len(by_block))])
     condition = torch.from_numpy(by_block[:, settled - 1 : -1, 1:].reshape(-1, 2)).float()
+    within = torch.from_numpy(prepared.samples.reshape(-1, 3)[trained - 1, 1:]).float()
     errors = []
     for _ in range(N_SETTLING):
         loop = ClosedLoop(engine_of(network).start(by_block[:, :m]))
@@ -401,9 +370,9 @@ def settle_level(
             weight, of_tones = network.rendered_power(condition)
             terms = network.excitation.logarithms(condition).double()
             power = weight + of_tones
-        moved = (weight[:, None] * terms).numpy().reshape(len(picked), -1, terms.shape[1])
-        total = frame_means(power.numpy().reshape(len(picked), -1), rate).reshape(-1, 1)
-        constant = frame_means(weight.numpy().reshape(len(picked), -1), rate).reshape(-1, 1)
+        moved = (weight[:, None] * terms).numpy().reshape(len(by_block), -1, terms.shape[1])
+        total = frame_means(power.numpy().reshape(len(by_block), -1), rate).reshape(-1, 1)
+        constant = frame_means(weight.numpy().reshape(len(by_block), -1), rate).reshape(-1, 1)
         by_term = np.stack([frame_means(part, rate).ravel() for part in np.moveaxis(moved, -1, 0)], axis=1)
         answers = np.concatenate([constant, by_term], axis=1) / total
         # Ridge: a recording at one condition has no slopes to adjust, one that varies (log-variance 0.5 and more) has.
@@ -419,5 +388,5 @@ def settle_level(
         with torch.no_grad():
             network.excitation.out.bias += float(step[0])
             network.excitation.power_law.weight += torch.from_numpy(step[None, 1:]).float()
-        network.excitation.bound(torch.from_numpy(samples[trained - 1, 1:]).float())
+        network.excitation.bound(within)
     return errors

@@ -14,14 +14,11 @@ from torch import nn
 from foten.architecture import FotenPlusArchitecture
 from foten.dsp.plane import Plane
 from foten.models.foten_plus import FotenPlus, Scale
-from foten.recording.scaling import Scaling
-from foten.recording.split import Split
-from foten.recording.trace import Trace
-from foten.render.engine import NumpyFotenPlus
 from foten.train.config import TrainConfig
 from foten.train.excitation import fit_scale
 from foten.train.fit import Data
 from foten.train.lattice import LatticeData, fit_lattice
+from foten.train.prepared import Prepared
 from foten.train.tones import FittedTones, fit_tones, played, wavelength
 
 Array = NDArray[np.float64]
@@ -56,14 +53,13 @@ class FittedLattice:
 def fit_linear_parts(
     architecture: FotenPlusArchitecture,
     data: Data,
-    trace: Trace,
-    split: Split,
-    scaling: Scaling,
+    prepared: Prepared,
     config: TrainConfig,
     on_stage: Callable[[str], None] = lambda stage: None,
 ) -> list[LinearPart]:
     """Return foten-plus with all but its network and excitation; once more with tones where a wavelength stands out."""
     on_stage("fitting level and lattice")
+    trace, split = prepared.trace, prepared.split
     max_order = max(1, min(trace.block // 8, config.max_order))
     acceleration = data.samples[:, 0]
 
@@ -71,7 +67,7 @@ def fit_linear_parts(
         """Return the level of a signal, shape (n,), and what a lattice of it is fitted to."""
         level = Scale(architecture.excitation_width).requires_grad_(False)
         both = np.concatenate([data.train, data.validation])
-        fit_scale(level, data, scaling, signal[both], config.seed)
+        fit_scale(level, data, prepared.scaling, signal[both], config.seed)
         scale = scale_at(level, data.samples)
         speed, force = (np.concatenate([channel[:1], channel[:-1]]) for channel in (trace.speed, trace.force))
         x, unit, speed, force = (
@@ -152,13 +148,6 @@ def _put(module: nn.Module, plane: Plane, values: str) -> None:
         (values, plane.values),
     ):
         module.get_buffer(name).copy_(torch.from_numpy(array.copy()))
-
-
-def engine_of(network: FotenPlus) -> NumpyFotenPlus:
-    """Return what renders a network that is not in a file yet."""
-    return NumpyFotenPlus(
-        network.architecture, {name: t.cpu().numpy() for name, t in network.state_dict().items()}
-    )
 
 
 def scale_at(scale: Scale, samples: Array) -> Array:

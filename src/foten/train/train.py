@@ -20,7 +20,6 @@ from foten.models import build
 from foten.models.foten_plus import FotenPlus
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
-from foten.recording.scaling import Scaling, fit_scaling
 from foten.recording.split import Split, split_blocks
 from foten.recording.trace import Trace
 from foten.recording.windows import targets, windows
@@ -28,10 +27,11 @@ from foten.render.engine import Forecast, excitation_fit
 from foten.render.synthesizer import FADE_FORCE, FADE_SPEED
 from foten.texture_file import Texture
 from foten.train.config import TrainConfig
-from foten.train.excitation import fit_excitation, free_run_distance
+from foten.train.excitation import engine_of, fit_excitation, free_run_distance
 from foten.train.export import export
 from foten.train.fit import Data, Epoch, Progress, fit, pick_device, predict, reproducible
-from foten.train.linear_part import LinearPart, engine_of, fit_linear_parts
+from foten.train.linear_part import LinearPart, fit_linear_parts
+from foten.train.prepared import Prepared, prepare
 
 Array = NDArray[np.float64]
 
@@ -83,26 +83,26 @@ def train_texture(
         )
     if key == "foten-plus":
         _check_that_a_frame_is_left(trace, m, config.max_order)
-    scaling = fit_scaling(trace, split.train)
-    samples = scaling.scale(trace.stacked())
-    data = Data(samples, targets(split.train, trace.block, m), targets(split.validation, trace.block, m), m)
+    prepared = prepare(trace, split)
+    samples = prepared.samples.reshape(-1, 3)
+    data = Data(samples, *prepared.targets(m), m)
     with reproducible():
         torch.manual_seed(config.seed)
         likelihood = level_errors = linear = tail_gain = None
         played: tuple[float | None, float | None] = (None, None)
         renderings: dict[str, list[float]] = {}
         if isinstance(architecture, FotenPlusArchitecture):
-            parts = fit_linear_parts(architecture, data, trace, split, scaling, config, on_stage)
-            part, linear = _chosen(parts, samples, trace, split, scaling, config, on_stage)
+            parts = fit_linear_parts(architecture, data, prepared, config, on_stage)
+            part, linear = _chosen(parts, prepared, config, on_stage)
             network, architecture = part.network, part.network.architecture
-            data = _innovations(network, samples, trace, split)
-            random = data if part.phase is None else _innovations(network, samples, trace, split, part.phase)
+            data = _innovations(network, prepared)
+            random = data if part.phase is None else _innovations(network, prepared, part.phase)
             trained = network.network.to(pick_device())
         else:
             trained = network = build(key, architecture).to(pick_device())
         training_samples = trace.stacked().reshape(trace.n_blocks, trace.block, 3)[list(split.train)]
         low, high = training_samples.min(axis=(0, 1)), training_samples.max(axis=(0, 1))
-        peak = float(np.abs(scaling.scale(training_samples)[..., 0]).max())
+        peak = float(np.abs(prepared.scaling.scale(training_samples)[..., 0]).max())
         # For safety only: well beyond what was recorded.
         saturation = max(12.0, 1.5 * peak)
         progress = fit(trained, data, config, on_epoch, checkpoint, resume)
@@ -113,7 +113,7 @@ def train_texture(
             assert random.target is not None
             assert random.unit is not None
             correction = predict(trained, random, both) if part.phase is None else np.zeros(len(both))
-            settled = _settled(network, correction, random, samples, trace, split, scaling, config)
+            settled = _settled(network, correction, random, prepared, config)
             level_errors, tail_gain, played, renderings = settled
             architecture = network.architecture
             residual = random.target[both] - (correction if architecture.network_heard else 0.0)
@@ -127,7 +127,7 @@ def train_texture(
             )
             _, nats = excitation_fit(expected, missed)
             likelihood = float(nats[heard].mean()) if heard.any() else None
-        warm_start, condition = pick_warm_start(trace, split, scaling, architecture.history)
+        warm_start, condition = pick_warm_start(prepared, architecture.history)
         best = max((line for line in progress.epochs if line.best), key=lambda line: line.epoch)
         card: dict[str, Any] = {
             "rate_hz": trace.rate_hz,
@@ -173,19 +173,12 @@ def train_texture(
         on_stage("proving the texture file")
         ends = targets(split.validation, trace.block, architecture.history)
         some = windows(samples, ends[:: max(1, len(ends) // 4096)], architecture.history)
-        texture = export(network, key, architecture, scaling, some, warm_start, card)
+        texture = export(network, key, architecture, prepared.scaling, some, warm_start, card)
     return Trained(texture, trace, split, progress, shortcut_mae)
 
 
 def _settled(
-    network: FotenPlus,
-    correction: Array,
-    random: Data,
-    samples: Array,
-    trace: Trace,
-    split: Split,
-    scaling: Scaling,
-    config: TrainConfig,
+    network: FotenPlus, correction: Array, random: Data, prepared: Prepared, config: TrainConfig
 ) -> tuple[list[float], float, tuple[float, float], dict[str, list[float]]]:
     """Give a network its excitation, and choose whether a rendering hears it.
 
@@ -208,8 +201,8 @@ def _settled(
     for heard in (False, True) if correction.any() else (False,):
         network.architecture = replace(network.architecture, network_heard=heard)
         residual = random.target[both] - (correction if heard else 0.0)
-        found = fit_excitation(network, engine_of, residual, random, samples, trace, split, scaling, config)
-        played = free_run_distance(network, engine_of, samples, trace, split.validation, config.seed)
+        found = fit_excitation(network, residual, random, prepared, config)
+        played = free_run_distance(network, prepared, prepared.split.validation, config.seed)
         tried.append((heard, found, played, copy.deepcopy(network.excitation.state_dict())))
     nearness = [played[0] * played[1] for _, _, played, _ in tried]
     best = len(tried) - 1 if nearness[-1] < NETWORK_IS_NEARER * nearness[0] else 0
@@ -234,13 +227,7 @@ def _check_that_a_frame_is_left(trace: Trace, m: int, max_order: int) -> None:
 
 
 def _chosen(
-    parts: list[LinearPart],
-    samples: Array,
-    trace: Trace,
-    split: Split,
-    scaling: Scaling,
-    config: TrainConfig,
-    on_stage: Callable[[str], None],
+    parts: list[LinearPart], prepared: Prepared, config: TrainConfig, on_stage: Callable[[str], None]
 ) -> tuple[LinearPart, dict[str, Any]]:
     """Return the better of the linear parts, and what was tried.
 
@@ -251,12 +238,12 @@ def _chosen(
         return parts[0], parts[0].found
     on_stage("listening to the free run with tones and without")
     for part in parts:
-        random = _innovations(part.network, samples, trace, split, part.phase)
+        random = _innovations(part.network, prepared, part.phase)
         assert random.target is not None
         residual = random.target[np.concatenate([random.train, random.validation])]
-        fit_excitation(part.network, engine_of, residual, random, samples, trace, split, scaling, config)
+        fit_excitation(part.network, residual, random, prepared, config)
         lsd_db, level_error_db = free_run_distance(
-            part.network, engine_of, samples, trace, split.validation, config.seed
+            part.network, prepared, prepared.split.validation, config.seed
         )
         part.found["heard"] = {"lsd_db": lsd_db, "level_error_db": level_error_db}
     allowed = TONES_MAY_PAINT * parts[0].found["heard"]["lsd_db"]
@@ -268,20 +255,16 @@ def _chosen(
     return best, {**best.found, "rejected": rest}
 
 
-def _innovations(
-    network: FotenPlus, samples: Array, trace: Trace, split: Split, phase: Array | None = None
-) -> Data:
+def _innovations(network: FotenPlus, prepared: Prepared, phase: Array | None = None) -> Data:
     """Return what the network learns: to predict the lattice's innovations from levelled samples and past innovations.
 
     Given the phase of tones, those of what the tones leave.
     """
     engine, m = engine_of(network), network.architecture.history
-    blocks = samples.reshape(trace.n_blocks, trace.block, 3)
-    x, e, unit = engine.innovations(blocks, phase)
-    samples = np.concatenate([x[..., None], blocks[..., 1:], e[..., None]], axis=2)
-    train, validation = (targets(part, trace.block, m) for part in (split.train, split.validation))
+    x, e, unit = engine.innovations(prepared.samples, phase)
+    samples = np.concatenate([x[..., None], prepared.samples[..., 1:], e[..., None]], axis=2)
     return Data(
-        samples.reshape(-1, 4), train, validation, network.architecture.window, e.ravel(), unit.ravel()
+        samples.reshape(-1, 4), *prepared.targets(m), network.architecture.window, e.ravel(), unit.ravel()
     )
 
 
@@ -310,21 +293,20 @@ def _beyond_exponents(trace: Trace, split: Split, key: str) -> dict[str, float]:
     return found
 
 
-def pick_warm_start(
-    trace: Trace, split: Split, scaling: Scaling, m: int
-) -> tuple[NDArray[np.float64], dict[str, Any]]:
+def pick_warm_start(prepared: Prepared, m: int) -> tuple[Array, dict[str, Any]]:
     """Return the recorded training window nearest 45 mm/s and 0.8 N, scaled, shape (m, 3), and its condition.
 
     Source: Sec. V-a. Differs from the paper: it synthesises the window without saying from what; ours is recorded, at the
     nearest condition that was (in units of the training standard deviations), and the card says which.
     """
-    ends = targets(split.train, trace.block, m)
+    trace, scaling = prepared.trace, prepared.scaling
+    ends, _ = prepared.targets(m)
     distance = np.hypot(
         (trace.speed[ends - 1] - WARM_START[0]) / scaling.sd[1],
         (trace.force[ends - 1] - WARM_START[1]) / scaling.sd[2],
     )
     end = ends[int(distance.argmin())]
-    window = windows(scaling.scale(trace.stacked()), np.array([end]), m)[0]
+    window = windows(prepared.samples.reshape(-1, 3), np.array([end]), m)[0]
     condition = {
         "asked": {"speed": WARM_START[0], "force": WARM_START[1]},
         "found": {"speed": float(trace.speed[end - 1]), "force": float(trace.force[end - 1])},
