@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -160,6 +162,17 @@ def test_a_process_that_does_not_move_costs_nothing() -> None:
     best = min(line["validation_mae_scaled"] for line in tried)
     worst = max(line["validation_mae_scaled"] for line in tried)
     assert worst < 1.01 * best
+
+
+def test_vertices_that_the_hand_never_came_near_are_like_the_others() -> None:
+    """Fast is always soft, so the corner of fast and firm, the last vertex, is never visited."""
+    data, k = moving_tone(10, 1)
+    apart = dataclasses.replace(data, force=np.minimum(data.force, 2.0 - data.speed / 100))
+    schedule = fit_lattice_of(apart, 4, 12, 3)
+    assert schedule.values.shape == (36, 4)
+    fast_and_firm, fast_and_soft = schedule.values[-1], schedule.values[-3]
+    assert fast_and_firm[:2] == pytest.approx(fast_and_soft[:2], abs=0.1)
+    assert np.ptp(k[:, 0]) > 1.0
 
 
 def test_a_growing_signal_gives_a_lattice_that_is_stable() -> None:

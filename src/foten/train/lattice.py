@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from foten.dsp.lattice import MAX_REFLECTION, analyse, delayed, rotate_back
 from foten.dsp.plane import Plane, spanning
@@ -90,24 +91,29 @@ def fit_lattice_of(data: LatticeData, order: int, n_speed: int, n_force: int) ->
     chosen = list(data.train)
     speed, force = data.speed[chosen], data.force[chosen]
     plane = spanning(speed, force, n_speed, n_force)
-    weights = plane.weights(speed.ravel(), force.ravel()).reshape(*speed.shape, -1)
+    # Four vertices count at a sample: rows of all 36 would take ten times the memory and twenty times as long.
+    weights = sparse.vstack(
+        [sparse.csr_array(plane.weights(*block)) for block in zip(speed, force, strict=True)], format="csr"
+    )
+    by_vertex, n_vertices_at = weights.T.tocsr(), np.diff(weights.indptr)
     parts = _covariances(len(plane.speed_knots), len(plane.force_knots))
     kept = _kept_of_noise(data.x[chosen], order)
     f = b = data.x[chosen]
-    reflections = np.zeros((weights.shape[2], order))
+    reflections = np.zeros((weights.shape[1], order))
     for i in range(order):
         b = delayed(b)
-        heard = slice(i + 1, None)  # before that a section still fills
-        w = weights[:, heard].reshape(-1, weights.shape[2])
-        power = ((f * f + b * b) / 2)[:, heard].ravel()
-        product = (f * b)[:, heard].ravel()
-        gram, moment = (w * power[:, None]).T @ w, -(w * product[:, None]).sum(axis=0)
+        power, product = (f * f + b * b) / 2, f * b
+        power[:, : i + 1] = product[:, : i + 1] = 0.0  # before that a section still fills
+        weighed = weights.copy()
+        weighed.data *= np.repeat(power.ravel(), n_vertices_at)
+        gram = (by_vertex @ weighed).toarray()
+        moment = -(by_vertex @ product.ravel())
         everywhere = kept[i] * moment.sum() / gram.sum()
         # In units of a section's own error: a reflection is known to within √((1 − k²)/n).
-        noise = max(1e-4, 1 - everywhere**2) * power.mean()
+        noise = max(1e-4, 1 - everywhere**2) * power[:, i + 1 :].mean()
         found = everywhere + _shrunk(gram / noise, (moment - gram.sum(axis=1) * everywhere) / noise, parts)
         reflections[:, i] = np.clip(found, -MAX_REFLECTION, MAX_REFLECTION)
-        f, b, _ = rotate_back(f, b, weights @ reflections[:, i])
+        f, b, _ = rotate_back(f, b, (weights @ reflections[:, i]).reshape(f.shape))
     return replace(plane, values=reflections)
 
 
