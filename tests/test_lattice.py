@@ -146,7 +146,7 @@ def test_a_resonance_that_moves_with_speed_is_found() -> None:
     truth = float(np.abs(np.sqrt(1 - k**2).prod(axis=1)).mean() * np.sqrt(2 / np.pi))
     # 6000 validation samples: 0.755/√6000 = 1.0 %.
     assert validation_error(schedule, data, 40) == pytest.approx(truth, rel=0.03)
-    alone = min(line["validation_mae_scaled"] for line in tried if line["vertices"] == 1)
+    alone = min(line["mae_scaled"] for line in tried if line["vertices"] == 1)
     assert validation_error(schedule, data, 40) < 0.7 * alone
 
 
@@ -159,8 +159,8 @@ def test_a_process_that_does_not_move_costs_nothing() -> None:
     data = LatticeData(x, np.ones_like(x), speed, force, tuple(range(14)), tuple(range(14, 20)))
     schedule, tried = fit_lattice(data, 120)
     assert schedule.values.shape[1] <= 20
-    best = min(line["validation_mae_scaled"] for line in tried)
-    worst = max(line["validation_mae_scaled"] for line in tried)
+    best = min(line["mae_scaled"] for line in tried)
+    worst = max(line["mae_scaled"] for line in tried)
     assert worst < 1.01 * best
 
 
