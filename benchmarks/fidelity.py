@@ -5,15 +5,14 @@
 
 A run trains and judges one texture with one ingredient changed and leaves one small JSON in `results/fidelity`. The table
 gives, for each ingredient, the validation error and the figures on the test blocks as ratios to those of what it stands beside
-on the same texture and split, made by the same sources: mean, standard error over pairs, number of pairs. Choose by the columns
-of the validation blocks; the others report.
+on the same texture and split, made by the same sources: mean, standard error over textures (over splits of a single one), number
+of pairs. Choose by the columns of the validation blocks; the others report.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
-import hashlib
 import json
 import os
 import time
@@ -27,18 +26,21 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-import foten
 from foten.architecture import ARCHITECTURES
 from foten.datasets.simulate import LINEAR_FAMILY, TEXTURES
 from foten.evaluate.evaluate import evaluate
+from foten.evaluate.one_step import one_step
+from foten.evaluate.references import first_scored
 from foten.experiments.truth import truth_for
+from foten.recording.windows import targets
+from foten.render.engine import engine_for
 from foten.train.config import RECIPES
-from foten.train.train import train_texture
-from main_table import REAL, at, between, recording_of, work_through
+from foten.train.train import Trained, train_texture
+from main_table import REAL, SOURCES, at, between, recording_of, work_through
 from self_forced import fine_tuning
 
 RESULTS = Path(__file__).parent / "results" / "fidelity"
-DEFAULT, BARE = "default", "no network"
+DEFAULT, BARE, HEAD = "default", "no network", "speed and force at the head alone"
 INGREDIENTS: dict[str, dict[str, Any]] = {
     DEFAULT: {},
     BARE: {"train": {"epochs": 0}},
@@ -47,22 +49,35 @@ INGREDIENTS: dict[str, dict[str, Any]] = {
         name: {"train": {"epochs": 0, **change}, "beside": BARE}
         for name, change in {
             "no tones": {"tones": False},
-            "one filter for all speeds": {"table": False, "tones": False},
             "lattice of 20": {"max_order": 20},
             "Gaussian excitation": {"tails": False},
             "no swell": {"swell": False},
         }.items()
     },
-    "absolute loss": {"train": {"loss": "mae"}},
-    "squared loss": {"train": {"loss": "mse"}},
-    "dropout 0.2": {"train": {"dropout": 0.2}},
-    "no weight decay": {"train": {"weight_decay": 0.0}},
-    "averaged weights": {"train": {"average": 0.999}},
-    "speed and force in each token": {"sizes": {"hand": "tokens"}},
-    "speed and force modulate": {"sizes": {"hand": "modulation"}},
-    "cosine and sine of the phase": {"sizes": {"phase_input": "cos_sin"}},
-    "log magnitude": {"sizes": {"magnitude_input": "log"}},
-    "bin embedding": {"sizes": {"bin_embedding": True}},
+    "one filter for all speeds": {
+        "train": {"epochs": 0, "table": False, "tones": False},
+        "beside": "no tones",
+    },
+    HEAD: {"sizes": {"hand": "head"}},
+    # Measured when the head alone was told the hand.
+    **{
+        name: {
+            "train": change.get("train", {}),
+            "sizes": {"hand": "head", **change.get("sizes", {})},
+            "beside": HEAD,
+        }
+        for name, change in {
+            "speed and force modulate": {"sizes": {"hand": "modulation"}},
+            "absolute loss": {"train": {"loss": "mae"}},
+            "squared loss": {"train": {"loss": "mse"}},
+            "dropout 0.2": {"train": {"dropout": 0.2}},
+            "no weight decay": {"train": {"weight_decay": 0.0}},
+            "averaged weights": {"train": {"average": 0.999}},
+            "cosine and sine of the phase": {"sizes": {"phase_input": "cos_sin"}},
+            "log magnitude": {"sizes": {"magnitude_input": "log"}},
+            "bin embedding": {"sizes": {"bin_embedding": True}},
+        }.items()
+    },
     "twice the epochs": {"train": {"epochs": 64, "patience": 20}},
     "four times the learning rate": {"train": {"learning_rate": 2e-3}},
     "fine-tuned on its own output": {"fine_tune": True},
@@ -70,12 +85,12 @@ INGREDIENTS: dict[str, dict[str, Any]] = {
 }
 FIGURES = {
     "validation: one step": "validation.mae_scaled",
-    "LSD ": "heard.lsd_db",
-    "level error ": "heard.level_error_db",
+    "validation: LSD": "heard.lsd_db",
+    "validation: level error": "heard.level_error_db",
     "test: one step": "one_step.mae_scaled",
-    "LSD": "free_run.lsd_db",
-    "long LSD": "free_run.lsd_long_db",
-    "level error": "free_run.level_error_db",
+    "test: LSD": "free_run.lsd_db",
+    "test: long LSD": "free_run.lsd_long_db",
+    "test: level error": "free_run.level_error_db",
 }
 
 
@@ -91,14 +106,6 @@ class Run:
     @property
     def name(self) -> str:
         return f"{self.texture}-{self.rate_hz:g}-{self.seed}-{self.ingredient.replace(' ', '_')}"
-
-
-def source_sha256() -> str:
-    """Return the digest of the package's sources: runs of different ones are no pair."""
-    digest = hashlib.sha256()
-    for path in sorted(Path(foten.__file__).parent.rglob("*.py")):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
 
 
 def runs(seeds: list[int], textures: list[str]) -> Iterator[Run]:
@@ -131,9 +138,10 @@ def execute(run: Run, recordings: Path) -> dict[str, Any]:
     return {
         "run": dataclasses.asdict(run),
         "training_seconds": seconds,
+        "config": dataclasses.asdict(config),
         "versions": trained.texture.card["training"]["versions"],
-        "source_sha256": source_sha256(),
-        "validation": document["validation"],
+        "source_sha256": SOURCES,
+        "validation": validation(trained),
         "heard": {
             name: trained.texture.card["metrics"][f"validation_{name}"]
             for name in ("lsd_db", "level_error_db")
@@ -144,6 +152,14 @@ def execute(run: Run, recordings: Path) -> dict[str, Any]:
         "ar_best": document["references"]["ar_best"]["mae_scaled"],
         "wavelength_mm": trained.texture.card["metrics"]["linear_part"]["wavelength_mm"],
     }
+
+
+def validation(trained: Trained) -> dict[str, float]:
+    """Return the one-step error of the exported file on the validation blocks, on the samples that the judge scores."""
+    texture, trace, blocks = trained.texture, trained.trace, trained.split.validation
+    n = targets(blocks, trace.block, max(first_scored(trace.block), texture.window)).reshape(len(blocks), -1)
+    scores = one_step(engine_for(texture), texture.scaling.scale(trace.stacked()), n, texture.scaling)
+    return {"mae_scaled": scores["mae_scaled"]}
 
 
 def run_all(arguments: argparse.Namespace) -> None:
@@ -179,7 +195,10 @@ def table(arguments: argparse.Namespace) -> None:
                 if (texture, hz, seed, beside, source) in by_run
             ]
             if pairs:
-                cells = [_ratio([(at(a, path), at(b, path)) for a, b in pairs]) for path in FIGURES.values()]
+                cells = [
+                    _ratio([(a["run"]["texture"], at(a, path), at(b, path)) for a, b in pairs])
+                    for path in FIGURES.values()
+                ]
                 lines.append(f"| {ingredient} | {beside} | {len(pairs)} | {' | '.join(cells)} |")
         if lines:
             head = f"| {title} | ÷ | pairs | {' | '.join(FIGURES)} |\n|" + "---|" * (3 + len(FIGURES))
@@ -187,10 +206,15 @@ def table(arguments: argparse.Namespace) -> None:
     between(arguments.page, "ingredients", "\n\n".join(tables))
 
 
-def _ratio(pairs: list[tuple[float | None, float | None]]) -> str:
-    if any(None in pair for pair in pairs):
-        return "–"
-    values = [a / b for a, b in pairs]  # type: ignore[operator]
+def _ratio(pairs: list[tuple[str, float | None, float | None]]) -> str:
+    """Return the mean ratio and its standard error, over textures; over splits where there is one texture."""
+    by_texture: dict[str, list[float]] = {}
+    for texture, a, b in pairs:
+        if a is None or b is None:
+            return "–"
+        by_texture.setdefault(texture, []).append(a / b)
+    values = [float(np.mean(ratios)) for ratios in by_texture.values()]
+    values = values if len(values) > 1 else next(iter(by_texture.values()))
     if len(values) == 1:
         return f"{values[0]:.3f}"
     return f"{np.mean(values):.3f} ± {np.std(values, ddof=1) / np.sqrt(len(values)):.3f}"

@@ -1,6 +1,7 @@
 """The first 100 ms of a stroke from the warm start: how near level and spectrum are to settled ones, and is there a click.
 
     python benchmarks/onset.py TEXTURE.foten... [--strokes 50] [--streams 8] [--save DIR]
+    python benchmarks/onset.py --save DIR --page docs/fidelity.md
 
 A first stroke begins at once with a speed and a force drawn from the trained range and holds them, rendered from the warm
 start under several streams of noise. Settled is what the same streams are from 1 s on. Level: mean over strokes of the power in
@@ -26,6 +27,7 @@ import numpy as np
 from foten.render.synthesizer import Synthesizer
 from foten.texture_file import Texture, read_texture
 from foten.whole_file import whole_file
+from main_table import SOURCES, between
 
 WINDOW_MS = 40.0
 STARTS_MS = (0.0, 20.0, 60.0, 100.0)
@@ -79,6 +81,8 @@ def judge(texture: Texture, n_strokes: int, n_streams: int, seed: int = 0) -> di
     strays = [away(round(SETTLED_S * rate) + k * window) for k in range(10)]
     return {
         "texture": texture.card["texture"],
+        "texture_sha256": texture.sha256(),
+        "source_sha256": SOURCES,
         "rate_hz": rate,
         "n_strokes": n_strokes,
         "starts_ms": STARTS_MS,
@@ -94,15 +98,39 @@ def judge(texture: Texture, n_strokes: int, n_streams: int, seed: int = 0) -> di
     }
 
 
+def table(folder: Path) -> str:
+    """Return what is saved as Markdown: level and spectrum [dB] in 40 ms from each start on, settled, and the clicks."""
+    head = [
+        "texture",
+        *(f"{start:g} ms" for start in STARTS_MS),
+        "settled, at most",
+        "over the 99.9th percentile",
+    ]
+    lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
+    for path in sorted(folder.glob("*.json")):
+        found = json.loads(path.read_text())
+        cells = [path.stem.split("-foten-plus")[0]]
+        cells += [f"{a:+.2f} / {b:.2f}" for a, b in zip(found["level_db"], found["spectrum_db"], strict=True)]
+        cells.append(f"{found['settled_level_db']:.2f} / {found['settled_spectrum_db']:.2f}")
+        cells.append(f"{100 * found['click_share']:.3f} ± {100 * found['click_standard_error']:.3f} %")
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("textures", nargs="+", type=Path)
+    parser.add_argument("textures", nargs="*", type=Path)
     parser.add_argument("--strokes", type=int, default=50)
     parser.add_argument("--streams", type=int, default=8, help="of noise, for each stroke")
     parser.add_argument("--save", type=Path, metavar="DIR", help="keep each result as JSON there")
+    parser.add_argument(
+        "--page", type=Path, metavar="FILE", help="put what is saved between its markers in this file"
+    )
     arguments = parser.parse_args()
+    if not arguments.textures and arguments.page is None:
+        parser.error("no texture file was given")
     print(
         "texture, then level / spectrum / level of single strokes [dB] in the 40 ms from 0, 20, 60, 100 ms on, settled; "
         "over the 99.9th percentile"
@@ -120,6 +148,8 @@ def main() -> None:
         cells.append("/".join(f"{found[f'settled_{name}']:.2f}" for name in names))
         click = f"{100 * found['click_share']:.3f} ± {100 * found['click_standard_error']:.3f} %"
         print(f"{path.stem:36s} {'  '.join(cells)}  {click}", flush=True)
+    if arguments.page is not None:
+        between(arguments.page, "onset", table(arguments.save))
 
 
 if __name__ == "__main__":

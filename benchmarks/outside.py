@@ -116,7 +116,7 @@ def judge(key: str) -> dict[str, Any]:
     whole = preprocess(recorded(key, stroking(64.0, 101, RATE_HZ), 2), PreprocessConfig())
     jumps = preprocess(recorded(key, jumping(64.0, 3), 3), PreprocessConfig())
     speed, force = (frame_means(channel, whole.rate_hz) for channel in (whole.speed, whole.force))
-    # The frames in which a jump is: the first of every half second, and the next.
+    # The frames in which a jump is, every half second, and the next; every other jump falls within a frame.
     at = np.arange(len(frame_means(jumps.speed, jumps.rate_hz)))
     since_jump = (at * FRAME_MS) % 500
     regions = {
@@ -125,7 +125,7 @@ def judge(key: str) -> dict[str, Any]:
         "faster": (whole, (speed > high[0]) & (force < high[1])),
         "firmer": (whole, (speed > 20) & (speed < high[0]) & (force > high[1])),
         "both": (whole, (speed > high[0]) & (force > high[1])),
-        "80 ms from a jump": (jumps, since_jump < 2 * FRAME_MS),
+        "80 ms from a jump": (jumps, (since_jump < 2 * FRAME_MS) | (since_jump > 500 - FRAME_MS)),
         "later": (jumps, (since_jump >= 4 * FRAME_MS) & (since_jump <= 500 - 2 * FRAME_MS)),
     }
     found: dict[str, Any] = {"beyond_exponents": dict(texture.card["beyond_exponents"]), "trained_to": high}

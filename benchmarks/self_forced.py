@@ -1,8 +1,8 @@
 """Fine-tuning of foten-plus on its own output, an ingredient of `fidelity.py`: a spectral and level loss through the closed loop.
 
-The network is unrolled on its own output, excited, under recorded speed and force, for `N_HEARD` samples after `N_WARM` without
-gradient. Its spectrum and level are compared with those recorded there, pooled over streams of alike speed: two single
-realisations differ by chance, and a network that is to hit one of them learns to have no scatter of its own. Its one-step
+The network is unrolled on its own output, excited but for the swell, under recorded speed and force, for `N_HEARD` samples after
+`N_WARM` without gradient. Its spectrum and level are compared with those recorded there, pooled over streams of alike speed: two
+single realisations differ by chance, and a network that is to hit one of them learns to have no scatter of its own. Its one-step
 loss is added, so that it goes on predicting. Lattice and excitation stay, and the excitation is fitted anew afterwards.
 """
 
@@ -101,7 +101,8 @@ def _played(network: FotenPlus, cut: Tensor, m: int) -> Tensor:
             sample, scale = network.forecast(heard)
             noise = torch.randn(len(cut))
             shock = noise * torch.exp(0.5 * excitation.tails(heard.condition) * noise * noise)
-            shock = torch.minimum(torch.maximum(shock, -excitation.largest[0]), excitation.largest[0])
+            limit = torch.minimum(excitation.largest[0], excitation.largest[1] / scale)
+            shock = torch.minimum(torch.maximum(shock, -limit), limit)
             sample = sample + scale * shock
             heard = network.push(heard, sample, cut[:, n, 1:])
             out.append(sample)

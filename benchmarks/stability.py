@@ -1,6 +1,7 @@
 """Ten minutes of random strokes on texture files, and a million steps of an attack: is it bounded, and does it forget.
 
     python benchmarks/stability.py TEXTURE.foten... [--minutes 10] [--streams 60] [--attack 1000000] [--save DIR]
+    python benchmarks/stability.py --save DIR --page docs/fidelity.md
 
 The strokes are the simulator's hand, 0 to 350 mm/s and 0.1 to 4 N, whatever range the texture was trained in; besides,
 the same with speed and force scaled into the trained range, so that narrow recordings are not mostly clamped. Samples are
@@ -38,6 +39,7 @@ from foten.render.engine import engine_for
 from foten.render.synthesizer import Synthesizer
 from foten.texture_file import Texture, read_texture
 from foten.whole_file import whole_file
+from main_table import SOURCES, between
 
 LARGEST_NOISE = 5.68  # standard deviations, of the counter-based generator
 AFTERWARDS = 10_000  # samples
@@ -132,18 +134,57 @@ def _told(value: float | None, unit: str) -> str:
     return "–" if value is None else f"{value:.2g} {unit}"
 
 
+def table(folder: Path) -> str:
+    """Return what is saved as Markdown."""
+    head = (
+        "texture",
+        "rate",
+        "recorded",
+        "strokes",
+        "saturated",
+        "attack",
+        "with saturator",
+        "afterwards",
+        "forgets",
+    )
+    units = ("", "[kHz]", "peak", "peak", "samples", "peak", "peak", "[dB]", "[s]")
+    titles = [f"{name} {unit}".strip() for name, unit in zip(head, units, strict=True)]
+    lines = [f"| {' | '.join(titles)} |", "|" + "---|" * len(titles)]
+    for path in sorted(folder.glob("*.json")):
+        found = json.loads(path.read_text())
+        after, forgets = found["attack_after_db"], found["forgets_s"]
+        cells = [
+            found["texture"].split("-foten-plus")[0].removesuffix(f"-{found['rate_hz']:g}"),
+            f"{found['rate_hz'] / 1000:g}",
+            f"{found['recorded_peak_sd']:.1f}",
+            f"{found['max_sd']:.1f}",
+            f"{found['n_saturated']} of {found['samples']:,}",
+            f"{found['attack_max_sd']:.0f}",
+            f"{found['attack_max_sd_saturated']:.1f}",
+            "–" if after is None else f"{after:+.2f}",
+            "never" if forgets is None else f"{forgets:.2f}",
+        ]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("textures", nargs="+", type=Path)
+    parser.add_argument("textures", nargs="*", type=Path)
     parser.add_argument(
         "--minutes", type=float, default=10.0, help="in each of the two kinds of strokes together"
     )
     parser.add_argument("--streams", type=int, default=60)
     parser.add_argument("--attack", type=int, default=1_000_000, help="steps, over all streams")
     parser.add_argument("--save", type=Path, metavar="DIR", help="keep each result as JSON there")
+    parser.add_argument(
+        "--page", type=Path, metavar="FILE", help="put what is saved between its markers in this file"
+    )
     arguments = parser.parse_args()
+    if not arguments.textures and arguments.page is None:
+        parser.error("no texture file was given")
     seconds = arguments.minutes * 60 / arguments.streams
     failed = False
     for path in arguments.textures:
@@ -160,6 +201,8 @@ def main() -> None:
         still = Synthesizer(texture, 1).render(np.zeros(1000), np.ones(1000))
         result = {
             "texture": path.stem,
+            "texture_sha256": texture.sha256(),
+            "source_sha256": SOURCES,
             "rate_hz": texture.rate_hz,
             "samples": statistics.n,
             "finite": bool(np.isfinite(rendered).all()),
@@ -187,6 +230,8 @@ def main() -> None:
             f"forgets in {_told(result['forgets_s'], 's')}",
             flush=True,
         )
+    if arguments.page is not None:
+        between(arguments.page, "stability", table(arguments.save))
     sys.exit(int(failed))
 
 

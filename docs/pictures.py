@@ -34,7 +34,7 @@ from foten.evaluate.metrics import (
     segment_length,
 )
 from foten.evaluate.metrics import welch as spectra
-from foten.evaluate.references import FIRST_SCORED, ORDERS, fit_linear
+from foten.evaluate.references import ORDERS, first_scored, fit_linear
 from foten.experiments.truth import linear_bounds
 from foten.recording.felt import RATES_HZ, carried
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -74,7 +74,7 @@ def one_step(arguments: argparse.Namespace) -> None:
     split = split_blocks(trace, "regrouped", SEED)
     samples = paper.scaling.scale(trace.stacked())
     block = split.test[0]
-    n = np.arange(block * trace.block + FIRST_SCORED, (block + 1) * trace.block)
+    n = np.arange(block * trace.block + first_scored(trace.block), (block + 1) * trace.block)
     predicted = engine_for(paper).predict(windows(samples, n, paper.window))
     recorded = samples[n, 0]
     linear = fit_linear(samples, split.train, trace.block, 20)
@@ -172,7 +172,7 @@ def bound(arguments: argparse.Namespace) -> None:
         split = split_blocks(trace, "regrouped", SEED)
         scaling = fit_scaling(trace, split.train)
         samples = scaling.scale(trace.stacked())
-        n = targets(split.test, trace.block, FIRST_SCORED)
+        n = targets(split.test, trace.block, first_scored(trace.block))
         orders = np.unique(np.geomspace(5, 160, 12).astype(int))
         of_window, infinite = [], 0.0
         for order in orders:

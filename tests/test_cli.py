@@ -61,7 +61,7 @@ def test_evaluate_prints_the_contracts_keys(
     assert _status(["evaluate", str(texture), str(recording), "--json", "--report", str(tmp_path / "r")]) == 0
     document = json.loads(capsys.readouterr().out)
     assert (tmp_path / "r" / "report.html").exists()
-    references = ("zero", "persistence", "ar", "ar_scheduled", "ar_best", "shortcut", "bound", "bound_window")
+    references = ("zero", "persistence", "ar", "ar_scheduled", "ar_best", "lattice", "bound", "bound_window")
     assert set(document["references"]) == set(references)
     for figures in (document["one_step"], *document["references"].values()):
         assert {"mae_scaled", "mae_m_s2", "gfc"} <= set(figures)

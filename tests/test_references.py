@@ -4,7 +4,16 @@ from scipy.signal import lfilter
 
 from conftest import resonance
 from foten.dsp.ar import spectral_radius
-from foten.evaluate.references import MAX_POLE, ORDERS, Linear, Persistence, Zero, best_linear, fit_linear
+from foten.evaluate.references import (
+    MAX_POLE,
+    ORDERS,
+    Linear,
+    Persistence,
+    Zero,
+    best_linear,
+    first_scored,
+    fit_linear,
+)
 
 BLOCK = 400
 
@@ -108,7 +117,18 @@ def test_too_few_windows_are_no_fit() -> None:
     assert fit_linear(samples[:100], (0,), 40, 20) is None  # 20 windows for 21 coefficients
     assert fit_linear(samples, (0,), 20, 20) is None
     assert fit_linear(samples, (0,), BLOCK, 160, scheduled=True) is None
-    assert best_linear(samples[:400], (0, 1, 2), (3,), 100) is None  # blocks shorter than what is not scored
+    assert best_linear(samples[:120], (0, 1, 2), (3,), 10) is None  # blocks shorter than what is not scored
+
+
+def test_no_order_is_longer_than_what_every_method_is_spared() -> None:
+    """Lag 70 in blocks of 100: an order of 80 would look back beyond a block from its fiftieth sample on."""
+    taps = np.zeros(70)
+    taps[0], taps[-1] = 0.5, 0.45
+    samples = process(taps, 20)[:2000]
+    fitted = best_linear(samples, tuple(range(14)), tuple(range(14, 20)), 100)
+    assert fitted is not None
+    assert fitted.window <= first_scored(100) == 50
+    assert (first_scored(30), first_scored(2000)) == (20, 320)
 
 
 def test_an_unstable_fit_is_made_stable_for_the_closed_loop() -> None:

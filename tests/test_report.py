@@ -74,12 +74,13 @@ def _judgement(rate_hz=1000.0, block=2000):
         "seed": 7,
         "n_blocks": 4,
         "block": block,
+        "first_scored": 160,
         "sd_m_s2": scaling.sd[0],
         "one_step": own,
         "references": references,
         **free,
         "reasons": {
-            "references.shortcut": "foten has none",
+            "references.lattice": "foten has none",
             "references.ar_scheduled": "fewer than two training windows for each coefficient",
             "references.bound_window": "known for simulated textures alone",
             "free_run": "it carries no excitation",
@@ -89,7 +90,7 @@ def _judgement(rate_hz=1000.0, block=2000):
         },
         "texture_sha256": "ef" * 32,
         "recording_sha256": trace.recording_sha256,
-        "validation": {"mae_scaled": 0.5, "mae_scaled_shortcut": None},
+        "validation": {"mae_scaled": 0.5, "mae_scaled_lattice": None},
     }
     document["ceiling"]["of"] = "2 further realisations of the same stroke"
     return Judgement(document, trace, TEST, synthesized)
@@ -206,7 +207,7 @@ def test_what_is_unknown_is_a_dash_with_its_reason(judged, written):
     rows = _Page(written).rows
     whole = "".join(_Page(written).words)
     expected = {
-        "references.shortcut": (0, "foten has none"),
+        "references.lattice": (0, "foten has none"),
         "references.ar_scheduled": (0, "fewer than two training windows for each coefficient"),
         "references.bound": (4, "a bound on the error says nothing of the spectrum"),
         "free_run.level_corr": (2, "the level does not vary"),
@@ -220,14 +221,14 @@ def test_what_is_unknown_is_a_dash_with_its_reason(judged, written):
 def test_names_and_notes_cannot_break_the_page(judged):
     name, notes = '<b title="x">& µ</b>', "</pre><script>alert(1)</script>"
     document = copy.deepcopy(judged.document) | {"texture": name}
-    document["reasons"]["references.shortcut"] = '"><script>'
+    document["reasons"]["references.lattice"] = '"><script>'
     parsed = _Page(
         page(replace(judged, document=document, synthesized={}), _texture(notes=notes, tool="<i>"))
     )
     assert "script" not in {tag for tag, _ in parsed.tags}
     assert name in parsed.words
     assert notes in parsed.words
-    assert parsed.rows["references.shortcut"][0]["why"] == '"><script>'
+    assert parsed.rows["references.lattice"][0]["why"] == '"><script>'
 
 
 def test_the_same_judgement_gives_the_same_bytes(judged, written, tmp_path):

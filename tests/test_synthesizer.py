@@ -204,7 +204,9 @@ def test_any_hand_gives_a_finite_bounded_vibration(
         synthesizer = Synthesizer(given_texture, n_streams=len(hands), excitation=excitation)
         out = synthesizer.render(np.stack([v for v, _ in hands]), np.stack([f for _, f in hands]))
         assert np.isfinite(out).all()
-        assert np.abs(out).max() <= bound
+        # What leaves the loop is cut; growth beyond the trained range comes after it.
+        growth = 2.0 ** sum(given_texture.beyond_exponent(channel) for channel in ("speed", "force"))
+        assert np.abs(out).max() <= bound * growth
 
 
 def test_the_saturator_counts_what_it_cuts(texture: Texture) -> None:

@@ -171,14 +171,17 @@ def test_nothing_makes_it_grow(tones: bool, limit: float) -> None:
     streams, n = 16, 3000
     windows = 50 * rng.standard_normal((streams, texture.window, 3)).clip(-1, 1)
     loop = ClosedLoop(engine.start(windows), limit)
+    begun = np.square(loop.state.states).sum(axis=0)
     condition = np.array([[0.0, 0.0], [350.0, 4.0]])[rng.integers(0, 2, (streams, n))]
     condition = (condition - SCALING.mean[1:]) / np.array(SCALING.sd[1:])
     noise = 5.68 * rng.choice([-1.0, 1.0], (streams, n))
     out = loop.run(condition, noise)
     assert np.isfinite(out).all()
     energy = np.square(loop.state.states).sum(axis=0)
-    driven = 3.0 + 5.68 * float(engine.sigma(condition.reshape(-1, 2)).max())
-    assert (energy <= driven**2 / (1 - 0.9999**2)).all()
+    swell = np.exp(3 * texture.tensors["excitation.swell"][1] - texture.tensors["excitation.swell"][1] ** 2)
+    driven = 3.0 + float(engine.sigma(condition.reshape(-1, 2)).max()) * swell * engine.largest[0]
+    left = 0.9999 ** (2 * n)
+    assert (energy <= left * begun + (1 - left) * driven**2 / (1 - 0.9999**2)).all()
 
 
 def test_tones_are_fitted_to_a_mesh_and_to_nothing_that_has_none() -> None:

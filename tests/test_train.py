@@ -100,7 +100,7 @@ def test_network_starts_at_its_lattice(recording: Recording) -> None:
     begun = train_texture(
         recording, "foten-plus", FotenPlusArchitecture(**SMALL), TrainConfig(epochs=0, threads=1), SHORT
     )
-    assert begun.progress.epochs[0].validation_mae == pytest.approx(begun.shortcut_mae, rel=0.02)
+    assert begun.progress.epochs[0].validation_mae == pytest.approx(begun.lattice_mae, rel=0.02)
 
 
 def test_excitation_recovers_a_power_law() -> None:
@@ -249,7 +249,7 @@ def test_card_says_how_it_came_about(trained: Trained) -> None:
     assert card["recording_sha256"] == trained.trace.recording_sha256
     assert card["training"]["seed"] == 0
     assert (
-        card["metrics"]["validation_mae_scaled"] <= card["metrics"]["validation_mae_scaled_shortcut"] * 1.001
+        card["metrics"]["validation_mae_scaled"] <= card["metrics"]["validation_mae_scaled_lattice"] * 1.001
     )
     text = json.dumps(card)
     assert texture_from_bytes(trained.texture.to_bytes()).card == json.loads(text)

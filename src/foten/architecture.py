@@ -98,7 +98,9 @@ class FotenPlusArchitecture(FotenArchitecture):
     correction_limit: float = (
         3.0  # in standard deviations of the lattice's innovation; |correction| stays below it
     )
-    hand: str = "head"  # where speed and force enter: "head" alone, as the paper's, or also each of "tokens", or as "modulation"
+    # Where speed and force enter: the "head" alone, as the paper's, or also each of the "tokens", or as a "modulation" of what
+    # both branches find. One-step validation error of a simulated mesh, re the head alone: 0.960 and 0.983.
+    hand: str = "tokens"
     network_heard: bool = True  # whether a rendering hears the network; one with tones never does
     excitation_width: int = 16  # hidden units of log level and of log σ over speed and force
     order: int = 20  # p of the lattice, samples

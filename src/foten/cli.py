@@ -456,7 +456,7 @@ def train(
             f"one-step validation error {metrics['validation_mae_scaled']:.4f} sd (epoch {metrics['best_epoch']})",
             end="",
         )
-        alone = metrics["validation_mae_scaled_shortcut"]
+        alone = metrics["validation_mae_scaled_lattice"]
         print("" if alone is None else f", {alone:.4f} sd without its network")
         if trained.trace.n_uncovered:
             print(f"{trained.trace.n_uncovered} samples that not every channel covers were left out")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from foten.evaluate import free_run as runs
 from foten.evaluate.one_step import excitation_scores, one_step
-from foten.evaluate.references import FIRST_SCORED, Linear, Persistence, Zero, best_linear, fit_linear
+from foten.evaluate.references import Linear, Persistence, Zero, best_linear, first_scored, fit_linear
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
 from foten.recording.scaling import Scaling
@@ -141,7 +141,7 @@ def evaluate(
         "recording_sha256": trace.recording_sha256,
         "validation": {
             "mae_scaled": texture.card["metrics"].get("validation_mae_scaled"),
-            "mae_scaled_shortcut": texture.card["metrics"].get("validation_mae_scaled_shortcut"),
+            "mae_scaled_lattice": texture.card["metrics"].get("validation_mae_scaled_lattice"),
         },
     }
     return Judgement(document, trace, blocks, synthesized)
@@ -173,13 +173,13 @@ def _one_step(
     reasons: dict[str, str],
 ) -> dict[str, Any]:
     empty = dict.fromkeys(ONE_STEP_KEYS)
-    names = ("zero", "persistence", "ar", "ar_scheduled", "ar_best", "shortcut", "bound", "bound_window")
+    names = ("zero", "persistence", "ar", "ar_scheduled", "ar_best", "lattice", "bound", "bound_window")
     references: dict[str, Any] = {name: dict(empty) for name in names}
     references["ar_best"].update(order=None, scheduled=None)
-    first = max(FIRST_SCORED, texture.window)
+    first = max(first_scored(block), texture.window)
     if block < first + 8:
         reasons["one_step"] = f"blocks of {block} samples; the first {first} of each are history"
-        return {"one_step": dict(empty), "references": references}
+        return {"first_scored": first, "one_step": dict(empty), "references": references}
     n = targets(blocks, block, first).reshape(len(blocks), -1)
     engine: Any = engine_for(texture)
 
@@ -195,9 +195,9 @@ def _one_step(
         result = {**result, **scores, "intervals": {**result["intervals"], **scores["intervals"]}}
     references["zero"], references["persistence"] = score(Zero()), score(Persistence())
     if texture.has_excitation:
-        references["shortcut"] = score(_Lattice(engine))
+        references["lattice"] = score(_Lattice(engine))
     else:
-        reasons["references.shortcut"] = f"{texture.card['model']} has none"
+        reasons["references.lattice"] = f"{texture.card['model']} has none"
     if split is None:
         reasons["references.ar"] = "a foreign recording has no training blocks to fit linear predictors on"
     else:
@@ -221,7 +221,7 @@ def _one_step(
         else:
             mae = float(bound[n].mean())
             references[name] = {"mae_scaled": mae / scaling.sd[0], "mae_m_s2": mae, "gfc": None}
-    return {"one_step": result, "references": references}
+    return {"first_scored": first, "one_step": result, "references": references}
 
 
 def _free_run(

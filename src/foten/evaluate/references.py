@@ -13,8 +13,8 @@ from foten.recording.windows import targets, windows
 
 Array = NDArray[np.float64]
 
-ORDERS = (5, 10, 20, 40, 80, 160)
-FIRST_SCORED = 160  # samples of each block that no method is scored on: the longest order's history
+ORDERS = (5, 10, 20, 40, 80, 160, 240)
+FIRST_SCORED = 320  # samples of each block that no method is scored on: more than the history of any
 
 
 @dataclass(frozen=True)
@@ -76,6 +76,11 @@ class Linear:
         )
 
 
+def first_scored(block: int) -> int:
+    """Return the first sample of a block that methods are scored on: the same for all, and at most half of a block."""
+    return max(20, min(FIRST_SCORED, block // 2))
+
+
 def fit_linear(
     samples: Array, blocks: tuple[int, ...], block: int, order: int, scheduled: bool = False
 ) -> Linear | None:
@@ -113,13 +118,17 @@ def _design(samples: Array, n: NDArray[np.int64], order: int, scheduled: bool) -
 def best_linear(
     samples: Array, train: tuple[int, ...], validation: tuple[int, ...], block: int
 ) -> Linear | None:
-    """Return the AR of any order of `ORDERS`, scheduled or not, with the lowest absolute error on validation."""
-    n = targets(validation, block, FIRST_SCORED)
+    """Return the AR of any order of `ORDERS`, scheduled or not, with the lowest absolute error on the validation blocks.
+
+    Orders beyond what is left out of every block (`first_scored`) are not tried.
+    """
+    first = first_scored(block)
+    n = targets(validation, block, first)
     best: tuple[float, Linear] | None = None
     for order in ORDERS:
         for scheduled in (False, True):
             fitted = fit_linear(samples, train, block, order, scheduled)
-            if fitted is None or not len(n):
+            if fitted is None or not len(n) or order > first:
                 continue
             pieces = np.array_split(n, len(n) // 16384 + 1)
             missed = [

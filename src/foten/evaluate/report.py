@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from foten.dsp.resample import decimate, interpolate
 from foten.evaluate import figures
 from foten.evaluate.evaluate import FREE_RUN_KEYS, Judgement
-from foten.evaluate.references import FIRST_SCORED
 from foten.texture_file import Texture
 from foten.whole_file import whole_file
 
@@ -31,7 +30,7 @@ _FADE_S = 0.004  # at block borders, so that the joints do not click
 _PEAK = 0.9  # of full scale
 
 REFERENCES = {
-    "shortcut": (
+    "lattice": (
         "the model without its network",
         "the lattice; what the network adds is the difference to it",
     ),
@@ -373,8 +372,8 @@ def _one_step_section(document: Mapping[str, Any]) -> str:
         )
     return (
         '<section id="one-step"><h2>One step</h2><p>Predicts each sample from recorded history. Errors are mean '
-        f"absolute errors; 1 sd is {document['sd_m_s2']:.4g} m/s². The first {FIRST_SCORED} samples of each block are "
-        "history for all. Small print: 95 % interval, resampling blocks. The blocks are the same for all, so two rows "
+        f"absolute errors; 1 sd is {document['sd_m_s2']:.4g} m/s². The first {document['first_scored']} samples of each "
+        "block are history for all. Small print: 95 % interval, resampling blocks. The blocks are the same for all, so two rows "
         "can differ for certain though their intervals overlap.</p>"
         '<div class="scroll"><table><thead><tr><th>predictor</th><th colspan="2">error [sd] <i>lower is better</i></th>'
         "<th>to AR(20)</th><th>error [m/s²]</th><th>GFC <i>higher, blind to gain</i></th></tr></thead>"

@@ -22,12 +22,13 @@ class FotenPlus(nn.Module):
 
     With ℓ(v, f) the `level` of the vibration, x = a/ℓ is of about unit size at every speed and force. A lattice whose reflections
     follow v and f (`dsp.lattice`) predicts x and leaves the innovation e, of unit variance; a unit of it is worth Π cᵢ in x. The
-    network sees x and e in its window and answers with what of the next innovation it expects:
+    network sees x, e, v and f at each sample of its window and answers with what of the next innovation it expects:
 
-        â[n] = ℓ · ( lattice(x[n−1], x[n−2], …) + Π cᵢ · c · tanh(FoTEN(x, e, v, f) / c) )
+        â[n] = ℓ · ( lattice(x[n−1], x[n−2], …) + Π cᵢ · L · tanh(FoTEN(x, e, v, f) / L) )
 
-    In the closed loop the excitation σ(v, f) times noise is added to that answer, so the lattice is driven by something
-    that is bounded, whatever the network says, and stays bounded itself however speed and force move.
+    In the closed loop ℓ · Π cᵢ · σ(v, f) times heavy-tailed noise that swells is added to that answer. The lattice is driven by
+    at most E = L + σ · (largest swell) · (largest shock), whatever the network says, and stays bounded itself however speed and
+    force move: its energy settles below E²/(1 − leak²), `dsp.lattice`.
 
     Whether a rendering hears the network is chosen on the validation blocks (`train.train`): what makes the next sample
     likelier does not always bring the free run nearer. A surface that repeats is rendered otherwise: tones of the path
@@ -331,8 +332,8 @@ class Excitation(Scale):
     def __init__(self, width: int) -> None:
         super().__init__(width)
         self.tail = nn.Linear(5, 1)
-        # No excitation is larger than the largest that was left to explain, in units of σ and in scaled acceleration: where the
-        # hand is fast and firm a rare shock of a slow one would be beyond all that was recorded.
+        # No shock is larger than the largest that was left to explain, in units of σ and its swell, and in scaled acceleration:
+        # where the hand is fast and firm a rare shock of a slow one would be beyond all that was recorded.
         self.register_buffer("largest", torch.full((2,), 1e6))
         # How the loudness swells by itself (`dsp.noise.Swell`): what is kept of it in a sample, and its standard deviation.
         self.register_buffer("swell", torch.zeros(2))

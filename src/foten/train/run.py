@@ -78,7 +78,7 @@ class RunFolder:
         """Write the whole log, the split and the curves; the checkpoint goes unless the run was interrupted."""
         write_log(self.path / "log.csv", trained.progress.epochs)
         trained.split.save(self.path / "split.json")
-        _draw_curves(self.path / "curves.png", trained.progress.epochs, trained.shortcut_mae)
+        _draw_curves(self.path / "curves.png", trained.progress.epochs, trained.lattice_mae)
         if not trained.progress.interrupted:
             self.checkpoint.unlink(missing_ok=True)
         if self._events is not None:
@@ -94,7 +94,7 @@ def _tensorboard(path: Path) -> Any:
     return SummaryWriter(str(path))
 
 
-def _draw_curves(path: Path, epochs: list[Epoch], shortcut_mae: float | None) -> None:
+def _draw_curves(path: Path, epochs: list[Epoch], lattice_mae: float | None) -> None:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(8, 4), layout="constrained")
@@ -112,8 +112,8 @@ def _draw_curves(path: Path, epochs: list[Epoch], shortcut_mae: float | None) ->
     error.plot(
         numbers, [line.validation_mae for line in epochs], "s-", ms=3, color="#D55E00", label="network"
     )
-    if shortcut_mae is not None:
-        error.axhline(shortcut_mae, ls="--", color="#009E73", label="without the network")
+    if lattice_mae is not None:
+        error.axhline(lattice_mae, ls="--", color="#009E73", label="without the network")
     error.set(xlabel="epoch", ylabel="one-step validation error, scaled")
     for axes in (loss, error):
         axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, frameon=False)

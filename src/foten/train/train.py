@@ -48,8 +48,8 @@ class Trained:
     trace: Trace
     split: Split
     progress: Progress
-    shortcut_mae: float | None
-    """One-step validation error of the shortcut alone, scaled; None without one."""
+    lattice_mae: float | None
+    """One-step validation error of the lattice alone, scaled; None without one."""
 
 
 def train_texture(
@@ -106,7 +106,7 @@ def train_texture(
         # For safety only: well beyond what was recorded.
         saturation = max(12.0, 1.5 * peak)
         progress = fit(trained, data, config, on_epoch, checkpoint, resume)
-        shortcut_mae = progress.epochs[0].validation_mae if isinstance(network, FotenPlus) else None
+        lattice_mae = progress.epochs[0].validation_mae if isinstance(network, FotenPlus) else None
         if isinstance(network, FotenPlus):
             on_stage("fitting the excitation and settling its level in the closed loop")
             both = np.concatenate([random.train, random.validation])
@@ -157,7 +157,7 @@ def train_texture(
             "metrics": {
                 "validation_loss": best.validation_loss,
                 "validation_mae_scaled": best.validation_mae,
-                "validation_mae_scaled_shortcut": shortcut_mae,
+                "validation_mae_scaled_lattice": lattice_mae,
                 "linear_part": linear,
                 "validation_nll": likelihood,
                 "renderings": renderings,
@@ -174,7 +174,7 @@ def train_texture(
         ends = targets(split.validation, trace.block, architecture.history)
         some = windows(samples, ends[:: max(1, len(ends) // 4096)], architecture.history)
         texture = export(network, key, architecture, prepared.scaling, some, warm_start, card)
-    return Trained(texture, trace, split, progress, shortcut_mae)
+    return Trained(texture, trace, split, progress, lattice_mae)
 
 
 def _settled(
