@@ -10,6 +10,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from scipy.signal import lfilter
 
 from foten.architecture import FotenArchitecture, FotenPlusArchitecture
 from foten.datasets.simulate import simulate
@@ -30,6 +31,7 @@ from foten.render.synthesizer import Synthesizer
 from foten.texture_file import texture_from_bytes
 from foten.train.config import RECIPES, TrainConfig
 from foten.train.excitation import (
+    _lasts_s,
     engine_of,
     fit_excitation,
     fit_scale,
@@ -422,13 +424,24 @@ def test_a_swell_is_given_to_a_recording_that_is_spikier_than_its_free_run(train
     for louder in (0.0, 0.25):
         made = samples.copy()
         made[:, trace.block - round(louder * trace.block) :, 0] *= 8
-        n = prepared.targets(m)
-        data = Data(made.reshape(-1, 3), *n, m)
-        residual = np.concatenate([made.reshape(-1, 3)[part, 0] for part in n])
-        fit_swell(network, residual, data, dataclasses.replace(prepared, samples=made), 0)
+        fit_swell(network, dataclasses.replace(prepared, samples=made), 0)
         found.append(network.excitation.swell.numpy().copy())
     assert found[0][1] < 0.15
     assert found[1][1] > 0.3
+
+
+@pytest.mark.parametrize("lasts", [0.005, 0.02, 0.1])
+def test_how_long_a_swell_lasts_is_read_from_frames(lasts: float) -> None:
+    """White noise at 10 kHz whose log loudness is an exponentially correlated Gaussian of standard deviation 0.35."""
+    rng = np.random.default_rng(11)
+    rate, shape = 10_000.0, (20, 10_000)
+    kept = math.exp(-1 / (lasts * rate))
+    driven = rng.standard_normal(shape) * math.sqrt(1 - kept * kept)
+    driven[:, 0] /= math.sqrt(1 - kept * kept)
+    loudness = lfilter([1.0], [1.0, -kept], driven, axis=1)
+    recorded = np.exp(0.35 * loudness) * rng.standard_normal(shape)
+    found = _lasts_s(recorded, rng.standard_normal(shape), rate)
+    assert lasts / 2 <= found <= 2 * lasts
 
 
 def test_an_excitation_fitted_twice_is_that_fitted_once(trained: Trained) -> None:
@@ -500,9 +513,5 @@ def test_a_swell_is_as_large_as_what_is_beyond_chance(
     texture, trace, split = trained.texture, trained.trace, trained.split
     network = build("foten-plus", texture.architecture)
     network.load_state_dict({name: torch.from_numpy(texture.tensors[name]) for name in network.state_dict()})
-    prepared = prepare(trace, split)
-    random = _innovations(network, prepared)
-    assert random.target is not None
-    residual = random.target[np.concatenate([random.train, random.validation])]
-    fit_swell(network, residual, random, prepared, 0)
+    fit_swell(network, prepare(trace, split), 0)
     assert network.excitation.swell[1] == pytest.approx(sd, rel=1e-6)
