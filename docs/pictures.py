@@ -268,7 +268,7 @@ def limits(arguments: argparse.Namespace) -> None:
     for i, value in enumerate(values):
         axes.text(value + 0.01, i, f"{value:.2f}", va="center", fontsize=8)
     axes.set(
-        xlabel="log-spectral distance to the test blocks ÷ that of AR(20); mean of four real recordings, 10 kHz",
+        xlabel="log-spectral distance to the test blocks ÷ that of AR(20)\nmean of four real recordings, 10 kHz",
         xlim=(0, 1.3),
     )
     axes.xaxis.label.set_size(8)
