@@ -30,7 +30,6 @@ from foten.architecture import ARCHITECTURES
 from foten.datasets.simulate import LINEAR_FAMILY, TEXTURES
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.one_step import one_step
-from foten.evaluate.references import first_scored
 from foten.experiments.truth import truth_for
 from foten.recording.windows import targets
 from foten.render.engine import engine_for
@@ -141,7 +140,7 @@ def execute(run: Run, recordings: Path) -> dict[str, Any]:
         "config": dataclasses.asdict(config),
         "versions": trained.texture.card["training"]["versions"],
         "source_sha256": SOURCES,
-        "validation": validation(trained),
+        "validation": validation(trained, document["first_scored"]),
         "heard": {
             name: trained.texture.card["metrics"][f"validation_{name}"]
             for name in ("lsd_db", "level_error_db")
@@ -154,10 +153,10 @@ def execute(run: Run, recordings: Path) -> dict[str, Any]:
     }
 
 
-def validation(trained: Trained) -> dict[str, float]:
-    """Return the one-step error of the exported file on the validation blocks, on the samples that the judge scores."""
+def validation(trained: Trained, first: int) -> dict[str, float]:
+    """Return the one-step error of the exported file on the validation blocks, from sample `first` of each on."""
     texture, trace, blocks = trained.texture, trained.trace, trained.split.validation
-    n = targets(blocks, trace.block, max(first_scored(trace.block), texture.window)).reshape(len(blocks), -1)
+    n = targets(blocks, trace.block, first).reshape(len(blocks), -1)
     scores = one_step(engine_for(texture), texture.scaling.scale(trace.stacked()), n, texture.scaling)
     return {"mae_scaled": scores["mae_scaled"]}
 

@@ -43,16 +43,15 @@ from foten.whole_file import whole_file
 
 
 def source_sha256() -> str:
-    """Return the digest of the package and of the benchmarks, without docstrings and comments."""
-    digest = hashlib.sha256()
-    for folder in (Path(foten.__file__).parent, Path(__file__).parent):
-        for path in sorted(folder.rglob("*.py")):
-            tree = ast.parse(path.read_text())
-            for node in ast.walk(tree):
-                body = getattr(node, "body", None)
-                if isinstance(body, list):
-                    node.body = [part for part in body if not _is_text(part)]  # type: ignore[attr-defined]
-            digest.update(ast.dump(tree).encode())
+    """Return the digest of the package, without docstrings and comments."""
+    digest, package = hashlib.sha256(), Path(foten.__file__).parent
+    for path in sorted(package.rglob("*.py")):
+        tree = ast.parse(path.read_text())
+        for node in ast.walk(tree):
+            body = getattr(node, "body", None)
+            if isinstance(body, list):
+                node.body = [part for part in body if not _is_text(part)]  # type: ignore[attr-defined]
+        digest.update(f"{path.relative_to(package).as_posix()}\n{ast.dump(tree)}\n".encode())
     return digest.hexdigest()
 
 

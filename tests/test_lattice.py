@@ -11,7 +11,14 @@ from scipy.signal import lfilter
 from foten.dsp import lattice
 from foten.dsp.lattice import LEAK, analyse, check_reflections, forecast, push
 from foten.dsp.plane import FORCE_FLOOR, Plane
-from foten.train.lattice import LatticeData, fit_lattice, fit_lattice_of, validation_error
+from foten.train.lattice import (
+    N_FOLDS,
+    LatticeData,
+    _folds,
+    fit_lattice,
+    fit_lattice_of,
+    validation_error,
+)
 
 
 def polynomial(reflections: np.ndarray) -> np.ndarray:
@@ -99,6 +106,19 @@ def test_the_states_energy_is_a_lyapunov_function_for_all_reflections() -> None:
         after = np.square(states).sum(axis=0)
         assert (after <= LEAK**2 * energy + e**2 + 1e-6 * energy).all(), n
         energy = after
+
+
+def test_a_state_left_alone_is_forgotten_whatever_the_reflections_are() -> None:
+    """Nearly undamped, constant or switched at every sample: down by e in ten thousand samples, as documented."""
+    rng = np.random.default_rng(4)
+    states = rng.uniform(-50, 50, (4, 16))
+    begun = np.square(states).sum(axis=0)
+    k = rng.choice([-lattice.MAX_REFLECTION, lattice.MAX_REFLECTION], (4, 16))
+    for _ in range(10_000):
+        k[:, 8:] = rng.permutation(k[:, 8:], axis=1)
+        x, _ = forecast(states, k)
+        states, _ = push(states, k, x)
+    assert (np.square(states).sum(axis=0) < begun * np.exp(-2) * 1.001).all()  # rounding of push
 
 
 def test_a_schedule_is_bilinear_between_its_vertices_and_constant_outside() -> None:
@@ -198,3 +218,34 @@ def test_reflections_of_chance_are_not_kept() -> None:
     short = fit_lattice_of(data, 2, 1, 1)
     # Unshrunk, 78 needless coefficients on 5000 samples cost 78/5000/2 = 0.8 %.
     assert validation_error(long, data, 100) < 1.004 * validation_error(short, data, 100)
+
+
+def test_each_known_block_is_in_one_validation_set_and_test_blocks_in_none() -> None:
+    data, _ = moving_tone(30, 0)
+    data = dataclasses.replace(data, train=tuple(range(4, 27)), validation=(27, 29))
+    folds = _folds(data)
+    known = {*range(4, 27), 27, 29}
+    assert sorted(block for fold in folds for block in fold.validation) == sorted(known)
+    assert all(set(fold.train) == known - set(fold.validation) for fold in folds)
+    assert len(folds) == N_FOLDS
+    few = dataclasses.replace(data, train=(0, 1), validation=(2,))
+    assert [(fold.train, fold.validation) for fold in _folds(few)] == [
+        ((1, 2), (0,)),
+        ((0, 2), (1,)),
+        ((0, 1), (2,)),
+    ]
+
+
+def test_two_validation_blocks_that_show_no_difference_do_not_choose() -> None:
+    """Reflections of opposite sign at slow and fast; the validation blocks have the spectrum of all, at a middle speed."""
+    rng = np.random.default_rng(3)
+    block = 1000
+    kinds = [(-0.8, 0.0), (0.8, 0.0)] * 6 + [(0.0, -0.64)] * 2
+    k = np.repeat(np.array(kinds), block, axis=0)
+    shape = (len(kinds), block)
+    x = synthesized(k[None], rng.standard_normal((1, len(k)))).reshape(shape)
+    speed = (100 + 100 * k[:, 0]).reshape(shape)
+    data = LatticeData(x, np.ones(shape), speed, np.ones(shape), tuple(range(12)), (12, 13))
+    one, table = (fit_lattice_of(data, 10, n_speed, 1) for n_speed in (1, 3))
+    assert validation_error(table, data, 10) > validation_error(one, data, 10)
+    assert len(fit_lattice(data, 10)[0].values) > 1

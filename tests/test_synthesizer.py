@@ -205,8 +205,11 @@ def test_any_hand_gives_a_finite_bounded_vibration(
         out = synthesizer.render(np.stack([v for v, _ in hands]), np.stack([f for _, f in hands]))
         assert np.isfinite(out).all()
         # What leaves the loop is cut; growth beyond the trained range comes after it.
-        growth = 2.0 ** sum(given_texture.beyond_exponent(channel) for channel in ("speed", "force"))
-        assert np.abs(out).max() <= bound * growth
+        growth = np.ones_like(out)
+        for k, channel in enumerate(("speed", "force")):
+            beyond = np.stack([hand[k] for hand in hands]) / given_texture.trained_range(channel)[1]
+            growth *= np.clip(beyond, 1.0, 2.0) ** given_texture.beyond_exponent(channel)
+        assert (np.abs(out) <= bound * growth).all()
 
 
 def test_the_saturator_counts_what_it_cuts(texture: Texture) -> None:

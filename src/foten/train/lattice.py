@@ -18,7 +18,7 @@ ORDERS = (10, 20, 40, 80, 160, 240)  # tried, as far as a block allows
 N_SPEED, N_FORCE = 12, 3  # vertices
 CORRELATION = 0.5  # of the range of speed, and of log force, over which reflections are alike beforehand
 SCALES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)  # standard deviations that a reflection may be given over the plane
-N_FOLDS = 8
+N_FOLDS = 8  # into which training and validation blocks are divided to choose a kind, or as many as there are blocks
 NEIGHBOURS = 10  # sections on each side that say how much of a reflection is chance
 WORTH = 1e-3  # a longer lattice, or one that follows the hand, must lower the validation error by this share
 
@@ -112,7 +112,7 @@ def fit_lattice_of(data: LatticeData, order: int, n_speed: int, n_force: int) ->
     chosen = list(data.train)
     speed, force = data.speed[chosen], data.force[chosen]
     plane = spanning(speed, force, n_speed, n_force)
-    # Four vertices count at a sample: rows of all 36 would take ten times the memory and twenty times as long.
+    # Four vertices count at a sample: with rows of all 36 the fit would take three times the memory and the time.
     weights = sparse.vstack(
         [sparse.csr_array(plane.weights(*block)) for block in zip(speed, force, strict=True)], format="csr"
     )
