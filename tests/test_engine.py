@@ -33,6 +33,8 @@ PLUS = {
     "network-not-heard": {**SMALL, "network_heard": False, "order": 7},
     "a-table": {**SMALL, "order": 7, "n_speed": 4, "n_force": 3},
     "tones": {**SMALL, "order": 5, "n_tones": 3, "n_tone_speed": 5, "n_tone_force": 2, "rest_order": 8},
+    "level-drives": {**SMALL, "order": 7, "n_speed": 4, "n_force": 3, "level_drives": True},
+    "level-drives-the-rest": {**SMALL, "n_tones": 2, "rest_order": 6, "rest_level_drives": True},
     "tones-on-a-table": {**SMALL, "n_tones": 2, "n_tone_speed": 4, "n_rest_speed": 3, "n_rest_force": 2},
 }
 

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conftest import SCALING, exported
+from conftest import SCALING, SMALL, exported
+from foten.architecture import FotenPlusArchitecture
 from foten.recording.preprocess import PreprocessConfig
 from foten.render.engine import WindowState, engine_for
 from foten.render.synthesizer import FADE_FORCE, FADE_SPEED, Synthesizer, prove
@@ -210,6 +211,34 @@ def test_any_hand_gives_a_finite_bounded_vibration(
             beyond = np.stack([hand[k] for hand in hands]) / given_texture.trained_range(channel)[1]
             growth *= np.clip(beyond, 1.0, 2.0) ** given_texture.beyond_exponent(channel)
         assert (np.abs(out) <= bound * growth).all()
+
+
+@pytest.mark.parametrize("tones", [False, True])
+def test_a_level_that_drives_is_that_of_the_first_hand_from_the_first_sample_on(tones: bool) -> None:
+    """Without excitation what rings from the warm start is all there is: as loud as the hand, not as the window's hand."""
+    sizes: dict[str, Any] = {"order": 6, "level_drives": True}
+    if tones:
+        sizes = {"n_tones": 2, "rest_order": 6, "rest_level_drives": True}
+    network = FotenPlusArchitecture(**{**SMALL, "n_layers": 1, "network_heard": False, **sizes})
+    given_texture = exported("foten-plus", network)
+    engine: Any = engine_for(given_texture)
+    start = given_texture.tensors["warm_start"][None].astype(float)
+    lattice = engine.rest if tones else engine.lattice
+    condition = (np.array([[HIGH[0], HIGH[1]]]) - SCALING.mean[1:]) / np.array(SCALING.sd[1:])
+    louder = float((lattice.level(condition) / lattice.level(start[:, -1, 1:]))[0])
+    assert abs(louder - 1) > 0.05
+    begun, as_it_was = engine.start(start), engine.start(start)
+    begun.begin(condition)
+    np.testing.assert_allclose(begun.states, louder * as_it_was.states, rtol=1e-12)
+    synthesizer = Synthesizer(given_texture, excitation=False)
+    first = synthesizer.step(HIGH[0], HIGH[1])
+    assert first == pytest.approx(float(SCALING.unscale_acceleration(begun.forecast().sample)[0]), rel=1e-9)
+    # Once it is under way, a call goes on where the last one ended.
+    whole = Synthesizer(given_texture, excitation=False).render(*stroke(40))
+    again = Synthesizer(given_texture, excitation=False)
+    speed, force = stroke(40)
+    pieces = [again.render(speed[a:b], force[a:b]) for a, b in ((0, 0), (0, 7), (7, 40))]
+    np.testing.assert_array_equal(np.concatenate(pieces), whole)
 
 
 def test_the_saturator_counts_what_it_cuts(texture: Texture) -> None:

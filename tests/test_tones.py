@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -161,11 +162,14 @@ def test_a_rendering_forgets_the_window_that_it_started_from() -> None:
 
 
 @pytest.mark.parametrize("limit", [np.inf, 2.0])
+@pytest.mark.parametrize("drives", [False, True])
 @pytest.mark.parametrize("tones", [False, True])
-def test_nothing_makes_it_grow(tones: bool, limit: float) -> None:
+def test_nothing_makes_it_grow(tones: bool, drives: bool, limit: float) -> None:
     """Windows of ±50 standard deviations, speed and force switched at every sample, noise at its bound; and the saturator."""
     sizes = {**SMALL, "n_layers": 1, "order": 6, "n_speed": 3, "n_force": 2}
-    texture = exported("foten-plus", WITH_TONES if tones else FotenPlusArchitecture(**sizes))
+    architecture = WITH_TONES if tones else FotenPlusArchitecture(**sizes)
+    architecture = dataclasses.replace(architecture, level_drives=drives, rest_level_drives=drives)
+    texture = exported("foten-plus", architecture)
     engine: Any = engine_for(texture)
     rng = np.random.default_rng(2)
     streams, n = 16, 3000
@@ -182,6 +186,8 @@ def test_nothing_makes_it_grow(tones: bool, limit: float) -> None:
     flat, s = condition.reshape(-1, 2), float(texture.tensors["excitation.swell"][1])
     shock = min(5.68 * float(np.exp(0.5 * engine.tail(flat).max() * 5.68**2)), engine.largest[0])
     driven = 3.0 + float(engine.sigma(flat).max()) * np.exp(3 * s - s * s) * shock
+    if drives:
+        driven *= float((engine.rest if tones else engine.lattice).level(flat).max())
     left = 0.9999 ** (2 * n)
     assert (energy <= left * begun + (1 - left) * driven**2 / (1 - 0.9999**2)).all()
 

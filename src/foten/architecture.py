@@ -107,6 +107,7 @@ class FotenPlusArchitecture(FotenArchitecture):
     order: int = 20  # p of the lattice, samples
     n_speed: int = 1  # its vertices over speed
     n_force: int = 1  # and over force
+    level_drives: bool = False  # whether the level scales what drives the lattice, or what leaves it
     n_tones: int = (
         0  # multiples of the path's frequency; none for a surface that does not repeat, nor what follows
     )
@@ -115,6 +116,7 @@ class FotenPlusArchitecture(FotenArchitecture):
     rest_order: int = 1  # of the lattice of what tones leave
     n_rest_speed: int = 1  # its vertices over speed
     n_rest_force: int = 1  # and over force
+    rest_level_drives: bool = False  # as level_drives
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -125,8 +127,9 @@ class FotenPlusArchitecture(FotenArchitecture):
         _check_count("n_tones", self.n_tones, 0)
         if self.hand not in ("head", "tokens", "modulation"):
             raise ValueError(f"hand is {self.hand!r}, expected 'head', 'tokens' or 'modulation'")
-        if not isinstance(self.network_heard, bool):
-            raise ValueError(f"network_heard is {self.network_heard!r}, expected true or false")
+        for name in ("network_heard", "level_drives", "rest_level_drives"):
+            if not isinstance(getattr(self, name), bool):
+                raise ValueError(f"{name} is {getattr(self, name)!r}, expected true or false")
         if type(self.correction_limit) not in (int, float) or not 0 < self.correction_limit < 1e6:
             raise ValueError(f"correction_limit is {self.correction_limit!r}, expected a positive number")
 

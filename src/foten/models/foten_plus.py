@@ -26,9 +26,13 @@ class FotenPlus(nn.Module):
 
         â[n] = ℓ · ( lattice(x[n−1], x[n−2], …) + Π cᵢ · L · tanh(FoTEN(x, e, v, f) / L) )
 
+    Where `level_drives`, the lattice predicts a itself and ℓ e drives it: â[n] = lattice(a[n−1], …) + ℓ · Π cᵢ · L · tanh(…).
+    What rang before then rings on as loud as it was, and not as loud as the hand is by now. Which of both predicts better is
+    found in training (`train.lattice`).
+
     In the closed loop ℓ · Π cᵢ · σ(v, f) times heavy-tailed noise that swells is added to that answer. The lattice is driven by
-    at most E = L + σ · (largest swell) · (largest shock), whatever the network says, and stays bounded itself however speed and
-    force move: its energy settles below E²/(1 − leak²), `dsp.lattice`.
+    at most E = L + σ · (largest swell) · (largest shock), times the largest ℓ where the level drives it, whatever the network
+    says, and stays bounded itself however speed and force move: its energy settles below E²/(1 − leak²), `dsp.lattice`.
 
     Whether a rendering hears the network is chosen on the validation blocks (`train.train`): what makes the next sample
     likelier does not always bring the free run nearer. A surface that repeats is rendered otherwise: tones of the path
@@ -47,11 +51,17 @@ class FotenPlus(nn.Module):
         self.architecture = architecture
         self.network = Corrector(architecture)
         width = architecture.excitation_width
-        self.lattice = Lattice(architecture.n_speed, architecture.n_force, architecture.order, width)
+        self.lattice = Lattice(
+            architecture.n_speed, architecture.n_force, architecture.order, width, architecture.level_drives
+        )
         if architecture.n_tones:
             self.tones = Tones(architecture)
             self.rest = Lattice(
-                architecture.n_rest_speed, architecture.n_rest_force, architecture.rest_order, width
+                architecture.n_rest_speed,
+                architecture.n_rest_force,
+                architecture.rest_order,
+                width,
+                architecture.rest_level_drives,
             )
         self.excitation = Excitation(width).requires_grad_(False)
 
@@ -86,8 +96,8 @@ class FotenPlus(nn.Module):
         if not self.architecture.n_tones:
             sample, unit = self._expected(heard, self.architecture.network_heard)
             return sample, unit * self.excitation(heard.condition)
-        x, level, unit = self.rest.forecast(heard.states, heard.condition)
-        sample = level * x + _tone(self._tones_at(heard.condition), self._moved(heard).phase)
+        sample, unit = self.rest.forecast(heard.states, heard.condition)
+        sample = sample + _tone(self._tones_at(heard.condition), self._moved(heard).phase)
         return sample, unit * self.excitation(heard.condition)
 
     def push(self, heard: Heard, sample: Tensor, condition: Tensor) -> Heard:
@@ -137,16 +147,15 @@ class FotenPlus(nn.Module):
         if lattice is not self.lattice:
             heard = self._moved(heard)
             sample = sample - _tone(self._tones_at(heard.condition), heard.phase)
-        x = sample / lattice.level(heard.condition)
-        states, e = lattice.push(heard.states, heard.condition, x)
+        states, x, e = lattice.push(heard.states, heard.condition, sample)
         seen = torch.cat([x[:, None], condition, e[:, None]], dim=1)
         seen = torch.cat([heard.seen[:, 1:], seen[:, None]], dim=1)
         return heard._replace(states=states, condition=condition, seen=seen), e
 
     def _expected(self, heard: Heard, corrected: bool = True) -> tuple[Tensor, Tensor]:
         """Return what is to be expected of the next samples, and what a unit of innovation is worth: (b,), (b,); scaled."""
-        x, level, unit = self.lattice.forecast(heard.states, heard.condition)
-        return level * x + (unit * self.network(heard.seen) if corrected else 0.0), unit
+        sample, unit = self.lattice.forecast(heard.states, heard.condition)
+        return sample + (unit * self.network(heard.seen) if corrected else 0.0), unit
 
     def _moved(self, heard: Heard) -> Heard:
         """Return the streams a sample further along the path."""
@@ -179,33 +188,35 @@ class Heard(NamedTuple):
 class Lattice(nn.Module):
     """A level and reflections over speed and force: of the whole vibration, or of what tones leave of it."""
 
-    def __init__(self, n_speed: int, n_force: int, order: int, width: int) -> None:
+    def __init__(self, n_speed: int, n_force: int, order: int, width: int, level_drives: bool) -> None:
         super().__init__()
+        self.level_drives = level_drives
         self.level = Scale(width).requires_grad_(False)
         # float64: at 10 kHz reflections reach 0.9999.
         self.register_buffer("speed_knots", torch.zeros(n_speed, dtype=torch.float64))
         self.register_buffer("force_knots", torch.zeros(n_force, dtype=torch.float64))
         self.register_buffer("reflections", torch.zeros(n_speed * n_force, order, dtype=torch.float64))
 
-    def forecast(self, states: Tensor, condition: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the x expected next, the level, and what a unit of innovation is worth: (p, b), (b, 2) → (b,) each."""
+    def forecast(self, states: Tensor, condition: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the sample expected next, and what a unit of innovation is worth: (p, b), (b, 2) → (b,) each, scaled."""
         level, k = self.level(condition), self.at(condition)
         cosine = torch.sqrt(1 - k * k)
         expected = torch.zeros_like(level)
         for i in reversed(range(k.shape[1])):
             expected = cosine[:, i] * expected - k[:, i] * LEAK * states[i]
-        return expected, level, level * cosine.prod(dim=1)
+        return expected if self.level_drives else level * expected, level * cosine.prod(dim=1)
 
-    def push(self, states: Tensor, condition: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the states after x, shape (b,), and its innovation: states (p, b), condition before it (b, 2)."""
-        k = self.at(condition)
+    def push(self, states: Tensor, condition: Tensor, sample: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the states after a sample (b,), x and e: states (p, b), speed and force before the sample (b, 2) scaled."""
+        level, k = self.level(condition), self.at(condition)
         cosine = torch.sqrt(1 - k * k)
-        after, f = [x], x
+        f = sample if self.level_drives else sample / level
+        after = [f]
         for i in range(k.shape[1]):
             b = LEAK * states[i]
             f, backward = (f + k[:, i] * b) / cosine[:, i], (b + k[:, i] * f) / cosine[:, i]
             after.append(backward)
-        return torch.stack(after[:-1]), f
+        return torch.stack(after[:-1]), sample / level, f / level if self.level_drives else f
 
     def at(self, condition: Tensor) -> Tensor:
         """Return the reflections: speed and force (b, 2) scaled → (b, p)."""

@@ -195,6 +195,10 @@ class State(Protocol):
     @property
     def bounded(self) -> bool: ...
 
+    def begin(self, condition: Array) -> None:
+        """Let a rendering go on, from where it was started, under another hand: speed and force (s, 2 or 3), scaled."""
+        ...
+
     def forecast(self) -> Forecast:
         """Return the next samples, shape (s,)."""
         ...
@@ -216,6 +220,9 @@ class WindowState:
     windows: Array
     sigma: Callable[[Array], Array] | None = None
     bounded: ClassVar[bool] = False
+
+    def begin(self, condition: Array) -> None:
+        """Change nothing: what was heard is all that there is."""
 
     def forecast(self) -> Forecast:
         """Return the prediction from the windows."""
@@ -257,11 +264,15 @@ class LatticeState:
         lattice = self.engine.lattice
         self.level, self.reflections = lattice.level(condition), lattice.reflections(condition).T
 
+    def begin(self, condition: Array) -> None:
+        """Let the streams be as loud as a hand (s, 2 or 3), scaled, that goes on where another one was."""
+        self.states = self.engine.lattice.begun(self.states, self.level, condition)
+
     def forecast(self) -> Forecast:
         """Return the lattice's prediction and, where it is heard, the network's correction of it."""
         x, gain = forecast(self.states, self.reflections)
         unit = gain * self.level
-        sample = x * self.level
+        sample = x * self.engine.lattice.shares(self.level)[1]
         if self.corrected:
             sample = sample + unit * self.engine.correction(self.seen)
         return self.engine.excited(sample, unit * self.swell.factor(), self.seen[:, -1, 1:3])
@@ -269,10 +280,10 @@ class LatticeState:
     def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
         """Take in the samples that followed the last forecast."""
         self.swell.push(noise)
-        x = sample / self.level
-        self.states, e = push(self.states, self.reflections, x)
+        drive, behind = self.engine.lattice.shares(self.level)
+        self.states, e = push(self.states, self.reflections, sample / behind)
         self.seen[:, :-1] = self.seen[:, 1:]
-        self.seen[:, -1, 0], self.seen[:, -1, 3] = x, e
+        self.seen[:, -1, 0], self.seen[:, -1, 3] = sample / self.level, e / drive
         self.seen[:, -1, 1:3] = condition[:, :2]
         self._heed(condition[:, :2])
 
@@ -332,11 +343,16 @@ class ToneState:
         self.phase, self.path = self.phase + self.turned, self.path + self.turned
         self.value = tone(self.engine.tones_at(self.condition, self.turned), self.phase)
 
+    def begin(self, condition: Array) -> None:
+        """Let the streams be as loud as a hand (s, 2 or 3), scaled, that goes on where another one was."""
+        self.states = self.engine.rest.begun(self.states, self.level, condition)
+
     def forecast(self) -> Forecast:
         """Return the tones and what the lattice predicts of the rest."""
         x, gain = forecast(self.states, self.reflections)
         unit = gain * self.level * self.swell.factor()
-        return self.engine.excited(self.value + x * self.level, unit, self.condition)
+        sample = self.value + x * self.engine.rest.shares(self.level)[1]
+        return self.engine.excited(sample, unit, self.condition)
 
     def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
         """Take in the samples that followed the last forecast.
@@ -345,12 +361,13 @@ class ToneState:
         rendering forgets where it started, and streams under the same noise meet.
         """
         self.swell.push(noise)
-        self.states, e = push(self.states, self.reflections, (sample - self.value) / self.level)
+        drive, behind = self.engine.rest.shares(self.level)
+        self.states, e = push(self.states, self.reflections, (sample - self.value) / behind)
         motion = self.engine.motion
         away = self.phase - self.path
         self.phase = self.phase - motion.forgetting * (away - 2 * np.pi * np.round(away / (2 * np.pi)))
         alike = np.exp(-self.turned / np.pi)
-        chance = motion.unevenness * np.clip(e, -LARGEST_STRAY, LARGEST_STRAY)
+        chance = motion.unevenness * np.clip(e / drive, -LARGEST_STRAY, LARGEST_STRAY)
         self.rate = alike * self.rate + np.sqrt(1 - alike * alike) * chance
         self.phase = self.phase + self.turned * self.rate
         self._heed(condition)
@@ -369,10 +386,10 @@ class NumpyFotenPlus:
         self._sigma = _Scale(tensors, "excitation.")
         in_sigma, in_acceleration = self._w["excitation.largest"]
         self.largest = float(in_sigma), float(in_acceleration)
-        self.lattice = self.rest = _Lattice(tensors, "lattice.")
+        self.lattice = self.rest = _Lattice(tensors, "lattice.", architecture.level_drives)
         self._tones: Plane | None = None
         if architecture.n_tones:
-            self.rest = _Lattice(tensors, "rest.")
+            self.rest = _Lattice(tensors, "rest.", architecture.rest_level_drives)
             self._tones = Plane(
                 *(self._w[f"tones.{part}"] for part in ("speed_knots", "force_knots", "values"))
             )
@@ -434,8 +451,9 @@ class NumpyFotenPlus:
         for i in range(0, max(1, len(samples)), n_at_once):
             some, flat = samples[i : i + n_at_once], before[i : i + n_at_once].reshape(-1, 2)
             level = lattice.level(flat).reshape(some.shape)
-            e, gain, states = analyse(some / level, lattice.reflections(flat).reshape(*some.shape, -1))
-            parts.append((some / level, e, gain * level, states))
+            drive, behind = lattice.shares(level)
+            e, gain, states = analyse(some / behind, lattice.reflections(flat).reshape(*some.shape, -1))
+            parts.append((some / level, e / drive, gain * level, states))
         return parts
 
     def innovations(self, blocks: Array, phase: Array | None = None) -> tuple[Array, Array, Array]:
@@ -537,9 +555,10 @@ class _Scale:
 class _Lattice:
     """Level and reflections over speed and force."""
 
-    def __init__(self, tensors: Mapping[str, NDArray[Any]], prefix: str) -> None:
+    def __init__(self, tensors: Mapping[str, NDArray[Any]], prefix: str, level_drives: bool) -> None:
         weights = _Weights(tensors, prefix)
         check_reflections(weights["reflections"])
+        self.level_drives = level_drives
         self.order = weights["reflections"].shape[1]
         self._plane = Plane(weights["speed_knots"], weights["force_knots"], weights["reflections"])
         self._level = _Scale(tensors, f"{prefix}level.")
@@ -547,6 +566,14 @@ class _Lattice:
     def level(self, condition: Array) -> Array:
         """Return the level of the vibration: speed and force (b, 2) scaled → standard deviation (b,) scaled."""
         return self._level(condition)
+
+    def shares(self, level: Array) -> tuple[Array, Array]:
+        """Return what of a level scales the innovation, and what scales that which leaves the lattice."""
+        return (level, np.ones_like(level)) if self.level_drives else (np.ones_like(level), level)
+
+    def begun(self, states: Array, level: Array, condition: Array) -> Array:
+        """Return states (p, s) of a level (s,) as those of a speed and force (s, 2 or 3), scaled."""
+        return states * self.shares(self.level(condition[:, :2]))[0] / self.shares(level)[0]
 
     def reflections(self, condition: Array) -> Array:
         """Return the reflections: speed and force (b, 2) scaled → (b, p)."""

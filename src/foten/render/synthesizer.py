@@ -118,6 +118,8 @@ class Synthesizer:
         heeded = np.minimum(condition, FURTHEST * self._high)
         scaled = (clamped - self._scaling.mean[1:]) / np.array(self._scaling.sd[1:])
         given = np.concatenate([scaled, heeded[..., :1]], axis=-1)
+        if self.statistics.n == 0 and n > 0:
+            self._loop.state.begin(given[:, 0])
         vibration = self._loop.run(given, self._draw(n) if self.excitation else None)
         fade = np.minimum(condition / self._fade, 1.0).prod(axis=-1)
         growth = (np.maximum(heeded / self._high, 1.0) ** self._exponents).prod(axis=-1)

@@ -17,7 +17,7 @@ from foten.models.foten_plus import FotenPlus, Scale
 from foten.train.config import TrainConfig
 from foten.train.excitation import fit_scale
 from foten.train.fit import Data
-from foten.train.lattice import LatticeData, fit_lattice
+from foten.train.lattice import FittedReflections, LatticeData, fit_lattice
 from foten.train.prepared import Prepared
 from foten.train.tones import FittedTones, fit_tones, played, wavelength
 
@@ -44,10 +44,10 @@ class LinearPart:
 
 @dataclass(frozen=True)
 class FittedLattice:
-    """A level and the reflections of what is levelled."""
+    """A level, and the reflections that go with it."""
 
     level: Scale
-    reflections: Plane
+    reflections: FittedReflections
 
 
 def fit_linear_parts(
@@ -111,7 +111,14 @@ def assembled(
     """Return a network with a fitted lattice, or tones and two of them, its own weights drawn from PyTorch's current seed."""
     order, n_speed, n_force = _sizes(lattice)
     # An untrained network adds nothing; a closed loop that heard it nevertheless was two thirds of the time before training.
-    architecture = replace(architecture, order=order, n_speed=n_speed, n_force=n_force, network_heard=False)
+    architecture = replace(
+        architecture,
+        order=order,
+        n_speed=n_speed,
+        n_force=n_force,
+        level_drives=lattice.reflections.level_drives,
+        network_heard=False,
+    )
     if tones is not None and rest is not None:
         rest_order, n_rest_speed, n_rest_force = _sizes(rest)
         architecture = replace(
@@ -122,23 +129,24 @@ def assembled(
             rest_order=rest_order,
             n_rest_speed=n_rest_speed,
             n_rest_force=n_rest_force,
+            rest_level_drives=rest.reflections.level_drives,
         )
     network = FotenPlus(architecture)
-    _put(network.lattice, lattice.reflections, "reflections")
+    _put(network.lattice, lattice.reflections.plane, "reflections")
     network.lattice.level.load_state_dict(lattice.level.state_dict())
     if tones is not None and rest is not None:
         _put(network.tones, tones.table, "values")
         turn = 2 * np.pi / (tones.wavelength_mm * rate_hz)
         motion = np.array([turn, tones.unevenness, 1 / (FORGETTING_S * rate_hz)])
         network.tones.motion.copy_(torch.from_numpy(motion))
-        _put(network.rest, rest.reflections, "reflections")
+        _put(network.rest, rest.reflections.plane, "reflections")
         network.rest.level.load_state_dict(rest.level.state_dict())
     return network
 
 
 def _sizes(lattice: FittedLattice) -> tuple[int, int, int]:
     """Return order and vertices over speed and force."""
-    plane = lattice.reflections
+    plane = lattice.reflections.plane
     return plane.values.shape[1], len(plane.speed_knots), len(plane.force_knots)
 
 
