@@ -1,7 +1,7 @@
-"""Train, judge and tabulate every texture of the README's table; resumable, one small JSON a run.
+"""Train, judge and tabulate every texture of the README's table and of docs/results.md; resumable, one small JSON a run.
 
     python benchmarks/main_table.py run [--only PATTERN] [--recordings DIR]
-    python benchmarks/main_table.py table [--readme README.md]
+    python benchmarks/main_table.py table [--readme README.md] [--page docs/results.md]
 
 The real recordings are read from the directory of `--recordings` (copper, fabric, leather and wood, as .npz with `speed`,
 `force` and `accel` at 10 kHz); they are not part of this repository.
@@ -61,7 +61,6 @@ def _is_text(part: ast.stmt) -> bool:
 
 RESULTS = Path(__file__).parent / "results" / "main_table"
 TRAINING = Path(__file__).parent / "results" / "training.json"
-STABILITY = Path(__file__).parent / "results" / "stability"
 REAL = ("copper", "fabric", "leather", "wood")
 SOURCES = source_sha256()  # when the code was loaded, not when a run ends
 SEEDS = (1, 2, 3, 4, 5)  # of splits, and the first of simulations: what is chosen by hand is chosen on seed 0
@@ -183,30 +182,50 @@ def run_all(arguments: argparse.Namespace) -> None:
     )
 
 
-def _row(documents: list[dict[str, Any]], figure: Any) -> str:
-    """Return mean ± standard error over split seeds, "(one)" for one, a dash where the figure is not known."""
-    values = [figure(document) for document in documents]
-    if not values or any(value is None for value in values):
-        return "–"
-    mean = f"{np.mean(values):.{figure.digits}f}"
-    if len(values) == 1:
-        return f"{mean} (one)"
-    return f"{mean} ± {np.std(values, ddof=1) / np.sqrt(len(values)):.{figure.digits}f}"
-
-
 @dataclasses.dataclass(frozen=True)
 class Figure:
-    """A figure of the judge's document by its path, over another one where `over` is given."""
+    """A figure of the judge's documents of a model by its path, over another one where `over` is given."""
 
     path: str
     digits: int
     over: str = ""
+    model: str = "foten-plus"
 
     def __call__(self, document: dict[str, Any]) -> float | None:
         found = [at(document, path) for path in (self.path, self.over) if path]
         if any(value is None for value in found):
             return None
         return float(found[0] if len(found) == 1 else found[0] / found[1])
+
+    def cell(self, documents: list[dict[str, Any]]) -> str:
+        """Return mean ± standard error over split seeds, "(one)" for one, a dash where the figure is not known."""
+        values = [self(document) for document in documents]
+        if not values or any(value is None for value in values):
+            return "–"
+        mean = f"{np.mean(values):.{self.digits}f}"
+        if len(values) == 1:
+            return f"{mean} (one)"
+        return f"{mean} ± {np.std(values, ddof=1) / np.sqrt(len(values)):.{self.digits}f}"
+
+    def mean(self, by_texture: list[list[dict[str, Any]]]) -> str:
+        """Return the mean over textures: each texture's mean over its splits counts once."""
+        values = [[self(document) for document in documents] for documents in by_texture]
+        if not all(v and None not in v for v in values):
+            return "–"
+        return f"{np.mean([np.mean(v) for v in values]):.{self.digits}f}"
+
+
+class Interval(Figure):
+    """Where a figure of the recording lies with 95 %, mean of both ends over splits."""
+
+    def cell(self, documents: list[dict[str, Any]]) -> str:
+        low, high = (
+            np.mean([at(document, f"{self.path}_{end}") for document in documents]) for end in ("low", "high")
+        )
+        return f"{low:.{self.digits}f} to {high:.{self.digits}f}"
+
+    def mean(self, by_texture: list[list[dict[str, Any]]]) -> str:
+        return ""
 
 
 def at(document: dict[str, Any], path: str) -> Any:
@@ -215,17 +234,29 @@ def at(document: dict[str, Any], path: str) -> Any:
     return document
 
 
-PLUS = "one_step.mae_scaled"
+ERROR, BEST = "one_step.mae_scaled", "references.ar_best.mae_scaled"
+SUMMARY = {
+    "one step ÷ best AR": Figure(ERROR, 3, BEST),
+    "that of `foten`": Figure(ERROR, 3, BEST, "foten"),
+    "one step ÷ bound": Figure(ERROR, 3, "references.bound_window.mae_scaled"),
+    "LSD ÷ AR(20)": Figure("free_run.lsd_db", 3, "free_run_ar.lsd_db"),
+    "LSD ÷ ceiling": Figure("free_run.lsd_db", 3, "ceiling.lsd_db"),
+    "long LSD": Figure("free_run.lsd_long_db", 2),
+    "of its ceiling": Figure("ceiling.lsd_long_db", 2),
+    "level error ÷ ceiling": Figure("free_run.level_error_db", 3, "ceiling.level_error_db"),
+    "kurtosis": Figure("free_run.kurtosis", 2),
+    "recorded": Interval("recording.kurtosis", 2),
+}
 ONE_STEP = {
     "zero": Figure("references.zero.mae_scaled", 3),
     "AR(20)": Figure("references.ar.mae_scaled", 4),
-    "best AR": Figure("references.ar_best.mae_scaled", 4),
+    "best AR": Figure(BEST, 4),
     "bound of m": Figure("references.bound_window.mae_scaled", 4),
-    "`foten`": None,
-    "`foten-plus`": Figure(PLUS, 4),
-    "÷ AR(20)": Figure(PLUS, 3, "references.ar.mae_scaled"),
-    "÷ best AR": Figure(PLUS, 3, "references.ar_best.mae_scaled"),
-    "÷ bound": Figure(PLUS, 3, "references.bound_window.mae_scaled"),
+    "`foten`": Figure(ERROR, 4, model="foten"),
+    "`foten-plus`": Figure(ERROR, 4),
+    "÷ AR(20)": Figure(ERROR, 3, "references.ar.mae_scaled"),
+    "÷ best AR": Figure(ERROR, 3, BEST),
+    "÷ bound": Figure(ERROR, 3, "references.bound_window.mae_scaled"),
     "÷ lattice": Figure("validation.mae_scaled", 3, "validation.mae_scaled_lattice"),
 }
 FREE_RUN = {
@@ -234,10 +265,12 @@ FREE_RUN = {
     "LSD of the ceiling": Figure("ceiling.lsd_db", 2),
     "LSD ÷ AR(20)": Figure("free_run.lsd_db", 3, "free_run_ar.lsd_db"),
     "LSD ÷ ceiling": Figure("free_run.lsd_db", 3, "ceiling.lsd_db"),
-    "LSD of `foten`": None,
+    "LSD of `foten`": Figure("free_run_deterministic.lsd_db", 1, model="foten"),
     "long LSD": Figure("free_run.lsd_long_db", 2),
     "of its ceiling": Figure("ceiling.lsd_long_db", 2),
     "long LSD ÷ AR(20)": Figure("free_run.lsd_long_db", 3, "free_run_ar.lsd_long_db"),
+}
+LEVEL = {
     "level bias": Figure("free_run.level_bias_db", 2),
     "level error": Figure("free_run.level_error_db", 2),
     "level error ÷ ceiling": Figure("free_run.level_error_db", 3, "ceiling.level_error_db"),
@@ -245,47 +278,71 @@ FREE_RUN = {
     "correlation of the ceiling": Figure("ceiling.level_corr", 3),
     "kurtosis": Figure("free_run.kurtosis", 2),
     "kurtosis recorded": Figure("recording.kurtosis", 2),
-    "its 2.5 %": Figure("recording.kurtosis_low", 2),
-    "its 97.5 %": Figure("recording.kurtosis_high", 2),
+    "its 95 %": Interval("recording.kurtosis", 2),
 }
-PAPER = {"`foten`": Figure(PLUS, 4), "LSD of `foten`": Figure("free_run_deterministic.lsd_db", 1)}
+KINDS = {"real four": (REAL, 10_000.0), "simulated twelve": (tuple(TEXTURES), 1000.0)}
+Groups = dict[tuple[str, float], dict[str, list[dict[str, Any]]]]
 
 
-def table() -> str:
-    """Return the tables as Markdown, from the result files alone."""
-    groups: dict[tuple[str, float], dict[str, list[dict[str, Any]]]] = {}
+def summary() -> str:
+    """Return the README's table as Markdown, from the result files alone."""
+    groups, states = _groups()
+    return "\n\n".join([_rows(groups, SUMMARY), *_told(states)])
+
+
+def tables() -> str:
+    """Return all tables as Markdown, from the result files alone."""
+    groups, states = _groups()
+    parts = [
+        f"**{title}**\n\n{_rows(groups, columns)}"
+        for title, columns in (
+            ("One step", ONE_STEP),
+            ("Free run: spectrum", FREE_RUN),
+            ("Free run: level and kurtosis", LEVEL),
+        )
+    ]
+    return "\n\n".join([*parts, *_told(states), *_training()])
+
+
+def _groups() -> tuple[Groups, dict[str, int]]:
+    """Return the documents by texture and rate, then by model, and how many each state of the sources made."""
+    groups: Groups = {}
     states: dict[str, int] = {}
     for path in sorted(RESULTS.glob("*.json")):
         document = json.loads(path.read_text())
         run = document["run"]
         states[document["source_sha256"]] = states.get(document["source_sha256"], 0) + 1
         groups.setdefault((run["texture"], run["rate_hz"]), {}).setdefault(run["model"], []).append(document)
+    return groups, states
+
+
+def _rows(groups: Groups, columns: dict[str, Figure]) -> str:
     order = [*REAL, *LINEAR_FAMILY, *TEXTURES]
-    keys = sorted(groups, key=lambda key: (order.index(key[0]), key[1]))
-    parts = []
-    for title, columns in (("One step", ONE_STEP), ("Free run", FREE_RUN)):
-        head = ["texture", "rate", "splits", *columns]
-        if columns is FREE_RUN:
-            head += ["recorded peak", "ten minutes"]
-        lines = [f"**{title}**", "", f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
-        for texture, rate in keys:
-            plus, paper = groups[texture, rate].get("foten-plus", []), groups[texture, rate].get("foten", [])
-            if not plus:
-                continue
-            cells = [texture, f"{rate / 1000:g} kHz", str(len(plus))]
+    head = ["texture", "rate", "splits", *columns]
+    lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
+    for texture, rate in sorted(groups, key=lambda key: (-key[1], order.index(key[0]))):
+        models = groups[texture, rate]
+        if "foten-plus" not in models:
+            continue
+        cells = [texture, f"{rate / 1000:g} kHz", str(len(models["foten-plus"]))]
+        cells += [figure.cell(models.get(figure.model, [])) for figure in columns.values()]
+        lines.append(f"| {' | '.join(cells)} |")
+    for title, (textures, rate) in KINDS.items():
+        by_texture = [groups.get((texture, rate), {}) for texture in textures]
+        if all("foten-plus" in models for models in by_texture):
+            cells = [f"mean of the {title}", f"{rate / 1000:g} kHz", ""]
             cells += [
-                _row(paper, PAPER[name]) if figure is None else _row(plus, figure)
-                for name, figure in columns.items()
+                figure.mean([models.get(figure.model, []) for models in by_texture])
+                for figure in columns.values()
             ]
-            if columns is FREE_RUN:
-                cells += _worst(f"{texture}-{rate:g}-foten-plus-{SEEDS[0]}")
             lines.append(f"| {' | '.join(cells)} |")
-        lines += _means(groups, columns)
-        parts.append("\n".join(lines))
+    return "\n".join(lines)
+
+
+def _told(states: dict[str, int]) -> Iterator[str]:
     if len(states) > 1:
         counts = " and ".join(map(str, sorted(states.values(), reverse=True)))
-        parts.append(f"Made by {len(states)} states of the sources: {counts} runs.")
-    return "\n\n".join([*parts, *_training()])
+        yield f"Made by {len(states)} states of the sources: {counts} runs."
 
 
 def _training() -> Iterator[str]:
@@ -311,33 +368,6 @@ def _training() -> Iterator[str]:
     yield "\n".join(lines)
 
 
-def _worst(name: str) -> list[str]:
-    """Return the largest recorded sample and the largest of ten minutes [sd], which `stability.py` measured."""
-    path = STABILITY / f"{name}.json"
-    if not path.exists():
-        return ["–", "–"]
-    found = json.loads(path.read_text())
-    return [f"{found['recorded_peak_sd']:.1f}", f"{found['max_sd']:.1f}"]
-
-
-def _means(groups: dict[tuple[str, float], dict[str, list[dict[str, Any]]]], columns: Any) -> Iterator[str]:
-    """Return the rows of means over textures: each texture's mean over its splits counts once."""
-    kinds = {"real four": (REAL, 10_000.0), "simulated twelve": (tuple(TEXTURES), 1000.0)}
-    for title, (textures, rate) in kinds.items():
-        if not all(groups.get((texture, rate), {}).get("foten-plus") for texture in textures):
-            continue
-        cells = [f"mean of the {title}", f"{rate / 1000:g} kHz", ""]
-        for name, figure in columns.items():
-            model = "foten" if figure is None else "foten-plus"
-            known = figure or PAPER[name]
-            values = [
-                [known(document) for document in groups[texture, rate].get(model, [])] for texture in textures
-            ]
-            whole = all(v and None not in v for v in values)
-            cells.append(f"{np.mean([np.mean(v) for v in values]):.{known.digits}f}" if whole else "–")
-        yield f"| {' | '.join(cells + ([''] * 2 if columns is FREE_RUN else []))} |"
-
-
 def between(page: Path | None, name: str, text: str) -> None:
     """Put text between the markers of that name in a Markdown file, or print it where there is none."""
     if page is None:
@@ -352,6 +382,11 @@ def between(page: Path | None, name: str, text: str) -> None:
         part.write_text(f"{before}{begin}\n{text}\n{end}{after}")
 
 
+def tabulate_all(arguments: argparse.Namespace) -> None:
+    between(arguments.readme, "main_table", summary())
+    between(arguments.page, "main_table", tables())
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -363,8 +398,9 @@ def main() -> None:
     run.add_argument("--keep", type=Path, help="directory for the texture files")
     run.set_defaults(command=run_all)
     tabulate = commands.add_parser("table")
-    tabulate.add_argument("--readme", type=Path, help="put the table between its markers in this file")
-    tabulate.set_defaults(command=lambda arguments: between(arguments.readme, "main_table", table()))
+    tabulate.add_argument("--readme", type=Path, help="put the short table between its markers in this file")
+    tabulate.add_argument("--page", type=Path, help="put all tables between their markers in this file")
+    tabulate.set_defaults(command=tabulate_all)
     arguments = parser.parse_args()
     arguments.command(arguments)
 
