@@ -20,7 +20,6 @@ from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -35,7 +34,6 @@ from foten.experiments.truth import truth_for
 from foten.recording.windows import targets
 from foten.render.engine import engine_for
 from foten.train.config import RECIPES
-from foten.train.lattice import LatticeData
 from foten.train.train import Trained, train_texture
 from main_table import REAL, SOURCES, at, between, recording_of, work_through
 from self_forced import fine_tuning
@@ -51,11 +49,11 @@ INGREDIENTS: dict[str, dict[str, Any]] = {
         for name, change in {
             "no tones": {"tones": False},
             "lattice of 20": {"max_order": 20},
+            "level behind the lattice alone": {"driven": False},
             "Gaussian excitation": {"tails": False},
             "no swell": {"swell": False},
         }.items()
     },
-    "level behind the lattice alone": {"train": {"epochs": 0}, "levelled": True, "beside": BARE},
     "one filter for all speeds": {
         "train": {"epochs": 0, "table": False, "tones": False},
         "beside": "no tones",
@@ -128,10 +126,7 @@ def execute(run: Run, recordings: Path) -> dict[str, Any]:
     )
     architecture = ARCHITECTURES["foten-plus"](**changed.get("sizes", {}))
     started = time.perf_counter()
-    levelled = (
-        patch.object(LatticeData, "driven", lambda data: data) if changed.get("levelled") else nullcontext()
-    )
-    with levelled, fine_tuning() if changed.get("fine_tune") else nullcontext([]) as looks:
+    with fine_tuning() if changed.get("fine_tune") else nullcontext([]) as looks:
         trained = train_texture(
             recording, "foten-plus", architecture, config, preprocess, split_seed=run.seed
         )

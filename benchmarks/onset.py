@@ -24,7 +24,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from foten.render.synthesizer import Synthesizer
+from foten.render.synthesizer import FADE_FORCE, FADE_SPEED, Synthesizer
 from foten.texture_file import Texture, read_texture
 from foten.whole_file import whole_file
 from main_table import SOURCES, between
@@ -56,8 +56,8 @@ def judge(texture: Texture, n_strokes: int, n_streams: int, seed: int = 0) -> di
     rate = texture.rate_hz
     window, n = round(WINDOW_MS * rate / 1000), round(LASTS_S * rate)
     (slow, fast), (light, heavy) = (texture.trained_range(channel) for channel in ("speed", "force"))
-    speeds = rng.uniform(max(slow, 20.0 if fast > 40 else slow), fast, n_strokes)
-    forces = rng.uniform(max(light, 0.2 if heavy > 0.4 else light), heavy, n_strokes)
+    speeds = rng.uniform(max(slow, min(FADE_SPEED, fast)), fast, n_strokes)
+    forces = rng.uniform(max(light, min(FADE_FORCE, heavy)), heavy, n_strokes)
     synthesizer = Synthesizer(texture, seed, n_streams * n_strokes)
     hand = (np.repeat(values, n_streams)[:, None] + np.zeros(n) for values in (speeds, forces))
     rendered = synthesizer.render(*hand).reshape(n_strokes, n_streams, n)

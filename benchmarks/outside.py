@@ -62,12 +62,12 @@ def halved(hand: Stroking) -> Stroking:
 
 
 def jumping(seconds: float, seed: int) -> Stroking:
-    """Return a hand whose speed and force take another value every half second, within the half range."""
+    """Return a hand whose speed and force take another value every half second, in all of its range."""
     rng = np.random.default_rng(seed)
     n, held = round(seconds * RATE_HZ), round(0.5 * RATE_HZ)
     n_values = n // held + 1
-    speed = np.repeat(rng.uniform(20, 170, n_values), held)[:n]
-    force = np.repeat(rng.uniform(0.2, 1.5, n_values), held)[:n]
+    speed = np.repeat(rng.uniform(20, 340, n_values), held)[:n]
+    force = np.repeat(rng.uniform(0.2, 3.0, n_values), held)[:n]
     velocity = np.stack([speed, np.zeros(n)], axis=1)
     return Stroking(RATE_HZ, np.cumsum(velocity, axis=0) / RATE_HZ, velocity, force, np.zeros((n, 2)))
 

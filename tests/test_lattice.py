@@ -56,8 +56,8 @@ def test_constant_reflections_have_unit_gain_whatever_they_are() -> None:
     for k in ([0.5], [-0.95, 0.9], [0.3, -0.8, 0.6, 0.2]):
         impulse = np.eye(1, 20_000)
         response = lfilter([np.sqrt(1 - np.square(k)).prod()], polynomial(np.array(k)), impulse)
-        # The leak takes 1 − β² of the power at each turn: 2e-4 times the memory, 20 samples at most here.
-        assert np.square(response).sum() == pytest.approx(1.0, abs=5e-3)
+        # The leak takes 1 − β² of the power at each turn: 6e-4 times the memory, 20 samples at most here.
+        assert np.square(response).sum() == pytest.approx(1.0, abs=0.012)
 
 
 def test_analysis_undoes_synthesis_under_switched_reflections() -> None:
@@ -109,12 +109,12 @@ def test_the_states_energy_is_a_lyapunov_function_for_all_reflections() -> None:
 
 
 def test_a_state_left_alone_is_forgotten_whatever_the_reflections_are() -> None:
-    """Nearly undamped, constant or switched at every sample: down by e in ten thousand samples, as documented."""
+    """Nearly undamped, constant or switched at every sample: down by e in 3333 samples, as documented."""
     rng = np.random.default_rng(4)
     states = rng.uniform(-50, 50, (4, 16))
     begun = np.square(states).sum(axis=0)
     k = rng.choice([-lattice.MAX_REFLECTION, lattice.MAX_REFLECTION], (4, 16))
-    for _ in range(10_000):
+    for _ in range(3334):
         k[:, 8:] = rng.permutation(k[:, 8:], axis=1)
         x, _ = forecast(states, k)
         states, _ = push(states, k, x)
@@ -160,7 +160,6 @@ def test_a_resonance_that_moves_with_speed_is_found() -> None:
     data, k = moving_tone(30, 0)
     fitted, tried = fit_lattice(data, 40)
     schedule = fitted.plane
-    assert not fitted.level_drives
     assert len(schedule.values) > 1
     found = schedule.at(data.speed.ravel(), data.force.ravel())[:, :2]
     # Straight lines between twelve speeds miss the cosine by 0.004; 24 000 samples know a vertex to within 0.02.
@@ -278,7 +277,6 @@ def test_whether_the_level_drives_is_found(drives: bool) -> None:
         np.sqrt(2 / np.pi) * np.sqrt(1 - k[0, 0] ** 2).prod() * level.mean(), rel=0.05
     )
     assert wrong > 1.02 * right
-    found = fitted.plane.at(np.array([100.0]), np.array([1.0]))[0, :2]
-    np.testing.assert_allclose(
-        found, k[0, 0], atol=0.02
-    )  # and 0.011 of it bias: a backward error knows the level of another sample
+    found = fitted.plane.at(np.array([100.0]), np.array([1.0]))[0]
+    np.testing.assert_allclose(found[:2], k[0, 0], atol=0.02)
+    assert np.abs(found[2:]).max() < 0.05  # 9000 samples know one to 0.011

@@ -688,7 +688,8 @@ def _linear_part(texture: Texture) -> dict[str, str]:
         return {}
     vertices = sizes["n_speed"] * sizes["n_force"]
     over = "for all speeds and forces" if vertices == 1 else f"over {vertices} speeds and forces"
-    rows = {"lattice": f"{sizes['order']} samples, {over}", "tones": "none"}
+    driven = ", driven by the level" if sizes["level_drives"] else ""
+    rows = {"lattice": f"{sizes['order']} samples, {over}{driven}", "tones": "none"}
     rows["network"] = (
         "is heard" if sizes["network_heard"] and not sizes["n_tones"] else "predicts, and is not heard"
     )

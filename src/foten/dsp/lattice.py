@@ -32,7 +32,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-LEAK = 0.9999  # a state left alone falls by e in 10 000 samples at most, whatever the reflections are
+# A state left alone falls by e in 3333 samples at most, whatever the reflections are. On the real four at 10 kHz it raises the
+# one-step error by 0.00 to 0.05 % over 0.9999, 0.999 by 0.2 to 0.5 %; two streams then meet thrice as fast.
+LEAK = 0.9997
 MAX_REFLECTION = 0.99999  # of a vertex; 1 would be an undamped oscillation
 
 

@@ -116,7 +116,7 @@ class FotenPlus(nn.Module):
         return heard._replace(phase=heard.phase - forgetting * away + turn * rate, rate=rate)
 
     def rendered_power(self, condition: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the mean squares of what is random in a rendering and of its tones: (b, 2) scaled → (b,), (b,), float64."""
+        """Return the mean squares, under a steady hand (b, 2) scaled, of what is random and of the tones: (b,), (b,), float64."""
         chance = (self.excited.level(condition) * self.excitation(condition)).double().square()
         if not self.architecture.n_tones:
             return chance, torch.zeros_like(chance)

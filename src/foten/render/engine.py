@@ -196,7 +196,11 @@ class State(Protocol):
     def bounded(self) -> bool: ...
 
     def begin(self, condition: Array) -> None:
-        """Let a rendering go on, from where it was started, under another hand: speed and force (s, 2 or 3), scaled."""
+        """Let the next sample be that of another hand than the one that the state was started with.
+
+        Args:
+            condition: its speed and force, scaled, as `ClosedLoop.step` has them, shape (s, 2 or 3).
+        """
         ...
 
     def forecast(self) -> Forecast:
@@ -265,8 +269,10 @@ class LatticeState:
         self.level, self.reflections = lattice.level(condition), lattice.reflections(condition).T
 
     def begin(self, condition: Array) -> None:
-        """Let the streams be as loud as a hand (s, 2 or 3), scaled, that goes on where another one was."""
+        """Let the streams be those of a hand (s, 2 or 3), scaled, that goes on where another one was."""
         self.states = self.engine.lattice.begun(self.states, self.level, condition)
+        self.seen[:, -1, 1:3] = condition[:, :2]
+        self._heed(condition[:, :2])
 
     def forecast(self) -> Forecast:
         """Return the lattice's prediction and, where it is heard, the network's correction of it."""
@@ -336,16 +342,22 @@ class ToneState:
         self.path = np.zeros_like(self.phase)
 
     def _heed(self, condition: Array) -> None:
-        """Move on to the sample after one at a speed and force (s, 2), scaled."""
+        """Move on to the sample after one at a speed and force (s, 2 or 3), scaled."""
+        turned = self.engine.turned(condition)
+        self.phase, self.path = self.phase + turned, self.path + turned
+        self._listen(condition)
+
+    def _listen(self, condition: Array) -> None:
+        """Make ready, at the phase that there is, for the sample after one at a speed and force (s, 2 or 3), scaled."""
         self.condition, rest = condition[:, :2], self.engine.rest
         self.level, self.reflections = rest.level(self.condition), rest.reflections(self.condition).T
         self.turned = self.engine.turned(condition)
-        self.phase, self.path = self.phase + self.turned, self.path + self.turned
         self.value = tone(self.engine.tones_at(self.condition, self.turned), self.phase)
 
     def begin(self, condition: Array) -> None:
-        """Let the streams be as loud as a hand (s, 2 or 3), scaled, that goes on where another one was."""
+        """Let the streams be those of a hand (s, 2 or 3), scaled, that goes on where another one was."""
         self.states = self.engine.rest.begun(self.states, self.level, condition)
+        self._listen(condition)
 
     def forecast(self) -> Forecast:
         """Return the tones and what the lattice predicts of the rest."""

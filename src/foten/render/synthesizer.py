@@ -84,7 +84,11 @@ class Synthesizer:
         self.reset()
 
     def reset(self, windows: Array | None = None) -> None:
-        """Start again with the first number of the noise, from the warm start or from given scaled windows (n_streams, m, 3)."""
+        """Start again with the first number of the noise, from the warm start or from given scaled windows (n_streams, m, 3).
+
+        From the warm start, the first sample is as loud as the first hand asks for; given windows are gone on from as they are.
+        """
+        self._fresh = windows is None
         if windows is None:
             windows = self.texture.tensors["warm_start"][None]
         if not np.isfinite(windows).all():
@@ -118,8 +122,9 @@ class Synthesizer:
         heeded = np.minimum(condition, FURTHEST * self._high)
         scaled = (clamped - self._scaling.mean[1:]) / np.array(self._scaling.sd[1:])
         given = np.concatenate([scaled, heeded[..., :1]], axis=-1)
-        if self.statistics.n == 0 and n > 0:
+        if self._fresh and n > 0:
             self._loop.state.begin(given[:, 0])
+            self._fresh = False
         vibration = self._loop.run(given, self._draw(n) if self.excitation else None)
         fade = np.minimum(condition / self._fade, 1.0).prod(axis=-1)
         growth = (np.maximum(heeded / self._high, 1.0) ** self._exponents).prod(axis=-1)

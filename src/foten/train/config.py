@@ -28,8 +28,9 @@ class TrainConfig:
     average: float = 0.0  # share of the averaged weights that a step keeps, 0 for the last ones alone
     loss: str = "huber"
     delta: float = 1.6  # Huber threshold, scaled; Sec. VI-b
-    max_order: int = 240  # samples that the lattice remembers at most; foten-plus alone, as the next three
+    max_order: int = 240  # samples that the lattice remembers at most; foten-plus alone, as the next five
     table: bool = True  # try reflections that follow speed and force
+    driven: bool = True  # try a lattice that the level drives
     tones: bool = True  # try tones of the path
     tails: bool = True  # try an excitation with heavy tails
     swell: bool = (

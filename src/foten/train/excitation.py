@@ -7,9 +7,11 @@ import math
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.signal import fftconvolve, lfilter
 
 from foten.architecture import HEAVIEST_TAIL
 from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length, welch
+from foten.dsp.lattice import polynomial
 from foten.dsp.level import frame_levels, frame_means
 from foten.dsp.noise import gaussian
 from foten.models.foten_plus import Excitation, FotenPlus, Scale
@@ -340,6 +342,23 @@ def free_run_distance(
     )
 
 
+def _rung(network: FotenPlus, power: Array) -> Array:
+    """Return the power that leaves the excited lattice, for that which drives it at each sample, (n_blocks, n, any).
+
+    Where the level scales what leaves the lattice, what rang before is levelled with the sample that it rings into, and nothing
+    carries over. Where it drives it, power rings on as the square of the impulse response does, that of the mean reflections.
+    """
+    lattice = network.excited
+    if not lattice.level_drives:
+        return power
+    k = lattice.reflections.mean(dim=0).numpy()
+    n = power.shape[1]
+    answer = np.square(lfilter([1.0], polynomial(k), np.eye(1, n)[0]))
+    # Before the first sample as at the first.
+    held = np.pad(power, ((0, 0), (n, 0), (0, 0)), mode="edge")
+    return fftconvolve(held, answer[None, :, None] / answer.sum(), axes=1)[:, n : 2 * n]
+
+
 def settle_level(
     network: FotenPlus, prepared: Prepared, trained: NDArray[np.int64], seed: int
 ) -> list[float]:
@@ -367,7 +386,7 @@ def settle_level(
     level = frame_levels(recorded, rate, reference)
     # Streams of their own: the judge, who counts from 0, must not hear the noise that the level was settled on.
     noise = np.stack([gaussian(seed, 2**32 + k, 0, trace.block - m) for k in range(len(by_block))])
-    condition = torch.from_numpy(by_block[:, settled - 1 : -1, 1:].reshape(-1, 2)).float()
+    condition = torch.from_numpy(by_block[:, m - 1 : -1, 1:].reshape(-1, 2)).float()
     within = torch.from_numpy(prepared.samples.reshape(-1, 3)[trained - 1, 1:]).float()
     errors = []
     for _ in range(N_SETTLING):
@@ -377,16 +396,15 @@ def settle_level(
         louder, doubt = _louder(rendered, recorded)
         errors.append(louder)
         # A frame's power is the mean of ℓ²σ² and the tones': it answers to a term of log σ by that term's mean under ℓ²σ².
-        # What rang before is levelled with the sample that it rings into, so nothing carries over.
         with torch.no_grad():
-            weight, of_tones = network.rendered_power(condition)
+            chance, of_tones = network.rendered_power(condition)
             terms = network.excitation.logarithms(condition).double()
-            power = weight + of_tones
-        moved = (weight[:, None] * terms).numpy().reshape(len(by_block), -1, terms.shape[1])
-        total = frame_means(power.numpy().reshape(len(by_block), -1), rate).reshape(-1, 1)
-        constant = frame_means(weight.numpy().reshape(len(by_block), -1), rate).reshape(-1, 1)
-        by_term = np.stack([frame_means(part, rate).ravel() for part in np.moveaxis(moved, -1, 0)], axis=1)
-        answers = np.concatenate([constant, by_term], axis=1) / total
+        weighed = (chance[:, None] * torch.cat([torch.ones_like(chance)[:, None], terms], dim=1)).numpy()
+        weighed = _rung(network, weighed.reshape(len(by_block), -1, weighed.shape[1]))[:, settled - m :]
+        tones = of_tones.numpy().reshape(len(by_block), -1)[:, settled - m :]
+        total = frame_means(weighed[..., 0] + tones, rate).reshape(-1, 1)
+        by_term = [frame_means(part, rate).ravel() for part in np.moveaxis(weighed, -1, 0)]
+        answers = np.stack(by_term, axis=1) / total
         # Ridge: a recording at one condition has no slopes to adjust, one that varies (log-variance 0.5 and more) has.
         ridge = 0.05 * len(error) * np.diag([0.0, 1.0, 1.0, 1.0, 1.0, 1.0])
         step = -np.linalg.solve(answers.T @ answers + ridge, answers.T @ error)

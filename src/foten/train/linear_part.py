@@ -76,7 +76,7 @@ def fit_linear_parts(
         return level, LatticeData(x, unit, speed, force, split.train, split.validation)
 
     level, given = levelled(acceleration)
-    reflections, tried = fit_lattice(given, max_order, config.table)
+    reflections, tried = fit_lattice(given, max_order, config.table, config.driven)
     lattice = FittedLattice(level, reflections)
     found: dict[str, Any] = {"lattices": tried, "wavelength_mm": None}
     plain = LinearPart(assembled(architecture, lattice), None, found)
@@ -89,7 +89,7 @@ def fit_linear_parts(
     rest_level, rest = levelled(
         acceleration - (played(given, fitted.table, fitted.phase) * given.unit).ravel()
     )
-    reflections, tried_for_rest = fit_lattice(rest, max_order, config.table)
+    reflections, tried_for_rest = fit_lattice(rest, max_order, config.table, config.driven)
     with_tones = {
         "lattices": tried,
         "lattices_of_the_rest": tried_for_rest,
