@@ -280,7 +280,11 @@ LEVEL = {
     "kurtosis recorded": Figure("recording.kurtosis", 2),
     "its 95 %": Interval("recording.kurtosis", 2),
 }
-KINDS = {"real four": (REAL, 10_000.0), "simulated twelve": (tuple(TEXTURES), 1000.0)}
+KINDS = {
+    "real four": (REAL, 10_000.0),
+    "linear family": (tuple(LINEAR_FAMILY), 1000.0),
+    "simulated twelve": (tuple(TEXTURES), 1000.0),
+}
 Groups = dict[tuple[str, float], dict[str, list[dict[str, Any]]]]
 
 
@@ -301,7 +305,93 @@ def tables() -> str:
             ("Free run: level and kurtosis", LEVEL),
         )
     ]
-    return "\n\n".join([*parts, *_told(states), *_training()])
+    aims = f"**What was aimed at**\n\n{_aims(groups)}"
+    return "\n\n".join([aims, *parts, *_told(states), *_training()])
+
+
+@dataclasses.dataclass(frozen=True)
+class Aim:
+    """What a figure, or its size, is to be at most, or at least, on the mean of some textures and on each of them."""
+
+    title: str
+    kind: str
+    figure: Callable[[dict[str, Any]], float | None]
+    mean: float | None = None
+    each: float | None = None
+    at_least: bool = False
+    size: bool = False
+
+    def row(self, groups: Groups) -> str:
+        """Return aim and figure: the mean over textures of means over splits, and the worst texture's."""
+        textures, rate = KINDS[self.kind]
+        values = {
+            texture: [
+                self.figure(document) for document in groups.get((texture, rate), {}).get("foten-plus", [])
+            ]
+            for texture in textures
+        }
+        known = {texture: float(np.mean(v)) for texture, v in values.items() if v and None not in v}
+        if self.size:
+            known = {texture: abs(value) for texture, value in known.items()}
+        of = (
+            self.kind
+            if len(known) == len(textures)
+            else f"{self.kind}, {len(known)} of {len(textures)} so far"
+        )
+        if not known:
+            return f"| {self.title} | {of} | {self._asked(self.mean)} | – | {self._asked(self.each)} | – |"
+        worst = (min if self.at_least else max)(known, key=lambda texture: known[texture])
+        mean = self._told(float(np.mean(list(known.values()))), self.mean)
+        each = f"{self._told(known[worst], self.each)} ({worst})"
+        return (
+            f"| {self.title} | {of} | {self._asked(self.mean)} | {mean} | {self._asked(self.each)} | {each} |"
+        )
+
+    def _asked(self, aim: float | None) -> str:
+        return "" if aim is None else f"{'≥' if self.at_least else '≤'} {aim:g}"
+
+    def _told(self, value: float, aim: float | None) -> str:
+        if aim is None:
+            return f"{value:.3f}"
+        return f"{value:.3f} {'✓' if (value >= aim if self.at_least else value <= aim) else '✗'}"
+
+
+def _behind_ceiling(document: dict[str, Any]) -> float | None:
+    found = [at(document, f"{of}.level_corr") for of in ("free_run", "ceiling")]
+    return None if None in found else found[0] - found[1]
+
+
+def _in_interval(document: dict[str, Any]) -> float:
+    """Return where the kurtosis lies in the recording's interval, from −1 to 1."""
+    low, high = (document["recording"][f"kurtosis_{end}"] for end in ("low", "high"))
+    return float((2 * at(document, "free_run.kurtosis") - low - high) / (high - low))
+
+
+FOUR, TWELVE, LINEAR = "real four", "simulated twelve", "linear family"
+AIMS = (
+    Aim("one step ÷ best AR", FOUR, SUMMARY["one step ÷ best AR"], mean=0.995, each=1.0),
+    Aim("one step ÷ bound", LINEAR, SUMMARY["one step ÷ bound"], mean=1.01),
+    Aim("one step ÷ best AR", TWELVE, SUMMARY["one step ÷ best AR"], mean=0.95),
+    Aim("LSD ÷ ceiling", TWELVE, SUMMARY["LSD ÷ ceiling"], mean=1.05, each=1.15),
+    Aim("long LSD [dB]", TWELVE, SUMMARY["long LSD"], mean=1.0),
+    Aim("long LSD of the ceiling [dB]", TWELVE, SUMMARY["of its ceiling"]),
+    Aim("level error ÷ ceiling", TWELVE, SUMMARY["level error ÷ ceiling"], mean=1.15),
+    Aim("level correlation − ceiling", TWELVE, _behind_ceiling, mean=-0.03, at_least=True),
+    Aim("LSD ÷ AR(20)", FOUR, SUMMARY["LSD ÷ AR(20)"], mean=0.95),
+    Aim("long LSD ÷ AR(20)", FOUR, FREE_RUN["long LSD ÷ AR(20)"], mean=0.95),
+    Aim(
+        "kurtosis: size of its place in the recorded interval, −1 to 1",
+        FOUR,
+        _in_interval,
+        each=1.0,
+        size=True,
+    ),
+)
+
+
+def _aims(groups: Groups) -> str:
+    lines = ["| figure | of | aim for the mean | mean | aim for each | worst |", "|" + "---|" * 6]
+    return "\n".join([*lines, *(aim.row(groups) for aim in AIMS)])
 
 
 def _groups() -> tuple[Groups, dict[str, int]]:
@@ -340,9 +430,11 @@ def _rows(groups: Groups, columns: dict[str, Figure]) -> str:
 
 
 def _told(states: dict[str, int]) -> Iterator[str]:
-    if len(states) > 1:
-        counts = " and ".join(map(str, sorted(states.values(), reverse=True)))
-        yield f"Made by {len(states)} states of the sources: {counts} runs."
+    """Say so where results were made by other sources than those that are here."""
+    earlier = sorted((n for source, n in states.items() if source != SOURCES), reverse=True)
+    if earlier:
+        counts = " and ".join(map(str, earlier))
+        yield f"Of {sum(states.values())} runs, {counts} were made by an earlier state of the sources."
 
 
 def _training() -> Iterator[str]:
