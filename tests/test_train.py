@@ -515,3 +515,14 @@ def test_a_swell_is_as_large_as_what_is_beyond_chance(
     network.load_state_dict({name: torch.from_numpy(texture.tensors[name]) for name in network.state_dict()})
     fit_swell(network, prepare(trace, split), 0)
     assert network.excitation.swell[1] == pytest.approx(sd, rel=1e-6)
+
+
+@pytest.mark.parametrize("driven", [True, False])
+def test_a_process_that_its_level_drives_is_trained_as_one(driven: bool) -> None:
+    """The linear family scales its innovations: as found from a recording, level and all."""
+    config = TrainConfig(epochs=0, threads=1, max_order=80, table=False, driven=driven)
+    recording = simulate("linear-cloth", 16.0, seed=3)
+    texture = train_texture(recording, "foten-plus", FotenPlusArchitecture(**SMALL), config).texture
+    assert texture.architecture.level_drives == driven
+    kinds = {line["level_drives"] for line in texture.card["metrics"]["linear_part"]["lattices"]}
+    assert kinds == {False, driven}

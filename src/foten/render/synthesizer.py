@@ -49,8 +49,8 @@ class Synthesizer:
     was recorded. The loop itself runs on, so that the texture is there again with the first movement.
 
     Above the trained range the loop sees the range's end, tones go on with the path, and the level grows by a power law of the
-    training blocks, up to twice the range. On simulated surfaces recorded in half of the hand's range
-    (`benchmarks/outside.py`) that came nearest the truth of what was tried.
+    training blocks, up to twice the range. It grows behind the loop, so that a jump back is soft at once. On simulated surfaces
+    recorded in half of the hand's range (`benchmarks/outside.py`) that came nearest the truth of what was tried.
 
     Differs from the paper: it clamps to the recorded range on both sides (Sec. VIII), and so vibrates at rest and does not
     grow.
