@@ -74,6 +74,31 @@ def test_analysis_undoes_synthesis_under_switched_reflections() -> None:
     assert np.isfinite(expected).all()
 
 
+@pytest.mark.parametrize("largest", [0.3, 0.99, 1 - 1e-12])
+@pytest.mark.parametrize("p", [1, 2, 30])
+def test_all_sections_at_once_are_one_after_the_other(p: int, largest: float) -> None:
+    """Oracle: the recursion of the module's docstring; thirty of the largest have a gain below the least."""
+    rng = np.random.default_rng(p)
+    k, states, x = rng.uniform(-largest, largest, (p, 5)), rng.standard_normal((p, 5)), rng.standard_normal(5)
+    if largest > 0.99:
+        k = largest * np.sign(k)
+    c = np.sqrt(1 - k * k)
+    f = np.zeros(5)
+    for i in reversed(range(p)):
+        f = c[i] * f - k[i] * LEAK * states[i]
+    found, gain = forecast(states, k)
+    np.testing.assert_allclose(found, f, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(gain, c.prod(axis=0))
+    f, after = x, [x]
+    for i in range(p):
+        b = LEAK * states[i]
+        f, backward = (f + k[i] * b) / c[i], (b + k[i] * f) / c[i]
+        after.append(backward)
+    pushed, e = push(states, k, x)
+    np.testing.assert_allclose(pushed, np.stack(after[:-1]), rtol=1e-7, atol=1e-12)
+    np.testing.assert_allclose(e, f, rtol=1e-7)
+
+
 def test_a_direct_form_grows_under_switching_and_the_lattice_does_not() -> None:
     """Two AR(2) with poles at 0.98, switched: the direct form grows by 1.24 a sample."""
     radius, turns = 0.98, (0.3, 2.6)

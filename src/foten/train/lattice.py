@@ -151,23 +151,23 @@ def fit_lattice_of(data: LatticeData, order: int, n_speed: int, n_force: int) ->
     chosen = list(data.train)
     speed, force = data.speed[chosen], data.force[chosen]
     plane = spanning(speed, force, n_speed, n_force)
-    # Four vertices count at a sample: with rows of all 36 the fit would take three times the memory and the time.
+    # Four vertices count at a sample, and ten pairs of them: rows of all 36 would take several times the memory and time.
     weights = sparse.vstack(
         [sparse.csr_array(plane.weights(*block)) for block in zip(speed, force, strict=True)], format="csr"
     )
-    by_vertex, n_vertices_at = weights.T.tocsr(), np.diff(weights.indptr)
+    n_vertices = weights.shape[1]
+    by_vertex, by_pair = weights.T, _pairs(weights).T
     parts = _covariances(len(plane.speed_knots), len(plane.force_knots))
     weight = np.ones_like(speed) if data.weight is None else data.weight[chosen]
     kept = _kept_of_noise(data.x[chosen], weight, order)
     f = b = data.x[chosen]
-    reflections = np.zeros((weights.shape[1], order))
+    reflections = np.zeros((n_vertices, order))
     for i in range(order):
         b = delayed(b)
         power, correlation = weight * (f * f + b * b) / 2, weight * f * b
         power[:, : i + 1] = correlation[:, : i + 1] = 0.0  # before that a section still fills
-        weighed = weights.copy()
-        weighed.data *= np.repeat(power.ravel(), n_vertices_at)
-        gram = (by_vertex @ weighed).toarray()
+        upper = (by_pair @ power.ravel()).reshape(n_vertices, n_vertices)
+        gram = upper + upper.T - np.diag(np.diag(upper))
         moment = -(by_vertex @ correlation.ravel())
         everywhere = kept[i] * moment.sum() / gram.sum()
         # In units of a section's own error: a reflection is known to within √((1 − k²)/n).
@@ -176,6 +176,22 @@ def fit_lattice_of(data: LatticeData, order: int, n_speed: int, n_force: int) ->
         reflections[:, i] = np.clip(found, -MAX_REFLECTION, MAX_REFLECTION)
         f, b, _ = rotate_back(f, b, (weights @ reflections[:, i]).reshape(f.shape))
     return replace(plane, values=reflections)
+
+
+def _pairs(weights: sparse.csr_array) -> sparse.csr_array:
+    """Return the products of each row's weights, (n, k) → (n, k²): of vertices i ≤ j, in column i·k + j."""
+    n, k = weights.shape
+    counts = np.diff(weights.indptr)
+    rows = np.repeat(np.arange(n), counts)
+    place = np.arange(weights.nnz) - weights.indptr[rows]
+    vertex, weight = np.zeros((2, n, int(counts.max())))
+    vertex[rows, place], weight[rows, place] = weights.indices, weights.data
+    first, second = np.triu_indices(vertex.shape[1])
+    columns = vertex[:, first] * k + vertex[:, second]
+    products = weight[:, first] * weight[:, second]
+    heard = products != 0
+    at = np.repeat(np.arange(n), heard.sum(axis=1))
+    return sparse.csr_array((products[heard], (at, columns[heard].astype(np.int64))), shape=(n, k * k))
 
 
 def _kept_of_noise(x: Array, weight: Array, order: int) -> Array:
@@ -230,6 +246,8 @@ def _covariances(n_speed: int, n_force: int) -> list[NDArray[Any]]:
 
 def _shrunk(information: Array, score: Array, parts: list[NDArray[Any]]) -> NDArray[Any]:
     """Return the posterior mean of deviations with likelihood exp(score·d − d·information·d/2), prior scales by evidence."""
+    if not parts:
+        return np.zeros_like(score)
     identity = np.eye(len(score))
 
     def solved(scales: list[float]) -> tuple[float, NDArray[Any]]:
@@ -241,10 +259,15 @@ def _shrunk(information: Array, score: Array, parts: list[NDArray[Any]]) -> NDAr
     scales = [0.0] * len(parts)
     best = solved(scales)
     for _ in range(2):
+        before = scales
         for number in range(len(parts)):
             for scale in SCALES:
+                if scale == scales[number]:
+                    continue
                 tried = [*scales[:number], scale, *scales[number + 1 :]]
                 found = solved(tried)
                 if found[0] > best[0] + 1e-9:
                     best, scales = found, tried
+        if scales == before:
+            break
     return best[1]
