@@ -152,11 +152,10 @@ def fit_lattice_of(data: LatticeData, order: int, n_speed: int, n_force: int) ->
     speed, force = data.speed[chosen], data.force[chosen]
     plane = spanning(speed, force, n_speed, n_force)
     # Four vertices count at a sample, and ten pairs of them: rows of all 36 would take several times the memory and time.
-    weights = sparse.vstack(
-        [sparse.csr_array(plane.weights(*block)) for block in zip(speed, force, strict=True)], format="csr"
-    )
-    n_vertices = weights.shape[1]
-    by_vertex, by_pair = weights.T, _pairs(weights).T
+    by_block = [sparse.csr_array(plane.weights(*block)) for block in zip(speed, force, strict=True)]
+    by_pair = sparse.vstack([_pairs(block) for block in by_block], format="csr").T
+    weights = sparse.vstack(by_block, format="csr")
+    by_vertex, n_vertices = weights.T, weights.shape[1]
     parts = _covariances(len(plane.speed_knots), len(plane.force_knots))
     weight = np.ones_like(speed) if data.weight is None else data.weight[chosen]
     kept = _kept_of_noise(data.x[chosen], weight, order)
