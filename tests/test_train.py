@@ -6,6 +6,7 @@ import copy
 import dataclasses
 import json
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from scipy.signal import lfilter
 
 from foten.architecture import FotenArchitecture, FotenPlusArchitecture
 from foten.datasets.simulate import simulate
+from foten.dsp.lattice import polynomial
 from foten.dsp.noise import heavy_tailed
 from foten.models import build
 from foten.models.dropout import Dropout, set_dropout
@@ -32,6 +34,7 @@ from foten.texture_file import texture_from_bytes
 from foten.train.config import RECIPES, TrainConfig
 from foten.train.excitation import (
     _lasts_s,
+    _rung,
     engine_of,
     fit_excitation,
     fit_scale,
@@ -526,3 +529,25 @@ def test_a_process_that_its_level_drives_is_trained_as_one(driven: bool) -> None
     assert texture.architecture.level_drives == driven
     kinds = {line["level_drives"] for line in texture.card["metrics"]["linear_part"]["lattices"]}
     assert kinds == {False, driven}
+
+
+@pytest.mark.parametrize("drives", [False, True])
+def test_power_that_drives_a_lattice_rings_on(drives: bool) -> None:
+    """Oracle: the mean square of what a lattice makes of noise whose power jumps, over 4000 runs."""
+    sizes: dict[str, Any] = {**SMALL, "order": 2, "level_drives": drives}
+    network = build("foten-plus", FotenPlusArchitecture(**sizes))
+    k = torch.tensor([-0.9, 0.95], dtype=torch.float64)
+    network.lattice.reflections.copy_(k[None])
+    power = np.concatenate([np.full(100, 4.0), np.full(100, 0.01)])
+    found = _rung(network, power[None, :, None])[0, :, 0]
+    if not drives:
+        np.testing.assert_array_equal(found, power)
+        return
+    noise = np.sqrt(power) * np.random.default_rng(0).standard_normal((4000, 200))
+    gain = float(torch.sqrt(1 - k * k).prod())
+    heard = np.square(lfilter([gain], polynomial(k.numpy()), noise, axis=1)).mean(axis=0)
+    # From the jump on, and once what came before the first sample, which `_rung` holds, no longer rings. A mean over 4000 of
+    # squares that ring alike is known to √(2/4000) = 2.2 %; four standard errors.
+    np.testing.assert_allclose(found[90:], heard[90:], rtol=0.09)
+    assert found[105] > 100 * power[105]
+    assert found[0] == pytest.approx(4.0, rel=0.02)  # what is left of the answer after 200 samples
