@@ -394,14 +394,14 @@ def _aims(groups: Groups) -> str:
     return "\n".join([*lines, *(aim.row(groups) for aim in AIMS)])
 
 
-def _groups() -> tuple[Groups, dict[str, int]]:
-    """Return the documents by texture and rate, then by model, and how many each state of the sources made."""
+def _groups() -> tuple[Groups, dict[str, list[str]]]:
+    """Return the documents by texture and rate, then by model, and the names of those that each state of the sources made."""
     groups: Groups = {}
-    states: dict[str, int] = {}
+    states: dict[str, list[str]] = {}
     for path in sorted(RESULTS.glob("*.json")):
         document = json.loads(path.read_text())
         run = document["run"]
-        states[document["source_sha256"]] = states.get(document["source_sha256"], 0) + 1
+        states.setdefault(document["source_sha256"], []).append(path.stem)
         groups.setdefault((run["texture"], run["rate_hz"]), {}).setdefault(run["model"], []).append(document)
     return groups, states
 
@@ -429,12 +429,14 @@ def _rows(groups: Groups, columns: dict[str, Figure]) -> str:
     return "\n".join(lines)
 
 
-def _told(states: dict[str, int]) -> Iterator[str]:
-    """Say so where results were made by other sources than those that are here."""
-    earlier = sorted((n for source, n in states.items() if source != SOURCES), reverse=True)
+def _told(states: dict[str, list[str]]) -> Iterator[str]:
+    """Name the results that were made by other sources than those that are here."""
+    earlier = sorted(name for source, names in states.items() if source != SOURCES for name in names)
     if earlier:
-        counts = " and ".join(map(str, earlier))
-        yield f"Of {sum(states.values())} runs, {counts} were made by an earlier state of the sources."
+        yield (
+            f"Of {sum(map(len, states.values()))} runs, {len(earlier)} were made by an earlier state of the sources: "
+            f"{', '.join(earlier)}."
+        )
 
 
 def _training() -> Iterator[str]:

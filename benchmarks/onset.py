@@ -131,10 +131,11 @@ def main() -> None:
     arguments = parser.parse_args()
     if not arguments.textures and arguments.page is None:
         parser.error("no texture file was given")
-    print(
-        "texture, then level / spectrum / level of single strokes [dB] in the 40 ms from 0, 20, 60, 100 ms on, settled; "
-        "over the 99.9th percentile"
-    )
+    if arguments.textures:
+        print(
+            "texture, then level / spectrum / level of single strokes [dB] in the 40 ms from 0, 20, 60, 100 ms on, settled; "
+            "over the 99.9th percentile"
+        )
     for path in arguments.textures:
         found = judge(read_texture(path), arguments.strokes, arguments.streams)
         if arguments.save is not None:

@@ -22,7 +22,8 @@ from scipy.signal import welch
 
 from foten.datasets.simulate import TEXTURES, simulate
 from foten.recording.felt import HIGHEST_HZ, MOST_SENSITIVE_HZ, USABLE_BAND, carried, smallest_rate
-from main_table import REAL, between
+from foten.recording.recording import Recording
+from main_table import REAL, between, recording_of
 
 RATE_HZ, SHOWN_HZ = 10_000.0, (1000.0, 2500.0)
 SECONDS = 16.0
@@ -32,20 +33,20 @@ def densities(recordings: Path) -> dict[str, dict[str, tuple[np.ndarray, np.ndar
     """Return frequency [Hz] and power density of each axis of each texture."""
     found = {}
     for texture in REAL:
-        path = recordings / f"{texture}.npz"
-        if not path.exists():
-            print(f"{texture}: skipped, no {path.name} in {recordings}", file=sys.stderr)
-            continue
-        with np.load(path, allow_pickle=False) as columns:
-            found[texture] = {"acceleration": welch(columns["accel"].astype(float), RATE_HZ, nperseg=1024)}
-    for texture in TEXTURES:
-        channels = simulate(texture, SECONDS, seed=0).channels
-        found[texture] = {
-            name: welch(channel.samples, channel.rate_hz, nperseg=1024)
-            for name, channel in channels.items()
-            if name.startswith("acceleration")
-        }
-    return found
+        try:
+            found[texture] = spectra(recording_of(texture, RATE_HZ, 0, recordings)[0])
+        except FileNotFoundError as error:
+            print(f"{texture}: skipped, no {error.filename}", file=sys.stderr)
+    return found | {texture: spectra(simulate(texture, SECONDS, seed=0)) for texture in TEXTURES}
+
+
+def spectra(recording: Recording) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return frequency [Hz] and power density of each axis of acceleration."""
+    return {
+        name: welch(channel.samples, channel.rate_hz, nperseg=1024)
+        for name, channel in recording.channels.items()
+        if name.startswith("acceleration")
+    }
 
 
 def gentler(hertz: np.ndarray, density: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
