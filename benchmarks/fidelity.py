@@ -3,7 +3,9 @@
     python benchmarks/fidelity.py run [--only PATTERN] [--seeds 0] [--textures a,b] [--recordings DIR]
     python benchmarks/fidelity.py table [--page docs/fidelity.md]
 
-A run trains and judges one texture with one ingredient changed and leaves one small JSON in `results/fidelity`. The table
+A run trains and judges one texture with one ingredient changed and leaves one small JSON in `results/fidelity`. Where the texture
+has nothing of an ingredient that is left out, no tones say, the run is the one that it stands beside, and is not made again;
+and the default of a split that `main_table.py` has run is that of `results/main_table`. The table
 gives, for each ingredient, the validation error and the figures on the test blocks as ratios to those of what it stands beside
 on the same texture and split, made by the same sources: mean, standard error over textures (over splits of a single one), number
 of pairs. Choose by the columns of the validation blocks; the others report.
@@ -16,7 +18,7 @@ import dataclasses
 import json
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -26,7 +28,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from foten.architecture import ARCHITECTURES
+from foten.architecture import ARCHITECTURES, sizes
 from foten.datasets.simulate import LINEAR_FAMILY, TEXTURES
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.one_step import one_step
@@ -35,7 +37,8 @@ from foten.recording.windows import targets
 from foten.render.engine import engine_for
 from foten.train.config import RECIPES
 from foten.train.train import Trained, train_texture
-from main_table import REAL, SOURCES, at, between, recording_of, work_through
+from main_table import REAL, SOURCES, at, between, heard_of, recording_of, work_through
+from main_table import RESULTS as MAIN
 from self_forced import fine_tuning
 
 RESULTS = Path(__file__).parent / "results" / "fidelity"
@@ -83,6 +86,14 @@ INGREDIENTS: dict[str, dict[str, Any]] = {
     "fine-tuned on its own output": {"fine_tune": True},
     **{f"window {m}": {"sizes": {"window": m}} for m in (5, 10, 40, 64)},
 }
+LACKS: dict[str, Callable[[dict[str, Any]], bool]] = {
+    "no tones": lambda has: not has["n_tones"],
+    "lattice of 20": lambda has: max(has["order"], has["rest_order"] if has["n_tones"] else 0) <= 20,
+    "level behind the lattice alone": lambda has: not has["level_drives"] and not has["rest_level_drives"],
+    "no swell": lambda has: not has["swell"],
+    "one filter for all speeds": lambda has: has["n_speed"] * has["n_force"] == 1,
+}
+"""Whether what a texture has, beside an ingredient that is left out, has nothing of it."""
 FIGURES = {
     "validation: one step": "validation.mae_scaled",
     "validation: LSD": "heard.lsd_db",
@@ -119,8 +130,19 @@ def runs(seeds: list[int], textures: list[str]) -> Iterator[Run]:
 
 def execute(run: Run, recordings: Path) -> dict[str, Any]:
     """Return the figures of one run."""
-    recording, preprocess = recording_of(run.texture, run.rate_hz, run.seed, recordings)
     changed = INGREDIENTS[run.ingredient]
+    beside = dataclasses.replace(run, ingredient=changed.get("beside", DEFAULT))
+    path = RESULTS / f"{beside.name}.json"
+    if run.ingredient in LACKS and path.exists():
+        document = json.loads(path.read_text())
+        if document["source_sha256"] == SOURCES and LACKS[run.ingredient](document["has"]):
+            return {
+                **document,
+                "run": dataclasses.asdict(run),
+                "same_as": beside.ingredient,
+                "training_seconds": 0.0,
+            }
+    recording, preprocess = recording_of(run.texture, run.rate_hz, run.seed, recordings)
     config = dataclasses.replace(
         RECIPES["default"], **{"threads": 1, "seed": run.seed, **changed.get("train", {})}
     )
@@ -142,9 +164,10 @@ def execute(run: Run, recordings: Path) -> dict[str, Any]:
         "versions": trained.texture.card["training"]["versions"],
         "source_sha256": SOURCES,
         "validation": validation(trained, document["first_scored"]),
-        "heard": {
-            name: trained.texture.card["metrics"][f"validation_{name}"]
-            for name in ("lsd_db", "level_error_db")
+        "heard": heard_of(trained.texture),
+        "has": {
+            **sizes(trained.texture.architecture),
+            "swell": float(trained.texture.tensors["excitation.swell"][1]),
         },
         "fine_tuning": looks,
         **kept,
@@ -172,11 +195,15 @@ def run_all(arguments: argparse.Namespace) -> None:
 
 def table(arguments: argparse.Namespace) -> None:
     """Print the ratios to what each ingredient stands beside, by kind of texture, or put them into a page."""
-    found = [json.loads(path.read_text()) for path in sorted(RESULTS.glob("*.json"))]
-    by_run = {
-        (*(d["run"][key] for key in ("texture", "rate_hz", "seed", "ingredient")), d["source_sha256"]): d
-        for d in found
-    }
+    by_run = {}
+    for path in sorted(MAIN.glob("*-foten-plus-*.json")):
+        d = json.loads(path.read_text())
+        run = d["run"]
+        by_run[run["texture"], run["rate_hz"], run["split_seed"], DEFAULT, d["source_sha256"]] = d
+    for path in sorted(RESULTS.glob("*.json")):
+        d = json.loads(path.read_text())
+        run = (d["run"][key] for key in ("texture", "rate_hz", "seed", "ingredient"))
+        by_run[(*run, d["source_sha256"])] = d
     kinds = {
         "simulated twelve, 1 kHz": (tuple(TEXTURES), 1000.0),
         "linear family, 1 kHz": (tuple(LINEAR_FAMILY), 1000.0),

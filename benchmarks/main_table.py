@@ -36,7 +36,7 @@ from foten.experiments.truth import truth_for
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Channel, Recording
 from foten.recording.trace import Trace
-from foten.texture_file import write_texture
+from foten.texture_file import Texture, write_texture
 from foten.train.config import RECIPES
 from foten.train.train import train_texture
 from foten.whole_file import whole_file
@@ -123,8 +123,16 @@ def execute(run: Run, recordings: Path, keep: Path | None) -> dict[str, Any]:
         "source_sha256": SOURCES,
         "training_seconds": seconds,
         "recording": kurtosis_of(judgement.trace),
+        "heard": heard_of(trained.texture),
         **judgement.document,
     }
+
+
+def heard_of(texture: Texture) -> dict[str, float]:
+    """Return how far the free run is from the validation blocks [dB], as its card says; none of a model without excitation."""
+    names = ("lsd_db", "level_error_db")
+    metrics = texture.card["metrics"]
+    return {name: metrics[f"validation_{name}"] for name in names if f"validation_{name}" in metrics}
 
 
 def kurtosis_of(trace: Trace, n_draws: int = 2000) -> dict[str, Any]:
