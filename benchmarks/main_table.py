@@ -43,9 +43,17 @@ from foten.whole_file import whole_file
 
 
 def source_sha256() -> str:
-    """Return the digest of the package, without docstrings and comments."""
+    """Return the digest of the modules of the package that a run may use, without docstrings and comments."""
     digest, package = hashlib.sha256(), Path(foten.__file__).parent
-    for path in sorted(package.rglob("*.py")):
+    waiting, used = [Path(__file__)], set[Path]()
+    while waiting:
+        for name in _imported(ast.parse(waiting.pop().read_text())):
+            path = package.joinpath(*name.split(".")[1:])
+            path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+            if path.exists() and path not in used:
+                used.add(path)
+                waiting.append(path)
+    for path in sorted(used):
         tree = ast.parse(path.read_text())
         for node in ast.walk(tree):
             body = getattr(node, "body", None)
@@ -53,6 +61,18 @@ def source_sha256() -> str:
                 node.body = [part for part in body if not _is_text(part)]  # type: ignore[attr-defined]
         digest.update(f"{path.relative_to(package).as_posix()}\n{ast.dump(tree)}\n".encode())
     return digest.hexdigest()
+
+
+def _imported(tree: ast.AST) -> Iterator[str]:
+    """Return what of the package is imported anywhere under a node, and what may be a module of it."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+        else:
+            continue
+        yield from (name for name in names if name.startswith("foten."))
 
 
 def _is_text(part: ast.stmt) -> bool:

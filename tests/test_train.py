@@ -35,6 +35,7 @@ from foten.train.config import RECIPES, TrainConfig
 from foten.train.excitation import (
     _lasts_s,
     _rung,
+    _strays,
     engine_of,
     fit_excitation,
     fit_scale,
@@ -447,6 +448,25 @@ def test_how_long_a_swell_lasts_is_read_from_frames(lasts: float) -> None:
     assert lasts / 2 <= found <= 2 * lasts
 
 
+@pytest.mark.parametrize("swell", [0.0, 0.35])
+def test_levels_stray_by_the_swell_alone(swell: float) -> None:
+    """Heavy-tailed noise under a hand that makes it ten times as loud; a swell of 100 ms; frames at rest do not count."""
+    rng = np.random.default_rng(3)
+    rate, shape, kept = 1000.0, (30, 2000), math.exp(-0.01)
+    hand = 10 ** np.sin(np.arange(shape[1]) / 100)
+    driven = rng.standard_normal(shape) * math.sqrt(1 - kept * kept)
+    driven[:, 0] /= math.sqrt(1 - kept * kept)
+    loudness = np.exp(swell * lfilter([1.0], [1.0, -kept], driven, axis=1))
+    recorded = loudness * hand * rng.standard_t(4, shape)
+    recorded[:, :200] *= 50
+    moving = np.ones(shape, dtype=bool)
+    moving[:, :200] = False
+    found, doubt = _strays(recorded, hand * rng.standard_t(4, (5, *shape)), moving, rate)
+    # The mean over 10 of 100 ms leaves 0.967 of the variance.
+    assert abs(found - 0.967 * swell**2) < 4 * doubt
+    assert doubt < 0.01
+
+
 def test_an_excitation_fitted_twice_is_that_fitted_once(trained: Trained) -> None:
     texture, trace, split = trained.texture, trained.trace, trained.split
     network = build("foten-plus", texture.architecture)
@@ -507,12 +527,28 @@ def test_growth_beyond_the_range_is_that_of_the_texture_however_quiet_it_is() ->
     assert found[1] == pytest.approx(found[0], rel=1e-9)
 
 
-@pytest.mark.parametrize(("spikier", "sd"), [(0.4, 0.5 * math.sqrt(0.4 * 0.75)), (0.15, 0.0), (-0.3, 0.0)])
+@pytest.mark.parametrize(
+    ("spikier", "strays", "sd"),
+    [
+        (0.4, (1.0, 0.0), 0.5 * math.sqrt(0.4 * 0.75)),
+        (0.15, (1.0, 0.0), 0.0),
+        (-0.3, (1.0, 0.0), 0.0),
+        (0.4, (0.03, 0.0), 0.2),
+        (0.4, (0.04, 0.02), 0.2),
+        (0.4, (0.01, 0.0), 0.0),
+        (0.4, (-0.02, 0.01), 0.0),
+    ],
+)
 def test_a_swell_is_as_large_as_what_is_beyond_chance(
-    trained: Trained, monkeypatch: pytest.MonkeyPatch, spikier: float, sd: float
+    trained: Trained,
+    monkeypatch: pytest.MonkeyPatch,
+    spikier: float,
+    strays: tuple[float, float],
+    sd: float,
 ) -> None:
-    """Known to within 0.2, a logarithm of 0.4 counts three quarters: 1 − (0.2/0.4)²."""
+    """Known to within 0.2, a logarithm of 0.4 counts three quarters: 1 − (0.2/0.4)². Of straying levels 0.01 is the level's."""
     monkeypatch.setattr("foten.train.excitation._spikier", lambda recorded, rendered: (spikier, 0.2))
+    monkeypatch.setattr("foten.train.excitation._strays", lambda *signals: strays)
     texture, trace, split = trained.texture, trained.trace, trained.split
     network = build("foten-plus", texture.architecture)
     network.load_state_dict({name: torch.from_numpy(texture.tensors[name]) for name in network.state_dict()})

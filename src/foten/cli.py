@@ -698,6 +698,7 @@ def _linear_part(texture: Texture) -> dict[str, str]:
         every = f", the surface repeats every {length:.3g} mm" if length else ""
         rows["tones"] = (
             f"{sizes['n_tones']} multiples{every}; of the rest a lattice of {sizes['rest_order']} samples"
+            f"{', driven by the level' if sizes['rest_level_drives'] else ''}"
         )
     return rows
 

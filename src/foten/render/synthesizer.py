@@ -192,5 +192,5 @@ def prove(texture: Texture, engine: Engine) -> None:
         if not error <= tolerance:
             raise ValueError(
                 f"the texture file fails its own proof: {name} differs by {error:.2g} scaled from what was trained, "
-                f"expected at most {tolerance:g}; is the file damaged?"
+                f"expected at most {tolerance:g}; is the file damaged, or from another version of foten?"
             )
