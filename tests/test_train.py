@@ -34,6 +34,7 @@ from foten.texture_file import texture_from_bytes
 from foten.train.config import RECIPES, TrainConfig
 from foten.train.excitation import (
     _lasts_s,
+    _moving,
     _rung,
     _strays,
     engine_of,
@@ -45,7 +46,7 @@ from foten.train.excitation import (
     settle_level,
 )
 from foten.train.fit import Data, Epoch, fit, loss_of, predict
-from foten.train.prepared import prepare
+from foten.train.prepared import Prepared, prepare
 from foten.train.run import RunFolder
 from foten.train.train import Trained, _beyond_exponents, _innovations, train_texture
 
@@ -458,13 +459,28 @@ def test_levels_stray_by_the_swell_alone(swell: float) -> None:
     driven[:, 0] /= math.sqrt(1 - kept * kept)
     loudness = np.exp(swell * lfilter([1.0], [1.0, -kept], driven, axis=1))
     recorded = loudness * hand * rng.standard_t(4, shape)
-    recorded[:, :200] *= 50
+    recorded[:, :195] *= 50
     moving = np.ones(shape, dtype=bool)
-    moving[:, :200] = False
+    moving[:, :195] = False  # half of a frame
     found, doubt = _strays(recorded, hand * rng.standard_t(4, (5, *shape)), moving, rate)
     # The mean over 10 of 100 ms leaves 0.967 of the variance.
     assert abs(found - 0.967 * swell**2) < 4 * doubt
     assert doubt < 0.01
+
+
+def test_a_hand_at_rest_or_in_the_air_is_not_heard() -> None:
+    n = np.arange(4000).reshape(4, 1000)
+    speed, force = 5.0 + 0 * n, 0.1 + 0 * n
+    speed[1, 900:], force[3, 950:] = 4.9, 0.09
+    trace = Trace(np.zeros(4000), speed.ravel(), force.ravel(), 1000.0, 1000)
+    split = Split((0, 1), (3,), (2,), 4, 1000, "contiguous", 0)
+    moving = _moving(
+        Prepared(trace, split, Scaling((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)), np.zeros((4, 1000, 3))), 200
+    )
+    assert moving.shape == (3, 200)
+    assert moving[0].all()
+    assert list(np.flatnonzero(~moving[1])) == list(range(100, 200))
+    assert list(np.flatnonzero(~moving[2])) == list(range(150, 200))
 
 
 def test_an_excitation_fitted_twice_is_that_fitted_once(trained: Trained) -> None:
