@@ -141,10 +141,12 @@ def test_tones_go_on_with_the_path_above_the_trained_speed_and_never_alias() -> 
     assert heard_of(3, np.array([2 * np.pi * 0.17]))[0, 4:] == pytest.approx([0, 0])
 
 
-def test_a_rendering_forgets_the_window_that_it_started_from() -> None:
+@pytest.mark.parametrize("unevenness", [0.03, 0.3])
+def test_a_rendering_forgets_the_window_that_it_started_from(unevenness: float) -> None:
     """Other phases of the surface, ±50 standard deviations: under the same noise they meet within four seconds."""
     texture = exported("foten-plus", WITH_TONES)
     engine: Any = engine_for(texture)
+    engine.motion = engine.motion._replace(unevenness=unevenness)  # 0.3: it strays by several turns
     rng = np.random.default_rng(1)
     windows = rng.standard_normal((3, texture.window, 3))
     windows[1, :, 0] *= 50

@@ -107,7 +107,6 @@ class FotenPlus(nn.Module):
         if not self.architecture.n_tones:
             return heard
         away = heard.phase - heard.path
-        away = away - 2 * math.pi * torch.round(away / (2 * math.pi))
         unevenness, forgetting = self.tones.motion[1:].to(sample.dtype)
         turn = self._turn(before).to(sample.dtype)
         alike = torch.exp(-turn / math.pi)
@@ -138,8 +137,10 @@ class FotenPlus(nn.Module):
             heard, _ = self._take_in(heard, lattice, windows[:, n, 0], windows[:, n, 1:])
         if lattice is self.lattice:
             return heard
-        # The way to the first sample belongs to the recording, of which nothing is to be left.
-        return heard._replace(path=-self._turn(heard.condition).to(heard.path.dtype))
+        # The way to the first sample belongs to the recording, of which nothing is to be left: the path begins there, and the
+        # phase within half a turn of it.
+        turn = self._turn(heard.condition).to(heard.path.dtype)
+        return heard._replace(phase=wrapped(heard.phase + turn) - turn, path=-turn)
 
     def _take_in(
         self, heard: Heard, lattice: Lattice, sample: Tensor, condition: Tensor
@@ -260,6 +261,11 @@ class Corrector(Foten):
     def forward(self, windows: Tensor) -> Tensor:
         """Return what of the next innovation is to be expected, within ±`correction_limit`."""
         return self.limit * torch.tanh(super().forward(windows) / self.limit)
+
+
+def wrapped(phase: Tensor) -> Tensor:
+    """Return a phase [rad] without its whole turns, from −π to π, any shape."""
+    return torch.remainder(phase + math.pi, 2 * math.pi) - math.pi
 
 
 def _tone(coefficients: Tensor, phase: Tensor) -> Tensor:

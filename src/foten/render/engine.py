@@ -338,8 +338,10 @@ class ToneState:
     def __post_init__(self) -> None:
         self.path = self.rate = np.zeros_like(self.phase)
         self._heed(self.condition)
-        # The way to the first sample belongs to the recording, of which nothing is to be left.
+        # The way to the first sample belongs to the recording, of which nothing is to be left: the path begins here, and the
+        # phase within half a turn of it.
         self.path = np.zeros_like(self.phase)
+        self.phase = np.remainder(self.phase + np.pi, 2 * np.pi) - np.pi
 
     def _heed(self, condition: Array) -> None:
         """Move on to the sample after one at a speed and force (s, 2 or 3), scaled."""
@@ -369,15 +371,16 @@ class ToneState:
     def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
         """Take in the samples that followed the last forecast.
 
-        The phase strays as the surface does, the innovation for chance, and is drawn towards that of the path alone: a
-        rendering forgets where it started, and streams under the same noise meet.
+        The phase strays as the surface does, the innovation for chance, and is drawn towards that of the path alone by a share of
+        all that it is away, whole turns included: two streams under the same noise come nearer by that share in every sample,
+        whatever the hand does, so a rendering forgets where it started. Drawn to the nearest turn, two that strayed to either
+        side of half a turn were drawn apart: on simulated jeans, whose periods are uneven, they had not met in 12 s.
         """
         self.swell.push(noise)
         drive, behind = self.engine.rest.shares(self.level)
         self.states, e = push(self.states, self.reflections, (sample - self.value) / behind)
         motion = self.engine.motion
-        away = self.phase - self.path
-        self.phase = self.phase - motion.forgetting * (away - 2 * np.pi * np.round(away / (2 * np.pi)))
+        self.phase = self.phase - motion.forgetting * (self.phase - self.path)
         alike = np.exp(-self.turned / np.pi)
         chance = motion.unevenness * np.clip(e / drive, -LARGEST_STRAY, LARGEST_STRAY)
         self.rate = alike * self.rate + np.sqrt(1 - alike * alike) * chance
