@@ -319,7 +319,7 @@ Groups = dict[tuple[str, float], dict[str, list[dict[str, Any]]]]
 def summary() -> str:
     """Return the README's table as Markdown, from the result files alone."""
     groups, states = _groups()
-    return "\n\n".join([_rows(groups, SUMMARY), *_told(states)])
+    return "\n\n".join([_rows(groups, SUMMARY), *_told(states, "named in docs/results.md")])
 
 
 def tables() -> str:
@@ -457,13 +457,18 @@ def _rows(groups: Groups, columns: dict[str, Figure]) -> str:
     return "\n".join(lines)
 
 
-def _told(states: dict[str, list[str]]) -> Iterator[str]:
-    """Name the results that were made by other sources than those that are here."""
+def _told(states: dict[str, list[str]], where: str = "") -> Iterator[str]:
+    """Say how many results were made by other sources than those that are here, and name them, or say where they are named."""
     earlier = sorted(name for source, names in states.items() if source != SOURCES for name in names)
     if earlier:
+        splits: dict[str, list[str]] = {}
+        for name in earlier:
+            of, _, split = name.rpartition("-")
+            splits.setdefault(of, []).append(split)
+        named = ", ".join(f"{of} ({', '.join(numbers)})" for of, numbers in splits.items())
         yield (
-            f"Of {sum(map(len, states.values()))} runs, {len(earlier)} were made by an earlier state of the sources: "
-            f"{', '.join(earlier)}."
+            f"Of {sum(map(len, states.values()))} runs, {len(earlier)} were made by an earlier state of the sources"
+            + (f" ({where})." if where else f"; with their splits: {named}.")
         )
 
 

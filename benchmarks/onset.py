@@ -33,6 +33,7 @@ WINDOW_MS = 40.0
 STARTS_MS = (0.0, 20.0, 60.0, 100.0)
 SETTLED_S, LASTS_S = 1.0, 2.0
 CLICK_MS = 20.0
+MORE_STREAMS = 16  # times as many for clicks
 
 
 def third_octaves(rate_hz: float) -> np.ndarray:
@@ -76,7 +77,11 @@ def judge(texture: Texture, n_strokes: int, n_streams: int, seed: int = 0) -> di
         return float(level.mean()), float(spectrum), float(np.abs(level).mean())
 
     limits = np.quantile(np.abs(settled), 0.999, axis=(1, 2))
-    begun = np.abs(rendered[:, :, : round(CLICK_MS * rate / 1000)]) > limits[:, None, None]
+    first = np.ones(round(CLICK_MS * rate / 1000))
+    streams = MORE_STREAMS * n_streams
+    many = Synthesizer(texture, seed + 1, streams * n_strokes)
+    at_once = many.render(*(np.repeat(values, streams)[:, None] * first for values in (speeds, forces)))
+    begun = np.abs(at_once.reshape(n_strokes, streams, -1)) > limits[:, None, None]
     begin = [away(round(start * rate / 1000)) for start in STARTS_MS]
     strays = [away(round(SETTLED_S * rate) + k * window) for k in range(10)]
     return {

@@ -83,9 +83,8 @@ def test_all_sections_at_once_are_one_after_the_other(p: int, largest: float) ->
     if largest > 0.99:
         k = largest * np.sign(k)
     c = np.sqrt(1 - k * k)
-    small = (
-        1e-200 if c.prod(axis=0).min() == 0 else 1.0
-    )  # what such a lattice is driven by would be no number either
+    # What a lattice whose gain is no number is driven by would be no number either.
+    small = 1e-200 if c.prod(axis=0).min() == 0 else 1.0
     states, x = small * states, small * x
     f = np.zeros(5)
     for i in reversed(range(p)):

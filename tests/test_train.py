@@ -25,7 +25,7 @@ from foten.recording.recording import Recording
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
 from foten.recording.trace import Trace
-from foten.recording.windows import targets
+from foten.recording.windows import targets, windows
 from foten.render.closed_loop import ClosedLoop
 from foten.render.engine import Forecast
 from foten.render.engine import engine_for as engine_of_texture
@@ -48,7 +48,7 @@ from foten.train.excitation import (
 from foten.train.fit import Data, Epoch, fit, loss_of, predict
 from foten.train.prepared import Prepared, prepare
 from foten.train.run import RunFolder
-from foten.train.train import Trained, _beyond_exponents, _innovations, train_texture
+from foten.train.train import Trained, _beyond_exponents, _innovations, pick_warm_start, train_texture
 
 SMALL = {
     "d_model": 8,
@@ -541,6 +541,31 @@ def test_growth_beyond_the_range_is_that_of_the_texture_however_quiet_it_is() ->
     # Four seeds came within 0.041; a reference of 1 m/s² gave 0.26 and 0.04 to a texture of 20 mm/s².
     assert found[0] == pytest.approx({"speed": 1.0, "force": 0.5}, abs=0.1)
     assert found[1] == pytest.approx(found[0], rel=1e-9)
+
+
+def test_a_stroke_begins_from_a_window_whose_end_is_neither_loud_nor_soft() -> None:
+    """A hand that speeds up through 45 mm/s; a burst ends where it is at 45."""
+    rng = np.random.default_rng(0)
+    n, rate, m = 12_000, 1000.0, 30
+    speed, force = np.linspace(20.0, 75.0, n) + 1e-4 * rng.standard_normal(n), np.full(n, 0.8)
+    acceleration = rng.standard_normal(n)
+    nearest = int(np.abs(speed - 45.0).argmin())
+    acceleration[nearest - 9 : nearest + 1] *= 30.0
+    trace = Trace(acceleration, speed, force, rate, 1000)
+    assert 100 < nearest % 1000 < 900
+    validation, test = (0, 11), (1, 10)
+    split = Split(tuple(range(2, 10)), validation, test, 12, 1000, "contiguous", 0)
+    prepared = prepare(trace, split)
+    window, condition = pick_warm_start(prepared, m)
+    ends = prepared.targets(m)[0]
+    near = ends[np.argsort(np.abs(speed[ends - 1] - 45.0))[: len(ends) // 100]]
+    all_windows = windows(prepared.samples.reshape(-1, 3), near, m)
+    (chosen,) = np.flatnonzero((all_windows == window).all(axis=(1, 2)))
+    assert condition["found"] == {"speed": speed[near[chosen] - 1], "force": pytest.approx(0.8)}
+    power = np.square(all_windows[:, -20:, 0]).mean(axis=1)
+    assert abs(int((power < power[chosen]).sum()) - int((power > power[chosen]).sum())) <= 1
+    assert power.max() > 50 * power[chosen]
+    assert nearest + 1 in near
 
 
 @pytest.mark.parametrize(

@@ -112,11 +112,15 @@ def _louder(rendered: Array, recorded: Array) -> tuple[float, float]:
     """Return by how much rendered blocks are louder than recorded ones [dB], and its standard error over blocks."""
     ours, theirs = np.square(rendered).mean(axis=1), np.square(recorded).mean(axis=1)
     louder = 10 * math.log10(ours.sum() / theirs.sum())
-    n = len(ours)
-    if n < 2:
+    if len(ours) < 2:
         return louder, math.inf
-    without = 10 * np.log10((ours.sum() - ours) / (theirs.sum() - theirs))
-    return louder, float(np.sqrt((n - 1) / n * np.square(without - without.mean()).sum()))
+    return louder, _jackknifed(10 * np.log10((ours.sum() - ours) / (theirs.sum() - theirs)))
+
+
+def _jackknifed(without: Array) -> float:
+    """Return the standard error of a figure over n blocks, given what it is without each block in turn, (n,)."""
+    n = len(without)
+    return float(np.sqrt((n - 1) / n * np.square(without - without.mean()).sum()))
 
 
 def fit_tail(
@@ -295,9 +299,7 @@ def _strays(recorded: Array, runs: Array, moving: NDArray[np.bool_], rate_hz: fl
     others = number.sum() - number
     if len(recorded) < 3 or not (others > 0).all():
         return 0.0, math.inf
-    without = (total.sum() - total) / others
-    doubt = float(np.sqrt((len(without) - 1) / len(without) * np.square(without - without.mean()).sum()))
-    return float(total.sum() / number.sum()), doubt
+    return float(total.sum() / number.sum()), _jackknifed((total.sum() - total) / others)
 
 
 def _spikier(recorded: Array, rendered: Array) -> tuple[float, float]:
@@ -314,11 +316,9 @@ def _spikier(recorded: Array, rendered: Array) -> tuple[float, float]:
         return np.log(sums[1] / np.square(sums[0]))
 
     ratio = log_kurtosis(recorded) - log_kurtosis(rendered)
-    n = len(recorded)
-    if n < 3:
+    if len(recorded) < 3:
         return 0.0, math.inf
-    without = ratio[1:]
-    return float(ratio[0]), float(np.sqrt((n - 1) / n * np.square(without - without.mean()).sum()))
+    return float(ratio[0]), _jackknifed(ratio[1:])
 
 
 def _lasts_s(recorded: Array, rendered: Array, rate_hz: float) -> float:
