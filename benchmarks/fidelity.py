@@ -5,7 +5,8 @@
 
 A run trains and judges one texture with one ingredient changed and leaves one small JSON in `results/fidelity`. Where the texture
 has nothing of an ingredient that is left out, no tones say, the run is the one that it stands beside, and is not made again;
-and the default of a split that `main_table.py` has run is that of `results/main_table`. The table
+and the default of a split that `main_table.py` has run is that of `results/main_table`. Runs without a network that differ in
+what is fitted after the lattices share those. Several processes share the work best by `--textures`. The table
 gives, for each ingredient, the validation error and the figures on the test blocks as ratios to those of what it stands beside
 on the same texture and split, made by the same sources: mean, standard error over textures (over splits of a single one), number
 of pairs. Choose by the columns of the validation blocks; the others report.
@@ -14,12 +15,13 @@ of pairs. Choose by the columns of the validation blocks; the others report.
 from __future__ import annotations
 
 import argparse
+import copy
 import dataclasses
 import json
 import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
+import foten.train.train as train_module
 from foten.architecture import ARCHITECTURES, sizes
 from foten.datasets.simulate import LINEAR_FAMILY, TEXTURES
 from foten.evaluate.evaluate import evaluate
@@ -35,7 +38,8 @@ from foten.evaluate.one_step import one_step
 from foten.experiments.truth import truth_for
 from foten.recording.windows import targets
 from foten.render.engine import engine_for
-from foten.train.config import RECIPES
+from foten.train.config import RECIPES, TrainConfig
+from foten.train.linear_part import LinearPart, fit_linear_parts
 from foten.train.train import Trained, train_texture
 from main_table import REAL, SOURCES, at, between, heard_of, recording_of, work_through
 from main_table import RESULTS as MAIN
@@ -120,12 +124,51 @@ class Run:
 
 
 def runs(seeds: list[int], textures: list[str]) -> Iterator[Run]:
-    """Return every run, the defaults first."""
-    for ingredient in INGREDIENTS:
-        for seed in seeds:
-            for texture in textures:
-                rates = (10_000.0, 2500.0) if texture in REAL else (1000.0,)
-                yield from (Run(texture, rate, seed, ingredient) for rate in rates)
+    """Return every run, those of one texture, rate and split together, what others stand beside first."""
+    for seed in seeds:
+        for texture in textures:
+            for rate in (10_000.0, 2500.0) if texture in REAL else (1000.0,):
+                yield from (Run(texture, rate, seed, ingredient) for ingredient in INGREDIENTS)
+
+
+class LinearParts:
+    """The linear parts of the last texture, rate and split, by what they were fitted with.
+
+    For runs without a network alone: fitting leaves PyTorch's generator elsewhere, which the weights of one are drawn from.
+    """
+
+    def __init__(self) -> None:
+        self.of: tuple[Any, ...] = ()
+        self.kept: dict[tuple[Any, ...], list[LinearPart]] = {}
+
+    @contextmanager
+    def shared(self, run: Run) -> Iterator[None]:
+        """Let training without a network take what was fitted for this texture, rate and split before."""
+        if self.of != (run.texture, run.rate_hz, run.seed):
+            self.of, self.kept = (run.texture, run.rate_hz, run.seed), {}
+
+        def parts(
+            architecture: Any, data: Any, prepared: Any, config: TrainConfig, *rest: Any
+        ) -> list[LinearPart]:
+            if config.epochs > 0:
+                return fit_linear_parts(architecture, data, prepared, config, *rest)
+            fitted_with = (architecture, config.max_order, config.table, config.driven)
+            # The first is that without tones, whether there are some or not.
+            if not config.tones and (*fitted_with, True) in self.kept:
+                return copy.deepcopy(self.kept[*fitted_with, True][:1])
+            key = (*fitted_with, config.tones)
+            if key not in self.kept:
+                self.kept[key] = fit_linear_parts(architecture, data, prepared, config, *rest)
+            return copy.deepcopy(self.kept[key])
+
+        train_module.fit_linear_parts = parts
+        try:
+            yield
+        finally:
+            train_module.fit_linear_parts = fit_linear_parts
+
+
+LINEAR_PARTS = LinearParts()
 
 
 def execute(run: Run, recordings: Path) -> dict[str, Any]:
@@ -148,7 +191,8 @@ def execute(run: Run, recordings: Path) -> dict[str, Any]:
     )
     architecture = ARCHITECTURES["foten-plus"](**changed.get("sizes", {}))
     started = time.perf_counter()
-    with fine_tuning() if changed.get("fine_tune") else nullcontext([]) as looks:
+    tuning = fine_tuning() if changed.get("fine_tune") else nullcontext([])
+    with LINEAR_PARTS.shared(run), tuning as looks:
         trained = train_texture(
             recording, "foten-plus", architecture, config, preprocess, split_seed=run.seed
         )
