@@ -457,6 +457,21 @@ def _rows(groups: Groups, columns: dict[str, Figure]) -> str:
     return "\n".join(lines)
 
 
+def name_of(found: dict[str, Any]) -> str:
+    """Return the texture's name of a result that `stability.py` or `onset.py` keeps, marked where other sources made it."""
+    name = found["file"].split("-foten-plus-")
+    split = f", split {name[1]}" if name[1:] and name[1] != "1" else ""
+    mark = "" if found["source_sha256"] == SOURCES else " †"
+    texture = name[0].removesuffix(f"-{found['rate_hz']:g}")
+    return f"{texture}{split}{mark}"
+
+
+def made_earlier(folder: Path) -> Iterator[str]:
+    """Say what the mark of `name_of` is, where one is."""
+    if any(json.loads(path.read_text())["source_sha256"] != SOURCES for path in folder.glob("*.json")):
+        yield "\n† made by an earlier state of the sources."
+
+
 def _told(states: dict[str, list[str]], where: str = "") -> Iterator[str]:
     """Say how many results were made by other sources than those that are here, and name them, or say where they are named."""
     earlier = sorted(name for source, names in states.items() if source != SOURCES for name in names)

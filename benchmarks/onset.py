@@ -5,9 +5,11 @@
 
 A first stroke begins at once with a speed and a force drawn from the trained range and holds them, rendered from the warm
 start under several streams of noise. Settled is what the same streams are from 1 s on. Level: mean over strokes of the power in
-a window of 40 ms over the settled power [dB]. Spectrum: mean over strokes of the same in third-octave bands (40 ms hold no
-finer), root mean square over the bands. Settled windows scatter too: the last pair is the largest level and spectrum of ten
-such windows. Click: how often samples of the first 20 ms exceed the settled 99.9th percentile.
+a window of 40 ms over the settled power [dB], and mean of its size, which a start that is loud under one hand and soft under
+another does not hide. Spectrum: mean over strokes of the same in third-octave bands (40 ms hold no finer), root mean square over
+the bands. Settled windows scatter too: the last column has the largest of ten such windows. Click: how often samples of the first
+20 ms exceed the settled 99.9th percentile, over more streams, since that is rare; and how often settled ones do, that of each
+stream counted against the percentile of the others.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ import numpy as np
 from foten.render.synthesizer import FADE_FORCE, FADE_SPEED, Synthesizer
 from foten.texture_file import Texture, read_texture
 from foten.whole_file import whole_file
-from main_table import SOURCES, between
+from main_table import SOURCES, between, made_earlier, name_of
 
 WINDOW_MS = 40.0
 STARTS_MS = (0.0, 20.0, 60.0, 100.0)
@@ -77,6 +79,14 @@ def judge(texture: Texture, n_strokes: int, n_streams: int, seed: int = 0) -> di
         return float(level.mean()), float(spectrum), float(np.abs(level).mean())
 
     limits = np.quantile(np.abs(settled), 0.999, axis=(1, 2))
+    usual = np.mean(
+        [
+            np.abs(settled[:, k])
+            > np.quantile(np.abs(np.delete(settled, k, axis=1)), 0.999, axis=(1, 2))[:, None]
+            for k in range(n_streams)
+        ],
+        axis=(0, 2),
+    )
     first = np.ones(round(CLICK_MS * rate / 1000))
     streams = MORE_STREAMS * n_streams
     many = Synthesizer(texture, seed + 1, streams * n_strokes)
@@ -85,7 +95,6 @@ def judge(texture: Texture, n_strokes: int, n_streams: int, seed: int = 0) -> di
     begin = [away(round(start * rate / 1000)) for start in STARTS_MS]
     strays = [away(round(SETTLED_S * rate) + k * window) for k in range(10)]
     return {
-        "texture": texture.card["texture"],
         "texture_sha256": texture.sha256(),
         "source_sha256": SOURCES,
         "rate_hz": rate,
@@ -99,27 +108,35 @@ def judge(texture: Texture, n_strokes: int, n_streams: int, seed: int = 0) -> di
         "settled_spectrum_db": max(stray[1] for stray in strays),
         "settled_level_abs_db": max(stray[2] for stray in strays),
         "click_share": float(begun.mean()),
-        "click_standard_error": float(begun.mean(axis=(1, 2)).std(ddof=1) / np.sqrt(n_strokes)),
+        "settled_share": float(usual.mean()),
+        # Of their difference, over strokes.
+        "click_standard_error": float((begun.mean(axis=(1, 2)) - usual).std(ddof=1) / np.sqrt(n_strokes)),
     }
 
 
 def table(folder: Path) -> str:
-    """Return what is saved as Markdown: level and spectrum [dB] in 40 ms from each start on, settled, and the clicks."""
+    """Return what is saved as Markdown: level, its size and spectrum [dB] in 40 ms from each start on and settled; the clicks."""
     head = [
         "texture",
+        "rate [kHz]",
         *(f"{start:g} ms" for start in STARTS_MS),
         "settled, at most",
-        "over the 99.9th percentile",
+        "first 20 ms over the settled 99.9th percentile",
+        "settled sound",
     ]
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
     for path in sorted(folder.glob("*.json")):
         found = json.loads(path.read_text())
-        cells = [path.stem.split("-foten-plus")[0]]
-        cells += [f"{a:+.2f} / {b:.2f}" for a, b in zip(found["level_db"], found["spectrum_db"], strict=True)]
-        cells.append(f"{found['settled_level_db']:.2f} / {found['settled_spectrum_db']:.2f}")
+        cells = [name_of(found), f"{found['rate_hz'] / 1000:g}"]
+        names = ("level_db", "level_abs_db", "spectrum_db")
+        cells += [
+            f"{a:+.2f} / {b:.2f} / {c:.2f}" for a, b, c in zip(*(found[name] for name in names), strict=True)
+        ]
+        cells.append(" / ".join(f"{found[f'settled_{name}']:.2f}" for name in names))
         cells.append(f"{100 * found['click_share']:.3f} ± {100 * found['click_standard_error']:.3f} %")
+        cells.append(f"{100 * found['settled_share']:.3f} %")
         lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
+    return "\n".join([*lines, *made_earlier(folder)])
 
 
 def main() -> None:
@@ -138,21 +155,22 @@ def main() -> None:
         parser.error("no texture file was given")
     if arguments.textures:
         print(
-            "texture, then level / spectrum / level of single strokes [dB] in the 40 ms from 0, 20, 60, 100 ms on, settled; "
-            "over the 99.9th percentile"
+            "texture, then level / its size in single strokes / spectrum [dB] in the 40 ms from 0, 20, 60, 100 ms on, settled; "
+            "over the 99.9th percentile in the first 20 ms, and in settled sound"
         )
     for path in arguments.textures:
-        found = judge(read_texture(path), arguments.strokes, arguments.streams)
+        found = {"file": path.stem, **judge(read_texture(path), arguments.strokes, arguments.streams)}
         if arguments.save is not None:
             arguments.save.mkdir(parents=True, exist_ok=True)
             with whole_file(arguments.save / f"{path.stem}.json") as part:
                 part.write_text(json.dumps(found, indent=1) + "\n")
-        names = ("level_db", "spectrum_db", "level_abs_db")
+        names = ("level_db", "level_abs_db", "spectrum_db")
         cells = [
             f"{a:+.2f}/{b:.2f}/{c:.2f}" for a, b, c in zip(*(found[name] for name in names), strict=True)
         ]
         cells.append("/".join(f"{found[f'settled_{name}']:.2f}" for name in names))
         click = f"{100 * found['click_share']:.3f} ± {100 * found['click_standard_error']:.3f} %"
+        click += f", {100 * found['settled_share']:.3f} %"
         print(f"{path.stem:36s} {'  '.join(cells)}  {click}", flush=True)
     if arguments.page is not None:
         between(arguments.page, "onset", table(arguments.save))
