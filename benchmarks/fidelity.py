@@ -3,13 +3,14 @@
     python benchmarks/fidelity.py run [--only PATTERN] [--seeds 0] [--textures a,b] [--recordings DIR]
     python benchmarks/fidelity.py table [--page docs/fidelity.md]
 
-A run trains and judges one texture with one ingredient changed and leaves one small JSON in `results/fidelity`. Where the texture
-has nothing of an ingredient that is left out, no tones say, the run is the one that it stands beside, and is not made again;
-and the default of a split that `main_table.py` has run is that of `results/main_table`. Runs without a network that differ in
-what is fitted after the lattices share those. Several processes share the work best by `--textures`. The table
-gives, for each ingredient, the validation error and the figures on the test blocks as ratios to those of what it stands beside
-on the same texture and split, made by the same sources: mean, standard error over textures (over splits of a single one), number
-of pairs. Choose by the columns of the validation blocks; the others report.
+A run trains and judges one texture with one ingredient changed and leaves one small JSON in `results/fidelity`. Where the
+texture has nothing of an ingredient that is left out, no tones say, the run is the one that it stands beside, and is not made
+again; and the default of a split that `main_table.py` has run is that of `results/main_table`. Runs without a network that
+differ in what is fitted after the lattices share those. Several processes share the work best by `--textures`. The table gives,
+for each ingredient, the validation error and the figures on the test blocks as ratios to those of what it stands beside on the
+same texture and split, made by the same sources: mean, standard error over textures (over splits of a single one), number of
+pairs. A copy is no pair, and where neither run hears its network their free runs are the same and not compared. Choose by the
+columns of the validation blocks; the others report.
 """
 
 from __future__ import annotations
@@ -98,6 +99,12 @@ LACKS: dict[str, Callable[[dict[str, Any]], bool]] = {
     "one filter for all speeds": lambda has: has["n_speed"] * has["n_force"] == 1,
 }
 """Whether what a texture has, beside an ingredient that is left out, has nothing of it."""
+OF_NETWORK = {
+    name
+    for name, changed in INGREDIENTS.items()
+    if name == BARE or changed.get("train", {}).get("epochs", 1) > 0
+}
+"""Ingredients of the network alone: its lattice, tones and excitation without it are the same."""
 FIGURES = {
     "validation: one step": "validation.mae_scaled",
     "validation: LSD": "heard.lsd_db",
@@ -265,14 +272,26 @@ def table(arguments: argparse.Namespace) -> None:
                 if name == ingredient != beside and texture in textures and hz == rate
                 if (texture, hz, seed, beside, source) in by_run
             ]
+            own = [(a, b) for a, b in pairs if "same_as" not in a]
             if pairs:
+                of_network = ingredient in OF_NETWORK
                 cells = [
-                    _ratio([(a["run"]["texture"], at(a, path), at(b, path)) for a, b in pairs])
+                    _ratio(
+                        [
+                            (a["run"]["texture"], at(a, path), at(b, path))
+                            for a, b in own
+                            if "one_step" in path
+                            or "validation" in path
+                            or not of_network
+                            or a["heard"].get("network")
+                            or b["heard"].get("network")
+                        ]
+                    )
                     for path in FIGURES.values()
                 ]
-                lines.append(f"| {ingredient} | {beside} | {len(pairs)} | {' | '.join(cells)} |")
+                lines.append(f"| {ingredient} | {beside} | {len(pairs)} | {len(own)} | {' | '.join(cells)} |")
         if lines:
-            head = f"| {title} | ÷ | pairs | {' | '.join(FIGURES)} |\n|" + "---|" * (3 + len(FIGURES))
+            head = f"| {title} | ÷ | of | pairs | {' | '.join(FIGURES)} |\n|" + "---|" * (4 + len(FIGURES))
             tables.append("\n".join([head, *lines]))
     between(arguments.page, "ingredients", "\n\n".join(tables))
 
@@ -284,6 +303,8 @@ def _ratio(pairs: list[tuple[str, float | None, float | None]]) -> str:
         if a is None or b is None:
             return "–"
         by_texture.setdefault(texture, []).append(a / b)
+    if not by_texture:
+        return "–"
     values = [float(np.mean(ratios)) for ratios in by_texture.values()]
     values = values if len(values) > 1 else next(iter(by_texture.values()))
     if len(values) == 1:

@@ -253,23 +253,36 @@ def limits(arguments: argparse.Namespace) -> None:
     """How near the real four a signal can come at all."""
     found = json.loads((RESULTS / "limits.json").read_text())
     anchor, *others = list(found["copper"][0])
-    means = {
-        name: np.array([np.mean([row[name] for row in found[t]]) for t in REAL]) for name in (anchor, *others)
+    ratios = {
+        name: [[split[name] / split[anchor] for split in found[t]] for t in REAL]
+        for name in (anchor, *others)
     }
     documents = _documents("foten-plus")
     if all(f"{t}-10000" in documents for t in REAL):
-        means["foten-plus"] = np.array(
-            [np.mean([d["free_run"]["lsd_db"] for d in documents[f"{t}-10000"]]) for t in REAL]
-        )
-    figure, axes = plt.subplots(figsize=(8, 3.2))
-    order = sorted(means, key=lambda name: means[name].mean())
+        ratios["foten-plus"] = [
+            [d["free_run"]["lsd_db"] / d["free_run_ar"]["lsd_db"] for d in documents[f"{t}-10000"]]
+            for t in REAL
+        ]
+    means = {name: float(np.mean([np.mean(splits) for splits in rows])) for name, rows in ratios.items()}
+    errors = {
+        name: float(np.sqrt(np.square([np.std(s, ddof=1) / len(s) ** 0.5 for s in rows]).sum()) / len(rows))
+        for name, rows in ratios.items()
+    }
+    figure, axes = plt.subplots(figsize=(8, 3.6))
+    order = sorted(means, key=lambda name: means[name])
     colours = {anchor: LINEAR, "foten-plus": OURS, "the known blocks themselves": CEILING}
-    values = [means[name].mean() / means[anchor].mean() for name in order]
-    axes.barh(order, values, color=[colours.get(name, "#bbbbbb") for name in order])
-    for i, value in enumerate(values):
-        axes.text(value + 0.01, i, f"{value:.2f}", va="center", fontsize=8)
+    values = [means[name] for name in order]
+    axes.barh(
+        order,
+        values,
+        color=[colours.get(name, "#bbbbbb") for name in order],
+        xerr=[errors[name] for name in order],
+        error_kw={"ecolor": INK, "elinewidth": 0.8, "capsize": 2},
+    )
+    for i, name in enumerate(order):
+        axes.text(means[name] + errors[name] + 0.015, i, f"{means[name]:.2f}", va="center", fontsize=8)
     axes.set(
-        xlabel="log-spectral distance to the test blocks ÷ that of AR(20)\nmean of four real recordings, 10 kHz",
+        xlabel="log-spectral distance to the test blocks ÷ that of AR(20)\nmean of four real recordings at 10 kHz, its standard error",
         xlim=(0, 1.3),
     )
     axes.xaxis.label.set_size(8)
