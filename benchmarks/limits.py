@@ -95,8 +95,8 @@ def judge(texture: str, rate_hz: float, seed: int, recordings: Path) -> dict[str
     return {
         ANCHOR: distance(anchor),
         "noise like all known blocks": distance(noise([known] * len(test))),
-        "the same, smoothed": distance(noise([known] * len(test), smoothed=True)),
-        "the same, as loud as the hand foretells": distance(foretold * unit_noise()),
+        "noise like all known, smoothed": distance(noise([known] * len(test), smoothed=True)),
+        "noise like all known, as loud as the hand foretells": distance(foretold * unit_noise()),
         "noise like the mean of their log spectra": distance(noise([known] * len(test), of_logs=True)),
         "the known blocks themselves": distance(np.repeat(known[:, None], len(test), axis=1)),
         "cheating: noise like all known, as loud as each": distance(level * unit_noise()),

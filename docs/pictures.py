@@ -282,8 +282,9 @@ def limits(arguments: argparse.Namespace) -> None:
     for i, name in enumerate(order):
         axes.text(means[name] + errors[name] + 0.015, i, f"{means[name]:.2f}", va="center", fontsize=8)
     axes.set(
-        xlabel="log-spectral distance to the test blocks ÷ that of AR(20)\nmean of four real recordings at 10 kHz, its standard error",
-        xlim=(0, 1.3),
+        xlabel="log-spectral distance to the test blocks ÷ that of AR(20)\n"
+        "mean of four real recordings at 10 kHz, its standard error",
+        xlim=(0, 1.35),
     )
     axes.xaxis.label.set_size(8)
     save(figure, "limits")
