@@ -43,7 +43,7 @@ class FotenPlus(nn.Module):
     are. The head's last layer starts at zero, so training starts at the lattice's error.
 
     Why e is an input: what a tool does after an impact depends on the impact, which is one large innovation that the
-    acceleration hides under ringing (simulated styrofoam, share of the best AR's error: 0.96 without it, 0.94 with it).
+    acceleration hides under ringing (in a trial on simulated styrofoam, over the best AR's error: 0.96 without it, 0.94 with it).
     """
 
     def __init__(self, architecture: FotenPlusArchitecture) -> None:
@@ -313,8 +313,8 @@ class Scale(nn.Module):
         self.register_buffer("mean", torch.zeros(2))
         self.register_buffer("sd", torch.ones(2))
         self.register_buffer("floor", torch.tensor([2.0, 0.05]))
-        # A corner of the plane that the hand hardly visited is no louder than the loudest 3 % of where it was. Ten minutes
-        # on jeans: 13.0 standard deviations with the 99th percentile, 11.4 with the 97th; the recording reaches 11.1.
+        # A corner of the plane that the hand hardly visited is no louder than the loudest 3 % of where it was. In a trial,
+        # ten minutes on jeans: 13.0 standard deviations with the 99th percentile, 11.4 with the 97th; the recording reaches 11.1.
         self.register_buffer("highest", torch.full((1,), 1e6))
 
     def forward(self, condition: Tensor) -> Tensor:
@@ -342,8 +342,8 @@ class Excitation(Scale):
 
     The tails follow speed and force too: impacts are rare when slow and many when fast.
 
-    It does not listen to the window: a σ that did fed the model's own errors back into the loop (measured on a mesh: level error
-    1.76 against 1.40 dB).
+    It does not listen to the window: a σ that did fed the model's own errors back into the loop (in a trial on a simulated
+    mesh, level error 1.76 against 1.40 dB).
     """
 
     def __init__(self, width: int) -> None:

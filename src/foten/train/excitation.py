@@ -129,9 +129,8 @@ def fit_tail(
     """Give a fitted excitation the tails that its residuals have, where validation agrees.
 
     h(speed, force) and a factor on σ, a power law too, are fitted on the training blocks by the likelihood of z·exp(h z²/2),
-    and kept if the validation blocks are more likely with them. Of a Gaussian, a Student t, two Gaussians and this, which is
-    one smooth function of one Gaussian number, the last three were within 0.01 nat of each other on every texture (artificial
-    grass 1.15, a Gaussian 1.42; fabric 1.33 and 1.42).
+    and kept if the validation blocks are more likely with them. A Student t and two Gaussians are about as likely
+    (`benchmarks/innovations.py`); this one is a smooth function of one Gaussian number, which a stream of noise is made of.
 
     Args:
         excitation: changed in place.

@@ -78,9 +78,9 @@ def fit_lattice(
 
     Tried: every order up to `max_order`, with one set of reflections for all speeds and forces and, unless `table` is
     False, with a table of them; of the acceleration over its level and, unless `driven` is False, of the acceleration itself.
-    Which kind is chosen by cross-validation over training and validation blocks: two validation blocks of 200 ms are too few. On
-    the real four at 2.5 kHz, six splits, the kind so chosen had a test error of 1.033 of the best kind's on the mean, with
-    cross-validation 1.023; at 10 kHz both found the best within 0.1 %.
+    Which kind is chosen by cross-validation over training and validation blocks: two validation blocks of 200 ms are too few. In
+    a trial on the real four at 2.5 kHz, six splits, the kind so chosen had a test error of 1.033 of the best kind's on the mean,
+    with cross-validation 1.023; at 10 kHz both found the best within 0.1 %.
 
     Differs from the paper: it has no linear part.
     """
@@ -198,8 +198,9 @@ def _kept_of_noise(x: Array, weight: Array, order: int) -> Array:
 
     Reflections of far sections are mostly chance; unshrunk, 160 of them from a second at 10 kHz draw ripples into the
     spectrum that a free run plays back. The share is Wiener's, τ²/(τ² + v), with v the variance between blocks and τ² what
-    the squares of ten neighbours on each side have above it. On the real four at 10 kHz, 160 sections, two splits, it lowered
-    the one-step error by 0.15 %, the log-spectral distance of the free run by 1.5 % and that of the pooled spectra by 2.5 %.
+    the squares of ten neighbours on each side have above it. In a trial on the real four at 10 kHz, 160 sections, two splits,
+    it lowered the one-step error by 0.15 %, the log-spectral distance of the free run by 1.5 % and that of the pooled spectra by
+    2.5 %.
     """
     found, spread = np.zeros(order), np.zeros(order)
     f = b = x
