@@ -1,12 +1,16 @@
 """What a free run on the real four can reach at all: log-spectral distances of plain signals, and of some that cheat.
 
     python benchmarks/limits.py [--recordings DIR] [--rate 10000] [--save FILE]
+    python benchmarks/limits.py --orders [--recordings DIR] [--rate 10000]
 
 All on the test blocks of five splits, scored as the judge does (`free_run`): AR(20) with white noise, the anchor; Gaussian
 noise with the mean spectrum of all training and validation blocks; the same, smoothed over five bins (98 Hz at 10 kHz); as loud
 as speed and force foretell, by least squares of the known blocks' levels on their logarithms; with the mean of their log spectra,
 which this figure favours; the other blocks themselves, which are the real texture; and three that cheat: the noise as loud as
 each test block, noise with the mean spectrum of the test blocks, and with each test block's own.
+
+With --orders instead the one-step error of linear predictors by least squares, longer than the longest of the judge too, over that
+of its longest, on the test blocks.
 """
 
 from __future__ import annotations
@@ -24,10 +28,11 @@ from scipy import ndimage, signal
 
 from foten.evaluate import metrics
 from foten.evaluate.free_run import scored, synthesize_linear
-from foten.evaluate.references import fit_linear
+from foten.evaluate.references import FIRST_SCORED, ORDERS, first_scored, fit_linear
 from foten.recording.preprocess import preprocess
 from foten.recording.scaling import fit_scaling
 from foten.recording.split import split_blocks
+from foten.recording.windows import targets, windows
 from foten.whole_file import whole_file
 from main_table import REAL, SEEDS, mean_and_error, recording_of
 
@@ -113,6 +118,37 @@ def over_anchor(found: dict[str, list[dict[str, float]]], name: str) -> tuple[fl
     return mean, error or 0.0
 
 
+def orders(rate_hz: float, recordings: Path) -> str:
+    """Return the table of one-step errors by order."""
+    tried = (*ORDERS, 280, FIRST_SCORED)
+    lines = [f"| ÷ AR({ORDERS[-1]}) | " + " | ".join(map(str, tried)) + " |", "|" + "---|" * (1 + len(tried))]
+    for texture in REAL:
+        errors = []
+        for seed in SEEDS:
+            recording, config = recording_of(texture, rate_hz, seed, recordings)
+            trace = preprocess(recording, config)
+            split = split_blocks(trace, "regrouped", seed)
+            samples = fit_scaling(trace, split.train).scale(trace.stacked())
+            n = targets(split.test, trace.block, first_scored(trace.block)).ravel()
+            found = [fit_linear(samples, split.train, trace.block, order) for order in tried]
+            assert None not in found
+            errors.append(
+                [
+                    np.abs(one.predict(windows(samples, n, one.window)) - samples[n, 0]).mean()
+                    for one in found
+                    if one is not None
+                ]
+            )
+        ratios = np.array(errors) / np.array(errors)[:, [len(ORDERS) - 1]]
+        mean, error = ratios.mean(axis=0), ratios.std(axis=0, ddof=1) / np.sqrt(len(SEEDS))
+        lines.append(
+            f"| {texture} | "
+            + " | ".join(f"{a:.4f} ± {b:.4f}" for a, b in zip(mean, error, strict=True))
+            + " |"
+        )
+    return "\n".join(lines)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -120,7 +156,11 @@ def main() -> None:
     parser.add_argument("--recordings", type=Path, default=Path("recordings"))
     parser.add_argument("--rate", type=float, default=10_000.0)
     parser.add_argument("--save", type=Path, metavar="FILE", help="keep the figures as JSON there")
+    parser.add_argument("--orders", action="store_true", help="one-step errors by order instead")
     arguments = parser.parse_args()
+    if arguments.orders:
+        print(orders(arguments.rate, arguments.recordings))
+        return
     found = {
         texture: [judge(texture, arguments.rate, seed, arguments.recordings) for seed in SEEDS]
         for texture in REAL
