@@ -9,8 +9,8 @@ as speed and force foretell, by least squares of the known blocks' levels on the
 which this figure favours; the other blocks themselves, which are the real texture; and three that cheat: the noise as loud as
 each test block, noise with the mean spectrum of the test blocks, and with each test block's own.
 
-With --orders instead the one-step error of linear predictors by least squares, longer than the longest of the judge too, over that
-of its longest, on the test blocks.
+With --orders instead: the one-step error on the test blocks of linear predictors by least squares, longer than the longest of
+the judge too, over that of its longest.
 """
 
 from __future__ import annotations
