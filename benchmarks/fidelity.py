@@ -203,6 +203,8 @@ def execute(run: Run, recordings: Path) -> dict[str, Any]:
         trained = train_texture(
             recording, "foten-plus", architecture, config, preprocess, split_seed=run.seed
         )
+    if trained.progress.interrupted:
+        raise KeyboardInterrupt  # what was trained by then is no result
     seconds = time.perf_counter() - started
     document = evaluate(trained.texture, recording, truth_for(recording, trained.texture)).document
     kept = {

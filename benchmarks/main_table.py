@@ -132,6 +132,8 @@ def execute(run: Run, recordings: Path, keep: Path | None) -> dict[str, Any]:
     trained = train_texture(
         recording, run.model, ARCHITECTURES[run.model](), config, preprocess, split_seed=run.split_seed
     )
+    if trained.progress.interrupted:
+        raise KeyboardInterrupt  # what was trained by then is no result
     seconds = time.perf_counter() - started
     if keep is not None:
         keep.mkdir(parents=True, exist_ok=True)
