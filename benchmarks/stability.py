@@ -40,7 +40,7 @@ from foten.datasets.stroking import stroking
 from foten.dsp.lattice import LEAK
 from foten.dsp.noise import LARGEST_SWELL
 from foten.render.closed_loop import ClosedLoop
-from foten.render.engine import engine_for
+from foten.render.engine import ToneState, engine_for
 from foten.render.synthesizer import Synthesizer
 from foten.texture_file import Texture, read_texture
 from foten.whole_file import whole_file
@@ -94,10 +94,15 @@ def attack(texture: Texture, n_steps: int, n_streams: int = 24) -> dict[str, Any
     listened = min(LISTENED, round(LISTENED_S * rate))
     middle = np.broadcast_to(corners.mean(axis=0), (n_streams, listened, 2))
     drawn = rng.standard_normal(middle.shape[:2]) if excited else None
-    untouched = np.tile(texture.tensors["warm_start"].astype(float), (n_streams, 1, 1))
+    untouched = engine.start(np.tile(texture.tensors["warm_start"].astype(float), (n_streams, 1, 1)))
+    if isinstance(untouched, ToneState) and isinstance(loop.state, ToneState):
+        # At the same place of the surface, which repeats: the path is what the hand did, and is not to be forgotten.
+        untouched.phase = untouched.phase + loop.state.path - untouched.path
+        untouched.path = loop.state.path.copy()
+        untouched.begin(untouched.condition)
     after, ordinary = (
         np.square(one.run(middle, drawn)[:, -listened // 5 :]).mean(axis=1)
-        for one in (loop, ClosedLoop(engine.start(untouched)))
+        for one in (loop, ClosedLoop(untouched))
     )
     return {
         "attack_steps": n * n_streams,
