@@ -282,9 +282,7 @@ def table(arguments: argparse.Namespace) -> None:
                         [
                             (a["run"]["texture"], at(a, path), at(b, path))
                             for a, b in own
-                            if "one_step" in path
-                            or "validation" in path
-                            or not of_network
+                            if not (of_network and path.startswith(("heard", "free_run")))
                             or a["heard"].get("network")
                             or b["heard"].get("network")
                         ]

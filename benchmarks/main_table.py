@@ -18,7 +18,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -264,12 +264,12 @@ def mean_and_error(by_texture: Iterable[list[float]]) -> tuple[float, float | No
     return mean, float(np.sqrt(np.square(errors).sum()) / len(found))
 
 
-class Share(Figure):
-    """In how many of the runs something is so."""
+@dataclasses.dataclass(frozen=True)
+class Share:
+    """In how many of the runs something is so; None where a run does not say."""
 
-    def __init__(self, so: Callable[[dict[str, Any]], bool | None]) -> None:
-        super().__init__("", 0)
-        object.__setattr__(self, "so", so)
+    so: Callable[[dict[str, Any]], bool | None]
+    model: str = "foten-plus"
 
     def cell(self, documents: list[dict[str, Any]]) -> str:
         found = [self.so(document) for document in documents]
@@ -552,7 +552,7 @@ def _groups() -> tuple[Groups, dict[str, list[str]]]:
     return groups, states
 
 
-def _rows(groups: Groups, columns: dict[str, Figure]) -> str:
+def _rows(groups: Groups, columns: Mapping[str, Figure | Share]) -> str:
     order = [*REAL, *LINEAR_FAMILY, *TEXTURES]
     head = ["texture", "rate", "splits", *columns]
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
