@@ -33,6 +33,7 @@ from foten.render.synthesizer import Synthesizer
 from foten.texture_file import texture_from_bytes
 from foten.train.config import RECIPES, TrainConfig
 from foten.train.excitation import (
+    _jackknifed,
     _lasts_s,
     _moving,
     _rung,
@@ -466,6 +467,12 @@ def test_levels_stray_by_the_swell_alone(swell: float) -> None:
     # The mean over 10 of 100 ms leaves 0.967 of the variance.
     assert abs(found - 0.967 * swell**2) < 4 * doubt
     assert doubt < 0.01
+
+
+def test_the_jackknife_of_a_mean_is_its_standard_error() -> None:
+    values = np.random.default_rng(0).standard_normal(30)
+    without = (values.sum() - values) / 29
+    assert _jackknifed(without) == pytest.approx(values.std(ddof=1) / math.sqrt(30), rel=1e-9)
 
 
 def test_a_hand_at_rest_or_in_the_air_is_not_heard() -> None:
