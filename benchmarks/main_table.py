@@ -80,6 +80,7 @@ def _is_text(part: ast.stmt) -> bool:
 
 
 RESULTS = Path(__file__).parent / "results" / "main_table"
+SAME = RESULTS.with_name("same_figures.json")
 TRAINING = Path(__file__).parent / "results" / "training.json"
 REAL = ("copper", "fabric", "leather", "wood")
 SOURCES = source_sha256()  # when the code was loaded, not when a run ends
@@ -207,7 +208,40 @@ def work_through(
         print(f"{run.name}: {told(document)} ({seconds:.0f} s)", file=sys.stderr, flush=True)
 
 
+def run_again(arguments: argparse.Namespace) -> None:
+    """Execute results of an earlier state of the sources again, replace them, and keep which are equal to the last digit."""
+    for run in runs():
+        path = RESULTS / f"{run.name}.json"
+        if not path.exists() or not fnmatch.fnmatch(run.name, arguments.only):
+            continue
+        before = json.loads(path.read_text())
+        if before["source_sha256"] == SOURCES:
+            continue
+        found = execute(run, arguments.recordings, arguments.keep)
+        differ = sorted(
+            name
+            for name in found.keys() | before.keys()
+            if name not in ("source_sha256", "training_seconds")
+            and json.dumps(found.get(name)) != json.dumps(before.get(name))
+        )
+        print(
+            f"{run.name}: {'other ' + ', '.join(differ) if differ else 'equal'}", file=sys.stderr, flush=True
+        )
+        again = json.loads(SAME.read_text()) if SAME.exists() else {}
+        if again.get("source_sha256") != SOURCES:
+            again = {"source_sha256": SOURCES, "equal": {}, "differ": {}}
+        again["differ" if differ else "equal"].setdefault(before["source_sha256"], []).append(run.name)
+        with whole_file(SAME) as part:
+            part.write_text(json.dumps(again, indent=1) + "\n")
+        with whole_file(path) as part:
+            part.write_text(json.dumps(found, indent=1) + "\n")
+
+
 def run_all(arguments: argparse.Namespace) -> None:
+    if arguments.again:
+        run_again(arguments)
+        return
+
     def told(document: dict[str, Any]) -> str:
         return (
             f"mae {document['one_step']['mae_scaled']:.4f} ar {document['references']['ar']['mae_scaled']:.4f} "
@@ -603,6 +637,15 @@ def _told(states: dict[str, list[str]], where: str = "") -> Iterator[str]:
             f"Of {sum(map(len, states.values()))} runs, {len(earlier)} were made by an earlier state of the sources"
             + (f" ({where})." if where else f"; with their splits: {named}.")
         )
+        again = json.loads(SAME.read_text()) if SAME.exists() else {}
+        if again.get("source_sha256") == SOURCES:
+            for source in states.keys() & (again["equal"].keys() | again["differ"].keys()):
+                equal, differ = (sorted(again[kind].get(source, [])) for kind in ("equal", "differ"))
+                yield (
+                    f"Of those of the state {source[:8]} some were made again by today's: {len(equal)} equal to the last digit"
+                    + (f" ({', '.join(equal)})" if equal and not where else "")
+                    + (f", {len(differ)} not ({', '.join(differ)})." if differ else ", none other.")
+                )
 
 
 def _training() -> Iterator[str]:
@@ -656,6 +699,11 @@ def main() -> None:
     run.add_argument("--only", default="*", help="run names to match, as TEXTURE-RATE-MODEL-SEED")
     run.add_argument("--recordings", type=Path, default=Path("recordings"))
     run.add_argument("--keep", type=Path, help="directory for the texture files")
+    run.add_argument(
+        "--again",
+        action="store_true",
+        help="execute results of an earlier state again, and keep which are equal",
+    )
     run.set_defaults(command=run_all)
     tabulate = commands.add_parser("table")
     tabulate.add_argument("--readme", type=Path, help="put the short table between its markers in this file")

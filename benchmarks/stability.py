@@ -99,7 +99,7 @@ def attack(texture: Texture, n_steps: int, n_streams: int = 24) -> dict[str, Any
         # At the same place of the surface, which repeats: the path is what the hand did, and is not to be forgotten.
         untouched.phase = untouched.phase + loop.state.path - untouched.path
         untouched.path = loop.state.path.copy()
-        untouched.begin(untouched.condition)
+        untouched._listen(untouched.condition)
     after, ordinary = (
         np.square(one.run(middle, drawn)[:, -listened // 5 :]).mean(axis=1)
         for one in (loop, ClosedLoop(untouched))

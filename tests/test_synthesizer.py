@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from conftest import SCALING, SMALL, exported
 from foten.architecture import FotenPlusArchitecture
 from foten.recording.preprocess import PreprocessConfig
-from foten.render.engine import WindowState, engine_for
+from foten.render.closed_loop import ClosedLoop
+from foten.render.engine import NumpyFotenPlus, WindowState, engine_for
 from foten.render.synthesizer import FADE_FORCE, FADE_SPEED, RenderStatistics, Synthesizer, prove
 from foten.texture_file import CLOSED_LOOP_TOLERANCE, Texture
 
@@ -112,7 +113,7 @@ def test_the_texture_is_there_again_with_the_first_movement(texture: Texture) ->
 def test_below_the_trained_range_it_fades_linearly_and_without_a_step(texture: Texture, share: float) -> None:
     """The loop hears the lowest trained condition whatever the hand's, so that the fade alone differs."""
     reference = Synthesizer(texture).render(*steady(200, LOW[0]))
-    assert np.std(reference) > 0.05
+    assert np.std(reference) > 0.005
     np.testing.assert_allclose(
         Synthesizer(texture).render(*steady(200, share * LOW[0])), share * reference, atol=1e-12
     )
@@ -213,31 +214,69 @@ def test_any_hand_gives_a_finite_bounded_vibration(
         assert (np.abs(out) <= bound * growth).all()
 
 
-@pytest.mark.parametrize("tones", [False, True])
-def test_a_level_that_drives_is_that_of_the_first_hand_from_the_first_sample_on(tones: bool) -> None:
-    """What rings from the warm start, and the first shock too: as loud as the hand, not as the window's hand."""
-    sizes: dict[str, Any] = {"order": 6, "level_drives": True}
-    if tones:
-        sizes = {"n_tones": 2, "rest_order": 6, "rest_level_drives": True}
+@pytest.mark.parametrize(
+    "sizes",
+    [
+        {"order": 6},
+        {"order": 6, "level_drives": True},
+        {"n_tones": 2, "rest_order": 6},
+        {"n_tones": 2, "rest_order": 6, "rest_level_drives": True},
+    ],
+)
+def test_a_stroke_begins_as_if_its_hand_had_always_been_there(
+    sizes: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As loud, as spiky and of the same colour from the first sample on, over many streams, as half a second later."""
     network = FotenPlusArchitecture(**{**SMALL, "n_layers": 1, "network_heard": False, **sizes})
     given_texture = exported("foten-plus", network)
-    engine: Any = engine_for(given_texture)
-    start = given_texture.tensors["warm_start"][None].astype(float)
-    lattice = engine.rest if tones else engine.lattice
-    condition = (np.array([LOW]) - SCALING.mean[1:]) / np.array(SCALING.sd[1:])
-    softer = float((lattice.level(condition) / lattice.level(start[:, -1, 1:]))[0])
-    assert softer < 0.3
-    begun, as_it_was = engine.start(start), engine.start(start)
-    begun.begin(condition)
-    np.testing.assert_allclose(begun.states, softer * as_it_was.states, rtol=1e-12)
-    # A state that never knew another hand.
-    start[..., 1:] = condition
-    of_this_hand, found = engine.start(start).forecast(), begun.forecast()
-    np.testing.assert_allclose(found.scale, of_this_hand.scale, rtol=1e-12)
-    np.testing.assert_allclose(found.tail, of_this_hand.tail, rtol=1e-12)
-    assert found.scale[0] < 0.5 * as_it_was.forecast().scale[0]
-    first = Synthesizer(given_texture, excitation=False).step(*LOW)
-    assert first == pytest.approx(float(SCALING.unscale_acceleration(found.sample)[0]), rel=1e-9)
+    monkeypatch.setattr(NumpyFotenPlus, "tail", lambda _, condition: np.full(len(condition), 0.12))
+    monkeypatch.setattr("foten.render.synthesizer.prove", lambda *_: None)
+    monkeypatch.setattr("foten.render.synthesizer._NOISE_BLOCK", 1)
+    n_streams = 3000
+    synthesizer = Synthesizer(given_texture, n_streams=n_streams)
+    out = synthesizer.render(*steady(640, *LOW)) - SCALING.mean[0]
+
+    def correlations(at: int) -> np.ndarray:
+        return np.array([(out[:, at] * out[:, at + lag]).mean() for lag in range(8)])
+
+    settled = np.mean([correlations(at) for at in range(500, 630, 10)], axis=0)
+    # Over 3000 streams a mean square has a standard error of 2.6 %, with the tails and the swell of 4 %.
+    np.testing.assert_allclose(correlations(0), settled, atol=0.16 * settled[0])
+    first = np.mean([correlations(at) for at in range(12)], axis=0)
+    np.testing.assert_allclose(first, settled, atol=0.09 * settled[0])
+
+
+@pytest.mark.parametrize("sizes", [{"order": 6}, {"n_tones": 2, "rest_order": 6}])
+def test_what_a_stroke_begins_with_is_chance_alone(sizes: dict[str, Any]) -> None:
+    """Not the window that the streams were started with, network and tones included; another seed, another beginning."""
+    network = FotenPlusArchitecture(**{**SMALL, "n_layers": 1, **sizes})
+    engine: Any = engine_for(exported("foten-plus", network))
+    rng = np.random.default_rng(3)
+    hand = np.array([[0.3, -0.2], [1.0, 0.5]])
+    states = [engine.start(rng.standard_normal((2, network.history, 3))) for _ in range(3)]
+    noise = rng.standard_normal((2, states[0].n_to_begin))
+    for state, drawn in zip(states, (noise, noise, -noise), strict=True):
+        state.begin(hand, drawn)
+    assert (
+        states[0].swell.state != states[2].swell.state
+    ).all()  # what was played since tells noise from −noise no more
+    one, same, other = (ClosedLoop(state).run(np.tile(hand[:, None], (1, 50, 1)), None) for state in states)
+    np.testing.assert_array_equal(one, same)
+    assert (one[:, 0] != other[:, 0]).all()
+
+
+def test_a_network_that_is_heard_has_seen_what_was_played() -> None:
+    """Of the stream that it goes on in, as many samples as it looks at; the last of them is the lattice's own last one."""
+    network = FotenPlusArchitecture(**{**SMALL, "n_layers": 1, "order": 6})
+    engine: Any = engine_for(exported("foten-plus", network))
+    hand = np.array([[0.3, -0.2]])
+    state = engine.start(np.zeros((1, network.history, 3)))
+    noise = np.random.default_rng(4).standard_normal((1, state.n_to_begin))
+    assert state.n_to_begin == 6 + 1 + network.window
+    state.begin(hand, noise)
+    assert (state.seen[..., 0] != 0).all()
+    assert (state.seen[..., 1:3] == hand).all()
+    assert state.seen[0, -1, 0] == pytest.approx(float(state.states[0, 0]))  # a level of what leaves: x is b₀
 
 
 def test_a_call_goes_on_where_the_last_one_ended_and_given_windows_as_they_are() -> None:

@@ -119,6 +119,10 @@ class Swell:
         """Return by how much the next excitation is louder than usual, shape (s,)."""
         return np.exp(self.state - self.sd * self.sd)
 
+    def draw(self, noise: NDArray[np.float64]) -> None:
+        """Be as if the wander had always been going on, by a standard normal number for each stream, shape (s,)."""
+        self.state = self.sd * np.clip(noise, -LARGEST_SWELL, LARGEST_SWELL)
+
     def push(self, noise: NDArray[np.float64] | None) -> None:
         """Take in the standard normal numbers of a sample, shape (s,); None leaves all as it is."""
         if noise is None or self.sd == 0:

@@ -18,6 +18,7 @@ FADE_SPEED = 5.0  # mm/s; a texture fades below this, or below its trained range
 FADE_FORCE = 0.1  # N
 FURTHEST = 2.0  # times the trained range's end, that the level grows to
 _NOISE_BLOCK = 4096  # samples of noise drawn at a time
+_TO_BEGIN = 2**63  # the first noise number of those that streams begin with: no rendering lasts that long
 
 
 @dataclass
@@ -84,11 +85,13 @@ class Synthesizer:
         self.reset()
 
     def reset(self, windows: Array | None = None) -> None:
-        """Start again with the first number of the noise, from the warm start or from given scaled windows (n_streams, m, 3).
+        """Start again with the first number of the noise, under the first hand or from given scaled windows (n_streams, m, 3).
 
-        From the warm start, the first sample is as loud as the first hand asks for; given windows are gone on from as they are.
+        With excitation a stroke begins as if its first hand had been there for long (`State.begin`), the chance of which is in
+        the noise numbers from 2⁶³ on. Without, or where a model knows only what it heard, it goes on from the warm start, as it
+        does from given windows, without a change.
         """
-        self._fresh = windows is None
+        self._fresh = windows is None and self.excitation
         if windows is None:
             windows = self.texture.tensors["warm_start"][None]
         if not np.isfinite(windows).all():
@@ -123,7 +126,8 @@ class Synthesizer:
         scaled = (clamped - self._scaling.mean[1:]) / np.array(self._scaling.sd[1:])
         given = np.concatenate([scaled, heeded[..., :1]], axis=-1)
         if self._fresh and n > 0:
-            self._loop.state.begin(given[:, 0])
+            state = self._loop.state
+            state.begin(given[:, 0], self._numbers(_TO_BEGIN, state.n_to_begin))
             self._fresh = False
         vibration = self._loop.run(given, self._draw(n) if self.excitation else None)
         fade = np.minimum(condition / self._fade, 1.0).prod(axis=-1)
@@ -152,13 +156,15 @@ class Synthesizer:
         """Return the next n noise numbers of each stream, shape (n_streams, n)."""
         missing = n - self._noise.shape[1]
         if missing > 0:
-            first = self._position + self._noise.shape[1]
-            n_more = max(missing, _NOISE_BLOCK)
-            more = np.stack([gaussian(self.seed, stream, first, n_more) for stream in range(self.n_streams)])
+            more = self._numbers(self._position + self._noise.shape[1], max(missing, _NOISE_BLOCK))
             self._noise = np.concatenate([self._noise, more], axis=1)
         drawn, self._noise = self._noise[:, :n], self._noise[:, n:]
         self._position += n
         return drawn
+
+    def _numbers(self, first: int, n: int) -> Array:
+        """Return n noise numbers of each stream from a first one on, shape (n_streams, n)."""
+        return np.stack([gaussian(self.seed, stream, first, n) for stream in range(self.n_streams)])
 
     def _count(self, condition: Array, clamped: Array, heeded: Array) -> None:
         beyond, above = condition > self._high, condition > heeded

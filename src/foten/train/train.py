@@ -299,9 +299,8 @@ def pick_warm_start(prepared: Prepared, m: int) -> tuple[Array, dict[str, Any]]:
     """Return a recorded training window near 45 mm/s and 0.8 N that is neither loud nor soft, scaled, (m, 3), and its condition.
 
     Of the hundredth of the training windows that is nearest (in units of the training standard deviations), it is the one
-    whose last 20 ms have the median power: those ring on in every first stroke. A loud window clicks: begun from the
-    very nearest, plain cloth was above the settled 99.9th percentile in 0.22 ± 0.03 % of its first 20 ms, and in 0.085 ± 0.010 %
-    from this one.
+    whose last 20 ms have the median power: those ring on. What is rendered without excitation goes on from it, and so does the
+    proof of the file; with excitation a stroke begins by chance (`State.begin`).
 
     Source: Sec. V-a. Differs from the paper: it synthesises the window without saying from what; ours is recorded, and the
     card says under what condition.
