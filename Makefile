@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # Small matrices only lose by more threads, on a busy machine a factor of ten.
 THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: demo test check slow clean
+.PHONY: demo test check slow wasm wasm-check web clean
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -26,6 +26,22 @@ check: $(VENV)/.installed
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(THREADS) $(BIN)/python -m pytest -q
+
+$(VENV)/.wasm: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt '.[wasm]'
+	touch $@
+
+wasm: $(VENV)/.wasm
+	$(BIN)/python native/wasm/build.py
+
+wasm-check: $(VENV)/.wasm
+	$(BIN)/python native/wasm/build.py --check
+
+# A page that renders on this machine alone: open what it says.
+web:
+	mkdir -p build/web
+	cp examples/web/* native/wasm/foten.mjs native/wasm/foten.wasm src/foten/render/example.foten build/web
+	$(PYTHON) -m http.server --bind 127.0.0.1 --directory build/web 8000
 
 clean:
 	rm -rf $(VENV) demo build dist

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import foten
-from foten.render.synthesizer import Synthesizer
+from foten.render.renderer import Renderer
 from foten.texture_file import Texture, write_texture
 
 ROOT = Path(foten.__file__).parent
@@ -158,12 +158,11 @@ import importlib, pkgutil, foten.render
 for module in pkgutil.walk_packages(foten.render.__path__, "foten.render."):
     importlib.import_module(module.name)
 import numpy as np
-synthesizer = foten.Synthesizer(foten.read_texture(sys.argv[1]), seed=4)
-out = synthesizer.render(np.linspace(0, 150, 100), np.full(100, 0.8))
+out = foten.Renderer(sys.argv[1], seed=4).render(np.linspace(0, 150, 100), np.full(100, 0.8))
 print(*(value.hex() for value in out.tolist()))
 """
     found = [float.fromhex(value) for value in run(code, str(path)).split()]
-    expected = Synthesizer(texture, seed=4).render(np.linspace(0, 150, 100), np.full(100, 0.8))
+    expected = Renderer(texture, seed=4).render(np.linspace(0, 150, 100), np.full(100, 0.8))
     np.testing.assert_array_equal(found, expected)
 
 

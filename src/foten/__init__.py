@@ -15,7 +15,12 @@ if TYPE_CHECKING:
     from foten.recording.recording import Channel as Channel
     from foten.recording.recording import Recording as Recording
     from foten.recording.trace import Trace as Trace
-    from foten.render.synthesizer import Synthesizer as Synthesizer
+    from foten.render.actuator import ActuatorProfile as ActuatorProfile
+    from foten.render.live import Live as Live
+    from foten.render.renderer import Renderer as Renderer
+    from foten.render.stylus import PressureCalibration as PressureCalibration
+    from foten.render.stylus import Stylus as Stylus
+    from foten.render.stylus import fit_pressure as fit_pressure
     from foten.texture_file import Texture as Texture
     from foten.texture_file import read_texture as read_texture
 
@@ -26,7 +31,12 @@ _PUBLIC = {
     "Channel": "foten.recording.recording",
     "Recording": "foten.recording.recording",
     "Trace": "foten.recording.trace",
-    "Synthesizer": "foten.render.synthesizer",
+    "ActuatorProfile": "foten.render.actuator",
+    "Live": "foten.render.live",
+    "PressureCalibration": "foten.render.stylus",
+    "Renderer": "foten.render.renderer",
+    "Stylus": "foten.render.stylus",
+    "fit_pressure": "foten.render.stylus",
     "Texture": "foten.texture_file",
     "read_texture": "foten.texture_file",
 }

@@ -524,6 +524,22 @@ def evaluate(
         print(judge.to_text(judgement.document))
 
 
+def _tell_what_was_outside(statistics: dict[str, int], texture: Texture) -> None:
+    """Print how much of a rendering lay outside of what was recorded, and what was done there; nothing where none did."""
+    share = {name: f"{100 * count / statistics['n']:.1f} %" for name, count in statistics.items()}
+    for name, unit in (("speed", "mm/s"), ("force", "N")):
+        if statistics[f"n_{name}_beyond"]:
+            high, power = texture.trained_range(name)[1], texture.beyond_exponent(name)
+            grown = f"the level grew with {name}^{power:.2g} there" if power else "the level stayed there"
+            print(f"{name} was above the trained {high:.4g} {unit} for {share[f'n_{name}_beyond']}; {grown}")
+        if statistics[f"n_{name}_clamped"]:
+            print(f"{name} was above twice that for {share[f'n_{name}_clamped']}, and taken as twice that")
+    if statistics["n_below"]:
+        print(f"speed or force was below the trained range for {share['n_below']}; the vibration fades there")
+    if statistics["n_saturated"]:
+        _say(f"the saturator cut {statistics['n_saturated']} samples: the loop ran away there")
+
+
 @app.command()
 def render(
     texture_file: Annotated[Path, typer.Argument(metavar="T.foten", help="A texture file.")],
@@ -550,12 +566,10 @@ def render(
     as_json: JsonOption = False,
 ) -> None:
     """Render vibration from a texture and a stroke."""
-    import dataclasses
-
     from foten import __version__
     from foten.render import sinks
+    from foten.render.renderer import Renderer
     from foten.render.stroke import constant_stroke, read_stroke, recorded_stroke
-    from foten.render.synthesizer import Synthesizer
     from foten.texture_file import read_texture
 
     for path in output:
@@ -599,11 +613,11 @@ def render(
         "seed": seed,
         "rate_hz": rate,
     }
-    synthesizer = Synthesizer(texture, seed, excitation=not deterministic)
-    acceleration = synthesizer.render(*hand)
+    renderer = Renderer(texture, seed=seed, excitation=not deterministic)
+    acceleration = renderer.render(*hand).astype(float)
     for path in output:
         sinks.write_rendered(path, acceleration, *hand, rate, about)
-    statistics = dataclasses.asdict(synthesizer.statistics)
+    statistics = renderer.counted()
     gain = sinks.write_audible(audible, acceleration, rate) if audible is not None else None
     rms, peak = float((acceleration**2).mean() ** 0.5), float(abs(acceleration).max())
     if as_json:
@@ -621,24 +635,172 @@ def render(
     print(f"wrote {', '.join(str(path) for path in output)}")
     if gain is not None:
         print(f"wrote {audible}, where 1 m/s² is {gain:.3g} of full scale")
-    share = {name: f"{100 * count / statistics['n']:.1f} %" for name, count in statistics.items()}
-    for name, unit in (("speed", "mm/s"), ("force", "N")):
-        if statistics[f"n_{name}_beyond"]:
-            high, power = texture.trained_range(name)[1], texture.beyond_exponent(name)
-            grown = f"the level grew with {name}^{power:.2g} there" if power else "the level stayed there"
-            print(f"{name} was above the trained {high:.4g} {unit} for {share[f'n_{name}_beyond']}; {grown}")
-        if statistics[f"n_{name}_clamped"]:
-            print(f"{name} was above twice that for {share[f'n_{name}_clamped']}, and taken as twice that")
-    if statistics["n_below_range"]:
-        print(
-            f"speed or force was below the trained range for {share['n_below_range']}; the vibration fades there"
-        )
-    if statistics["n_saturated"]:
-        _say(f"the saturator cut {statistics['n_saturated']} samples: the loop ran away there")
+    _tell_what_was_outside(statistics, texture)
     if not texture.has_excitation and not deterministic:
         _say(
             f"{texture.card['model']} carries no excitation, so the loop is deterministic and may fall silent"
         )
+
+
+@app.command()
+def play(
+    texture_file: Annotated[
+        Path | None,
+        typer.Argument(metavar="T.foten", help="A texture file; by default one that comes with foten."),
+    ] = None,
+    to: Annotated[
+        str, typer.Option(help="sound, null, FILE.wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.")
+    ] = "sound",
+    stroke: Annotated[
+        Path | None,
+        typer.Option(metavar="S.csv", help="As of 'foten render', over and over; by default a circle."),
+    ] = None,
+    speed: Annotated[float | None, typer.Option(help="Constant speed (mm/s), with --force.")] = None,
+    force: Annotated[float | None, typer.Option(help="Constant force (N), with --speed.")] = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="How long (s); by default until Ctrl-C, and 10 s into a file."),
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(help="Of the output (Hz); by default 48000 for sound, else 8000 or more.")
+    ] = None,
+    actuator: Annotated[
+        Path | None, typer.Option(metavar="P.json", help="Profile of the actuator that is driven.")
+    ] = None,
+    gain: Annotated[
+        float | None,
+        typer.Option(help="Full scale (sound) or volts (daq) for 1 m/s², or for 1 of the actuator's drive."),
+    ] = None,
+    device: Annotated[
+        str | None, typer.Option(help="Of sound, as 'python -m sounddevice' lists them.")
+    ] = None,
+    channel: Annotated[int, typer.Option(min=0, help="Of the sound card that is played on, from 0.")] = 0,
+    lead_ms: Annotated[
+        float | None, typer.Option(help="Rendered ahead of what is heard (ms); 10 by default.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the excitation.")] = 0,
+    deterministic: Annotated[bool, typer.Option("--deterministic", help="Without excitation.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Play a texture live: to the sound card, a file, an NI-DAQ or another program."""
+    from foten.render.actuator import read_profile
+    from foten.render.example import EXAMPLE
+    from foten.render.live import LEAD_MS
+    from foten.render.play import along, circling, gain_for, rate_for, sink_of
+    from foten.render.play import play as play_live
+    from foten.render.renderer import Renderer
+
+    texture_file = texture_file or EXAMPLE
+    if not texture_file.exists():
+        raise FileNotFoundError(f"no such file: {texture_file}")
+    if (speed is None) != (force is None) or (stroke is not None and speed is not None):
+        raise ValueError("expected --stroke, or --speed with --force, or neither for a circle")
+    profile = read_profile(actuator) if actuator is not None else None
+    data = texture_file.read_bytes()
+    own = Renderer(data).texture_rate
+    renderer = Renderer(data, rate_for(to, rate, own), seed, excitation=not deterministic, actuator=profile)
+    info = renderer.native_texture.info
+    if stroke is not None:
+        from foten.render.stroke import read_stroke
+        from foten.texture_file import read_texture
+
+        lowpass = float(read_texture(texture_file).card["lowpass_hz"])
+        hand = along(*read_stroke(stroke, own).conditioned(lowpass), own)
+    elif speed is not None and force is not None:
+        for name, value, unit in (("speed", speed, "mm/s"), ("force", force, "N")):
+            if not 0 <= value < float("inf"):
+                raise ValueError(f"--{name} is {value} {unit}, expected a finite number, 0 or more")
+        held = (speed, force)
+        hand = lambda t: held  # noqa: E731
+    else:
+        hand = circling(info.trained_speed, info.trained_force)
+    scale = gain_for(profile, gain, info.acceleration_sd, to)
+    about = {"texture": info.texture, "seed": seed}
+    if seconds is None and to.lower().endswith(".wav"):
+        seconds = 10.0
+    sink = sink_of(to, renderer.rate, scale, seconds, device, channel, about)
+
+    def begun() -> None:
+        name, long = info.texture or texture_file.name, "" if seconds is None else f" for {seconds:g} s"
+        _say(f"{name} to {to} at {renderer.rate:g} Hz{long}; Ctrl-C ends it")
+
+    played = play_live(renderer, sink, hand, seconds, LEAD_MS if lead_ms is None else lead_ms, begun)
+    statistics = played.statistics
+    if as_json:
+        _print_json(
+            {
+                "n_samples": statistics.n_samples,
+                "block_ms": statistics.block_ms,
+                **{
+                    f"block_p{name}_ms": 1000 * statistics.block.percentile_s(percent)
+                    for name, percent in (("50", 50), ("99", 99), ("999", 99.9))
+                },
+                "block_largest_ms": 1000 * statistics.block.largest_s,
+                "n_missed": statistics.n_missed,
+                "n_underruns": statistics.n_underruns,
+                "n_device_underruns": played.n_device_underruns,
+                "n_lacking": statistics.n_lacking,
+                "ring_least_ms": statistics.least_ms if statistics.least_ms < float("inf") else None,
+                "gain": scale,
+                "n_cut": played.n_cut,
+                "delays_ms": played.delays_ms,
+                "interrupted": played.interrupted,
+                **played.counted,
+            }
+        )
+    else:
+        print(statistics.line())
+        told = ", ".join(f"{ms:.1f} ms {name}" for name, ms in played.delays_ms.items())
+        print(f"delay from hand to output: {told}")
+        from foten.texture_file import read_texture
+
+        _tell_what_was_outside(played.counted, read_texture(texture_file))
+        if played.counted["n_limited"]:
+            print(f"the actuator's limit bent {played.counted['n_limited']} samples")
+        if played.n_device_underruns:
+            print(
+                f"the sound card found samples missing {played.n_device_underruns} times; a longer --lead-ms helps"
+            )
+        if played.n_cut:
+            print(
+                f"{played.n_cut} samples were beyond full scale and cut; a smaller --gain than {scale:.3g} keeps them"
+            )
+    if played.interrupted:
+        raise typer.Exit(130)
+
+
+@app.command()
+def bench(
+    texture_file: Annotated[Path, typer.Argument(metavar="T.foten", help="A texture file.")],
+    n: Annotated[int, typer.Option("-n", min=1000, help="Samples to time.")] = 20_000,
+    as_json: JsonOption = False,
+) -> None:
+    """Time a sample of a texture in each instruction set of this processor."""
+    from foten.render import bench as timing
+
+    if not texture_file.exists():
+        raise FileNotFoundError(f"no such file: {texture_file}")
+    times = timing.time_all(texture_file, n)
+    if as_json:
+        _print_json(timing.as_documents(times))
+    else:
+        print(timing.as_table(times))
+
+
+@app.command()
+def doctor(as_json: JsonOption = False) -> None:
+    """Look at what this machine has for rendering, and say what is missing."""
+    from foten.render import doctor as examination
+
+    found = examination.checks()
+    if as_json:
+        _print_json(examination.as_documents(found))
+    else:
+        for check in found:
+            mark = {True: "✓", False: "✗", None: " "}[check.fine]
+            print(f"{mark} {check.name:14s}{check.found}")
+    if any(check.fine is False for check in found):
+        raise typer.Exit(1)
 
 
 @app.command()

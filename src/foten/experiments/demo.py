@@ -15,9 +15,9 @@ from foten.evaluate.report import write_report
 from foten.experiments.truth import truth_for
 from foten.recording.inspect import inspect_recording
 from foten.recording.pictures import write_pictures
+from foten.render.renderer import Renderer
 from foten.render.sinks import write_audible, write_rendered
 from foten.render.stroke import recorded_stroke
-from foten.render.synthesizer import Synthesizer
 from foten.texture_file import write_texture
 from foten.train.config import RECIPES
 from foten.train.fit import Epoch
@@ -71,7 +71,7 @@ def run_demo(
     say("5/5 rendering ten seconds of a fresh hand")
     hand = recorded_stroke(simulate(key, 10.0, seed + 1), trained.texture.rate_hz)
     speed, force = hand.conditioned(float(trained.texture.card["lowpass_hz"]))
-    acceleration = Synthesizer(trained.texture, seed).render(speed, force)
+    acceleration = Renderer(trained.texture, seed=seed).render(speed, force).astype(float)
     about = {"texture": key, "texture_sha256": trained.texture.sha256(), "seed": seed}
     for name, suffix in (("vibration", "wav"), ("picture", "png")):
         paths[name] = directory / f"rendered.{suffix}"

@@ -13,27 +13,12 @@ from numpy.typing import NDArray
 from foten.dsp.kinematics import at_rate, velocity
 from foten.recording.preprocess import condition, hand_of
 from foten.recording.recording import LIMITS, Recording
+from foten.render.stylus import PressureCalibration
 
 Array = NDArray[np.float64]
 
 LONGEST_S = 3600.0
 COLUMNS = "t (s), and speed (mm/s) or x, y (mm), and force (N) or pressure (0 to 1)"
-
-
-@dataclass(frozen=True)
-class PressureCalibration:
-    """A stylus's normalised pressure to force, F = a·exp(b·p); no force where the stylus does not touch (p = 0).
-
-    Source: Eq. 12, for one tablet; refit it for another.
-    Differs from the paper: p = 0 gives 0 N and not 0.13 N, since lifting off must be silent.
-    """
-
-    a: float = 0.13  # N
-    b: float = 3.32
-
-    def force(self, pressure: Array) -> Array:
-        """Return the force [N] of pressures in 0 … 1, any shape."""
-        return np.where(pressure > 0, self.a * np.exp(self.b * pressure), 0.0)
 
 
 @dataclass(frozen=True)

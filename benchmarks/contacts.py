@@ -1,0 +1,105 @@
+"""How many hands one core holds at once, in each instruction set, and how many deadlines are missed beside an empty loop's.
+
+    python benchmarks/contacts.py [--texture T.foten] [--seconds 60] [--json FILE] [--page docs/live.md]
+
+A contact is one state that renders each sample in time: 1 ms over the median time of a step, at 1 kHz. Then as many independent
+states as fill 60 % of a millisecond are held for a minute, a second of them and a second of a loop that is as long and does
+nothing in turn: what that one misses is the machine's. Last, one state alone at 10 kHz. The loop, `native/tests/contacts.c`, is
+built here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from main_table import between
+from step import INSTRUCTION_SETS, ROOT, texture_of
+
+SHARE = 0.6  # of a millisecond
+
+
+def built(folder: Path) -> Path:
+    """Build the loop with the kernel's own sources and return it."""
+    cmake = shutil.which("cmake")
+    if cmake is None:
+        sys.exit("cmake is missing: pip install cmake")
+    subprocess.run(
+        [cmake, "-S", str(ROOT), "-B", str(folder), "-DFOTEN_TESTS=ON"], check=True, stdout=subprocess.DEVNULL
+    )
+    subprocess.run(
+        [cmake, "--build", str(folder), "--target", "contacts"], check=True, stdout=subprocess.DEVNULL
+    )
+    return folder / "contacts"
+
+
+def measured(
+    program: Path, file: Path, isa: str, share: float, seconds: int, tick_us: float
+) -> dict[str, Any]:
+    """Return what the loop found in one instruction set."""
+    done = subprocess.run(
+        [str(program), str(file), f"{share:g}", str(seconds), f"{tick_us:g}"],
+        env={**os.environ, "FOTEN_ISA": isa},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode != 0:
+        sys.exit(done.stderr.strip())
+    return dict(json.loads(done.stdout))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--texture", type=Path, metavar="T.foten", help="an untrained one of the paper's network by default"
+    )
+    parser.add_argument("--seconds", type=int, default=60)
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--page", type=Path, metavar="FILE", help="put the table between its markers there")
+    arguments = parser.parse_args()
+    texture, data = texture_of(arguments.texture)
+    if texture.rate_hz != 1000.0:
+        parser.error(f"the texture's rate is {texture.rate_hz:g} Hz, expected 1000")
+    with tempfile.TemporaryDirectory() as folder:
+        program, file = built(Path(folder) / "build"), Path(folder) / "t.foten"
+        file.write_bytes(data)
+        found: dict[str, dict[str, Any]] = {}
+        for isa in INSTRUCTION_SETS:
+            seconds = arguments.seconds if not found else min(10, arguments.seconds)
+            line = measured(program, file, isa, SHARE, seconds, 1000.0)
+            if line["isa"] == isa:
+                found[isa] = line
+        # Ten times as fast as the texture's clock: the deadline of a texture at 10 kHz, whose step costs the same.
+        texture.card["rate_hz"] = texture.card["preprocess"]["rate_hz"] = 10_000.0
+        file.write_bytes(texture.to_bytes())
+        alone = measured(program, file, next(iter(found)), 0.0, arguments.seconds, 100.0)
+    lines = [
+        "| instruction set | p50 [µs] | contacts | states held | missed | an empty loop misses |",
+        "|---|---|---|---|---|---|",
+    ]
+    for isa, line in [*found.items(), (f"{alone['isa']}, 10 kHz", alone)]:
+        missed, empty = line["n_missed"] / line["n_ticks"], line["n_empty_missed"] / line["n_empty_ticks"]
+        held = f"{line['n_states']} for {line['n_ticks'] * line['tick_us'] / 1e6:.0f} s"
+        lines.append(
+            f"| {isa} | {line['p50_us']:.1f} | {line['contacts']:.1f} | {held} | {100 * missed:.3f} % | {100 * empty:.3f} % |"
+        )
+    between(arguments.page, "contacts", "\n".join(lines))
+    if arguments.json is not None:
+        from foten.whole_file import whole_file
+
+        with whole_file(arguments.json) as part:
+            part.write_text(json.dumps({"1 kHz": found, "10 kHz": alone}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

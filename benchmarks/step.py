@@ -1,0 +1,333 @@
+"""A step of the paper's network in every engine, side by side on one core: how long, and how near to what the core can do.
+
+    python benchmarks/step.py [--texture T.foten] [--n 4000] [--json FILE] [--page docs/live.md]
+
+Each engine predicts the next sample from one window, called from Python one by one as an application would, the wasm from Node.
+They take turns, a few hundred calls each, so that a machine that is slower for a while is so for all. Engines that are not
+installed are said to be missing: `pip install 'foten[bench]'` has ONNX Runtime and OpenVINO. The floor is the multiply-adds of
+the exactly pruned network over the peak of this core, measured beside them by `native/tests/peak.c` with the compiler that is
+here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("MKL_NUM_THREADS", "1")
+
+import numpy as np
+
+ROOT = Path(__file__).parents[1]
+INSTRUCTION_SETS = ("avx512", "avx2", "neon", "portable")
+ROUND = 200  # calls in a turn
+PERCENTILES = {"p50": 50.0, "p99": 99.0, "p999": 99.9}
+
+CHILD = """
+import sys, time, json
+import numpy as np
+from foten.render.native import NativeState, NativeTexture, isa
+texture = NativeTexture(open(sys.argv[1], "rb").read())
+state, out = NativeState(texture, excitation=False), np.empty(1, dtype=np.float32)
+state.set_hand(*map(float, sys.argv[2:4]))
+print(isa(), flush=True)
+for line in sys.stdin:
+    times = []
+    for _ in range(int(line)):
+        begin = time.perf_counter_ns()
+        state.render(out)
+        times.append(time.perf_counter_ns() - begin)
+    print(json.dumps(times), flush=True)
+"""
+NODE = """
+import { readFileSync } from "node:fs";
+import { createInterface } from "node:readline";
+import { Foten } from %(module)s;
+const foten = await Foten.load(readFileSync(%(wasm)s));
+const renderer = foten.texture(readFileSync(process.argv[2])).renderer({ excitation: false });
+renderer.setHand(Number(process.argv[3]), Number(process.argv[4]));
+const out = new Float32Array(1);
+console.log(foten.isa);
+for await (const line of createInterface({ input: process.stdin })) {
+  const times = [];
+  for (let i = 0; i < Number(line); i++) {
+    const begin = process.hrtime.bigint();
+    renderer.render(out);
+    times.push(Number(process.hrtime.bigint() - begin));
+  }
+  console.log(JSON.stringify(times));
+}
+"""
+
+
+class Child:
+    """An engine in a process of its own that times itself when it is asked to."""
+
+    def __init__(self, command: list[str], env: dict[str, str] | None = None) -> None:
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, **(env or {})},
+        )
+        self.told = self._line()
+
+    def __call__(self, n: int) -> list[float]:
+        """Return n times [ns]."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(f"{n}\n")
+        self._process.stdin.flush()
+        return list(json.loads(self._line()))
+
+    def close(self) -> None:
+        """End the process."""
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.wait(10)
+
+    def _line(self) -> str:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline().strip()
+        if not line:
+            raise OSError("an engine ended without an answer")
+        return line
+
+
+def timed(call: Callable[[], Any]) -> Callable[[int], list[float]]:
+    """Return what times a call n times [ns]."""
+
+    def times(n: int) -> list[float]:
+        found = []
+        for _ in range(n):
+            begin = time.perf_counter_ns()
+            call()
+            found.append(time.perf_counter_ns() - begin)
+        return found
+
+    return times
+
+
+def texture_of(path: Path | None) -> tuple[Any, bytes]:
+    """Return a texture of the paper's network with its default sizes, untrained unless one is given: its time is the same."""
+    from foten.texture_file import texture_from_bytes
+
+    if path is not None:
+        data = path.read_bytes()
+        return texture_from_bytes(data), data
+    sys.path.insert(0, str(ROOT / "tests"))
+    from conftest import exported
+
+    texture = exported("foten")
+    return texture, texture.to_bytes()
+
+
+def engines(texture: Any, file: Path) -> dict[str, Any]:
+    """Return what times each engine that is here, by name; None for one that is missing, which is told."""
+    low, high = texture.trained_range("speed")
+    hand = [f"{0.5 * (low + high):g}", f"{sum(texture.trained_range('force')) / 2:g}"]
+    found: dict[str, Any] = {}
+    for name in INSTRUCTION_SETS:
+        child = Child([sys.executable, "-c", CHILD, str(file), *hand], {"FOTEN_ISA": name})
+        if child.told == name:
+            found[name] = child
+        else:
+            child.close()
+    if shutil.which("node"):
+        wasm = ROOT / "native" / "wasm"
+        program = NODE % {
+            "module": json.dumps((wasm / "foten.mjs").as_uri()),
+            "wasm": json.dumps(str(wasm / "foten.wasm")),
+        }
+        script = file.with_suffix(".mjs")
+        script.write_text(program)
+        found["wasm"] = Child(["node", str(script), str(file), *hand])
+    found |= frameworks(texture, file)
+    return found
+
+
+def frameworks(texture: Any, file: Path) -> dict[str, Any]:
+    """Return what times PyTorch, eager and compiled, ONNX Runtime and OpenVINO on the same window."""
+    import torch
+
+    from foten.models import build
+
+    torch.set_num_threads(1)
+    network = build(texture.card["model"], texture.architecture)
+    network.load_state_dict(
+        {name: torch.from_numpy(texture.tensors[name].copy()) for name in network.state_dict()}
+    )
+    network = network.float().eval()
+    window = texture.tensors["warm_start"][None].astype(np.float32)
+    tensor = torch.from_numpy(window)
+    found: dict[str, Any] = {}
+    with torch.inference_mode():
+        found["eager"] = timed(lambda: network(tensor))
+        try:
+            compiled = torch.compile(network)
+            compiled(tensor)
+            found["compiled"] = timed(lambda: compiled(tensor))
+        except (
+            Exception
+        ) as error:  # a compiler that is missing, and much else: the row is left out and says so
+            print(f"compiled: left out, {type(error).__name__}", file=sys.stderr)
+    onnx = file.with_suffix(".onnx")
+    try:
+        import onnxruntime
+
+        torch.onnx.export(network, (tensor,), str(onnx), dynamo=True, external_data=False, verbose=False)
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        session = onnxruntime.InferenceSession(str(onnx), options, providers=["CPUExecutionProvider"])
+        given = {session.get_inputs()[0].name: window}
+        _agrees("ONNX Runtime", session.run(None, given)[0], network, tensor)
+        found["onnxruntime"] = timed(lambda: session.run(None, given))
+    except ImportError as error:
+        print(f"onnxruntime: left out, {error}; pip install 'foten[bench]'", file=sys.stderr)
+    try:
+        import openvino
+
+        model = openvino.Core().compile_model(
+            str(onnx),
+            "CPU",
+            {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_NUM_THREADS": 1, "INFERENCE_PRECISION_HINT": "f32"},
+        )
+        request = model.create_infer_request()
+        _agrees("OpenVINO", request.infer([window])[0], network, tensor)
+        found["openvino"] = timed(lambda: request.infer([window]))
+    except ImportError as error:
+        print(f"openvino: left out, {error}; pip install 'foten[bench]'", file=sys.stderr)
+    return found
+
+
+def _agrees(engine: str, found: np.ndarray, network: Any, tensor: Any) -> None:
+    import torch
+
+    with torch.inference_mode():
+        expected = network(tensor).numpy()
+    error = float(np.abs(found.ravel() - expected.ravel()).max())
+    if not error < 1e-3:
+        sys.exit(f"{engine} predicts another sample, off by {error:.3g}: it runs another network")
+
+
+def peaks(folder: Path) -> dict[str, float]:
+    """Return the multiply-adds a second of this core by instruction set; none without a compiler."""
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        print("floor: left out, no C compiler", file=sys.stderr)
+        return {}
+    program = folder / "peak"
+    subprocess.run(
+        [
+            compiler,
+            "-O2",
+            "-ffp-contract=fast",
+            str(ROOT / "native" / "tests" / "peak.c"),
+            "-o",
+            str(program),
+        ],
+        check=True,
+    )
+    done = subprocess.run([str(program)], check=True, capture_output=True, text=True)
+    return {name: float(rate) for name, rate in (line.split() for line in done.stdout.splitlines())}
+
+
+def measured(path: Path | None, n: int) -> dict[str, Any]:
+    """Return the document: times by engine [µs], ratios of the best native build, and what it was measured on."""
+    import torch
+
+    from foten.architecture import multiply_adds
+
+    texture, data = texture_of(path)
+    with tempfile.TemporaryDirectory() as folder, torch.inference_mode():
+        file = Path(folder) / "t.foten"
+        file.write_bytes(data)
+        rates = [peaks(Path(folder))]
+        runners = engines(texture, file)
+        times: dict[str, list[float]] = {name: [] for name in runners}
+        for run in runners.values():
+            run(ROUND)  # warm
+        while min(map(len, times.values())) < n:
+            for name, run in runners.items():
+                times[name] += run(ROUND)
+        rates.append(peaks(Path(folder)))
+        for run in runners.values():
+            if isinstance(run, Child):
+                run.close()
+    us = {
+        name: {p: float(np.percentile(values, q)) / 1000 for p, q in PERCENTILES.items()}
+        for name, values in times.items()
+    }
+    cost = multiply_adds(texture.architecture)
+    native = [name for name in INSTRUCTION_SETS if name in us]
+    best = min(native, key=lambda name: us[name]["p50"])
+    # The faster of before and after: what the core can do.
+    peak = max((rate for found in rates for rate in found.values()), default=None)
+    ratios = {name: us[name]["p50"] / us[best]["p50"] for name in us if name not in native}
+    document: dict[str, Any] = {
+        "n": n,
+        "multiply_adds": cost,
+        "best_native": best,
+        "p50_us": {name: found["p50"] for name, found in us.items()},
+        "p99_us": {name: found["p99"] for name, found in us.items()},
+        "p999_us": {name: found["p999"] for name, found in us.items()},
+        "ratios": ratios,
+    }
+    if peak:
+        document["peak_per_second"] = peak
+        document["p50_us"]["floor"] = 1e6 * cost / peak
+        ratios["floor"] = us[best]["p50"] / document["p50_us"]["floor"]
+    return document
+
+
+def as_table(document: dict[str, Any]) -> str:
+    """Return the document as Markdown."""
+    best = document["best_native"]
+    lines = [f"| engine | p50 [µs] | p99 | p99.9 | ÷ {best} |", "|---|---|---|---|---|"]
+    for name, p50 in sorted(document["p50_us"].items(), key=lambda item: item[1]):
+        if name == "floor":
+            lines.append(
+                f"| floor, {document['multiply_adds']:,} multiply-adds | {p50:.1f} | | | {1 / document['ratios']['floor']:.2f} |"
+            )
+            continue
+        tails = " | ".join(f"{document[key][name]:.1f}" for key in ("p99_us", "p999_us"))
+        lines.append(f"| {name} | {p50:.1f} | {tails} | {p50 / document['p50_us'][best]:.2f} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--texture", type=Path, metavar="T.foten", help="of the paper's network; an untrained one by default"
+    )
+    parser.add_argument("--n", type=int, default=4000, help="calls of each engine")
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--page", type=Path, metavar="FILE", help="put the table between its markers there")
+    arguments = parser.parse_args()
+    document = measured(arguments.texture, arguments.n)
+    if arguments.json is not None:
+        from foten.whole_file import whole_file
+
+        with whole_file(arguments.json) as part:
+            part.write_text(json.dumps(document, indent=1) + "\n")
+    from main_table import between
+
+    between(arguments.page, "step", as_table(document))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,388 @@
+#include <math.h>
+#include <stdatomic.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "actuator.h"
+#include "filter.h"
+#include "foten.h"
+#include "isa.h"
+#include "loop.h"
+#include "noise.h"
+#include "resample.h"
+#include "stylus.h"
+
+enum { GOLDEN_STEPS = 64, LEAST_GOLDEN = 8, MOST_GOLDEN = 4096, QUIET_EVERY = 4096 };
+static const double ONE_STEP_TOLERANCE = 1e-5, CLOSED_LOOP_TOLERANCE = 1e-4; /* scaled */
+static const double FADE[2] = {5, 0.1};                                     /* mm/s and N below which a texture fades */
+static const double FURTHEST = 2;                                           /* times the trained range's end, that the level grows to */
+
+_Static_assert(ATOMIC_LLONG_LOCK_FREE == 2, "a hand is set without waiting: 64 bits have to be written at once");
+
+/* Counted by the rendering thread, and by whoever sets a hand; read from anywhere. */
+enum { N, SPEED_BEYOND, FORCE_BEYOND, SPEED_CLAMPED, FORCE_CLAMPED, BELOW, SATURATED, REFUSED, LIMITED, LOST, COUNTS };
+
+struct foten_state {
+    const foten_model *model;
+    uint64_t seed, stream;
+    int deterministic, smooth, fresh;
+    loop *loop;
+    resampler *resampler; /* NULL at the texture's own rate */
+    actuator actuator;
+    section filter;
+    memory smoothed[2];
+    double *windows;       /* room for those of foten_start */
+    _Atomic uint64_t hand; /* two floats: speed and force */
+    _Atomic uint64_t counts[COUNTS];
+    double last[2]; /* the hand of the last sample */
+};
+
+static uint64_t counted(const foten_state *s, int what) {
+    return atomic_load_explicit((_Atomic uint64_t *)&s->counts[what], memory_order_relaxed);
+}
+
+/* By the one thread that counts this. */
+static void count(foten_state *s, int what, int by) {
+    if (by) atomic_store_explicit(&s->counts[what], counted(s, what) + (uint64_t)by, memory_order_relaxed);
+}
+
+const char *foten_version(void) { return FOTEN_VERSION; }
+int foten_abi(void) { return FOTEN_ABI; }
+const char *foten_isa(void) { return isa_here()->name; }
+
+/* What is proven, of what was trained, at most how far from it; 0 and a reason where it is not. */
+static int proven(texture_file *file, const char *what, const double *found, const double *expected, size_t n, double tolerance) {
+    double worst = 0;
+    for (size_t i = 0; i < n; i++) {
+        double size = fabs(expected[i]) > 1 ? fabs(expected[i]) : 1, error = fabs(found[i] - expected[i]) / size;
+        if (!(error <= worst)) worst = error;
+    }
+#ifdef FOTEN_FUZZING
+    tolerance = INFINITY; /* what a hostile file makes of the loop is to be reached */
+    worst = 0;
+#endif
+    if (worst <= tolerance) return 1;
+    file_refuse(file, FOTEN_NO_PROOF, "the texture file fails its own proof: %s differs by %.2g scaled from what was trained, expected at most %g; is the file damaged?",
+                what, worst, tolerance);
+    return 0;
+}
+
+/* Read what proves the model, prove it, and keep the loop that renderings begin with. */
+static foten_status prove(foten_model *m, texture_file *file) {
+    arena memory = {0};
+    size_t shape[4], length = (size_t)m->history;
+    foten_status status = FOTEN_BAD_FILE;
+    if (file_shape(file, "golden.one_step", shape) != 1 || shape[0] < LEAST_GOLDEN || shape[0] > MOST_GOLDEN) {
+        file_refuse(file, FOTEN_BAD_FILE, "the file holds no golden windows, or not from %d to %d of them, which prove it", LEAST_GOLDEN, MOST_GOLDEN);
+        return FOTEN_BAD_FILE;
+    }
+    size_t n = shape[0];
+    const double *windows = file_take(file, "golden.windows", (size_t[]){n, length, 3, 0}, &memory);
+    const double *one_step = windows ? file_take(file, "golden.one_step", (size_t[]){n, 0, 0, 0}, &memory) : NULL;
+    const double *conditions = one_step ? file_take(file, "golden.condition", (size_t[]){GOLDEN_STEPS, 2, 0, 0}, &memory) : NULL;
+    const double *closed = conditions ? file_take(file, "golden.closed_loop", (size_t[]){GOLDEN_STEPS, 0, 0, 0}, &memory) : NULL;
+    const double *warm = closed ? file_take(file, "warm_start", (size_t[]){length, 3, 0, 0}, &memory) : NULL;
+    const double *sigma = warm && m->plus ? file_take(file, "golden.sigma", (size_t[]){n, 0, 0, 0}, &memory) : NULL;
+    if (!warm || (m->plus && !sigma) || !file_all_taken(file, m->name)) goto done;
+
+    block size = {0};
+    loop_place(m, &size);
+    block kept = {arena_take(&m->memory, size.used, 1), 0}, tried = {arena_take(&memory, size.used, 1), 0};
+    double *found = arena_take(&memory, n > GOLDEN_STEPS ? n : GOLDEN_STEPS, sizeof *found);
+    if (!kept.base || !tried.base || !found) {
+        status = file_refuse(file, FOTEN_NO_MEMORY, "no memory");
+        goto done;
+    }
+    m->begin = loop_place(m, &kept);
+    loop *l = loop_place(m, &tried);
+    double scale;
+    for (size_t i = 0; i < n; i++) {
+        loop_start(m, l, windows + i * length * 3, m->history, 1);
+        found[i] = loop_forecast(m, l, &scale, m->plus);
+    }
+    status = FOTEN_NO_PROOF;
+    if (!proven(file, "one step", found, one_step, n, ONE_STEP_TOLERANCE)) goto done;
+    for (size_t i = 0; m->plus && i < n; i++) {
+        loop_start(m, l, windows + i * length * 3, m->history, 0);
+        loop_forecast(m, l, &found[i], 0);
+    }
+    if (m->plus && !proven(file, "the excitation", found, sigma, n, ONE_STEP_TOLERANCE)) goto done;
+    loop_start(m, m->begin, warm, m->history, 0);
+    loop_copy(m, l, m->begin);
+    for (int i = 0; i < GOLDEN_STEPS; i++) {
+        int cut;
+        hand hand = hand_of(m, conditions + 2 * i);
+        double noise = noise_at(0, 0, (uint64_t)i);
+        found[i] = loop_step(m, l, &hand, m->plus ? &noise : NULL, INFINITY, &cut);
+    }
+    if (proven(file, "64 closed-loop steps", found, closed, GOLDEN_STEPS, CLOSED_LOOP_TOLERANCE)) status = FOTEN_OK;
+done:
+    arena_free(&memory);
+    return status;
+}
+
+foten_status foten_model_load(const void *bytes, size_t n_bytes, foten_model **model, char *why, size_t why_size) {
+    texture_file file;
+    if (!model) return FOTEN_BAD_ARGUMENT;
+    *model = NULL;
+    foten_status status = file_open(&file, bytes, n_bytes, why, why_size);
+    foten_model *m = status == FOTEN_OK ? calloc(1, sizeof *m) : NULL;
+    if (status == FOTEN_OK && !m) status = file_refuse(&file, FOTEN_NO_MEMORY, "no memory");
+    if (m) status = model_read(m, &file, isa_here());
+    if (m && status == FOTEN_OK) status = prove(m, &file);
+    file_close(&file);
+    if (status == FOTEN_OK) *model = m;
+    else foten_model_free(m);
+    return status;
+}
+
+void foten_model_free(foten_model *model) {
+    if (!model) return;
+    arena_free(&model->memory);
+    free(model);
+}
+
+foten_info foten_model_info(const foten_model *m) {
+    block size = {0};
+    loop_place(m, &size);
+    foten_info info = {m->name, m->texture, m->rate_hz, m->history, m->plus, {m->low[0], m->high[0]}, {m->low[1], m->high[1]}, m->sd[0],
+                       m->lowpass_hz, sizeof(foten_state) + size.used + (size_t)m->history * 3 * sizeof(double)};
+    return info;
+}
+
+foten_state *foten_state_new(const foten_model *model, const foten_options *options) {
+    foten_options o = options ? *options : (foten_options){0};
+    double rate = o.rate_hz == 0 ? model->rate_hz : o.rate_hz;
+    if (!(rate >= model->rate_hz * SLOWEST && rate <= model->rate_hz * FASTEST)) return NULL;
+    int other = rate != model->rate_hz;
+    block size = {0};
+    block_take(&size, 1, sizeof(foten_state));
+    loop_place(model, &size);
+    block_take(&size, (size_t)model->history * 3, sizeof(double));
+    if (other) resampler_place(&size, model->rate_hz, rate);
+    unsigned char *memory = malloc(size.used + ALIGNED);
+    if (!memory) return NULL;
+    size_t shift = (size_t)(-(uintptr_t)memory & (ALIGNED - 1));
+    if (shift < 1) shift = ALIGNED; /* one byte before the block says where its memory begins */
+    block real = {memory + shift, 0};
+    real.base[-1] = (unsigned char)shift;
+    memset(real.base, 0, size.used);
+    foten_state *s = block_take(&real, 1, sizeof *s);
+    s->model = model;
+    s->stream = o.stream;
+    s->deterministic = o.deterministic;
+    s->smooth = o.smooth;
+    s->filter = lowpass(model->lowpass_hz, model->rate_hz);
+    s->loop = loop_place(model, &real);
+    s->windows = block_take(&real, (size_t)model->history * 3, sizeof *s->windows);
+    s->resampler = other ? resampler_place(&real, model->rate_hz, rate) : NULL;
+    foten_reset(s, o.seed);
+    return s;
+}
+
+void foten_state_free(foten_state *state) {
+    if (!state) return;
+    unsigned char *base = (unsigned char *)state;
+    free(base - base[-1]);
+}
+
+void foten_reset(foten_state *s, uint64_t seed) {
+    s->seed = seed;
+    s->fresh = 1;
+    for (int i = 0; i < COUNTS; i++) atomic_store_explicit(&s->counts[i], 0, memory_order_relaxed);
+    s->last[0] = s->last[1] = 0;
+    s->smoothed[0] = s->smoothed[1] = (memory){0, 0};
+    loop_copy(s->model, s->loop, s->model->begin);
+    if (s->resampler) resampler_reset(s->resampler);
+    actuator_reset(&s->actuator);
+}
+
+foten_status foten_set_actuator(foten_state *s, const foten_actuator *of) {
+    double rate = s->resampler ? resampler_rate(s->resampler) : s->model->rate_hz;
+    return actuator_make(&s->actuator, of, rate) ? FOTEN_OK : FOTEN_BAD_ARGUMENT;
+}
+
+/* A sample as it leaves. What is no number, which nothing that was checked gives, is silence, and the loop begins again. */
+static float given(foten_state *s, double sample) {
+    int bent;
+    float out = (float)actuator_drive(&s->actuator, sample, &bent);
+    count(s, LIMITED, bent);
+    if (out - out == 0) return out;
+    count(s, LOST, 1);
+    loop_copy(s->model, s->loop, s->model->begin);
+    s->fresh = 1;
+    if (s->resampler) resampler_silence(s->resampler);
+    actuator_reset(&s->actuator);
+    return 0;
+}
+
+foten_status foten_start(foten_state *s, const float *acceleration, const float *speed, const float *force) {
+    const foten_model *m = s->model;
+    double *windows = s->windows;
+    int finite = 1;
+    for (int t = 0; t < m->history; t++) {
+        const float sample[3] = {acceleration[t], speed[t], force[t]};
+        for (int k = 0; k < 3; k++) {
+            windows[3 * t + k] = (sample[k] - m->mean[k]) / m->sd[k];
+            finite &= isfinite(sample[k]);
+        }
+    }
+    if (finite) {
+        loop_start(m, s->loop, windows, m->history, 0);
+        s->fresh = 0;
+    }
+    return finite ? FOTEN_OK : FOTEN_BAD_ARGUMENT;
+}
+
+foten_status foten_start_scaled(foten_state *s, const double *windows) {
+    for (int i = 0; i < 3 * s->model->history; i++)
+        if (!isfinite(windows[i])) return FOTEN_BAD_ARGUMENT;
+    loop_start(s->model, s->loop, windows, s->model->history, 0);
+    s->fresh = 0;
+    return FOTEN_OK;
+}
+
+void foten_run_scaled(foten_state *s, const double *condition, const double *noise, double limit, size_t n, double *out) {
+    for (size_t i = 0; i < n; i++) {
+        int cut;
+        hand hand = {{condition[3 * i], condition[3 * i + 1]}, condition[3 * i + 2]};
+        out[i] = loop_step(s->model, s->loop, &hand, noise ? noise + i : NULL, limit, &cut);
+    }
+}
+
+/* A hand as it is heeded: what is negative is 0, since a tool that leaves a surface may measure less than nothing, and counts as
+ * refused; 0 where one is no number, and the hand stays where it was. */
+static int heeded(foten_state *s, float *speed, float *force) {
+    int numbers = *speed - *speed == 0 && *force - *force == 0;
+    if (!numbers || *speed < 0 || *force < 0) atomic_fetch_add_explicit(&s->counts[REFUSED], 1, memory_order_relaxed);
+    if (*speed < 0) *speed = 0;
+    if (*force < 0) *force = 0;
+    return numbers;
+}
+
+void foten_set_hand(foten_state *s, float speed, float force) {
+    if (!heeded(s, &speed, &force)) return;
+    uint32_t halves[2];
+    memcpy(&halves[0], &speed, 4);
+    memcpy(&halves[1], &force, 4);
+    atomic_store_explicit(&s->hand, (uint64_t)halves[1] << 32 | halves[0], memory_order_release);
+}
+
+static void hand_set(const foten_state *s, double out[2]) {
+    uint64_t both = atomic_load_explicit(&s->hand, memory_order_acquire);
+    uint32_t halves[2] = {(uint32_t)both, (uint32_t)(both >> 32)};
+    float speed, force;
+    memcpy(&speed, &halves[0], 4);
+    memcpy(&force, &halves[1], 4);
+    out[0] = speed;
+    out[1] = force;
+}
+
+/* A sample of the texture's own rate, m/s2, under a speed and a force. */
+static double sample_of(foten_state *s, const double condition[2]) {
+    const foten_model *m = s->model;
+    uint64_t n = counted(s, N);
+    hand hand;
+    double factor = 1, heeded[2];
+    int below = 0, beyond[2], furthest[2], cut;
+    for (int i = 0; i < 2; i++) {
+        double x = condition[i], clamped = x < m->low[i] ? m->low[i] : x > m->high[i] ? m->high[i] : x;
+        double fade = m->low[i] > FADE[i] ? m->low[i] : FADE[i];
+        below |= x < m->low[i];
+        beyond[i] = x > m->high[i];
+        furthest[i] = x > FURTHEST * m->high[i];
+        heeded[i] = x < FURTHEST * m->high[i] ? x : FURTHEST * m->high[i];
+        hand.condition[i] = (clamped - m->mean[1 + i]) / m->sd[1 + i];
+        if (x < fade) factor *= x / fade;
+        if (heeded[i] > m->high[i]) factor *= pow(heeded[i] / m->high[i], m->exponents[i]);
+    }
+    hand.path = heeded[0];
+    if (s->fresh) {
+        if (!s->deterministic) loop_begin(m, s->loop, &hand, s->seed, s->stream);
+        s->fresh = 0;
+    }
+    double noise = s->deterministic || !m->plus ? 0 : noise_at(s->seed, s->stream, n);
+    double vibration = loop_step(m, s->loop, &hand, s->deterministic || !m->plus ? NULL : &noise, m->saturation, &cut);
+    s->last[0] = condition[0];
+    s->last[1] = condition[1];
+    count(s, N, 1);
+    count(s, BELOW, below);
+    count(s, SPEED_BEYOND, beyond[0]);
+    count(s, FORCE_BEYOND, beyond[1]);
+    count(s, SPEED_CLAMPED, furthest[0]);
+    count(s, FORCE_CLAMPED, furthest[1]);
+    count(s, SATURATED, cut);
+    if ((n + 1) % QUIET_EVERY == 0) loop_quiet(m, s->loop);
+    return (vibration * m->sd[0] + m->mean[0]) * factor;
+}
+
+/* The next sample under the hand that is set or, where there is one, that of a stylus. */
+static double sample_under(foten_state *s, foten_stylus *stylus) {
+    double condition[2];
+    if (stylus) {
+        stylus_next(stylus, condition);
+        return sample_of(s, condition);
+    }
+    hand_set(s, condition);
+    for (int i = 0; s->smooth && i < 2; i++) {
+        double smoothed = filtered(&s->filter, &s->smoothed[i], condition[i]);
+        condition[i] = smoothed > 0 ? smoothed : 0; /* a second-order low-pass undershoots by 4 % */
+    }
+    return sample_of(s, condition);
+}
+
+static void render(foten_state *s, foten_stylus *stylus, float *out, size_t n) {
+    if (stylus) stylus_block(stylus);
+    for (size_t i = 0; i < n; i++) {
+        if (!s->resampler) {
+            out[i] = given(s, sample_under(s, stylus));
+            continue;
+        }
+        while (resampler_wants(s->resampler)) resampler_give(s->resampler, sample_under(s, stylus));
+        out[i] = given(s, resampler_take(s->resampler));
+    }
+}
+
+void foten_render(foten_state *s, float *out, size_t n) { render(s, NULL, out, n); }
+void foten_render_stylus(foten_state *s, foten_stylus *stylus, float *out, size_t n) { render(s, stylus, out, n); }
+
+size_t foten_render_stroke(foten_state *s, const float *speed, const float *force, size_t n, float *out) {
+    double held[2];
+    size_t rendered = 0;
+    hand_set(s, held);
+    for (size_t i = 0; i < n; i++) {
+        float now[2] = {speed[i], force[i]};
+        if (heeded(s, &now[0], &now[1])) {
+            held[0] = now[0];
+            held[1] = now[1];
+        }
+        if (!s->resampler) {
+            out[rendered++] = given(s, sample_of(s, held));
+            continue;
+        }
+        /* What the last sample of the texture's still has to give, after a block that ended between two of them, comes first. */
+        while (!resampler_wants(s->resampler)) out[rendered++] = given(s, resampler_take(s->resampler));
+        resampler_give(s->resampler, sample_of(s, held));
+    }
+    while (s->resampler && !resampler_wants(s->resampler)) out[rendered++] = given(s, resampler_take(s->resampler));
+    return rendered;
+}
+
+size_t foten_rendered(const foten_state *s, size_t n) { return s->resampler ? resampler_most(s->resampler, n) : n; }
+double foten_delay_s(const foten_state *s) { return s->resampler ? resampler_delay_s(s->resampler) : 0; }
+
+void foten_hand(const foten_state *s, float *speed, float *force) {
+    *speed = (float)s->last[0];
+    *force = (float)s->last[1];
+}
+
+foten_stats foten_statistics(const foten_state *s) {
+    return (foten_stats){counted(s, N),         counted(s, SPEED_BEYOND), counted(s, FORCE_BEYOND), counted(s, SPEED_CLAMPED),
+                         counted(s, FORCE_CLAMPED), counted(s, BELOW),    counted(s, SATURATED),    counted(s, REFUSED),
+                         counted(s, LIMITED),   counted(s, LOST)};
+}
+
+void foten_noise(uint64_t seed, uint64_t stream, uint64_t first, size_t n, double *out) {
+    for (size_t i = 0; i < n; i++) out[i] = noise_at(seed, stream, first + i);
+}

@@ -1,0 +1,259 @@
+/* The network for one instruction set: included by each kernel_*.c, which defines
+ *   ISA    its name,
+ *   LANES  floats in the vectors of linear maps,
+ *   SHORT  floats in those of attention, where the lanes are queries: fewer waste less of 20,
+ *   ROWS   tokens whose sums stay in registers together.
+ * The vectors are the compiler's own, so that the same lines become AVX-512, AVX2, NEON, wasm's SIMD or plain C. */
+
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
+
+#include "net.h"
+
+typedef float vec __attribute__((vector_size(4 * LANES)));
+typedef int32_t vec_bits __attribute__((vector_size(4 * LANES)));
+typedef float lane __attribute__((vector_size(4 * SHORT)));
+typedef int32_t lane_bits __attribute__((vector_size(4 * SHORT)));
+
+#define INLINE static inline __attribute__((always_inline))
+
+INLINE vec load(const float *p) { vec v; memcpy(&v, p, sizeof v); return v; }
+INLINE void store(float *p, vec v) { memcpy(p, &v, sizeof v); }
+INLINE lane load_lane(const float *p) { lane v; memcpy(&v, p, sizeof v); return v; }
+INLINE void store_lane(float *p, lane v) { memcpy(p, &v, sizeof v); }
+INLINE vec rectify(vec a) { return (vec)((vec_bits)a & (vec_bits)(a > 0.0f)); }
+INLINE lane larger(lane a, lane b) { lane_bits m = a > b; return (lane)(((lane_bits)a & m) | ((lane_bits)b & ~m)); }
+
+INLINE float sum_of(vec v) {
+    float f[LANES];
+    memcpy(f, &v, sizeof v);
+    for (int width = LANES / 2; width; width /= 2)
+        for (int i = 0; i < width; i++) f[i] += f[i + width];
+    return f[0];
+}
+
+/* e^x for x up to 0, within 2 units in the last place; less than e^-50 is e^-50. */
+INLINE lane exp_of(lane x) {
+    lane least = {0};
+    x = larger(x, least - 50.0f); /* e^-50 is nothing beside 1, and nothing that it is multiplied with is denormal */
+    lane shifted = x * 1.44269504f + 12582912.0f;
+    lane n = shifted - 12582912.0f;
+    lane r = x - n * 0.693359375f;
+    r = r - n * -2.12194440e-4f;
+    lane p = r * 1.9875691500e-4f + 1.3981999507e-3f;
+    p = p * r + 8.3334519073e-3f;
+    p = p * r + 4.1665795894e-2f;
+    p = p * r + 1.6666665459e-1f;
+    p = p * r + 5.0000001201e-1f;
+    p = p * (r * r) + r + 1.0f;
+    lane_bits power = ((lane_bits)shifted << 23) + 0x3F800000;
+    return p * (lane)power;
+}
+
+/* `rows` tokens times one panel; rows and vectors are constants where this is expanded. */
+INLINE void panel(const int rows, const int vectors, int inputs, const float *restrict w, const float *restrict bias,
+                  const float *restrict in, int in_stride, float *restrict out, int out_stride, int rectified) {
+    vec a[ROWS][2];
+    for (int n = 0; n < rows; n++)
+        for (int k = 0; k < vectors; k++) a[n][k] = load(bias + k * LANES);
+    for (int i = 0; i < inputs; i++, w += vectors * LANES) {
+        vec weight[2];
+        for (int k = 0; k < vectors; k++) weight[k] = load(w + k * LANES);
+        for (int n = 0; n < rows; n++) {
+            float x = in[n * in_stride + i];
+            for (int k = 0; k < vectors; k++) a[n][k] += weight[k] * x;
+        }
+    }
+    for (int n = 0; n < rows; n++)
+        for (int k = 0; k < vectors; k++) store(out + n * out_stride + k * LANES, rectified ? rectify(a[n][k]) : a[n][k]);
+}
+
+#define EACH_ROWS(X) X(1) X(2) X(3) X(4) X(5)
+#if ROWS > 5
+#undef EACH_ROWS
+#define EACH_ROWS(X) X(1) X(2) X(3) X(4) X(5) X(6) X(7) X(8) X(9) X(10) X(11)
+#endif
+
+static void some_rows(int rows, int vectors, int inputs, const float *w, const float *bias, const float *in, int in_stride,
+                      float *out, int out_stride, int rectified) {
+#define WIDE(k) case k: panel(k, 2, inputs, w, bias, in, in_stride, out, out_stride, rectified); return;
+#define NARROW(k) case k: panel(k, 1, inputs, w, bias, in, in_stride, out, out_stride, rectified); return;
+    if (vectors == 2) switch (rows) { EACH_ROWS(WIDE) }
+    else switch (rows) { EACH_ROWS(NARROW) }
+}
+
+/* n tokens through a linear map; what they are padded with up to whole vectors comes out as zeros. */
+static void apply(const linear *l, int n, const float *in, int in_stride, float *out, int out_stride, int rectified) {
+    int padded = (l->outputs + LANES - 1) / LANES * LANES;
+    for (int o = 0; o < padded; o += 2 * LANES) {
+        int vectors = padded - o > LANES ? 2 : 1;
+        for (int done = 0, rows; done < n; done += rows) {
+            int blocks = (n - done + ROWS - 1) / ROWS;
+            rows = (n - done + blocks - 1) / blocks;
+            some_rows(rows, vectors, l->inputs, l->weights + (size_t)o * (size_t)l->inputs, l->bias + o, in + done * in_stride, in_stride,
+                      out + done * out_stride + o, out_stride, rectified);
+        }
+    }
+}
+
+static void normalise(const norm *g, int n, int width, const float *in, float *out, int stride) {
+    float share = 1.0f / (float)width;
+    for (int t = 0; t < n; t++, in += stride, out += stride) {
+        vec total = {0}, squares = {0};
+        for (int i = 0; i < stride; i += LANES) total += load(in + i);
+        float mean = sum_of(total) * share;
+        for (int i = 0; i < stride; i += LANES) {
+            vec d = load(in + i) - mean;
+            for (int k = width - i; k < LANES; k++) d[k] = 0; /* of the padding nothing is to count */
+            squares += d * d;
+        }
+        float variance = sum_of(squares) * share;
+        float scale = 1.0f / sqrtf(variance + 1e-5f);
+        for (int i = 0; i < stride; i += LANES)
+            store(out + i, (load(in + i) - mean) * scale * load(g->weight + i) + load(g->bias + i)); /* weight 0 in the padding */
+    }
+}
+
+/* Softmax attention of the queries from `first` on to all n tokens: lanes are queries, so nothing is summed across lanes. */
+static void attend(const encoder *e, int n, int first, const float *packed, const float *counted, float *out, float *scratch) {
+    int size = e->width / e->heads, stride = 3 * e->stride;
+    float *query = scratch, *share = scratch + (size_t)size * SHORT, *mixed = share + (size_t)n * SHORT;
+    for (int from = first; from < n; from += SHORT) {
+        int some = n - from < SHORT ? n - from : SHORT;
+        for (int h = 0; h < e->heads; h++) {
+            const float *q = packed + (size_t)from * stride + h * size;
+            const float *k = packed + e->stride + h * size, *v = packed + 2 * e->stride + h * size;
+            for (int d = 0; d < size; d++)
+                for (int j = 0; j < SHORT; j++) query[d * SHORT + j] = j < some ? q[j * stride + d] : 0.0f;
+            lane most = {0};
+            most -= 1e30f;
+            for (int j = 0; j < n; j++) {
+                lane s = {0};
+                for (int d = 0; d < size; d++) s += load_lane(query + d * SHORT) * k[j * stride + d];
+                store_lane(share + j * SHORT, s);
+                most = larger(most, s);
+            }
+            lane total = {0};
+            for (int j = 0; j < n; j++) {
+                lane s = exp_of(load_lane(share + j * SHORT) - most);
+                if (counted) s *= counted[j];
+                store_lane(share + j * SHORT, s);
+                total += s;
+            }
+            lane inverse = 1.0f / total;
+            for (int d = 0; d < size; d++) {
+                lane m = {0};
+                for (int j = 0; j < n; j++) m += load_lane(share + j * SHORT) * v[j * stride + d];
+                store_lane(mixed + d * SHORT, m * inverse);
+            }
+            for (int j = 0; j < some; j++)
+                for (int d = 0; d < size; d++) out[(size_t)(from - first + j) * e->stride + h * size + d] = mixed[d * SHORT + j];
+        }
+    }
+}
+
+/* Tokens through an encoder layer, in place; from `first` on alone are asked for, and end up at the beginning. */
+static void encode(const encoder *e, int pre_norm, int n, int first, float *tokens, const float *counted, float *scratch) {
+    int stride = e->stride, asked = n - first;
+    float *normed = scratch, *packed = normed + (size_t)n * stride, *rest = packed + (size_t)n * 3 * stride;
+    if (pre_norm) normalise(&e->norm_1, n, e->width, tokens, normed, stride);
+    const float *heard = pre_norm ? normed : tokens;
+    apply(&e->in, n, heard, stride, packed, 3 * stride, 0);
+    float *mixed = rest;
+    memset(mixed, 0, sizeof(float) * (size_t)asked * stride);
+    attend(e, n, first, packed, counted, mixed, mixed + (size_t)asked * stride);
+    float *projected = normed;
+    apply(&e->out, asked, mixed, stride, projected, stride, 0);
+    for (int i = 0; i < asked * stride; i += LANES) store(tokens + i, load(tokens + first * stride + i) + load(projected + i));
+    if (!pre_norm) normalise(&e->norm_1, asked, e->width, tokens, tokens, stride);
+    if (pre_norm) normalise(&e->norm_2, asked, e->width, tokens, normed, stride);
+    float *hidden = packed; /* asked x hidden_stride; net.c makes room */
+    apply(&e->feed_in, asked, pre_norm ? normed : tokens, stride, hidden, e->hidden_stride, 1);
+    float *fed = hidden + (size_t)asked * e->hidden_stride;
+    apply(&e->feed_out, asked, hidden, e->hidden_stride, fed, stride, 0);
+    for (int i = 0; i < asked * stride; i += LANES) store(tokens + i, load(tokens + i) + load(fed + i));
+    if (!pre_norm) normalise(&e->norm_2, asked, e->width, tokens, tokens, stride);
+}
+
+/* A bin's number through the lift, an encoder layer and back. */
+static void encode_bins(const net *net, const linear *lift, const encoder *e, const linear *back, int n, int n_inputs,
+                        const float *numbers, const float *counted, float *out, float *scratch) {
+    int stride = net->width_stride;
+    float *tokens = scratch, *rest = scratch + (size_t)n * stride;
+    if (net->lifted) {
+        apply(lift, n, numbers, n_inputs, tokens, stride, 0);
+    } else {
+        memset(tokens, 0, sizeof(float) * (size_t)n * (size_t)stride);
+        for (int i = 0; i < n; i++) tokens[i * stride] = numbers[i];
+    }
+    if (net->bins)
+        for (int i = 0; i < n * stride; i += LANES) store(tokens + i, load(tokens + i) + load(net->bins + i));
+    encode(e, net->pre_norm, n, 0, tokens, counted, rest);
+    if (net->lifted) apply(back, n, tokens, stride, rest, LANES, 0);
+    for (int i = 0; i < n; i++) out[i] = net->lifted ? rest[i * LANES] : tokens[i * stride];
+}
+
+static double spectral(const net *net, const float *window, float *scratch) {
+    int m = net->window, n = net->n_bins;
+    double *re = (double *)scratch, *im = re + n;
+    float *magnitude = (float *)(im + n), *phase = magnitude + n + LANES, *rest = phase + 2 * n + LANES;
+    double whole = 0;
+    for (int k = 0; k < n; k++) re[k] = im[k] = 0;
+    for (int t = 0; t < m; t++) {
+        double a = window[t * net->n_inputs];
+        for (int k = 0; k < n; k++) {
+            re[k] += a * net->real[t * n + k];
+            im[k] += a * net->imaginary[t * n + k];
+        }
+    }
+    for (int k = 0; k < n; k++) whole += re[k] * re[k] + im[k] * im[k];
+    for (int k = 0; k < n; k++) {
+        double power = re[k] * re[k] + im[k] * im[k], size = sqrt(power + 1e-16);
+        if (!(power > 1e-10 * whole)) re[k] = im[k] = 0;
+        if (net->cos_sin) {
+            phase[2 * k] = (float)(re[k] / size);
+            phase[2 * k + 1] = (float)(im[k] / size);
+        } else {
+            phase[k] = (float)atan2(im[k] + 0.0, re[k]);
+        }
+        magnitude[k] = (float)(net->log_magnitude ? log1p(size) : size);
+    }
+    float *m_out = rest, *p_out = m_out + n + LANES;
+    rest = p_out + n + LANES;
+    encode_bins(net, &net->magnitude_in, &net->magnitude, &net->magnitude_out, net->n_magnitudes, 1, magnitude, net->counted, m_out, rest);
+    encode_bins(net, &net->phase_in, &net->phase, &net->phase_out, n, net->cos_sin ? 2 : 1, phase, NULL, p_out, rest);
+    double sum = 0;
+    for (int k = 0; k < n; k++) {
+        double size = m_out[k < net->n_magnitudes ? k : m - k];
+        sum += size * (net->cosine[k] * cos((double)p_out[k]) + net->sine[k] * sin((double)p_out[k]));
+    }
+    return sum;
+}
+
+static float predict(const net *net, const float *window, float *scratch) {
+    int m = net->window, stride = net->d_stride, d = net->d;
+    float *tokens = scratch, *rest = tokens + (size_t)m * stride;
+    apply(&net->embedding, m, window, net->n_inputs, tokens, stride, 0);
+    for (int i = 0; i < m * stride; i += LANES) store(tokens + i, load(tokens + i) + load(net->positions + i));
+    for (int layer = 0; layer < net->n_layers; layer++)
+        encode(&net->layers[layer], net->pre_norm, m, layer == net->n_layers - 1 ? m - 1 : 0, tokens, NULL, rest);
+    if (net->pre_norm) normalise(&net->last, 1, d, tokens, tokens, stride);
+    float heard = (float)spectral(net, window, rest);
+    float *fused = rest, *hidden = fused + 2 * (d + LANES) + LANES + 2;
+    memcpy(fused, tokens, sizeof(float) * (size_t)d);
+    apply(&net->spectral_embedding, 1, &heard, 1, hidden, stride, 0);
+    memcpy(fused + d, hidden, sizeof(float) * (size_t)d);
+    fused[2 * d] = window[m * net->n_inputs];
+    fused[2 * d + 1] = window[m * net->n_inputs + 1];
+    if (net->modulated) {
+        apply(&net->modulation, 1, fused + 2 * d, 2, hidden, 4 * d + LANES, 0);
+        for (int i = 0; i < 2 * d; i++) fused[i] = fused[i] * (1 + hidden[i]) + hidden[2 * d + i];
+    }
+    apply(&net->head_1, 1, fused, 2 * d + 2, hidden, net->first, 1);
+    float *second = hidden + net->first + LANES;
+    apply(&net->head_2, 1, hidden, net->first, second, net->second, 1);
+    double out = net->head_3_bias;
+    for (int i = 0; i < net->second; i++) out += (double)second[i] * net->head_3[i];
+    return (float)out;
+}

@@ -1,0 +1,7 @@
+#define LANES 4
+#define SHORT 4
+#define ROWS 5
+#include "kernel.inc.h"
+#include "isa.h"
+
+const isa isa_portable = {"portable", LANES, LANES > SHORT ? LANES : SHORT, predict};

@@ -1,0 +1,320 @@
+#include "loop.h"
+#include "noise.h"
+
+#include <math.h>
+#include <string.h>
+
+static const double PI = 3.14159265358979323846;
+static const double LEAK = 0.9997;          /* of a state in a sample; as foten.dsp.lattice says */
+static const double HEAVIEST_TAIL = 0.25;
+static const double LARGEST_SHOCK = 4, LARGEST_SWELL = 3, LARGEST_STRAY = 3;
+static const double MEAN_SIZE = 0.79788456080286541, SIZE_SD = 0.60281027498907660; /* of |z| */
+enum { CANDIDATES = 32 };
+static const uint64_t TO_BEGIN = (uint64_t)1 << 63; /* the first of the noise numbers that streams begin with */
+
+static double within(double x, double limit) { return x > limit ? limit : x < -limit ? -limit : x; }
+static const lattice *heard(const foten_model *m) { return m->n_tones ? &m->rest : &m->whole; }
+
+loop *loop_place(const foten_model *m, block *from) {
+    loop *l = block_take(from, 1, sizeof *l);
+    size_t order = 0;
+    if (m->plus) order = (size_t)(m->whole.order > m->rest.order ? m->whole.order : m->rest.order);
+    double *states = block_take(from, order, sizeof *states), *reflections = block_take(from, order, sizeof *reflections);
+    double *cosines = block_take(from, order, sizeof *cosines), *coefficients = block_take(from, 2 * (size_t)m->n_tones, sizeof *coefficients);
+    float *seen = block_take(from, (size_t)m->network->window * (size_t)m->network->n_inputs + 2, sizeof *seen);
+    float *scratch = block_take(from, m->network->scratch, sizeof *scratch);
+    if (!from->base) return NULL;
+    *l = (loop){.states = states, .reflections = reflections, .cosines = cosines, .coefficients = coefficients, .seen = seen, .scratch = scratch};
+    return l;
+}
+
+void loop_copy(const foten_model *m, loop *to, const loop *from) {
+    loop kept = *to;
+    size_t order = m->plus ? (size_t)heard(m)->order : 0;
+    *to = *from;
+    to->states = kept.states;
+    to->reflections = kept.reflections;
+    to->cosines = kept.cosines;
+    to->coefficients = kept.coefficients;
+    to->seen = kept.seen;
+    to->scratch = kept.scratch;
+    if (order) {
+        memcpy(to->states, from->states, order * sizeof *to->states);
+        memcpy(to->reflections, from->reflections, order * sizeof *to->states);
+        memcpy(to->cosines, from->cosines, order * sizeof *to->states);
+    }
+    if (m->n_tones) memcpy(to->coefficients, from->coefficients, 2 * (size_t)m->n_tones * sizeof *to->coefficients);
+    memcpy(to->seen, from->seen, ((size_t)m->network->window * (size_t)m->network->n_inputs + 2) * sizeof *to->seen);
+}
+
+hand hand_of(const foten_model *m, const double condition[2]) {
+    double physical[2] = {0, 0};
+    if (m->plus) physical_of(&m->whole.level, condition, physical);
+    return (hand){{condition[0], condition[1]}, physical[0]};
+}
+
+/* The level and the reflections of a lattice for the sample after one under a hand. */
+static void follow(const lattice *from, const hand *hand, loop *l) {
+    double logs[2], physical[2];
+    l->level = scale_at(&from->level, hand->condition, logs);
+    physical_of(&from->level, hand->condition, physical);
+    plane_at(&from->reflections, physical[0], physical[1], l->reflections);
+    for (int i = 0; i < from->order; i++) l->cosines[i] = sqrt(1 - l->reflections[i] * l->reflections[i]);
+    l->gain = 1;
+    for (int i = 0; i < from->order; i++) l->gain *= l->cosines[i];
+}
+
+/* Tones of coefficients c_1, s_1, c_2, ... at a phase. */
+static double tone_of(const double *coefficients, int n, double phase) {
+    double sum = 0;
+    for (int k = 0; k < n; k++) sum += coefficients[2 * k] * cos(phase * (k + 1)) + coefficients[2 * k + 1] * sin(phase * (k + 1));
+    return sum;
+}
+
+/* The tones' coefficients, scaled, for the sample after one under a hand by which the path turns the phase. */
+static void tones_at(const foten_model *m, const hand *hand, double turned, double *out) {
+    double logs[2], physical[2], level = scale_at(&m->whole.level, hand->condition, logs);
+    physical_of(&m->whole.level, hand->condition, physical);
+    plane_at(&m->tones, physical[0], physical[1], out);
+    for (int k = 0; k < m->n_tones; k++) {
+        double audible = 10 - 10 * (k + 1) * turned / PI;
+        audible = audible > 1 ? 1 : audible < 0 ? 0 : audible;
+        out[2 * k] *= level * audible;
+        out[2 * k + 1] *= level * audible;
+    }
+}
+
+static double turned_by(const foten_model *m, const hand *hand) { return m->turn * hand->path; }
+
+/* Make ready, at the phase that there is, for the sample after one under a hand. */
+static void heed(const foten_model *m, loop *l, const hand *hand, int first) {
+    int moved = first || hand->condition[0] != l->heeded.condition[0] || hand->condition[1] != l->heeded.condition[1];
+    int turned = moved || hand->path != l->heeded.path;
+    l->heeded = *hand;
+    if (moved) {
+        double logs[2], powers[5], tail = m->tail_bias;
+        follow(heard(m), hand, l);
+        l->sigma = scale_at(&m->sigma, hand->condition, logs);
+        powers_of(logs, powers);
+        for (int k = 0; k < 5; k++) tail += m->tail[k] * powers[k];
+        l->tail = HEAVIEST_TAIL / (1 + exp(-tail));
+    }
+    if (m->n_tones) {
+        l->turned = turned_by(m, hand);
+        if (turned) tones_at(m, hand, l->turned, l->coefficients);
+        l->tone = tone_of(l->coefficients, m->n_tones, l->phase);
+    }
+}
+
+/* A recorded sample (over what its level scales) through the lattice from output to innovation, which is returned. */
+static double analyse(const lattice *from, loop *l, double x) {
+    double f = x, before = x;
+    for (int i = 0; i < from->order; i++) {
+        double k = l->reflections[i], c = l->cosines[i], b = LEAK * l->states[i];
+        double backward = (b + k * f) / c;
+        f = (f + k * b) / c;
+        l->states[i] = before;
+        before = backward;
+    }
+    return f;
+}
+
+/* What the lattice will give without innovation. */
+static double foreseen(const lattice *from, const loop *l) {
+    double f = 0;
+    for (int i = from->order - 1; i >= 0; i--) f = l->cosines[i] * f - l->reflections[i] * (LEAK * l->states[i]);
+    return f;
+}
+
+/* An innovation through the lattice, which moves on by a sample and gives it. */
+static double synthesise(const lattice *from, loop *l, double e) {
+    double f = e;
+    int p = from->order;
+    for (int i = p - 1; i >= 0; i--) {
+        double k = l->reflections[i], c = l->cosines[i], b = LEAK * l->states[i];
+        if (i + 1 < p) l->states[i + 1] = k * f + c * b;
+        f = c * f - k * b;
+    }
+    l->states[0] = f;
+    return f;
+}
+
+/* What of the level scales the innovation, and what scales that which leaves the lattice. */
+static double drive(const lattice *of, const loop *l) { return of->level_drives ? l->level : 1; }
+static double behind(const lattice *of, const loop *l) { return of->level_drives ? 1 : l->level; }
+
+/* Append a sample to what the network sees. */
+static void see(const foten_model *m, loop *l, double x, const double condition[2], double e) {
+    int n = m->network->n_inputs, window = m->network->window;
+    memmove(l->seen, l->seen + n, (size_t)(window - 1) * (size_t)n * sizeof *l->seen);
+    float *last = l->seen + (window - 1) * n;
+    last[0] = (float)x;
+    if (n == 4) {
+        last[1] = (float)condition[0];
+        last[2] = (float)condition[1];
+    }
+    if (n > 1) last[n - 1] = (float)e;
+    l->seen[window * n] = (float)condition[0];
+    l->seen[window * n + 1] = (float)condition[1];
+}
+
+static void start_lattice(const foten_model *m, const lattice *of, loop *l, const double *windows, int n) {
+    memset(l->states, 0, (size_t)of->order * sizeof *l->states);
+    for (int t = 1; t < n; t++) {
+        const double *sample = windows + 3 * t;
+        hand before = hand_of(m, sample - 2);
+        follow(of, &before, l);
+        double e = analyse(of, l, sample[0] / behind(of, l));
+        see(m, l, sample[0] / l->level, sample + 1, e / drive(of, l));
+    }
+}
+
+/* The phase at which the tones are nearest a window, and the window without them. */
+static void start_tones(const foten_model *m, loop *l, const double *windows, int n) {
+    double best = INFINITY, chosen = 0, missed[CANDIDATES] = {0}, travelled = 0;
+    for (int t = 1; t < n; t++) {
+        hand before = hand_of(m, windows + 3 * t - 2);
+        double turned = turned_by(m, &before), logs[2], level = scale_at(&m->whole.level, before.condition, logs);
+        travelled += turned;
+        tones_at(m, &before, turned, l->coefficients);
+        for (int k = 0; k < CANDIDATES; k++) {
+            double off = (windows[3 * t] - tone_of(l->coefficients, m->n_tones, travelled + 2 * PI * k / CANDIDATES)) / level;
+            missed[k] += off * off;
+        }
+    }
+    for (int k = 0; k < CANDIDATES; k++)
+        if (missed[k] < best) {
+            best = missed[k];
+            chosen = 2 * PI * k / CANDIDATES;
+        }
+    memset(l->states, 0, (size_t)m->rest.order * sizeof *l->states);
+    travelled = 0;
+    for (int t = 1; t < n; t++) {
+        hand before = hand_of(m, windows + 3 * t - 2);
+        double turned = turned_by(m, &before);
+        travelled += turned;
+        tones_at(m, &before, turned, l->coefficients);
+        follow(&m->rest, &before, l);
+        analyse(&m->rest, l, (windows[3 * t] - tone_of(l->coefficients, m->n_tones, travelled + chosen)) / behind(&m->rest, l));
+    }
+    hand last = hand_of(m, windows + 3 * n - 2);
+    /* The way to the first sample belongs to the recording, of which nothing is to be left: the path begins here, and the phase
+       within half a turn of it. */
+    l->phase = travelled + chosen + turned_by(m, &last);
+    l->phase -= 2 * PI * floor((l->phase + PI) / (2 * PI));
+    l->path = l->rate = 0;
+}
+
+void loop_start(const foten_model *m, loop *l, const double *windows, int n, int as_prediction) {
+    hand last = hand_of(m, windows + 3 * n - 2);
+    memset(l->seen, 0, ((size_t)m->network->window * (size_t)m->network->n_inputs + 2) * sizeof *l->seen);
+    l->swell = 0;
+    if (!m->plus) {
+        for (int t = 0; t < n; t++) see(m, l, windows[3 * t], windows + 3 * t + 1, 0);
+        l->heeded = last;
+        return;
+    }
+    if (m->n_tones && !as_prediction) {
+        start_tones(m, l, windows, n);
+        heed(m, l, &last, 1);
+    } else {
+        start_lattice(m, &m->whole, l, windows, n);
+        follow(&m->whole, &last, l);
+        if (!m->n_tones) heed(m, l, &last, 1);
+    }
+}
+
+/* What the network adds, in units of the innovation. */
+static double correction(const foten_model *m, loop *l) {
+    double found = m->isa->predict(m->network, l->seen, l->scratch);
+    return m->correction_limit * tanh(found / m->correction_limit);
+}
+
+static double swelling(const foten_model *m, const loop *l) { return exp(l->swell - m->swell_sd * m->swell_sd); }
+
+double loop_forecast(const foten_model *m, loop *l, double *scale, int with_network) {
+    *scale = 0;
+    if (!m->plus) return m->isa->predict(m->network, l->seen, l->scratch);
+    const lattice *of = with_network ? &m->whole : heard(m);
+    double sample = foreseen(of, l) * behind(of, l), unit = l->gain * l->level;
+    if (with_network || m->network_heard) sample += unit * correction(m, l);
+    if (m->n_tones && !with_network) sample += l->tone;
+    *scale = unit * swelling(m, l) * l->sigma;
+    return sample;
+}
+
+double loop_step(const foten_model *m, loop *l, const hand *hand, const double *noise, double limit, int *cut) {
+    double sample;
+    if (!m->plus) {
+        sample = m->isa->predict(m->network, l->seen, l->scratch);
+        double played = within(sample, limit);
+        *cut = played != sample;
+        see(m, l, played, hand->condition, 0);
+        l->heeded = *hand;
+        return played;
+    }
+    const lattice *of = heard(m);
+    double e = m->network_heard ? correction(m, l) : 0;
+    if (noise) {
+        double size = swelling(m, l) * l->sigma, z = *noise, most = m->largest[1] / (l->gain * l->level * size);
+        if (most > m->largest[0]) most = m->largest[0];
+        e += size * within(z * exp(0.5 * l->tail * z * z), most);
+        if (m->swell_sd > 0) {
+            double shock = fabs(z) < LARGEST_SHOCK ? fabs(z) : LARGEST_SHOCK, kept = m->swell_kept;
+            l->swell = within(kept * l->swell + sqrt(1 - kept * kept) * m->swell_sd * ((shock - MEAN_SIZE) / SIZE_SD), LARGEST_SWELL * m->swell_sd);
+        }
+    }
+    sample = behind(of, l) * synthesise(of, l, drive(of, l) * e);
+    if (m->n_tones) {
+        sample += l->tone;
+        double alike = exp(-l->turned / PI);
+        l->phase -= m->forgetting * (l->phase - l->path);
+        l->rate = alike * l->rate + sqrt(1 - alike * alike) * (m->unevenness * within(e, LARGEST_STRAY));
+        double turned = turned_by(m, hand);
+        l->phase += l->turned * l->rate + turned;
+        l->path += turned;
+    } else {
+        see(m, l, sample / l->level, hand->condition, e);
+    }
+    heed(m, l, hand, 0);
+    double played = within(sample, limit);
+    *cut = played != sample;
+    return played;
+}
+
+void loop_begin(const foten_model *m, loop *l, const hand *hand, uint64_t seed, uint64_t stream) {
+    if (!m->plus) return;
+    const lattice *of = heard(m);
+    uint64_t n = TO_BEGIN;
+    heed(m, l, hand, 1);
+    /* The mean square of z exp(h z^2 / 2) is (1 - 2h)^(-3/2). */
+    double size = drive(of, l) * l->sigma * pow(1 - 2 * l->tail, -0.75);
+    for (int i = 0; i < of->order; i++) l->states[i] = size * noise_at(seed, stream, n++);
+    l->swell = m->swell_sd * within(noise_at(seed, stream, n++), LARGEST_SWELL);
+    if (m->n_tones) {
+        double sine = noise_at(seed, stream, n++), cosine = noise_at(seed, stream, n++);
+        l->phase = l->path = atan2(sine, cosine);
+        l->rate = 0;
+        heed(m, l, hand, 1);
+        return;
+    }
+    int window = m->network->window;
+    memset(l->seen, 0, (size_t)window * (size_t)m->network->n_inputs * sizeof *l->seen);
+    for (int i = 0; i < window; i++) see(m, l, 0, hand->condition, 0);
+    for (int i = 0; m->network_heard && i < window; i++) {
+        int cut;
+        double noise = noise_at(seed, stream, n++);
+        loop_step(m, l, hand, &noise, INFINITY, &cut);
+    }
+}
+
+void loop_quiet(const foten_model *m, loop *l) {
+    if (m->plus) {
+        double most = 0;
+        for (int i = 0; i < heard(m)->order; i++) most = fabs(l->states[i]) > most ? fabs(l->states[i]) : most;
+        if (most < 1e-100) memset(l->states, 0, (size_t)heard(m)->order * sizeof *l->states);
+    }
+    int n = m->network->n_inputs * m->network->window;
+    for (int i = 0; i < n; i++)
+        if (fabsf(l->seen[i]) < 1e-30f) l->seen[i] = 0;
+}

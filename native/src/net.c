@@ -1,0 +1,197 @@
+#include "net.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+typedef struct {
+    texture_file *file;
+    const char *prefix;
+    int lanes;
+    arena *memory;
+    int missing; /* whether something was */
+} maker;
+
+static size_t up(size_t n, int lanes) { return (n + (size_t)lanes - 1) / (size_t)lanes * (size_t)lanes; }
+
+static float *room(maker *m, size_t n) {
+    float *found = arena_take(m->memory, n + (size_t)m->lanes, sizeof(float));
+    m->missing |= !found;
+    return found;
+}
+
+/* A tensor of the network in doubles, (rows, columns) or (rows) where columns is 0; NULL where it is not so. */
+static const double *tensor(maker *m, const char *layer, const char *part, size_t rows, size_t columns) {
+    char name[160];
+    snprintf(name, sizeof name, "%s%s%s", m->prefix, layer, part);
+    size_t shape[4] = {rows, columns, 0, 0};
+    double *found = m->missing ? NULL : file_take(m->file, name, shape, m->memory);
+    m->missing |= !found;
+    return found;
+}
+
+/* Output o goes to place[o], times times[o]; where these are NULL to o, times 1. */
+static linear pack(maker *m, const double *w, const double *bias, size_t outputs, size_t inputs, size_t padded, const size_t *place,
+                   const double *times) {
+    size_t vector = (size_t)m->lanes;
+    padded = up(padded, m->lanes);
+    float *weights = room(m, padded * inputs), *biases = room(m, padded);
+    if (m->missing) return (linear){0};
+    for (size_t o = 0; o < outputs; o++) {
+        size_t at = place ? place[o] : o, first = at / (2 * vector) * (2 * vector);
+        size_t wide = padded - first > vector ? 2 * vector : vector;
+        double by = times ? times[o] : 1;
+        biases[at] = (float)(bias[o] * by);
+        for (size_t i = 0; i < inputs; i++) weights[first * inputs + i * wide + at - first] = (float)(w[o * inputs + i] * by);
+    }
+    return (linear){(int)inputs, (int)padded, weights, biases};
+}
+
+static linear linear_of(maker *m, const char *layer, size_t outputs, size_t inputs) {
+    const double *w = tensor(m, layer, ".weight", outputs, inputs), *bias = tensor(m, layer, ".bias", outputs, 0);
+    return m->missing ? (linear){0} : pack(m, w, bias, outputs, inputs, outputs, NULL, NULL);
+}
+
+static norm norm_of(maker *m, const char *layer, size_t width) {
+    const double *w = tensor(m, layer, ".weight", width, 0), *bias = tensor(m, layer, ".bias", width, 0);
+    float *weight = room(m, up(width, m->lanes)), *added = room(m, up(width, m->lanes));
+    if (m->missing) return (norm){0};
+    for (size_t i = 0; i < width; i++) {
+        weight[i] = (float)w[i];
+        added[i] = (float)bias[i];
+    }
+    return (norm){weight, added};
+}
+
+static encoder encoder_of(maker *m, const char *layer, size_t width, size_t heads, size_t feed) {
+    char name[96];
+    if (width % heads) heads = 1;
+    encoder e = {.width = (int)width, .stride = (int)up(width, m->lanes), .heads = (int)heads, .hidden_stride = (int)up(feed, m->lanes)};
+    snprintf(name, sizeof name, "%s.attention_in", layer);
+    const double *w = tensor(m, name, ".weight", 3 * width, width), *bias = tensor(m, name, ".bias", 3 * width, 0);
+    size_t *place = arena_take(m->memory, 3 * width, sizeof *place);
+    double *times = arena_take(m->memory, 3 * width, sizeof *times);
+    m->missing |= !place || !times;
+    if (m->missing) return e;
+    for (size_t o = 0; o < 3 * width; o++) {
+        place[o] = o / width * (size_t)e.stride + o % width;
+        times[o] = o < width ? 1 / sqrt((double)(width / heads)) : 1;
+    }
+    e.in = pack(m, w, bias, 3 * width, width, 3 * (size_t)e.stride, place, times);
+    snprintf(name, sizeof name, "%s.attention_out", layer);
+    e.out = linear_of(m, name, width, width);
+    snprintf(name, sizeof name, "%s.feedforward_in", layer);
+    e.feed_in = linear_of(m, name, feed, width);
+    snprintf(name, sizeof name, "%s.feedforward_out", layer);
+    e.feed_out = linear_of(m, name, width, feed);
+    snprintf(name, sizeof name, "%s.norm_1", layer);
+    e.norm_1 = norm_of(m, name, width);
+    snprintf(name, sizeof name, "%s.norm_2", layer);
+    e.norm_2 = norm_of(m, name, width);
+    return e;
+}
+
+/* Eq. 2. */
+static const float *positions_of(maker *m, size_t window, size_t d, size_t stride) {
+    float *out = room(m, window * stride);
+    for (size_t i = 0; out && i < window; i++)
+        for (size_t k = 0; k < d; k++) {
+            double angle = (double)i / pow(10000, (double)(k / 2 * 2) / (double)d);
+            out[i * stride + k] = (float)(k % 2 ? cos(angle) : sin(angle));
+        }
+    return out;
+}
+
+/* Eq. 6 and the last row of Eq. 9; what is zero in exact arithmetic is zero, so that a real bin has phase 0 or pi. */
+static void transform_of(maker *m, net *n, int half) {
+    const double pi = 3.14159265358979323846;
+    int window = n->window, bins = n->n_bins;
+    double *real = arena_take(m->memory, (size_t)window * (size_t)bins, sizeof *real);
+    double *imaginary = arena_take(m->memory, (size_t)window * (size_t)bins, sizeof *imaginary);
+    float *cosine = room(m, (size_t)bins), *sine = room(m, (size_t)bins), *counted = room(m, (size_t)bins);
+    m->missing |= !real || !imaginary;
+    if (m->missing) return;
+    for (int t = 0; t < window; t++)
+        for (int k = 0; k < bins; k++) {
+            int turns = t * k % window;
+            double angle = 2 * pi * turns / window;
+            real[t * bins + k] = (4 * turns) % window == 0 && (2 * turns) % window ? 0 : cos(angle);
+            imaginary[t * bins + k] = (2 * turns) % window ? -sin(angle) : 0;
+        }
+    for (int k = 0; k < bins; k++) {
+        double angle = 2 * pi * k / window;
+        int mirrored = k >= 1 && k < (window + 1) / 2;
+        double weight = (half && mirrored ? 2.0 : 1.0) / window;
+        cosine[k] = (float)(weight * cos(angle));
+        sine[k] = (float)(weight * sin(angle));
+        counted[k] = n->n_magnitudes < bins && mirrored ? 2.0f : 1.0f;
+    }
+    n->real = real;
+    n->imaginary = imaginary;
+    n->cosine = cosine;
+    n->sine = sine;
+    n->counted = counted;
+}
+
+/* Floats that kernel.inc.h takes at most, counted generously: an encoder's and what lies before it. */
+static size_t scratch_of(const net *n, int feed, int most) {
+    size_t tokens = (size_t)(n->window > n->n_bins ? n->window : n->n_bins), stride = (size_t)(n->d_stride > n->width_stride ? n->d_stride : n->width_stride);
+    size_t hidden = up((size_t)feed, n->d_stride ? 16 : 16) + 16, widest = (size_t)most;
+    size_t encoder = tokens * stride * 5 + tokens * (hidden > 3 * stride ? hidden : 3 * stride) + tokens * stride + (2 * stride + tokens) * widest;
+    size_t bins = 8 * ((size_t)n->n_bins + 64) + tokens * stride + 4 * (size_t)n->n_bins;
+    size_t head = 6 * ((size_t)n->d + 64) + (size_t)n->first + (size_t)n->second + 256;
+    return tokens * stride + bins + encoder + head + 1024;
+}
+
+net *net_make(texture_file *file, const char *prefix, const net_sizes *s, const isa *isa, arena *memory) {
+    maker make = {file, prefix, isa->lanes, memory, 0}, *m = &make;
+    net *n = arena_take(memory, 1, sizeof *n);
+    encoder *layers = arena_take(memory, (size_t)s->n_layers, sizeof *layers);
+    if (!n || !layers) return NULL;
+    size_t d = (size_t)s->d_model, width = (size_t)s->spectral_width, heads = (size_t)s->n_heads, feed = (size_t)s->d_feedforward;
+    *n = (net){.window = s->window, .n_inputs = s->n_inputs, .d = s->d_model, .width = s->spectral_width, .n_layers = s->n_layers,
+               .first = s->first, .second = s->second, .pre_norm = s->pre_norm, .log_magnitude = s->log_magnitude, .cos_sin = s->cos_sin,
+               .modulated = s->modulated, .lifted = s->spectral_width > 1};
+    n->n_bins = s->half_bins ? s->window / 2 + 1 : s->window;
+    /* Magnitudes k and m - k are equal, and so is what becomes of them, unless bins are told apart. */
+    n->n_magnitudes = s->bin_embedding ? n->n_bins : s->window / 2 + 1;
+    n->d_stride = (int)up(d, m->lanes);
+    n->width_stride = (int)up(width, m->lanes);
+    n->embedding = linear_of(m, "temporal.embedding", d, (size_t)s->n_inputs);
+    n->positions = positions_of(m, (size_t)s->window, d, (size_t)n->d_stride);
+    for (int i = 0; i < s->n_layers && !m->missing; i++) {
+        char name[64];
+        snprintf(name, sizeof name, "temporal.layers.%d", i);
+        layers[i] = encoder_of(m, name, d, heads, feed);
+    }
+    n->layers = layers;
+    if (s->pre_norm) n->last = norm_of(m, "temporal.norm", d);
+    transform_of(m, n, s->half_bins);
+    if (n->lifted) {
+        n->magnitude_in = linear_of(m, "spectral.magnitude_in", width, 1);
+        n->magnitude_out = linear_of(m, "spectral.magnitude_out", 1, width);
+        n->phase_in = linear_of(m, "spectral.phase_in", width, s->cos_sin ? 2 : 1);
+        n->phase_out = linear_of(m, "spectral.phase_out", 1, width);
+    }
+    n->magnitude = encoder_of(m, "spectral.magnitude_layer", width, heads, feed);
+    n->phase = encoder_of(m, "spectral.phase_layer", width, heads, feed);
+    if (s->bin_embedding) {
+        const double *found = tensor(m, "spectral.bins", "", (size_t)n->n_bins, width);
+        float *bins = room(m, (size_t)n->n_bins * (size_t)n->width_stride);
+        for (int k = 0; !m->missing && k < n->n_bins; k++)
+            for (size_t i = 0; i < width; i++) bins[(size_t)k * (size_t)n->width_stride + i] = (float)found[(size_t)k * width + i];
+        n->bins = bins;
+    }
+    n->spectral_embedding = linear_of(m, "spectral_embedding", d, 1);
+    if (s->modulated) n->modulation = linear_of(m, "modulation", 4 * d, 2);
+    n->head_1 = linear_of(m, "head_1", (size_t)s->first, 2 * d + 2);
+    n->head_2 = linear_of(m, "head_2", (size_t)s->second, (size_t)s->first);
+    const double *w = tensor(m, "head_3", ".weight", 1, (size_t)s->second), *bias = tensor(m, "head_3", ".bias", 1, 0);
+    float *head = room(m, (size_t)s->second);
+    if (m->missing) return NULL;
+    for (int i = 0; i < s->second; i++) head[i] = (float)w[i];
+    n->head_3 = head;
+    n->head_3_bias = bias[0];
+    n->scratch = scratch_of(n, s->d_feedforward, isa->most);
+    return n;
+}

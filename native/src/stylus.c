@@ -1,0 +1,156 @@
+#include "stylus.h"
+
+#include <math.h>
+#include <stdatomic.h>
+#include <stdlib.h>
+
+#include "filter.h"
+#include "model.h"
+
+enum { WAITING = 256, RESTARTED = 8 };      /* events; late ones in succession after which the device's clock has begun anew */
+static const double PAPER_NEWTONS = 0.13, PAPER_STEEPNESS = 3.32; /* Eq. 12 */
+static const double FASTEST_HAND = 5000;    /* mm/s; faster is a pen that was lifted */
+static const double HOLE = 10, HOLE_S = 0.04; /* usual steps without an event that are a pen out of reach, and that long at least */
+static const double SHORTEST_STEP_S = 0.0005; /* of a usual one: events that waited somewhere and came at once are none to go by */
+static const double STILL_S = 0.025, STILL_STEPS = 3;
+static const double CARRIED_S = 0.005;      /* half of a change of velocity is carried on where events are that far apart */
+static const double LONGEST_STEP_S = 0.05;  /* that counts towards the usual one */
+
+typedef struct { double x, y, pressure, t; } event;
+struct foten_stylus {
+    double period_s, newtons, steepness;
+    section filter;
+    memory velocity[2], force;
+
+    event waiting[WAITING];
+    _Atomic uint64_t n_pushed, n_taken; /* by the device's thread, by the rendering one */
+    _Atomic uint64_t n_refused, n_dropped, n_clipped;
+
+    /* The rendering thread's own. */
+    event last;
+    int known, touching, moving, still; /* moving: whether `moved` is of this stroke */
+    unsigned late_in_succession;
+    double late_t, usual_s, since_s;
+    double moved[2], held[2], pressed;
+    _Atomic uint64_t n, n_late, n_jumps;
+};
+
+foten_stylus *foten_stylus_new(const foten_model *model, const foten_stylus_options *options) {
+    foten_stylus_options o = options ? *options : (foten_stylus_options){0, 0};
+    if (!(o.newtons >= 0 && o.newtons < 1e6 && fabs(o.steepness) < 100)) return NULL;
+    foten_stylus *s = calloc(1, sizeof *s);
+    if (!s) return NULL;
+    s->period_s = 1 / model->rate_hz;
+    s->newtons = o.newtons > 0 ? o.newtons : PAPER_NEWTONS;
+    s->steepness = o.newtons > 0 ? o.steepness : PAPER_STEEPNESS;
+    s->filter = lowpass(model->lowpass_hz, model->rate_hz);
+    s->usual_s = 1.0 / 120;
+    return s;
+}
+
+void foten_stylus_free(foten_stylus *stylus) { free(stylus); }
+
+static void count(_Atomic uint64_t *of) { atomic_fetch_add_explicit(of, 1, memory_order_relaxed); }
+
+void foten_stylus_push(foten_stylus *s, double x, double y, double pressure, double t) {
+    if (!isfinite(x) || !isfinite(y) || !isfinite(pressure) || !isfinite(t)) {
+        count(&s->n_refused);
+        return;
+    }
+    uint64_t pushed = atomic_load_explicit(&s->n_pushed, memory_order_relaxed);
+    if (pushed - atomic_load_explicit(&s->n_taken, memory_order_acquire) == WAITING) {
+        count(&s->n_dropped);
+        return;
+    }
+    double cut = pressure < 0 ? 0 : pressure > 1 ? 1 : pressure;
+    if (cut != pressure) count(&s->n_clipped);
+    s->waiting[pushed % WAITING] = (event){x, y, cut, t};
+    atomic_store_explicit(&s->n_pushed, pushed + 1, memory_order_release);
+}
+
+/* Whether an event is none to go by: it is not later than the last one, and no new clock either. */
+static int late(foten_stylus *s, const event *e) {
+    if (!s->known || e->t > s->last.t) {
+        s->late_in_succession = 0;
+        return 0;
+    }
+    count(&s->n_late);
+    s->late_in_succession = s->late_in_succession && e->t > s->late_t ? s->late_in_succession + 1 : 1;
+    s->late_t = e->t;
+    if (s->late_in_succession < RESTARTED) return 1;
+    s->late_in_succession = 0;
+    s->known = 0;
+    return 0;
+}
+
+/* Take in what has come since the last sample. */
+static void listen(foten_stylus *s) {
+    uint64_t pushed = atomic_load_explicit(&s->n_pushed, memory_order_acquire), taken = atomic_load_explicit(&s->n_taken, memory_order_relaxed);
+    double moved[2] = {0, 0}, took = 0;
+    int jumped = 0;
+    for (; taken < pushed; taken++) {
+        event e = s->waiting[taken % WAITING];
+        if (late(s, &e)) continue;
+        count(&s->n);
+        double step = e.t - s->last.t, dx = e.x - s->last.x, dy = e.y - s->last.y;
+        int touches = e.pressure > 0, goes_on = s->known && s->touching && touches;
+        double hole = HOLE * s->usual_s > HOLE_S ? HOLE * s->usual_s : HOLE_S;
+        if (goes_on && (step > hole || sqrt(dx * dx + dy * dy) > FASTEST_HAND * step)) {
+            count(&s->n_jumps);
+            goes_on = 0;
+        }
+        if (goes_on) {
+            moved[0] += dx;
+            moved[1] += dy;
+            took += step;
+            if (step > SHORTEST_STEP_S && step < LONGEST_STEP_S) s->usual_s += 0.1 * (step - s->usual_s);
+        } else {
+            moved[0] = moved[1] = took = 0;
+            jumped = 1;
+        }
+        s->known = 1;
+        s->touching = touches;
+        s->last = e;
+        s->pressed = touches ? s->newtons * exp(s->steepness * e.pressure) : 0;
+        s->since_s = s->still = 0;
+    }
+    atomic_store_explicit(&s->n_taken, taken, memory_order_release);
+    for (int i = 0; i < 2; i++) {
+        if (jumped) s->held[i] = 0;
+        if (took <= 0) continue;
+        double velocity = moved[i] / took, before = s->moving && !jumped ? s->moved[i] : velocity;
+        s->held[i] = velocity + took / (took + CARRIED_S) * (velocity - before);
+        s->moved[i] = velocity;
+    }
+    s->moving = took > 0 || (s->moving && !jumped);
+}
+
+/* Within a block no event can come, however long it lasts: whether the pen has stopped is seen where one begins. */
+void stylus_block(foten_stylus *s) {
+    double usual = STILL_STEPS * s->usual_s;
+    s->still = s->since_s > (usual > STILL_S ? usual : STILL_S);
+}
+
+void stylus_next(foten_stylus *s, double out[2]) {
+    listen(s);
+    if (s->still) s->held[0] = s->held[1] = s->moved[0] = s->moved[1] = 0;
+    s->since_s += s->period_s;
+    double x = filtered(&s->filter, &s->velocity[0], s->held[0]), y = filtered(&s->filter, &s->velocity[1], s->held[1]);
+    double force = filtered(&s->filter, &s->force, s->pressed);
+    out[0] = sqrt(x * x + y * y);
+    out[1] = force > 0 ? force : 0; /* a second-order low-pass undershoots by 4 % */
+}
+
+void foten_stylus_next(foten_stylus *s, float *speed, float *force) {
+    double found[2];
+    stylus_block(s);
+    stylus_next(s, found);
+    *speed = (float)found[0];
+    *force = (float)found[1];
+}
+
+foten_stylus_stats foten_stylus_statistics(const foten_stylus *stylus) {
+    foten_stylus *s = (foten_stylus *)stylus; /* an atomic load does not change it */
+    return (foten_stylus_stats){atomic_load(&s->n), atomic_load(&s->n_refused), atomic_load(&s->n_late), atomic_load(&s->n_dropped),
+                                atomic_load(&s->n_clipped), atomic_load(&s->n_jumps)};
+}

@@ -1,0 +1,49 @@
+"""Write the smallest texture files of each kind into `native/tests/corpus`, for the fuzzer to begin with.
+
+PYTHONPATH=tests python native/tests/make_corpus.py
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from conftest import exported
+from foten.architecture import ARCHITECTURES
+
+TINY = {
+    "window": 3,
+    "d_model": 1,
+    "n_heads": 1,
+    "n_layers": 1,
+    "d_feedforward": 1,
+    "head": (1, 1),
+    "spectral_width": 1,
+}
+PLUS = {**TINY, "excitation_width": 1, "order": 2}
+KINDS = {
+    "foten": ("foten", TINY),
+    "foten-wide": (
+        "foten",
+        {**TINY, "spectral_width": 2, "bin_embedding": True, "phase_input": "cos_sin", "bins": "half"},
+    ),
+    "foten-post": ("foten", {**TINY, "pre_norm": False, "n_layers": 2, "magnitude_input": "log"}),
+    "plus": ("foten-plus", PLUS),
+    "plus-table": (
+        "foten-plus",
+        {**PLUS, "n_speed": 2, "n_force": 2, "level_drives": True, "hand": "modulation"},
+    ),
+    "plus-silent": ("foten-plus", {**PLUS, "network_heard": False, "hand": "head"}),
+    "plus-tones": ("foten-plus", {**PLUS, "n_tones": 1, "n_tone_speed": 2, "rest_order": 3}),
+}
+
+
+def main() -> None:
+    folder = Path(__file__).parent / "corpus"
+    folder.mkdir(exist_ok=True)
+    for name, (key, sizes) in KINDS.items():
+        texture = exported(key, ARCHITECTURES[key](**sizes))
+        (folder / f"{name}.foten").write_bytes(texture.to_bytes())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,191 @@
+"""A stroke over a texture, live: what `foten play` does."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.render.actuator import ActuatorProfile
+from foten.render.devices import SOUND_RATE_HZ, DaqSink, NullSink, OscSink, SoundSink, UdpSink, WavSink
+from foten.render.live import Live, LiveStatistics, Sink
+from foten.render.renderer import Renderer
+
+LOUDNESS = 0.1  # of full scale, of a sound's standard deviation, where no gain is given
+CIRCLES_A_SECOND = 0.5
+LEAST_RATE_HZ = 8000.0  # of what is sent to a device that keeps to any rate: images and steps of the texture's own are felt
+
+Hand = Callable[[float], tuple[float, float]]
+"""Speed [mm/s] and force [N] at a time [s]."""
+
+
+@dataclass(frozen=True)
+class Played:
+    """What playing came to.
+
+    Attributes:
+        statistics: of the rendering and its ring.
+        delays_ms: what lies between hand and skin, by name.
+        counted: what the kernel counted.
+        n_cut: samples beyond what the sink takes.
+        n_device_underruns: times that a sound card itself found samples missing.
+        interrupted: whether Ctrl-C ended it.
+    """
+
+    statistics: LiveStatistics
+    delays_ms: dict[str, float]
+    counted: dict[str, int]
+    n_cut: int
+    n_device_underruns: int
+    interrupted: bool
+
+
+def circling(speeds: tuple[float, float], forces: tuple[float, float]) -> Hand:
+    """Return a hand that draws a circle, slower and faster, lighter and firmer, over the middle of a trained range."""
+
+    def hand(t: float) -> tuple[float, float]:
+        # 1.618 of each other, so that speed and force do not keep step.
+        turns = np.array([CIRCLES_A_SECOND, CIRCLES_A_SECOND / 1.618]) * t
+        share = 0.5 - 0.4 * np.cos(2 * np.pi * turns)
+        (slow, fast), (light, firm) = speeds, forces
+        return float(slow + share[0] * (fast - slow)), float(light + share[1] * (firm - light))
+
+    return hand
+
+
+def along(speed: NDArray[np.float64], force: NDArray[np.float64], rate_hz: float) -> Hand:
+    """Return the hand of a stroke at a rate, over and over."""
+
+    def hand(t: float) -> tuple[float, float]:
+        i = int(t * rate_hz) % speed.size
+        return float(speed[i]), float(force[i])
+
+    return hand
+
+
+def sink_of(
+    where: str,
+    rate_hz: float,
+    gain: float,
+    seconds: float | None,
+    device: str | None = None,
+    channel: int = 0,
+    about: dict[str, Any] | None = None,
+) -> Sink:
+    """Return the sink that a text names: sound, null, FILE.wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.
+
+    Raises:
+        ValueError: it names none.
+        OSError: the device, its library or the host is missing.
+    """
+    kind, _, rest = where.partition(":")
+    if where == "null":
+        return NullSink(rate_hz)
+    if where == "sound":
+        return SoundSink(gain, device, rate_hz, channel, channel + 1)
+    if where.lower().endswith(".wav"):
+        return WavSink(Path(where), rate_hz, about, None if seconds is None else round(seconds * rate_hz))
+    if kind == "daq" and rest:
+        return DaqSink(rest, rate_hz, gain)
+    if kind in ("udp", "osc"):
+        host, _, port = rest.rpartition(":")
+        if host and port.isdecimal() and 0 < int(port) < 65536:
+            return (UdpSink if kind == "udp" else OscSink)(host, int(port), rate_hz)
+    raise ValueError(
+        f"cannot play to {where!r}, expected sound, null, a name that ends in .wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT"
+    )
+
+
+def rate_for(where: str, asked: float | None, texture_rate: float) -> float:
+    """Return the rate to play at: the one that is asked for, 48 kHz for sound, else the texture's own times a whole number."""
+    if asked is not None:
+        return asked
+    if where == "sound":
+        return SOUND_RATE_HZ
+    return texture_rate * max(1, int(np.ceil(LEAST_RATE_HZ / texture_rate)))
+
+
+def play(
+    renderer: Renderer,
+    sink: Sink,
+    hand: Hand,
+    seconds: float | None,
+    lead_ms: float,
+    begun: Callable[[], None],
+) -> Played:
+    """Play a hand for a while, or until Ctrl-C, and return what it came to; `begun` is called once it plays.
+
+    Raises:
+        OSError: the sink refused or died.
+    """
+    state, rate = renderer.native_state, renderer.rate
+    rendered, interrupted = 0, False
+
+    def render(out: NDArray[np.float32]) -> None:
+        nonlocal rendered
+        state.set_hand(*hand(rendered / rate))
+        state.render(out)
+        rendered += out.size
+
+    live = Live(render, sink, lead_ms=lead_ms)
+    begin = time.monotonic()
+    try:
+        live.start()
+        begun()
+        while live.running and not getattr(sink, "full", False):
+            # A file is full when it is; a device plays in real time.
+            left = 0.2 if seconds is None or sink.patient else seconds - (time.monotonic() - begin)
+            if left <= 0:
+                break
+            time.sleep(min(0.02 if sink.patient else 0.2, left))
+    except KeyboardInterrupt:
+        interrupted = True
+    finally:
+        live.stop()
+    delays = {"rendered ahead": live.lead_ms}
+    if renderer.delay_ms:
+        delays["change of rate"] = renderer.delay_ms
+    if isinstance(sink, SoundSink):
+        delays["sound card, as it says"] = 1000 * sink.latency_s
+    elif not sink.patient:
+        delays["block of the sink"] = 1000 * sink.n_at_once / sink.rate_hz
+    return Played(
+        live.statistics,
+        delays,
+        renderer.counted(),
+        getattr(sink, "n_cut", 0),
+        getattr(sink, "n_device_underruns", 0),
+        interrupted,
+    )
+
+
+def gain_for(profile: ActuatorProfile | None, asked: float | None, sd: float, where: str) -> float:
+    """Return the sink's gain: what is asked for; else what is safe to assume.
+
+    An actuator's drive in V goes to a DAQ as it is, one in full scale to a sound card; acceleration goes to a sound card at a
+    usual loudness, and to whatever takes numbers as it is.
+
+    Raises:
+        ValueError: the unit of what is rendered is not that of the sink, and no one said how many of these are one of those.
+    """
+    if asked is not None:
+        return asked
+    unit = "m/s²" if profile is None else profile.unit
+    if where == "sound":
+        if profile is None:
+            return LOUDNESS / sd
+        if unit != "full scale":
+            raise ValueError(
+                f"a sound card takes full scale, and the profile drives in {unit}: say with --gain how much of it 1 {unit} is"
+            )
+    elif where.startswith("daq:") and unit != "V":
+        raise ValueError(
+            f"a DAQ takes volts, and what is rendered is in {unit}: say with --gain how many volts 1 {unit} is, "
+            "or give a profile in V with --actuator"
+        )
+    return 1.0

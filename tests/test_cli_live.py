@@ -1,0 +1,189 @@
+"""`foten play`, `bench` and `doctor`, called as a user would."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from conftest import exported
+from foten.cli import _status
+from foten.render import devices
+from foten.render.renderer import Renderer
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("live") / "t.foten"
+    path.write_bytes(exported("foten-plus").to_bytes())
+    return path
+
+
+def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+    out, err = capsys.readouterr()
+    assert out == ""
+    (line,) = err.splitlines()
+    assert line.startswith("foten: ")
+    return line
+
+
+def test_play_counts_and_says_what_lies_between(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert _status(["play", str(file), "--to", "null", "--seconds", "0.3", "--lead-ms", "50", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["n_samples"] >= 0.3 * 8000  # 8 kHz of a texture of 1 kHz
+    assert found["n_refused"] == found["n_saturated"] == 0
+    assert found["delays_ms"]["rendered ahead"] == 50
+    assert 0 < found["block_p50_ms"] <= found["block_p99_ms"] <= found["block_largest_ms"]
+    assert found["block_ms"] == 2
+    assert _status(["play", str(file), "--to", "null", "--seconds", "0.1"]) == 0
+    out, err = capsys.readouterr()
+    assert "p50" in out
+    assert "10.0 ms rendered ahead" in out
+    assert "Ctrl-C" in err
+
+
+def test_play_into_a_file_is_what_is_rendered(file: Path, tmp_path: Path) -> None:
+    path = tmp_path / "stroke.wav"
+    arguments = ["--to", str(path), "--seconds", "0.3", "--speed", "80", "--force", "0.8", "--rate", "1000"]
+    assert _status(["play", str(file), *arguments, "--seed", "4"]) == 0
+    data = path.read_bytes()
+    at = data.index(b"data") + 8
+    n = int.from_bytes(data[at - 4 : at], "little") // 4
+    played = np.frombuffer(data[at : at + 4 * n], dtype="<f4")
+    assert n == 300
+    np.testing.assert_array_equal(played, Renderer(file, seed=4).render(80.0, 0.8, n))
+
+
+def test_play_follows_a_stroke(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    stroke = tmp_path / "s.csv"
+    stroke.write_text(
+        "t,speed,force\n" + "".join(f"{0.01 * k},{0 if k < 50 else 90},{0.8}\n" for k in range(100))
+    )
+    path = tmp_path / "stroke.wav"
+    assert (
+        _status(
+            [
+                "play",
+                str(file),
+                "--to",
+                str(path),
+                "--seconds",
+                "0.9",
+                "--stroke",
+                str(stroke),
+                "--rate",
+                "1000",
+            ]
+        )
+        == 0
+    )
+    data = path.read_bytes()
+    at = data.index(b"data") + 8
+    played = np.frombuffer(data[at : at + int.from_bytes(data[at - 4 : at], "little")], dtype="<f4")
+    assert np.abs(played[:400]).max() < 0.1 * np.abs(played[600:]).max()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--to", "loudspeaker"], "expected sound, null"),
+        (["--to", "null", "--speed", "80"], "--speed with --force"),
+        (["--to", "udp:localhost"], "expected sound, null"),
+        (["--to", "null", "--actuator", "none.json"], "none.json"),
+        (["--to", "null", "--lead-ms", "0"], "lead"),
+        (["--to", "null", "--rate", "10"], "rate"),
+        (["--to", "null", "--speed", "-1", "--force", "1"], "speed"),
+    ],
+)
+def test_what_cannot_be_played_is_one_line(
+    file: Path, arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _status(["play", str(file), *arguments, "--seconds", "0.1"]) == 2
+    assert told in one_line(capsys)
+
+
+def test_without_portaudio_it_says_what_to_install(
+    file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def missing() -> None:
+        raise OSError("PortAudio is not here: apt install libportaudio2")
+
+    monkeypatch.setattr(devices, "sound_library", missing)
+    assert _status(["play", str(file), "--seconds", "0.1"]) == 2
+    assert "libportaudio2" in one_line(capsys)
+
+
+def test_without_the_package_it_names_the_extra(
+    file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "sounddevice", None)
+    assert _status(["play", str(file), "--seconds", "0.1"]) == 2
+    extra = re.search(r"foten\[(\w+)\]", one_line(capsys))
+    assert extra is not None
+    assert (
+        extra[1]
+        in tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"][
+            "optional-dependencies"
+        ]
+    )
+
+
+def test_ctrl_c_ends_it_and_tells_what_it_came_to(file: Path) -> None:
+    program = "import sys; from foten.cli import main; sys.exit(main())"
+    child = subprocess.Popen(
+        [sys.executable, "-c", program, "play", str(file), "--to", "null"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert child.stderr is not None
+    assert "Ctrl-C ends it" in child.stderr.readline()
+    child.send_signal(signal.SIGINT)
+    out, _ = child.communicate(timeout=30)
+    assert child.returncode == 130
+    assert "under-runs" in out
+
+
+def test_what_is_beyond_is_told(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "x.wav"
+    arguments = ["--to", str(path), "--seconds", "0.2", "--speed", "5000", "--force", "50"]
+    assert _status(["play", str(file), *arguments]) == 0
+    out = capsys.readouterr().out
+    assert "speed was above" in out
+    assert "taken as twice that" in out
+
+
+def test_bench_times_each_instruction_set(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert _status(["bench", str(file), "-n", "1000", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found[-1]["isa"] == "portable"
+    assert all(0 < one["p50_us"] <= one["p99_us"] <= one["largest_us"] for one in found)
+    assert _status(["bench", str(file), "-n", "1000"]) == 0
+    out = capsys.readouterr().out
+    assert "contacts a core" in out
+    assert "portable" in out
+
+
+def test_doctor_says_what_is_here(capsys: pytest.CaptureFixture[str]) -> None:
+    """Its exit status is of this machine: 0, or 1 where something is missing or slow."""
+    assert _status(["doctor", "--json"]) in (0, 1)
+    found = {check["name"]: check for check in json.loads(capsys.readouterr().out)}
+    assert found["kernel"]["fine"] is True
+    assert "instruction set" in found["kernel"]["found"]
+    assert {"first sample", "timer", "sound", "NI-DAQ", "training", "size"} <= set(found)
+    assert _status(["doctor"]) in (0, 1)
+    assert "✓ kernel" in capsys.readouterr().out
+
+
+def test_an_example_is_there_to_be_played(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert _status(["play", "--to", str(tmp_path / "e.wav"), "--seconds", "0.2"]) == 0
+    assert (tmp_path / "e.wav").stat().st_size > 1000
+    assert shutil.which("foten") is None or "e.wav" in capsys.readouterr().err

@@ -1,0 +1,224 @@
+"""The kernel as a C or C++ program, a page or Node has it: built here, under sanitizers too, and the same everywhere."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import importlib.util
+import io
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from conftest import exported
+from foten.render.native import NativeState, NativeTexture, library
+from foten.render.renderer import Renderer
+
+ROOT = Path(__file__).parents[1]
+CORPUS = sorted((ROOT / "native" / "tests" / "corpus").glob("*.foten"))
+WASM = ROOT / "native" / "wasm"
+MUTATIONS = 3000
+
+needs_cmake = pytest.mark.skipif(
+    shutil.which("cmake") is None or shutil.which("cc") is None, reason="needs CMake and a C compiler"
+)
+needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="needs Node")
+
+
+def ran(*command: str | Path, cwd: Path | None = None, **env: str) -> str:
+    """Run a command and return its output; its errors are the assertion's message."""
+    done = subprocess.run(
+        list(map(str, command)),
+        cwd=cwd,
+        env={**os.environ, **env},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr + done.stdout
+    return done.stdout
+
+
+def built(folder: Path, *options: str) -> Path:
+    ran("cmake", "-S", ROOT, "-B", folder, "-DFOTEN_TESTS=ON", *options)
+    ran("cmake", "--build", folder, "--parallel", "2")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def build(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return built(tmp_path_factory.mktemp("build"))
+
+
+@pytest.fixture(scope="module")
+def sanitized(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return built(tmp_path_factory.mktemp("sanitized"), "-DFOTEN_SANITIZE=address,undefined")
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("file") / "t.foten"
+    path.write_bytes(exported("foten-plus").to_bytes())
+    return path
+
+
+def stroke_of(file: Path) -> np.ndarray:
+    """Return what `stroke` renders in every language: 100 blocks of 20 samples, faster from one to the next."""
+    renderer = Renderer(file)
+    low, high = renderer.native_texture.info.trained_speed
+    blocks = [renderer.render(np.float32(low + (high - low) * b / 100), 0.8, 20) for b in range(100)]
+    return np.concatenate(blocks)
+
+
+def accelerations(table: str) -> np.ndarray:
+    return np.array([float(row["acceleration_m_s2"]) for row in csv.DictReader(io.StringIO(table))])
+
+
+@needs_cmake
+def test_nothing_is_allocated_while_rendering(build: Path) -> None:
+    """The program fails as well where its counter sees nothing of what loading allocates."""
+    told = ran(build / "hot_path", *CORPUS)
+    assert told.strip() == f"nothing allocated while rendering {len(CORPUS)} files"
+
+
+@needs_cmake
+def test_damaged_files_do_no_harm(sanitized: Path) -> None:
+    """Mutants of each kind of file under AddressSanitizer and UndefinedBehaviorSanitizer; both end the program with a report."""
+    assert len(CORPUS) == 7
+    ran(
+        sanitized / "fuzz_file",
+        str(MUTATIONS),
+        *CORPUS,
+        UBSAN_OPTIONS="halt_on_error=1",
+        ASAN_OPTIONS="allocator_may_return_null=1",
+    )
+
+
+@needs_cmake
+@pytest.mark.parametrize("isa", ["avx512", "avx2", "neon", "portable"])
+def test_the_kernel_is_clean_under_sanitizers(sanitized: Path, file: Path, isa: str) -> None:
+    """A step of a whole network in each instruction set."""
+    found = ran(
+        sanitized / "contacts", file, "0", "2", "1000", FOTEN_ISA=isa, UBSAN_OPTIONS="halt_on_error=1"
+    )
+    assert '"n_states": 1' in found
+    if f'"isa": "{isa}"' not in found:
+        pytest.skip(f"this processor has no {isa}")
+
+
+@needs_cmake
+def test_a_c_program_renders_what_python_does(build: Path, file: Path, tmp_path: Path) -> None:
+    program = tmp_path / "stroke"
+    ran(
+        *("cc", "-std=c11", "-Wall", "-Werror", ROOT / "examples" / "c" / "stroke.c", "-o", program),
+        *("-I", ROOT / "native" / "include", "-L", build, "-lfoten", "-lm", f"-Wl,-rpath,{build}"),
+    )
+    np.testing.assert_array_equal(
+        accelerations(ran(program, file)), [float(f"{x:g}") for x in stroke_of(file)]
+    )
+    done = subprocess.run([program, ROOT / "README.md"], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+
+
+@needs_cmake
+@pytest.mark.skipif(shutil.which("c++") is None, reason="needs a C++ compiler")
+def test_a_haptic_callback_in_cpp_runs(build: Path, file: Path, tmp_path: Path) -> None:
+    program = tmp_path / "haptic_callback"
+    ran(
+        *("c++", "-std=c++17", "-Wall", "-Werror", "-pthread"),
+        *(ROOT / "examples" / "cpp" / "haptic_callback.cpp", "-o", program),
+        *("-I", ROOT / "native" / "include", "-L", build, "-lfoten", "-lm", f"-Wl,-rpath,{build}"),
+    )
+    ticks, rms = (ran(program, file).replace(",", "").replace(";", "").split()[i] for i in (0, 4))
+    assert ticks == "2000"
+    assert float(rms) > 0
+
+
+@pytest.mark.skipif(
+    shutil.which("mcs") is None or shutil.which("mono") is None, reason="needs Mono's compiler"
+)
+def test_csharp_renders_what_python_does(file: Path, tmp_path: Path) -> None:
+    """`Foten.cs` alone, with a program around it; the component needs Unity and is not tried."""
+    (tmp_path / "Try.cs").write_text(
+        """
+using System;
+using System.IO;
+using System.Globalization;
+public static class Try {
+    public static void Main(string[] arguments) {
+        using (var texture = new Foten.Texture(File.ReadAllBytes(arguments[0])))
+        using (var renderer = new Foten.Renderer(texture)) {
+            var block = new float[20];
+            Console.WriteLine("acceleration_m_s2");
+            for (int b = 0; b < 100; b++) {
+                renderer.SetHand((float)(texture.LowestSpeed + (texture.HighestSpeed - texture.LowestSpeed) * b / 100), 0.8f);
+                renderer.Render(block);
+                foreach (var x in block) Console.WriteLine(x.ToString("R", CultureInfo.InvariantCulture));
+            }
+        }
+    }
+}
+"""
+    )
+    shutil.copy(Path(library()._name), tmp_path / "libfoten.so")
+    ran("mcs", "-out:try.exe", "Try.cs", ROOT / "examples" / "unity" / "Runtime" / "Foten.cs", cwd=tmp_path)
+    found = accelerations(ran("mono", "try.exe", file, cwd=tmp_path, LD_LIBRARY_PATH=str(tmp_path)))
+    np.testing.assert_allclose(found, stroke_of(file), rtol=1e-6)
+
+
+@needs_node
+def test_node_renders_what_python_does(file: Path) -> None:
+    """Not to the byte: it is another instruction set."""
+    found = accelerations(ran("node", ROOT / "examples" / "node" / "stroke.mjs", file))
+    ours = stroke_of(file)
+    np.testing.assert_allclose(found, ours, atol=1e-4 * np.abs(ours).max())
+
+
+@needs_node
+def test_node_hears_the_same_noise_and_refuses_in_one_line(tmp_path: Path) -> None:
+    program = tmp_path / "noise.mjs"
+    program.write_text(
+        f"""
+import {{ readFileSync }} from "node:fs";
+import {{ Foten }} from "{(WASM / "foten.mjs").as_uri()}";
+const foten = await Foten.load(readFileSync("{WASM / "foten.wasm"}"));
+for (const [seed, stream, first] of [[0, 0, 0], [7, 3, 1000], [2n ** 63n, 1n, 2n ** 33n]])
+  console.log(Array.from(foten.noise(seed, stream, first, 50)).join(" "));
+try {{ foten.texture(new Uint8Array(100)); }} catch (error) {{ console.log(error.message); }}
+"""
+    )
+    *noises, refused = ran("node", program).strip().splitlines()
+    from foten.dsp.noise import gaussian
+
+    for line, (seed, stream, first) in zip(noises, ((0, 0, 0), (7, 3, 1000), (2**63, 1, 2**33)), strict=True):
+        np.testing.assert_array_equal(np.array(line.split(), dtype=float), gaussian(seed, stream, first, 50))
+    with pytest.raises(ValueError) as error:  # noqa: PT011, the message is what is compared
+        NativeTexture(bytes(100))
+    assert refused == str(error.value)
+
+
+def test_the_wasm_has_the_digest_that_is_beside_it() -> None:
+    digest = hashlib.sha256((WASM / "foten.wasm").read_bytes()).hexdigest()
+    assert (WASM / "foten.wasm.sha256").read_text().split() == [digest, "foten.wasm"]
+
+
+@pytest.mark.skipif(importlib.util.find_spec("ziglang") is None, reason="needs ziglang, of the extra wasm")
+def test_the_wasm_is_what_the_sources_give() -> None:
+    ran(sys.executable, WASM / "build.py", "--check")
+
+
+def test_a_state_takes_the_memory_that_it_says(file: Path) -> None:
+    texture = NativeTexture(file.read_bytes())
+    assert 1000 < texture.info.state_bytes < 1_000_000
+    states = [NativeState(texture, seed=k) for k in range(3)]
+    out = np.empty(8, dtype=np.float32)
+    for state in states:
+        state.set_hand(80.0, 0.8)
+        state.render(out)
+        assert np.isfinite(out).all()

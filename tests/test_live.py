@@ -1,0 +1,473 @@
+"""A texture in real time: the ring, the thread that fills it, what is counted, and the sinks; devices are fakes."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+import warnings
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from foten.render.actuator import ActuatorProfile
+from foten.render.devices import DaqSink, NullSink, OscSink, UdpSink, WavSink
+from foten.render.live import Live, LiveStatistics, Timing
+from foten.render.play import along, circling, gain_for, rate_for, sink_of
+from foten.render.renderer import Renderer
+from foten.render.ring import Ring
+from foten.texture_file import Texture
+
+
+@given(size=st.integers(1, 20), steps=st.lists(st.tuples(st.booleans(), st.integers(0, 25)), max_size=60))
+@settings(max_examples=100, deadline=None)
+def test_a_ring_gives_back_what_went_in_and_silence_for_the_rest(
+    size: int, steps: list[tuple[bool, int]]
+) -> None:
+    """Oracle: a list."""
+    ring, waiting, n = Ring(size), [], 0
+    for write, k in steps:
+        if write:
+            samples = np.arange(n, n + k, dtype=np.float32)
+            taken = ring.write(samples)
+            assert taken == min(k, size - len(waiting))
+            waiting += list(samples[:taken])
+            n += k
+        else:
+            out = np.full(k, -1, dtype=np.float32)
+            had = ring.read_into(out)
+            assert had == min(k, len(waiting))
+            np.testing.assert_array_equal(out, [*waiting[:had], *[0.0] * (k - had)])
+            waiting = waiting[had:]
+        assert ring.level == len(waiting)
+
+
+def test_a_ring_between_two_threads_loses_nothing() -> None:
+    ring, n, got = Ring(97), 200_000, []
+
+    def write() -> None:
+        at = 0
+        while at < n:
+            at += ring.write(np.arange(at, min(n, at + 31), dtype=np.float32))
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    out, total = np.empty(53, dtype=np.float32), 0
+    while total < n:
+        had = ring.read_into(out)
+        got.append(out[:had].copy())
+        total += had
+    writer.join()
+    np.testing.assert_array_equal(np.concatenate(got), np.arange(n, dtype=np.float32))
+
+
+def test_percentiles_are_those_of_what_was_counted() -> None:
+    """Oracle: NumPy's, within the 2.3 % of a bin."""
+    times = np.random.default_rng(0).lognormal(np.log(3e-5), 0.7, 20_000)
+    timing = Timing()
+    for value in times:
+        timing.add(float(value))
+    for percent in (50, 99, 99.9):
+        assert timing.percentile_s(percent) == pytest.approx(np.percentile(times, percent), rel=0.03)
+    assert timing.percentile_s(100) == timing.largest_s == times.max()
+    assert np.isnan(Timing().percentile_s(50))
+
+
+class Pulled:
+    """A sink that a test pulls by hand."""
+
+    rate_hz, n_at_once, patient = 1000.0, 1, False
+    failed: BaseException | None = None
+
+    def start(self, read: Any) -> None:
+        self.read = read
+
+    def stop(self) -> None:
+        pass
+
+
+def settled(live: Live, level: int) -> None:
+    end = time.monotonic() + 10
+    while live._ring.level < level and time.monotonic() < end:
+        time.sleep(0.001)
+
+
+def test_what_is_played_is_what_is_rendered_in_order(texture: Texture) -> None:
+    renderer, reference = Renderer(texture, seed=2), Renderer(texture, seed=2)
+    renderer.native_state.set_hand(90.0, 1.0)
+    sink, out = Pulled(), np.empty(7, dtype=np.float32)
+    live = Live(renderer.native_state.render, sink, block_ms=4, lead_ms=20)
+    live.start()
+    heard = []
+    for _ in range(60):
+        settled(live, 7)
+        sink.read(out)
+        heard.append(out.copy())
+    live.stop()
+    np.testing.assert_array_equal(np.concatenate(heard), reference.render(90.0, 1.0, 420))
+    assert live.statistics.n_underruns == 0
+    assert live.statistics.n_samples >= 420
+
+
+def test_it_renders_ahead_by_the_lead_and_no_more(texture: Texture) -> None:
+    live = Live(Renderer(texture).native_state.render, Pulled(), block_ms=5, lead_ms=20)
+    live.start()
+    time.sleep(0.1)
+    assert live._ring.level == 20
+    live.stop()
+    assert live.statistics.n_samples == 20
+
+
+def test_what_is_lacking_is_silence_and_counted() -> None:
+    release = threading.Event()
+
+    def render(out: np.ndarray) -> None:
+        out[:] = 1.0
+        if live.statistics.n_samples >= 10:
+            release.wait(5)
+
+    sink = Pulled()
+    live = Live(render, sink, block_ms=5, lead_ms=10)
+    live.start()
+    out = np.empty(15, dtype=np.float32)
+    sink.read(out)
+    release.set()
+    live.stop()
+    np.testing.assert_array_equal(out, [1.0] * 10 + [0.0] * 5)
+    assert (live.statistics.n_underruns, live.statistics.n_lacking) == (1, 5)
+    assert live.statistics.n_samples >= 10
+
+
+def test_what_the_rendering_dies_of_is_told() -> None:
+    def render(out: np.ndarray) -> None:
+        raise RuntimeError("no more")
+
+    live = Live(render, Pulled())
+    live.start()
+    assert not live.running
+    with pytest.raises(RuntimeError, match="no more"):
+        live.stop()
+
+
+def test_what_the_sink_dies_of_is_told() -> None:
+    class Dying(NullSink):
+        def take(self, block: np.ndarray) -> None:
+            raise OSError("unplugged")
+
+    live = Live(lambda out: None, Dying(1000.0))
+    live.start()
+    settled_by = time.monotonic() + 10
+    while live.running and time.monotonic() < settled_by:
+        time.sleep(0.001)
+    with pytest.raises(OSError, match="unplugged"):
+        live.stop()
+
+
+def test_a_sink_that_refuses_leaves_nothing_behind() -> None:
+    class Refusing(Pulled):
+        def start(self, read: Any) -> None:
+            raise OSError("busy")
+
+    usual = sys.getswitchinterval()
+    live = Live(lambda out: None, Refusing())
+    with pytest.raises(OSError, match="busy"):
+        live.start()
+    assert not live._thread.is_alive()
+    assert sys.getswitchinterval() == usual
+
+
+def test_turns_are_short_while_one_plays() -> None:
+    usual = sys.getswitchinterval()
+    with Live(lambda out: None, Pulled()):
+        assert sys.getswitchinterval() < 0.2 * usual
+    assert sys.getswitchinterval() == usual
+
+
+def test_a_program_that_ends_without_stopping_ends_well(texture: Texture, tmp_path: Path) -> None:
+    """What the thread renders from was freed under it as the interpreter ended."""
+    path = tmp_path / "t.foten"
+    path.write_bytes(texture.to_bytes())
+    program = (
+        "import sys, foten\nfrom foten.render.devices import NullSink\n"
+        "r = foten.Renderer(sys.argv[1], rate=48000)\nr.native_state.set_hand(80, 0.8)\n"
+        "live = foten.Live(r.native_state.render, NullSink(48000, ratio=50))\nlive.start()\n"
+    )
+    for _ in range(3):
+        done = subprocess.run([sys.executable, "-c", program, str(path)], check=False, capture_output=True)
+        assert (done.returncode, done.stderr) == (0, b"")
+
+
+def test_a_late_block_is_counted() -> None:
+    def render(out: np.ndarray) -> None:
+        time.sleep(0.03)
+
+    live = Live(render, Pulled(), block_ms=10, lead_ms=20)
+    live.start()
+    live.stop()
+    assert live.statistics.n_missed >= 2
+    assert "late" in live.statistics.line()
+    assert LiveStatistics().line()
+
+
+@pytest.mark.parametrize(("block", "lead"), [(0, 10), (20, 10), (2, 2000)])
+def test_leads_that_cannot_be_are_refused(block: float, lead: float) -> None:
+    with pytest.raises(ValueError, match="expected 0 < block"):
+        Live(lambda out: None, Pulled(), block, lead)
+
+
+def test_a_wav_is_what_was_played(texture: Texture, tmp_path: Path) -> None:
+    """Oracle: SciPy's reader."""
+    from scipy.io import wavfile
+
+    path = tmp_path / "out.wav"
+    renderer = Renderer(texture, rate=8000, seed=1)
+    renderer.native_state.set_hand(90.0, 1.0)
+    sink = WavSink(path, 8000, {"texture": "t"}, n=5000)
+    with Live(renderer.native_state.render, sink) as live:
+        while not sink.full:
+            time.sleep(0.001)
+        assert not path.exists()  # whole or not at all
+    assert live.statistics.n_underruns == 0
+    live.stop()  # a second time nothing happens
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the comment's chunk, which SciPy does not know
+        rate, samples = wavfile.read(path)
+    assert rate == 8000
+    assert samples.dtype == np.float32
+    np.testing.assert_array_equal(samples, Renderer(texture, rate=8000, seed=1).render(90.0, 1.0, 5000))
+    assert b'"texture": "t"' in path.read_bytes()
+    assert struct.unpack("<I", path.read_bytes()[4:8])[0] == path.stat().st_size - 8
+
+
+def test_a_wav_that_cannot_be_is_refused_and_one_that_fails_is_not_left(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="no such folder"):
+        WavSink(tmp_path / "no" / "x.wav", 8000)
+    with pytest.raises(ValueError, match="4 GB"):
+        WavSink(tmp_path / "x.wav", 48_000, n=48_000 * 86_400)
+    with pytest.raises(ValueError, match="whole number"):
+        WavSink(tmp_path / "x.wav", 8000.5)
+
+    def render(out: np.ndarray) -> None:
+        raise RuntimeError("no more")
+
+    sink = WavSink(tmp_path / "x.wav", 8000, n=100)
+    sink.failed = OSError("disk full")
+    sink.stop()
+    assert list(tmp_path.iterdir()) == []
+
+
+def received(sink: Any, listening: socket.socket, n: int) -> list[bytes]:
+    def read(out: np.ndarray) -> None:
+        out[:] = np.arange(out.size)
+
+    sink.start(read)
+    packets = [listening.recv(65_536) for _ in range(n)]
+    sink.stop()
+    return packets
+
+
+def test_packets_and_messages_hold_the_samples() -> None:
+    """OSC oracle: the specification's layout, taken apart by hand."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listening:
+        listening.bind(("127.0.0.1", 0))
+        listening.settimeout(10)
+        port = listening.getsockname()[1]
+        packets = received(UdpSink("127.0.0.1", port, 1000.0), listening, 3)
+        for count, packet in enumerate(packets):
+            assert struct.unpack("<4sIfI", packet[:16]) == (b"FOT1", count, 1000.0, 4)
+            np.testing.assert_array_equal(np.frombuffer(packet[16:], "<f4"), np.arange(4))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listening:
+        listening.bind(("127.0.0.1", 0))
+        listening.settimeout(10)
+        message = received(OscSink("127.0.0.1", listening.getsockname()[1], 1000.0), listening, 1)[0]
+    assert len(message) % 4 == 0
+    assert message[:8] == b"/foten\0\0"
+    assert message[8:16] == b",ifb\0\0\0\0"
+    assert struct.unpack(">ifI", message[16:28]) == (0, 1000.0, 16)
+    np.testing.assert_array_equal(np.frombuffer(message[28:], "<f4"), np.arange(4))
+
+
+class FakeDaq:
+    """What of nidaqmx's interface the sink uses, as version 1.7 has it; no driver, no device."""
+
+    class Error(Exception):
+        pass
+
+    def __init__(self, fails: str = "") -> None:
+        self.fails, self.written, self.log = fails, [], []
+        self.errors = SimpleNamespace(Error=FakeDaq.Error)
+        self.constants = SimpleNamespace(
+            AcquisitionType=SimpleNamespace(CONTINUOUS="continuous"),
+            RegenerationMode=SimpleNamespace(DONT_ALLOW_REGENERATION="no"),
+            OutputDataTransferCondition=SimpleNamespace(ON_BOARD_MEMORY_EMPTY="empty"),
+        )
+        self.stream_writers = SimpleNamespace(AnalogSingleChannelWriter=self._writer)
+        self.out_stream = SimpleNamespace()
+        self.ao_channels = SimpleNamespace(add_ao_voltage_chan=self._channel, all=SimpleNamespace())
+        self.timing = SimpleNamespace(cfg_samp_clk_timing=lambda **fields: self.log.append(("clock", fields)))
+
+    def Task(self, name: str) -> FakeDaq:  # noqa: N802, nidaqmx calls it so
+        if self.fails == "driver":
+            raise FakeDaq.Error("no driver\nand more lines")
+        return self
+
+    def _channel(self, name: str, **fields: Any) -> None:
+        if self.fails == "channel":
+            raise FakeDaq.Error("no such channel")
+        self.log.append((name, fields))
+
+    def _writer(self, stream: Any, auto_start: bool) -> Any:
+        return SimpleNamespace(write_many_sample=lambda data: self.written.append(data.copy()))
+
+    def register_every_n_samples_transferred_from_buffer_event(self, n: int, callback: Any) -> None:
+        self.n, self.callback = n, callback
+
+    def start(self) -> None:
+        self.log.append("start")
+        self.playing = threading.Event()
+        self.clock = threading.Thread(target=self._run, daemon=True)
+        self.clock.start()
+
+    def _run(self) -> None:
+        while not self.playing.wait(0.001):
+            self.callback(None, None, None, None)
+
+    def stop(self) -> None:
+        self.playing.set()
+        self.clock.join()
+        self.log.append("stop")
+        if self.fails == "stop":
+            raise FakeDaq.Error("underflow")
+
+    def write(self, volts: float) -> None:
+        self.log.append(("volts", volts))
+
+    def __enter__(self) -> FakeDaq:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.log.append("close")
+
+    def close(self) -> None:
+        self.log.append("close")
+
+
+def test_a_daq_is_filled_before_it_starts_and_again_as_it_empties() -> None:
+    daq, n = FakeDaq(), 0
+
+    def read(out: np.ndarray) -> None:
+        nonlocal n
+        out[:] = n + np.arange(out.size)
+        n += out.size
+
+    sink = DaqSink("Dev1/ao0", 10_000.0, gain=0.05, limit_v=10.0, library=daq)
+    sink.start(read)
+    assert "start" in daq.log
+    assert len(daq.written) >= 2
+    assert daq.out_stream.output_buf_size == 2 * daq.n == sink.n_at_once == 200
+    assert daq.out_stream.regen_mode == "no"
+    assert daq.ao_channels.all.ao_data_xfer_req_cond == "empty"
+    while len(daq.written) < 5:
+        time.sleep(0.001)
+    sink.stop()
+    sink.stop()  # a second time nothing happens
+    # An output keeps its last voltage: it fades, and is told 0 V once more.
+    assert [line for line in daq.log if isinstance(line, str)] == ["start", "stop", "close", "close"]
+    assert daq.log[-2] == ("volts", 0.0)
+    volts = np.concatenate(daq.written)
+    np.testing.assert_allclose(volts[:500], np.minimum(0.05 * np.arange(500), 10.0), rtol=1e-6)
+    faded = int(np.flatnonzero(volts)[-1]) // 100
+    np.testing.assert_allclose(
+        volts[100 * faded : 100 * faded + 100],
+        np.linspace(1, 0, 100) * np.minimum(0.05 * np.arange(100 * faded, 100 * faded + 100), 10.0),
+        rtol=1e-5,
+        atol=1e-6,
+    )
+    assert sink.n_cut == (0.05 * np.arange(n, dtype=np.float32) > 10).sum()
+
+
+def test_a_daq_that_does_not_stop_says_what_to_do() -> None:
+    sink = DaqSink("Dev1/ao0", 10_000.0, library=FakeDaq("stop"))
+    sink.start(lambda out: out.fill(0.0))
+    sink.stop()
+    assert "switch the amplifier off: underflow" in str(sink.failed)
+
+
+def test_the_stand_in_has_the_names_of_the_library() -> None:
+    pytest.importorskip("nidaqmx")
+    import nidaqmx
+    from nidaqmx import constants, errors, stream_writers
+    from nidaqmx.task.channels import AOChannel
+    from nidaqmx.task.collections import AOChannelCollection
+
+    for of, names in (
+        (
+            nidaqmx.Task,
+            ("register_every_n_samples_transferred_from_buffer_event", "start", "stop", "close", "write"),
+        ),
+        (nidaqmx.Task, ("ao_channels", "timing", "out_stream", "__enter__", "__exit__")),
+        (AOChannelCollection, ("add_ao_voltage_chan", "all")),
+        (AOChannel, ("ao_data_xfer_req_cond",)),
+        (constants.AcquisitionType, ("CONTINUOUS",)),
+        (constants.RegenerationMode, ("DONT_ALLOW_REGENERATION",)),
+        (constants.OutputDataTransferCondition, ("ON_BOARD_MEMORY_EMPTY",)),
+        (stream_writers.AnalogSingleChannelWriter, ("write_many_sample",)),
+        (errors, ("Error",)),
+    ):
+        for name in names:
+            assert hasattr(of, name), f"{of} has no {name}"
+
+
+@pytest.mark.parametrize(
+    ("fails", "message"), [("driver", "no NI-DAQ: no driver$"), ("channel", "refuses Dev9/ao9")]
+)
+def test_a_daq_that_is_not_there_is_one_line(fails: str, message: str) -> None:
+    daq = FakeDaq(fails)
+    with pytest.raises(OSError, match=message):
+        DaqSink("Dev9/ao9", 1000.0, library=daq)
+    assert fails == "driver" or daq.log[-1] == "close"
+
+
+def test_hands_rates_gains_and_sinks_by_name(tmp_path: Path) -> None:
+    hand = circling((10.0, 200.0), (0.2, 2.0))
+    seen = np.array([hand(t) for t in np.linspace(0, 20, 500)])
+    assert seen[:, 0].min() > 10
+    assert seen[:, 0].max() < 200
+    assert np.ptp(seen[:, 1]) > 1
+    stroke = along(np.arange(5.0), np.arange(5.0, 10.0), 10.0)
+    assert stroke(0.25) == (2.0, 7.0)
+    assert stroke(0.75) == (2.0, 7.0)  # over and over
+    assert rate_for("sound", None, 1000.0) == 48_000
+    assert rate_for("null", None, 1000.0) == 8000
+    assert rate_for("daq:Dev1/ao0", None, 10_000.0) == 10_000
+    assert rate_for("null", 2500.0, 1000.0) == 2500
+    assert gain_for(None, None, 2.0, "sound") == 0.05
+    assert gain_for(None, 3.0, 2.0, "sound") == 3
+    assert gain_for(None, None, 2.0, "udp:x:1") == 1
+    volts, full = ActuatorProfile(unit="V"), ActuatorProfile(unit="full scale")
+    assert gain_for(volts, None, 2.0, "daq:x") == gain_for(full, None, 2.0, "sound") == 1
+    for profile, where in (
+        (None, "daq:x"),
+        (volts, "sound"),
+        (full, "daq:x"),
+        (ActuatorProfile(unit="A"), "daq:x"),
+    ):
+        with pytest.raises(ValueError, match="--gain"):
+            gain_for(profile, None, 2.0, where)
+    for name, kind in (("null", NullSink), ("udp:127.0.0.1:9000", UdpSink), ("osc:localhost:9000", OscSink)):
+        sink = sink_of(name, 8000, 1.0, None)
+        assert isinstance(sink, kind)
+        sink.stop()
+    for name in ("", "udp:", "udp:host", "udp:host:99999", "osc:host:x", "daq:", "speaker"):
+        with pytest.raises(ValueError, match="cannot play to"):
+            sink_of(name, 8000, 1.0, None)
+    with pytest.raises(OSError, match="no host"):
+        sink_of("udp:nohost.invalid:9000", 8000, 1.0, None)

@@ -1,0 +1,402 @@
+"""The kernel in C: the network and the loop that NumPy runs, the same bytes in any blocks; what it cannot prove it refuses."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import subprocess
+import sys
+import threading
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import butter, lfilter
+
+import foten
+from conftest import SCALING, SMALL, exported
+from foten.architecture import ARCHITECTURES, FotenPlusArchitecture
+from foten.dsp.noise import gaussian
+from foten.render.native import NativeState, NativeTexture, isa, noise
+from foten.render.renderer import Renderer
+from foten.render.synthesizer import Synthesizer
+from foten.texture_file import CLOSED_LOOP_TOLERANCE, Texture
+from test_engine import PLUS, VARIANTS
+from test_synthesizer import stroke
+
+CASES = [
+    *((key, name) for key in ARCHITECTURES for name in VARIANTS),
+    *(("foten-plus", name) for name in PLUS),
+]
+
+
+@pytest.fixture(scope="module")
+def native(texture: Texture) -> NativeTexture:
+    return NativeTexture(texture.to_bytes())
+
+
+def made(key: str, variant: str) -> Texture:
+    return exported(key, ARCHITECTURES[key](**{**VARIANTS, **PLUS}[variant]))
+
+
+@pytest.mark.parametrize(("key", "variant"), CASES)
+def test_it_renders_what_numpy_renders(key: str, variant: str) -> None:
+    """Oracle: the loop in NumPy, float64; over rests, beyond the range and across 400 samples."""
+    texture = made(key, variant)
+    speed, force = (channel.astype(np.float32) for channel in stroke(400))
+    expected = Synthesizer(texture, seed=3).render(speed.astype(float), force.astype(float))
+    found = NativeState(NativeTexture(texture.to_bytes()), seed=3).render_stroke(speed, force)
+    error = np.abs(found - expected) / SCALING.sd[0] / np.maximum(1, np.abs(expected) / SCALING.sd[0])
+    assert error[:64].max() < CLOSED_LOOP_TOLERANCE
+    # What float32 rounds is fed back: for longer a loop of a network alone may part from itself.
+    assert error.max() < (100 if key == "foten" else 10) * CLOSED_LOOP_TOLERANCE
+    assert np.abs(expected).max() > 0.01
+
+
+@pytest.mark.parametrize("name", ["avx512", "avx2", "neon", "portable"])
+def test_every_instruction_set_passes_the_proof(name: str, tmp_path: Path) -> None:
+    """Both families; loading is the proof: golden windows within 1e-5, 64 closed-loop steps within 1e-4."""
+    paths = []
+    for key in ARCHITECTURES:
+        paths.append(tmp_path / f"{key}.foten")
+        paths[-1].write_bytes(exported(key).to_bytes())
+    program = (
+        "import sys; from foten.render.native import isa, NativeTexture, noise; "
+        "[NativeTexture(open(path, 'rb').read()) for path in sys.argv[1:]]; print(isa(), noise(1, 2, 3, 100).tobytes().hex())"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, *map(str, paths)],
+        env={**os.environ, "FOTEN_ISA": name},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    used, numbers = done.stdout.split()
+    assert numbers == gaussian(1, 2, 3, 100).tobytes().hex()
+    if used != name:
+        pytest.skip(f"this processor has {used}, not {name}")
+
+
+def test_the_noise_is_that_of_numpy_to_the_bit() -> None:
+    for seed, stream, first in ((0, 0, 0), (2**64 - 1, 7, 2**32 - 3), (5, 2**63, 2**40)):
+        np.testing.assert_array_equal(noise(seed, stream, first, 50), gaussian(seed, stream, first, 50))
+
+
+@given(
+    cuts=st.lists(st.integers(0, 600), max_size=8),
+    rate=st.sampled_from([None, 1000.0, 2000.0, 44_100.0, 300.0]),
+)
+@settings(max_examples=25, deadline=None)
+def test_any_block_sizes_give_the_same_bytes(
+    native: NativeTexture, cuts: list[int], rate: float | None
+) -> None:
+    whole = np.empty(600, dtype=np.float32)
+    state = NativeState(native, rate, seed=9)
+    state.set_hand(90.0, 0.9)
+    state.render(whole)
+    pieces = NativeState(native, rate, seed=9)
+    pieces.set_hand(90.0, 0.9)
+    for a, b in pairwise([0, *sorted(cuts), 600]):
+        part = np.empty(b - a, dtype=np.float32)
+        pieces.render(part)
+        np.testing.assert_array_equal(part, whole[a:b])
+
+
+@pytest.mark.parametrize("rate", [None, 8000.0, 48_000.0])
+def test_a_stroke_is_a_hand_that_is_set_before_each_sample(native: NativeTexture, rate: float | None) -> None:
+    speed, force = (channel.astype(np.float32) for channel in stroke(300))
+    whole = NativeState(native, rate, seed=1).render_stroke(speed, force)
+    pieces = NativeState(native, rate, seed=1)
+    out = [pieces.render_stroke(speed[i : i + 7], force[i : i + 7]) for i in range(0, 300, 7)]
+    np.testing.assert_array_equal(np.concatenate(out), whole)
+    assert abs(whole.size - 300 * (rate or 1000.0) / 1000.0) <= (rate or 1000.0) / 1000.0
+
+
+@pytest.mark.parametrize("rate", [300.0, 2500.0, 8000.0, 44_100.0, 48_000.0])
+def test_a_stroke_after_a_held_hand_goes_on_where_that_ended(native: NativeTexture, rate: float) -> None:
+    """A held block may end between two of the texture's samples: what the first still gave was lost, and the next had no end."""
+    whole, mixed = NativeState(native, rate, seed=1), NativeState(native, rate, seed=1)
+    for state in (whole, mixed):
+        state.set_hand(90.0, 1.0)
+    hand = np.full(40, 90.0, dtype=np.float32), np.full(40, 1.0, dtype=np.float32)
+    parts = []
+    for n in (1, 5, 13, 1, 29):
+        held = np.empty(n, dtype=np.float32)
+        mixed.render(held)
+        parts += [held, mixed.render_stroke(*hand)]
+    found = np.concatenate(parts)
+    expected = np.empty(found.size, dtype=np.float32)
+    whole.render(expected)
+    np.testing.assert_array_equal(found, expected)
+    assert found.size == pytest.approx(49 + 5 * 40 * rate / 1000, abs=2 + 5 * max(1.0, rate / 1000))
+
+
+def test_a_hand_below_zero_is_none(native: NativeTexture) -> None:
+    """A tool that leaves a surface measures a force a little below zero: it must not go on playing what was before."""
+    one, other = NativeState(native, seed=2), NativeState(native, seed=2)
+    for state in (one, other):
+        state.set_hand(80.0, 1.0)
+    one.set_hand(0.0, -1e-9)
+    other.set_hand(0.0, 0.0)
+    a, b = np.empty(50, dtype=np.float32), np.empty(50, dtype=np.float32)
+    one.render(a)
+    other.render(b)
+    np.testing.assert_array_equal(a, b)
+    assert np.abs(a).max() == 0
+    assert one.statistics.n_refused == 1
+
+
+def test_a_reset_keeps_the_hand(native: NativeTexture) -> None:
+    state, out = NativeState(native, seed=3), np.empty((2, 100), dtype=np.float32)
+    state.set_hand(90.0, 1.0)
+    state.render(out[0])
+    state.reset(3)
+    state.render(out[1])
+    np.testing.assert_array_equal(out[0], out[1])
+    assert np.abs(out).max() > 0
+
+
+def test_a_smoothed_hand_is_the_low_pass_of_the_one_that_is_set(
+    native: NativeTexture, texture: Texture
+) -> None:
+    """Oracle: SciPy's Butterworth low-pass of second order; the texture's rate, so that a block is a sample."""
+    b, a = butter(2, float(texture.card["lowpass_hz"]), fs=texture.rate_hz)
+    steps = np.repeat([100.0, 140.0, 90.0], 60)
+    smooth, given = NativeState(native, seed=3, smooth=True), NativeState(native, seed=3)
+    out, sample = [], np.empty(1, dtype=np.float32)
+    for speed in steps:
+        smooth.set_hand(speed, 1.0)
+        smooth.render(sample)
+        out.append(sample[0])
+    speed, force = (lfilter(b, a, channel) for channel in (steps, np.ones(180)))
+    expected = given.render_stroke(np.maximum(speed, 0), np.maximum(force, 0))
+    np.testing.assert_allclose(out, expected, atol=1e-4 * np.abs(expected).max())
+
+
+def test_reset_begins_again_and_seeds_and_streams_differ(native: NativeTexture) -> None:
+    speed, force = (channel.astype(np.float32) for channel in stroke(200))
+    state = NativeState(native, seed=4)
+    first = state.render_stroke(speed, force)
+    state.reset(4)
+    np.testing.assert_array_equal(state.render_stroke(speed, force), first)
+    for other in (NativeState(native, seed=5), NativeState(native, seed=4, stream=1)):
+        assert np.corrcoef(other.render_stroke(speed, force), first)[0, 1] < 0.5
+    silent = NativeState(native, excitation=False).render_stroke(speed, force)
+    assert np.abs(silent[100:]).max() < 0.2 * np.abs(first[100:]).max()
+
+
+def test_it_goes_on_from_a_recorded_window_as_numpy_does(texture: Texture, native: NativeTexture) -> None:
+    rng = np.random.default_rng(2)
+    window = rng.standard_normal((texture.window, 3)).astype(np.float32)
+    physical = (window * SCALING.sd + SCALING.mean).astype(np.float32)
+    speed, force = (channel.astype(np.float32) for channel in stroke(100))
+    state = NativeState(native)
+    state.start(*np.abs(physical.T))
+    reference = Synthesizer(texture)
+    reference.reset((np.abs(physical)[None].astype(float) - SCALING.mean) / SCALING.sd)
+    expected = reference.render(speed.astype(float), force.astype(float))
+    np.testing.assert_allclose(state.render_stroke(speed, force), expected, atol=1e-4 * SCALING.sd[0])
+    with pytest.raises(ValueError, match="NaN"):
+        state.start(np.full(texture.window, np.nan), physical[:, 1], physical[:, 2])
+    with pytest.raises(ValueError, match="shapes"):
+        state.start(physical[1:, 0], physical[1:, 1], physical[1:, 2])
+
+
+def test_what_it_counts_is_what_numpy_counts(texture: Texture, native: NativeTexture) -> None:
+    speed = np.array([0.0, 4.0, 100.0, 230.0, 500.0, 100.0], dtype=np.float32)
+    force = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 6.0], dtype=np.float32)
+    state = NativeState(native)
+    state.render_stroke(speed, force)
+    found, reference = state.statistics, Synthesizer(texture)
+    reference.render(speed.astype(float), force.astype(float))
+    for name in ("n", "n_speed_beyond", "n_force_beyond", "n_speed_clamped", "n_force_clamped"):
+        assert getattr(found, name) == getattr(reference.statistics, name) > 0
+    assert found.n_below == reference.statistics.n_below_range == 2
+    state.set_hand(float("nan"), 1.0)
+    state.set_hand(1.0, -1.0)
+    state.render_stroke(np.array([np.inf], dtype=np.float32), np.array([1.0], dtype=np.float32))
+    assert state.statistics.n_refused == 3
+    assert state.statistics.n_saturated == 0
+
+
+def test_a_refused_hand_leaves_the_last_one(native: NativeTexture) -> None:
+    good, bad = NativeState(native, seed=2), NativeState(native, seed=2)
+    a, b = np.empty(50, dtype=np.float32), np.empty(50, dtype=np.float32)
+    good.set_hand(80.0, 1.0)
+    bad.set_hand(80.0, 1.0)
+    bad.set_hand(float("inf"), 1.0)
+    good.render(a)
+    bad.render(b)
+    np.testing.assert_array_equal(a, b)
+
+
+def test_the_hand_may_come_from_any_thread(native: NativeTexture) -> None:
+    """Speed and force are told together: a rendering never sees the one of one call and the other of another."""
+    state, stop = NativeState(native), threading.Event()
+    state.set_hand(100.0, 1.0)
+
+    def tell() -> None:
+        while not stop.is_set():
+            state.set_hand(100.0, 1.0)  # within the range
+            state.set_hand(300.0, 3.0)  # above it in both: seen as one sample beyond
+
+    teller = threading.Thread(target=tell)
+    teller.start()
+    out = np.empty(20_000, dtype=np.float32)
+    state.render(out)
+    stop.set()
+    teller.join()
+    assert np.isfinite(out).all()
+    assert state.statistics.n_refused == 0
+    assert state.statistics.n_speed_beyond == state.statistics.n_force_beyond
+    assert 0 < state.statistics.n_speed_beyond < 20_000
+
+
+@pytest.mark.parametrize("rate", [2000.0, 8000.0, 48_000.0, 44_100.0])
+def test_another_rate_keeps_the_band_and_adds_nothing_above(
+    texture: Texture, native: NativeTexture, rate: float
+) -> None:
+    """Physics: the spectrum below 450 Hz stays, images above 550 Hz are 50 dB below it, and the delay is the one stated."""
+    n = 20_000
+    own = np.empty(n, dtype=np.float32)
+    state = NativeState(native, seed=6)
+    state.set_hand(100.0, 1.0)
+    state.render(own)
+    state = NativeState(native, rate, seed=6)
+    state.set_hand(100.0, 1.0)
+    out = np.empty(round(n * rate / 1000), dtype=np.float32)
+    state.render(out)
+    assert state.delay_s == pytest.approx(1.53e-3, abs=0.05e-3)
+    window = np.hanning(out.size)
+    spectrum = np.square(np.abs(np.fft.rfft(out * window))) / np.square(window).sum()
+    hertz = np.fft.rfftfreq(out.size, 1 / rate)
+    kept = spectrum[(hertz > 20) & (hertz < 450)].sum()
+    assert spectrum[hertz > 550].sum() < 1e-5 * kept
+    window = np.hanning(n)
+    given_ = np.square(np.abs(np.fft.rfft(own * window))) / np.square(window).sum()
+    theirs = np.fft.rfftfreq(n, 1e-3)
+    share = kept * (1000 / rate) / given_[(theirs > 20) & (theirs < 450)].sum()
+    assert share == pytest.approx(1.0, rel=0.01)
+    # A slow part, as it would be at the output's rate, against the delayed one.
+    slow = np.fft.rfft(own)
+    slow[theirs > 100] = 0
+    padded = np.zeros(out.size // 2 + 1, dtype=complex)
+    padded[: slow.size] = slow[: padded.size]
+    wanted = np.fft.irfft(padded, out.size) * rate / 1000
+    part = np.fft.rfft(out)
+    part[hertz > 100] = 0
+    lags = np.arange(0, round(0.004 * rate))
+    found = np.fft.irfft(part, out.size)
+    match = [float(found[lag : lag + out.size // 2] @ wanted[: out.size // 2]) for lag in lags]
+    assert lags[int(np.argmax(match))] / rate == pytest.approx(state.delay_s, abs=0.2e-3 + 0.5 / rate)
+
+
+def test_rates_that_cannot_be_are_refused(native: NativeTexture) -> None:
+    for rate in (40.0, 500_000.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(ValueError, match="expected 50 to 400000 Hz"):
+            NativeState(native, rate)
+
+
+def test_a_file_cut_anywhere_is_refused(texture: Texture) -> None:
+    data = texture.to_bytes()
+    rng = np.random.default_rng(0)
+    for n in [*range(0, 40), *rng.integers(40, len(data) - 1, 60)]:
+        with pytest.raises(ValueError, match=r"texture|tensor|card|header"):
+            NativeTexture(data[:n])
+
+
+def test_what_is_wrong_in_a_file_is_said(texture: Texture) -> None:
+    import dataclasses
+
+    def bytes_of(card: dict[str, Any] | None = None, **tensors: np.ndarray) -> bytes:
+        from safetensors.numpy import save
+
+        whole = {name: np.ascontiguousarray(t) for name, t in {**texture.tensors, **tensors}.items()}
+        return bytes(save(whole, metadata={"foten": json.dumps({**texture.card, **(card or {})})}))
+
+    sizes = dict(texture.card["sizes"])
+    cases = [
+        (bytes_of({"format_version": 2}), "format version"),
+        (bytes_of({"model": "gpt"}), "does not run"),
+        (bytes_of({"rate_hz": 0}), "rate_hz"),
+        (bytes_of({"window": 3}), "window"),
+        (bytes_of({"saturation": -1}), "saturation"),
+        (bytes_of({"lowpass_hz": 600.0}), "lowpass_hz"),
+        (bytes_of({"scaling": {"mean": [0, 0, 0], "sd": [1, 0, 1]}}), "standard deviation"),
+        (bytes_of({"trained_range": {"speed": [5, 1], "force": [0, 1]}}), "trained range of speed"),
+        (bytes_of({"beyond_exponents": {"speed": 1, "force": 9}}), "exponent of force"),
+        (bytes_of({"sizes": {**sizes, "n_layers": 0}}), "n_layers"),
+        (bytes_of({"sizes": {**sizes, "pre_norm": 1}}), "pre_norm"),
+        (bytes_of({"sizes": {**sizes, "colour": 1}}), "size that this library does not know"),
+        (bytes_of({"sizes": {**sizes, "head": [1]}}), "head"),
+        (bytes_of({"sizes": {**sizes, "order": 7}}), "window"),
+        (bytes_of(**{"head_9.weight": np.zeros(3, dtype=np.float32)}), "tensors"),
+        (bytes_of(**{"excitation.sd": np.full(2, np.nan)}), "NaN"),
+        (bytes_of(**{"warm_start": np.zeros((3, 3))}), "warm_start"),
+        (bytes_of(**{"lattice.reflections": np.full((6, 6), 1.0)}), "stable"),
+        (bytes_of(**{"lattice.speed_knots": np.array([3.0, 2.0, 1.0])}), "rise"),
+        (bytes_of(**{"golden.one_step": texture.tensors["golden.one_step"] + 1e-3}), "proof: one step"),
+        (bytes_of(**{"golden.sigma": texture.tensors["golden.sigma"] * 1.01}), "proof: the excitation"),
+        (bytes_of(**{"golden.closed_loop": texture.tensors["golden.closed_loop"] + 1e-2}), "proof: 64"),
+        (b'\x08\0\0\0\0\0\0\0{"a":1} ', "texture card"),
+    ]
+    for data, message in cases:
+        with pytest.raises(ValueError, match=message):
+            NativeTexture(data)
+    assert dataclasses.asdict(texture)["card"]  # the fixture is as it was
+    NativeTexture(bytes_of())
+
+
+def test_silence_does_not_become_slow() -> None:
+    """A lattice without excitation dies away: its state becomes zero before it becomes denormal."""
+    texture = exported("foten-plus", FotenPlusArchitecture(**{**SMALL, "network_heard": False}))
+    state = NativeState(NativeTexture(texture.to_bytes()), excitation=False)
+    state.set_hand(100.0, 1.0)
+    out = np.empty(2_000_000, dtype=np.float32)
+    state.render(out)
+    tail = out[-1000:] - out[-1]
+    assert np.abs(tail).max() == 0.0
+    assert struct.pack("<f", float(out[-1])) == struct.pack("<f", float(out[-2]))
+
+
+def test_the_public_renderer(texture: Texture, tmp_path: Path) -> None:
+    path = tmp_path / "t.foten"
+    path.write_bytes(texture.to_bytes())
+    by_path, by_bytes, in_memory = (
+        foten.Renderer(t, rate=8000, seed=7) for t in (path, path.read_bytes(), texture)
+    )
+    blocks = [one.render(speed_mm_s=80.0, force_n=0.8, n=480) for one in (by_path, by_bytes, in_memory)]
+    assert blocks[0].dtype == np.float32
+    np.testing.assert_array_equal(blocks[0], blocks[1])
+    np.testing.assert_array_equal(blocks[0], blocks[2])
+    by_path.reset()
+    np.testing.assert_array_equal([by_path.step(80.0, 0.8) for _ in range(20)], blocks[0][:20])
+    assert by_path.stats.n == 3  # 20 samples at 8 kHz begin at 0 and end after 2.4 of the texture's own
+    stroke_ = foten.Renderer(texture, seed=7).render(np.full(50, 80.0), 0.8)
+    np.testing.assert_array_equal(stroke_, foten.Renderer(texture, seed=7).render(80.0, 0.8, 50))
+    with pytest.raises(FileNotFoundError, match="no such file"):
+        foten.Renderer(tmp_path / "none.foten")
+    for call in (
+        lambda r: r.render(-1.0, 1.0, 5),
+        lambda r: r.render(1.0, np.nan, 5),
+        lambda r: r.render(1.0, 1.0),
+        lambda r: r.render(np.ones(3), 1.0, 5),
+        lambda r: foten.Renderer(texture, seed=-1),
+        lambda r: foten.Renderer(texture, rate=1.0),
+    ):
+        with pytest.raises(ValueError, match=r"expected|n was given"):
+            call(foten.Renderer(texture))
+
+
+def test_the_processor_is_told() -> None:
+    assert isa() in ("avx512", "avx2", "neon", "portable")
+
+
+def test_a_large_order_runs() -> None:
+    texture = exported("foten-plus", FotenPlusArchitecture(**{**SMALL, "order": 240}))
+    assert np.isfinite(Renderer(texture).render(80.0, 1.0, 1000)).all()

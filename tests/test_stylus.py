@@ -1,0 +1,222 @@
+"""A pen in: speed and force as the hand's, whatever the tablet tells and when."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import sosfilt
+
+from foten.datasets.stroking import stroking
+from foten.dsp.filters import butterworth
+from foten.render.renderer import Renderer
+from foten.render.stylus import PressureCalibration, Stylus, fit_pressure
+from foten.texture_file import Texture
+
+RATE = 1000.0
+CURVE = PressureCalibration()
+
+
+def lowpassed(signal: np.ndarray) -> np.ndarray:
+    """Return a signal through the low-pass that recordings went through."""
+    rows = [[b0, b1, b2, 1.0, a1, a2] for b0, b1, b2, a1, a2 in butterworth("lowpass", 20.0, RATE)]
+    return np.asarray(sosfilt(np.array(rows), signal))
+
+
+def hands(stylus: Stylus, events: np.ndarray, n: int, late_s: np.ndarray | float = 0.0) -> np.ndarray:
+    """Return speed and force of n samples, (n, 2), of events (k, 4): x, y, pressure, t, told `late_s` after their time."""
+    told = np.maximum.accumulate(events[:, 3] + late_s)
+    out, k = np.empty((n, 2)), 0
+    for i in range(n):
+        while k < len(events) and told[k] <= i / RATE:
+            stylus.push(*events[k])
+            k += 1
+        out[i] = stylus.next_hand()
+    return out
+
+
+def lag_of(found: np.ndarray, truth: np.ndarray) -> int:
+    """Return by how many samples a signal comes after another."""
+    return int(np.argmax([np.corrcoef(found[lag:], truth[: truth.size - lag])[0, 1] for lag in range(40)]))
+
+
+@pytest.mark.parametrize(("events_hz", "most_ms"), [(60.0, 8), (120.0, 6), (240.0, 5)])
+def test_it_finds_the_speed_and_force_of_a_hand(texture: Texture, events_hz: float, most_ms: int) -> None:
+    """Truth: the simulated hand's own velocity and force through the same low-pass. Irregular events, told up to 5 ms late."""
+    seconds, rng = 12.0, np.random.default_rng(1)
+    hand = stroking(seconds, 3, RATE)
+    n = hand.speed.size
+    t = np.arange(n) / RATE
+    at = np.arange(0.0, seconds - 0.1, 1 / events_hz)
+    at = np.sort(at + rng.uniform(-0.15, 0.15, at.size) / events_hz)
+    pressed = np.log(np.maximum(np.interp(at, t, hand.force), 1.01 * CURVE.a) / CURVE.a) / CURVE.b
+    events = np.stack(
+        [*(np.interp(at, t, axis) for axis in hand.position.T), np.clip(pressed, 1e-3, 1.0), at], axis=1
+    )
+    late = np.minimum(0.002 * np.abs(rng.standard_normal(at.size)), 0.005)
+    found = hands(Stylus(Renderer(texture)), events, n, late)[500:-500]
+    speed = np.hypot(*(lowpassed(axis) for axis in hand.velocity.T))[500:-500]
+    lag = lag_of(found[:, 0], speed)
+    assert lag <= most_ms
+    missed = found[lag:, 0] - speed[: speed.size - lag]
+    assert missed.std() < 0.05 * speed.std()
+    force = lowpassed(np.clip(hand.force, 1.01 * CURVE.a, CURVE.a * np.exp(CURVE.b)))[500:-500]
+    assert lag_of(found[:, 1], force) <= 1000 / events_hz + 5
+
+
+def test_a_steady_stroke_is_its_speed_and_force(texture: Texture) -> None:
+    at = np.arange(0.0, 2.0, 1 / 133)
+    events = np.stack(
+        [80 * at, 60 * at, np.full(at.size, 0.5), at + 1e6], axis=1
+    )  # a device's clock begins anywhere
+    stylus = Stylus(Renderer(texture))
+    found = hands(stylus, events - [0, 0, 0, 1e6], 1900)[-200:]
+    np.testing.assert_allclose(found[:, 0], 100.0, rtol=1e-6)
+    np.testing.assert_allclose(found[:, 1], CURVE.force(np.array([0.5]))[0], rtol=1e-6)
+    assert stylus.stats.n_late == stylus.stats.n_jumps == 0
+
+
+def test_lifting_is_quiet_and_landing_elsewhere_is_no_stroke(texture: Texture) -> None:
+    """Speed and force fall and rise as the low-pass does: never faster than it lets a step."""
+    at = np.arange(0.0, 1.0, 0.01)
+    first = np.stack([100 * at, 0 * at, np.full(at.size, 0.5), at], axis=1)
+    lifted = np.array([[100.0, 0.0, 0.0, 1.0]])
+    second = first + np.array([5000.0, 300.0, 0.0, 1.5])
+    stylus = Stylus(Renderer(texture))
+    found = hands(stylus, np.concatenate([first, lifted, second]), 2600)
+    assert found[1200:1500, 0].max() < 0.1
+    assert found[1200:1500, 1].max() < 1e-3
+    assert found[:, 0].max() < 1.06 * 100  # a second-order low-pass overshoots a step by 4.3 %
+    step = lowpassed(np.ones(200))
+    fastest = np.diff(step, prepend=0.0).max()
+    assert np.abs(np.diff(found[:, 1])).max() < 1.05 * fastest * CURVE.force(np.array([0.5]))[0]
+    np.testing.assert_allclose(found[2400:2480, 0], 100.0, rtol=1e-3)
+
+
+def test_a_pen_that_rests_is_still_and_pressed(texture: Texture) -> None:
+    """Browsers tell nothing of a pen that does not move."""
+    at = np.arange(0.0, 0.5, 0.008)
+    events = np.stack([100 * at, 0 * at, np.full(at.size, 0.5), at], axis=1)
+    found = hands(Stylus(Renderer(texture)), events, 1500)
+    assert found[-300:, 0].max() < 1e-3
+    np.testing.assert_allclose(found[-300:, 1], CURVE.force(np.array([0.5]))[0], rtol=1e-6)
+
+
+def test_what_is_wrong_is_counted_and_does_no_harm(texture: Texture) -> None:
+    at = np.arange(0.0, 2.0, 0.008)
+    events = np.stack([100 * at, 0 * at, np.full(at.size, 0.5), at], axis=1)
+    clean = hands(Stylus(Renderer(texture)), events, 1900)
+    rng = np.random.default_rng(0)
+    spoiled = []
+    for event in events:
+        spoiled.append(event)
+        if rng.random() < 0.2:
+            spoiled.append(event)  # doubled
+        if rng.random() < 0.2:
+            spoiled.append(np.where(rng.random(4) < 0.5, np.nan, event) * [1, 1, np.inf, 1])
+        if rng.random() < 0.1:
+            spoiled.append(event - [0, 0, 0, 0.5])  # late by half a second
+    stylus = Stylus(Renderer(texture))
+    out, k = np.empty((1900, 2)), 0
+    for i in range(1900):
+        while k < len(spoiled) and (not np.isfinite(spoiled[k][3]) or spoiled[k][3] <= i / RATE):
+            stylus.push(*spoiled[k])
+            k += 1
+        out[i] = stylus.next_hand()
+    np.testing.assert_allclose(out, clean, rtol=1e-9, atol=1e-9)
+    assert stylus.stats.n_late > 20
+    assert stylus.stats.n_refused > 20
+    assert stylus.stats.n == len(events[events[:, 3] <= 1.899])
+
+
+def test_a_clock_that_begins_anew_is_followed(texture: Texture) -> None:
+    at = np.arange(0.0, 1.0, 0.008)
+    events = np.stack([100 * at, 0 * at, np.full(at.size, 0.5), at], axis=1)
+    stylus = Stylus(Renderer(texture))
+    hands(stylus, events, 1000)
+    found = np.empty((1000, 2))
+    k = 0
+    for i in range(1000):
+        while k < len(events) and events[k, 3] <= i / RATE:
+            stylus.push(*events[k])  # a second earlier than the last
+            k += 1
+        found[i] = stylus.next_hand()
+    np.testing.assert_allclose(found[-200:, 0], 100.0, rtol=1e-3)
+    assert stylus.stats.n_late == 8  # those after which it is believed
+
+
+def test_more_than_can_wait_is_dropped_and_pressure_is_cut(texture: Texture) -> None:
+    stylus = Stylus(Renderer(texture))
+    for i in range(300):
+        stylus.push(i, 0.0, 1.5, 0.001 * i)
+    assert stylus.stats.n_dropped == 300 - 256
+    assert stylus.stats.n_clipped == 256
+    assert np.isfinite(stylus.next_hand()).all()
+
+
+def test_events_that_came_at_once_do_not_make_jumps_of_the_rest(texture: Texture) -> None:
+    """A tablet that kept 200 events back and told them within 2 ms: the usual step fell to nothing, and each event was a jump."""
+    stylus = Stylus(Renderer(texture))
+    for k in range(200):
+        stylus.push(1e-3 * k, 0.0, 0.5, 1e-5 * k)
+    stylus.next_hand()
+    at = np.arange(0.01, 1.0, 0.008)
+    found = hands(stylus, np.stack([100 * at, 0 * at, np.full(at.size, 0.5), at], axis=1), 1000)
+    assert stylus.stats.n_jumps == 0
+    np.testing.assert_allclose(found[-200:, 0], 100.0, rtol=1e-3)
+
+
+@given(
+    events=st.lists(
+        st.tuples(*(st.floats(allow_nan=True, allow_infinity=True, width=32) for _ in range(4))), max_size=60
+    )
+)
+@settings(max_examples=60, deadline=None)
+def test_no_event_makes_a_hand_that_is_none(texture: Texture, events: list[tuple[float, ...]]) -> None:
+    stylus = Stylus(Renderer(texture))
+    for event in events:
+        stylus.push(*event)
+        speed, force = stylus.next_hand()
+        assert np.isfinite([speed, force]).all()
+        assert min(speed, force) >= 0
+    assert np.isfinite(stylus.render(64)).all()
+
+
+def test_a_rendering_under_a_pen_is_one_under_its_hand(texture: Texture) -> None:
+    at = np.arange(0.0, 1.0, 0.008)
+    events = np.stack([100 * at, 0 * at, np.full(at.size, 0.5), at], axis=1)
+    found = hands(Stylus(Renderer(texture)), events[:1], 200)
+    pen = Stylus(Renderer(texture, seed=3))
+    pen.push(*events[0])
+    expected = Renderer(texture, seed=3).render(found[:, 0], found[:, 1])
+    np.testing.assert_allclose(pen.render(200), expected, rtol=1e-4, atol=1e-4)
+
+
+def test_a_curve_of_pressure_is_found_again() -> None:
+    rng = np.random.default_rng(0)
+    pressure = np.linspace(0.05, 1.0, 15)
+    force = 0.2 * np.exp(2.8 * pressure)
+    exact = fit_pressure(np.append(0.0, pressure), np.append(0.0, force))
+    assert (exact.a, exact.b) == pytest.approx((0.2, 2.8), rel=1e-9)
+    noisy = fit_pressure(pressure, force + 0.05 * rng.standard_normal(15))
+
+    def missed(a: float, b: float) -> float:
+        return float(np.square(a * np.exp(b * pressure) - force).sum())
+
+    assert (noisy.a, noisy.b) == pytest.approx((0.2, 2.8), rel=0.1)
+    assert (
+        missed(noisy.a, noisy.b) < 15 * 0.05**2
+    )  # least squares of force: no logarithm overrates the light end
+    for wrong, message in (
+        ((pressure[:2], force[:2]), "three or more"),
+        ((pressure, force[:-1]), "shape"),
+        ((pressure * 2, force), "from 0 to 1"),
+        ((np.full(5, 0.5), np.ones(5)), "over 0 of pressure"),
+        ((np.append(pressure, np.nan), np.append(force, 1.0)), "NaN"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            fit_pressure(*wrong)
+    for curve in ((0.0, 3.0), (-1.0, 3.0), (0.1, 500.0), (float("nan"), 1.0)):
+        with pytest.raises(ValueError, match="no tablet"):
+            PressureCalibration(*curve)
