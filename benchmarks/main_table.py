@@ -20,6 +20,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
+from statistics import NormalDist
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -564,9 +565,11 @@ def _other_aims() -> Iterator[str]:
             (found["click_share"] - found["settled_share"]) / found["click_standard_error"] for found in begun
         ]
         worst = begun[int(np.argmax(clicks))]
+        # What chance exceeds in one of twenty such sets of files.
+        limit = NormalDist().inv_cdf(1 - 0.05 / len(begun))
         yield (
             f"| loud samples in the first 20 ms beyond settled sound's, in standard errors | {of} | | {np.mean(clicks):+.1f} | "
-            f"no more | {max(clicks):+.1f} {_mark(max(clicks) <= 2)} ({name_of(worst)}) |"
+            f"≤ {limit:.1f}, chance | {max(clicks):+.1f} {_mark(max(clicks) <= limit)} ({name_of(worst)}) |"
         )
 
 
@@ -625,8 +628,24 @@ def made_earlier(folder: Path) -> Iterator[str]:
 
 
 def _told(states: dict[str, list[str]], where: str = "") -> Iterator[str]:
-    """Say how many results were made by other sources than those that are here, and name them, or say where they are named."""
-    earlier = sorted(name for source, names in states.items() if source != SOURCES for name in names)
+    """Say how many results were made by other sources than those that are here, and name them, or say where they are named.
+
+    Those of a state of which some were made again, and none came out other, are not named.
+    """
+    n, again = sum(map(len, states.values())), json.loads(SAME.read_text()) if SAME.exists() else {}
+    equal, differ = (
+        again.get(kind, {}) if again.get("source_sha256") == SOURCES else {} for kind in ("equal", "differ")
+    )
+    vouched = {source for source in states if equal.get(source) and not differ.get(source)}
+    for source in sorted(vouched):
+        yield (
+            f"Of {n} runs, {len(states[source])} were made by an earlier state of the sources, {source[:8]}. Of that state, "
+            f"{len(equal[source])} more were made again by today's and were equal to the last digit"
+            + ("." if where else f": {', '.join(sorted(equal[source]))}.")
+        )
+    earlier = sorted(
+        name for source, names in states.items() if source not in {SOURCES, *vouched} for name in names
+    )
     if earlier:
         splits: dict[str, list[str]] = {}
         for name in earlier:
@@ -634,18 +653,9 @@ def _told(states: dict[str, list[str]], where: str = "") -> Iterator[str]:
             splits.setdefault(of, []).append(split)
         named = ", ".join(f"{of} ({', '.join(numbers)})" for of, numbers in splits.items())
         yield (
-            f"Of {sum(map(len, states.values()))} runs, {len(earlier)} were made by an earlier state of the sources"
+            f"Of {n} runs, {len(earlier)} were made by an earlier state of the sources"
             + (f" ({where})." if where else f"; with their splits: {named}.")
         )
-        again = json.loads(SAME.read_text()) if SAME.exists() else {}
-        if again.get("source_sha256") == SOURCES:
-            for source in states.keys() & (again["equal"].keys() | again["differ"].keys()):
-                equal, differ = (sorted(again[kind].get(source, [])) for kind in ("equal", "differ"))
-                yield (
-                    f"Of those of the state {source[:8]} some were made again by today's: {len(equal)} equal to the last digit"
-                    + (f" ({', '.join(equal)})" if equal and not where else "")
-                    + (f", {len(differ)} not ({', '.join(differ)})." if differ else ", none other.")
-                )
 
 
 def _training() -> Iterator[str]:
