@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from foten.architecture import ARCHITECTURES, FotenArchitecture
+from foten.architecture import ARCHITECTURES, TenArchitecture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
@@ -26,6 +26,14 @@ SMALL: dict[str, Any] = {
     "spectral_width": 4,
 }
 """Sizes of a network that is quick to run and has every part."""
+
+
+def architecture_with(key: str, wanted: dict[str, Any]) -> TenArchitecture:
+    """Return a model's architecture with those of the sizes that it has."""
+    has = {field.name for field in fields(ARCHITECTURES[key])}
+    return ARCHITECTURES[key](**{name: value for name, value in wanted.items() if name in has})
+
+
 SCALING = Scaling(mean=(0.1, 100.0, 1.0), sd=(2.0, 60.0, 0.5))
 CARD: dict[str, Any] = {
     "rate_hz": 1000.0,
@@ -62,7 +70,7 @@ def reflections_of(taps: np.ndarray) -> torch.Tensor:
     return torch.tensor([first / (1 + second), second])
 
 
-def untrained(key: str, architecture: FotenArchitecture | None = None, seed: int = 0) -> Any:
+def untrained(key: str, architecture: TenArchitecture | None = None, seed: int = 0) -> Any:
     """Return a seeded network whose every tensor matters; foten-plus resonates near 120 Hz through its lattice."""
     import torch
 
@@ -99,7 +107,7 @@ def untrained(key: str, architecture: FotenArchitecture | None = None, seed: int
     return network.eval()
 
 
-def exported(key: str, architecture: FotenArchitecture | None = None, **card: Any) -> Texture:
+def exported(key: str, architecture: TenArchitecture | None = None, **card: Any) -> Texture:
     """Return an untrained network as a proved texture."""
     from foten.train.export import export
 

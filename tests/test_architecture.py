@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from conftest import architecture_with
 from foten.architecture import (
     ARCHITECTURES,
     FotenArchitecture,
@@ -30,9 +31,9 @@ VARIANTS: list[dict[str, Any]] = [
 @pytest.mark.parametrize("key", ARCHITECTURES)
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_tensor_shapes_are_the_networks(key: str, variant: dict[str, Any]) -> None:
-    architecture = ARCHITECTURES[key](**variant)
+    architecture = architecture_with(key, variant)
     state = build(key, architecture).state_dict()
-    assert tensor_shapes(key, architecture) == {name: tuple(tensor.shape) for name, tensor in state.items()}
+    assert tensor_shapes(architecture) == {name: tuple(tensor.shape) for name, tensor in state.items()}
 
 
 @pytest.mark.parametrize("key", ARCHITECTURES)
@@ -50,7 +51,7 @@ def test_sizes_round_trip(key: str) -> None:
         ({"n_layers": 0}, "n_layers is 0"),
         ({"n_layers": 2.0}, "n_layers is 2.0"),
         ({"d_model": 10**9}, "d_model is 1000000000"),
-        ({"d_model": 30}, "do not divide"),
+        ({"d_model": 30}, "does not divide"),
         ({"spectral_width": 0}, "spectral_width is 0"),
         ({"head": [10]}, "two layers"),
         ({"head": "ab"}, "two layers"),
@@ -72,7 +73,7 @@ def test_impossible_sizes_are_refused(change: dict[str, Any], match: str) -> Non
 
 
 def test_unknown_models_are_refused() -> None:
-    with pytest.raises(ValueError, match="expected one of foten, foten-plus"):
+    with pytest.raises(ValueError, match="expected one of foten-plus, foten, ten"):
         architecture_from("fotan", {})
 
 

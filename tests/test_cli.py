@@ -202,7 +202,7 @@ CONSTANT = ("--speed", "1", "--force", "1")
         (["train", "{rec}", "-o", "{out}.foten", *FAST, "--rate", "5000"], "never upsampled"),
         (
             ["train", "{rec}", "-o", "{out}.foten", *FAST, "--model", "fotan"],
-            "expected one of foten, foten-plus",
+            "expected one of foten-plus, foten, ten",
         ),
         (
             ["train", "{rec}", "-o", "{out}.foten", *FAST, "--recipe", "mine"],

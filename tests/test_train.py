@@ -13,6 +13,7 @@ import pytest
 import torch
 from scipy.signal import lfilter
 
+from conftest import architecture_with
 from foten.architecture import FotenArchitecture, FotenPlusArchitecture
 from foten.datasets.simulate import simulate
 from foten.dsp.lattice import polynomial
@@ -109,6 +110,17 @@ def test_network_starts_at_its_lattice(recording: Recording) -> None:
         recording, "foten-plus", FotenPlusArchitecture(**SMALL), TrainConfig(epochs=0, threads=1), SHORT
     )
     assert begun.progress.epochs[0].validation_mae == pytest.approx(begun.lattice_mae, rel=0.02)
+
+
+@pytest.mark.parametrize("key", ["foten", "ten"])
+def test_the_papers_networks_learn(recording: Recording, key: str) -> None:
+    config = TrainConfig(epochs=6, batch=128, learning_rate=2e-3, threads=1)
+    trained = train_texture(recording, key, architecture_with(key, SMALL), config, SHORT)
+    errors = [line.validation_mae for line in trained.progress.epochs]
+    assert min(errors) < 0.9 * errors[0]
+    assert trained.texture.card["model"] == key
+    assert trained.texture.window == 12
+    assert not trained.texture.has_excitation
 
 
 def test_excitation_recovers_a_power_law() -> None:

@@ -239,18 +239,21 @@ static float predict(const net *net, const float *window, float *scratch) {
     for (int layer = 0; layer < net->n_layers; layer++)
         encode(&net->layers[layer], net->pre_norm, m, layer == net->n_layers - 1 ? m - 1 : 0, tokens, NULL, rest);
     if (net->pre_norm) normalise(&net->last, 1, d, tokens, tokens, stride);
-    float heard = (float)spectral(net, window, rest);
-    float *fused = rest, *hidden = fused + 2 * (d + LANES) + LANES + 2;
+    float heard = net->fourier ? (float)spectral(net, window, rest) : 0;
+    int n = net->n_found;
+    float *fused = rest, *hidden = fused + n + 3 * LANES + 2;
     memcpy(fused, tokens, sizeof(float) * (size_t)d);
-    apply(&net->spectral_embedding, 1, &heard, 1, hidden, stride, 0);
-    memcpy(fused + d, hidden, sizeof(float) * (size_t)d);
-    fused[2 * d] = window[m * net->n_inputs];
-    fused[2 * d + 1] = window[m * net->n_inputs + 1];
-    if (net->modulated) {
-        apply(&net->modulation, 1, fused + 2 * d, 2, hidden, 4 * d + LANES, 0);
-        for (int i = 0; i < 2 * d; i++) fused[i] = fused[i] * (1 + hidden[i]) + hidden[2 * d + i];
+    if (net->fourier) {
+        apply(&net->spectral_embedding, 1, &heard, 1, hidden, stride, 0);
+        memcpy(fused + d, hidden, sizeof(float) * (size_t)d);
     }
-    apply(&net->head_1, 1, fused, 2 * d + 2, hidden, net->first, 1);
+    fused[n] = window[m * net->n_inputs];
+    fused[n + 1] = window[m * net->n_inputs + 1];
+    if (net->modulated) {
+        apply(&net->modulation, 1, fused + n, 2, hidden, 2 * n + LANES, 0);
+        for (int i = 0; i < n; i++) fused[i] = fused[i] * (1 + hidden[i]) + hidden[n + i];
+    }
+    apply(&net->head_1, 1, fused, n + 2, hidden, net->first, 1);
     float *second = hidden + net->first + LANES;
     apply(&net->head_2, 1, hidden, net->first, second, net->second, 1);
     double out = net->head_3_bias;

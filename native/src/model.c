@@ -12,19 +12,25 @@ static const double LARGEST_SATURATION = 1e4;     /* standard deviations */
 /* All that a card may say of a network's sizes, with what holds where it does not. */
 typedef struct {
     net_sizes net;
-    int plus, excitation_width, order, n_speed, n_force, n_tones, n_tone_speed, n_tone_force, rest_order, n_rest_speed, n_rest_force;
+    int model, excitation_width, order, n_speed, n_force, n_tones, n_tone_speed, n_tone_force, rest_order, n_rest_speed, n_rest_force;
     int level_drives, rest_level_drives, network_heard, hand; /* hand: 0 head, 1 tokens, 2 modulation */
     double correction_limit;
 } sizes;
 
-enum { PAPER = 1, OURS = 2 };
+/* Each model has the sizes of those before it. */
+enum { TEN, FOTEN, FOTEN_PLUS, MODELS };
+
+static const struct {
+    const char *name;
+    int counts, switches, choices, window; /* how many of each table below are its own; its usual window */
+} KNOWN[MODELS] = {{"ten", 5, 1, 0, 25}, {"foten", 6, 2, 3, 20}, {"foten-plus", 16, 5, 4, 20}};
 
 static const struct {
     const char *name;
     size_t at;
     int usual, least;
 } COUNTS[] = {
-    {"window", offsetof(sizes, net.window), 20, 2},
+    {"window", offsetof(sizes, net.window), 0, 2},
     {"d_model", offsetof(sizes, net.d_model), 32, 1},
     {"n_heads", offsetof(sizes, net.n_heads), 4, 1},
     {"n_layers", offsetof(sizes, net.n_layers), 3, 1},
@@ -69,9 +75,6 @@ static const struct {
 #define N(table) (int)(sizeof(table) / sizeof *(table))
 #define FIELD(s, offset) (*(int *)(void *)((char *)(s) + (offset)))
 
-/* Sizes of ours that the paper's network does not have: those that lie after its own in each table. */
-enum { PAPER_COUNTS = 6, PAPER_SWITCHES = 2, PAPER_CHOICES = 3 };
-
 static foten_status wrong_size(texture_file *file, const char *name) {
     return file_refuse(file, FOTEN_BAD_FILE, "'%s' among the sizes in the card is none that this library can run", name);
 }
@@ -80,23 +83,27 @@ static foten_status read_sizes(texture_file *file, json from, sizes *s) {
     json value;
     size_t n_known = 0;
     memset(s, 0, sizeof *s);
-    s->plus = json_is_string(json_member(file->card, "model"), "foten-plus");
-    for (int i = 0; i < (s->plus ? N(COUNTS) : PAPER_COUNTS); i++) {
-        long long count = COUNTS[i].usual;
+    json model = json_member(file->card, "model");
+    while (s->model < MODELS && !json_is_string(model, KNOWN[s->model].name)) s->model++;
+    if (s->model == MODELS)
+        return file_refuse(file, FOTEN_BAD_FILE, "this library does not run the file's model, expected foten-plus, foten or ten");
+    int plus = s->model == FOTEN_PLUS;
+    for (int i = 0; i < KNOWN[s->model].counts; i++) {
+        long long count = i ? COUNTS[i].usual : KNOWN[s->model].window;
         value = json_member(from, COUNTS[i].name);
         n_known += value.begin != NULL;
         if (value.begin && !json_integer(value, &count)) return wrong_size(file, COUNTS[i].name);
         if (count < COUNTS[i].least || count > LARGEST_SIZE) return wrong_size(file, COUNTS[i].name);
         FIELD(s, COUNTS[i].at) = (int)count;
     }
-    for (int i = 0; i < (s->plus ? N(SWITCHES) : PAPER_SWITCHES); i++) {
+    for (int i = 0; i < KNOWN[s->model].switches; i++) {
         int on = SWITCHES[i].usual;
         value = json_member(from, SWITCHES[i].name);
         n_known += value.begin != NULL;
         if (value.begin && !json_boolean(value, &on)) return wrong_size(file, SWITCHES[i].name);
         FIELD(s, SWITCHES[i].at) = on;
     }
-    for (int i = 0; i < (s->plus ? N(CHOICES) : PAPER_CHOICES); i++) {
+    for (int i = 0; i < KNOWN[s->model].choices; i++) {
         int chosen = CHOICES[i].usual;
         value = json_member(from, CHOICES[i].name);
         n_known += value.begin != NULL;
@@ -124,7 +131,7 @@ static foten_status read_sizes(texture_file *file, json from, sizes *s) {
         s->net.second = (int)widths[1];
     }
     s->correction_limit = 3;
-    value = s->plus ? json_member(from, "correction_limit") : (json){NULL, NULL};
+    value = plus ? json_member(from, "correction_limit") : (json){NULL, NULL};
     n_known += value.begin != NULL;
     if (value.begin && (!json_number(value, &s->correction_limit) || !(s->correction_limit > 0 && s->correction_limit < 1e6)))
         return wrong_size(file, "correction_limit");
@@ -135,8 +142,9 @@ static foten_status read_sizes(texture_file *file, json from, sizes *s) {
     if (n->n_layers > MOST_LAYERS) return wrong_size(file, "n_layers");
     if (n->d_model % n->n_heads || (n->spectral_width > 1 && n->spectral_width % n->n_heads)) return wrong_size(file, "n_heads");
     if (n->spectral_width == 1 && n->cos_sin) return wrong_size(file, "phase_input");
-    n->n_inputs = !s->plus ? 1 : s->hand == 1 ? 4 : 2;
-    n->modulated = s->plus && s->hand == 2;
+    n->n_inputs = !plus ? 1 : s->hand == 1 ? 4 : 2;
+    n->modulated = plus && s->hand == 2;
+    n->fourier = s->model != TEN;
     return FOTEN_OK;
 }
 
@@ -163,7 +171,7 @@ static foten_status read_card(foten_model *m, texture_file *file, const sizes *s
     if (!text_of(json_member(card, "model"), &m->memory, &m->name) || !text_of(json_member(card, "texture"), &m->memory, &m->texture))
         return file_refuse(file, FOTEN_BAD_FILE, "the card does not name a model and a texture");
     int most = s->order > s->rest_order ? s->order : s->rest_order;
-    m->history = s->plus ? s->net.window + most + 1 : s->net.window;
+    m->history = s->model == FOTEN_PLUS ? s->net.window + most + 1 : s->net.window;
     if (!json_integer(json_member(card, "window"), &window) || window != m->history)
         return file_refuse(file, FOTEN_BAD_FILE, "the card's window is not the network's %d", m->history);
     if (!json_number(json_member(card, "rate_hz"), &m->rate_hz) || !(m->rate_hz > 0 && m->rate_hz < 1e9))
@@ -312,17 +320,15 @@ foten_status model_read(foten_model *m, texture_file *file, const isa *isa) {
     long long version;
     if (!json_integer(json_member(file->card, "format_version"), &version) || version != 1)
         return file_refuse(file, FOTEN_BAD_FILE, "the file has another format version than 1; update foten?");
-    json model = json_member(file->card, "model");
-    if (!json_is_string(model, "foten") && !json_is_string(model, "foten-plus"))
-        return file_refuse(file, FOTEN_BAD_FILE, "this library does not run the file's model, expected foten or foten-plus");
     json from = json_member(file->card, "sizes");
     if (!from.begin || *from.begin != '{') return file_refuse(file, FOTEN_BAD_FILE, "the card has no 'sizes'");
     foten_status status = read_sizes(file, from, &s);
     if (status == FOTEN_OK) status = read_card(m, file, &s);
     if (status != FOTEN_OK) return status;
     m->isa = isa;
-    if (s.plus && !read_plus(m, file, &s)) return FOTEN_BAD_FILE;
-    m->network = net_make(file, s.plus ? "network." : "", &s.net, isa, &m->memory);
+    int plus = s.model == FOTEN_PLUS;
+    if (plus && !read_plus(m, file, &s)) return FOTEN_BAD_FILE;
+    m->network = net_make(file, plus ? "network." : "", &s.net, isa, &m->memory);
     if (!m->network) return file_refuse(file, m->memory.failed ? FOTEN_NO_MEMORY : FOTEN_BAD_FILE, "no memory");
     return FOTEN_OK;
 }

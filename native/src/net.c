@@ -133,39 +133,12 @@ static void transform_of(maker *m, net *n, int half) {
     n->counted = counted;
 }
 
-/* Floats that kernel.inc.h takes at most, counted generously: an encoder's and what lies before it. */
-static size_t scratch_of(const net *n, int feed, int most) {
-    size_t tokens = (size_t)(n->window > n->n_bins ? n->window : n->n_bins), stride = (size_t)(n->d_stride > n->width_stride ? n->d_stride : n->width_stride);
-    size_t hidden = up((size_t)feed, n->d_stride ? 16 : 16) + 16, widest = (size_t)most;
-    size_t encoder = tokens * stride * 5 + tokens * (hidden > 3 * stride ? hidden : 3 * stride) + tokens * stride + (2 * stride + tokens) * widest;
-    size_t bins = 8 * ((size_t)n->n_bins + 64) + tokens * stride + 4 * (size_t)n->n_bins;
-    size_t head = 6 * ((size_t)n->d + 64) + (size_t)n->first + (size_t)n->second + 256;
-    return tokens * stride + bins + encoder + head + 1024;
-}
-
-net *net_make(texture_file *file, const char *prefix, const net_sizes *s, const isa *isa, arena *memory) {
-    maker make = {file, prefix, isa->lanes, memory, 0}, *m = &make;
-    net *n = arena_take(memory, 1, sizeof *n);
-    encoder *layers = arena_take(memory, (size_t)s->n_layers, sizeof *layers);
-    if (!n || !layers) return NULL;
-    size_t d = (size_t)s->d_model, width = (size_t)s->spectral_width, heads = (size_t)s->n_heads, feed = (size_t)s->d_feedforward;
-    *n = (net){.window = s->window, .n_inputs = s->n_inputs, .d = s->d_model, .width = s->spectral_width, .n_layers = s->n_layers,
-               .first = s->first, .second = s->second, .pre_norm = s->pre_norm, .log_magnitude = s->log_magnitude, .cos_sin = s->cos_sin,
-               .modulated = s->modulated, .lifted = s->spectral_width > 1};
+static void spectral_of(maker *m, net *n, const net_sizes *s) {
+    size_t width = (size_t)s->spectral_width, heads = (size_t)s->n_heads, feed = (size_t)s->d_feedforward;
     n->n_bins = s->half_bins ? s->window / 2 + 1 : s->window;
     /* Magnitudes k and m - k are equal, and so is what becomes of them, unless bins are told apart. */
     n->n_magnitudes = s->bin_embedding ? n->n_bins : s->window / 2 + 1;
-    n->d_stride = (int)up(d, m->lanes);
     n->width_stride = (int)up(width, m->lanes);
-    n->embedding = linear_of(m, "temporal.embedding", d, (size_t)s->n_inputs);
-    n->positions = positions_of(m, (size_t)s->window, d, (size_t)n->d_stride);
-    for (int i = 0; i < s->n_layers && !m->missing; i++) {
-        char name[64];
-        snprintf(name, sizeof name, "temporal.layers.%d", i);
-        layers[i] = encoder_of(m, name, d, heads, feed);
-    }
-    n->layers = layers;
-    if (s->pre_norm) n->last = norm_of(m, "temporal.norm", d);
     transform_of(m, n, s->half_bins);
     if (n->lifted) {
         n->magnitude_in = linear_of(m, "spectral.magnitude_in", width, 1);
@@ -182,9 +155,41 @@ net *net_make(texture_file *file, const char *prefix, const net_sizes *s, const 
             for (size_t i = 0; i < width; i++) bins[(size_t)k * (size_t)n->width_stride + i] = (float)found[(size_t)k * width + i];
         n->bins = bins;
     }
-    n->spectral_embedding = linear_of(m, "spectral_embedding", d, 1);
-    if (s->modulated) n->modulation = linear_of(m, "modulation", 4 * d, 2);
-    n->head_1 = linear_of(m, "head_1", (size_t)s->first, 2 * d + 2);
+    n->spectral_embedding = linear_of(m, "spectral_embedding", (size_t)s->d_model, 1);
+}
+
+/* Floats that kernel.inc.h takes at most, counted generously: an encoder's and what lies before it. */
+static size_t scratch_of(const net *n, int feed, int most) {
+    size_t tokens = (size_t)(n->window > n->n_bins ? n->window : n->n_bins), stride = (size_t)(n->d_stride > n->width_stride ? n->d_stride : n->width_stride);
+    size_t hidden = up((size_t)feed, n->d_stride ? 16 : 16) + 16, widest = (size_t)most;
+    size_t encoder = tokens * stride * 5 + tokens * (hidden > 3 * stride ? hidden : 3 * stride) + tokens * stride + (2 * stride + tokens) * widest;
+    size_t bins = 8 * ((size_t)n->n_bins + 64) + tokens * stride + 4 * (size_t)n->n_bins;
+    size_t head = 6 * ((size_t)n->d + 64) + (size_t)n->first + (size_t)n->second + 256;
+    return tokens * stride + bins + encoder + head + 1024;
+}
+
+net *net_make(texture_file *file, const char *prefix, const net_sizes *s, const isa *isa, arena *memory) {
+    maker make = {file, prefix, isa->lanes, memory, 0}, *m = &make;
+    net *n = arena_take(memory, 1, sizeof *n);
+    encoder *layers = arena_take(memory, (size_t)s->n_layers, sizeof *layers);
+    if (!n || !layers) return NULL;
+    size_t d = (size_t)s->d_model, n_found = d * (size_t)(1 + s->fourier);
+    *n = (net){.window = s->window, .n_inputs = s->n_inputs, .d = s->d_model, .width = s->spectral_width, .n_layers = s->n_layers,
+               .first = s->first, .second = s->second, .pre_norm = s->pre_norm, .log_magnitude = s->log_magnitude, .cos_sin = s->cos_sin,
+               .modulated = s->modulated, .lifted = s->spectral_width > 1, .fourier = s->fourier, .n_found = s->d_model * (1 + s->fourier)};
+    n->d_stride = (int)up(d, m->lanes);
+    n->embedding = linear_of(m, "temporal.embedding", d, (size_t)s->n_inputs);
+    n->positions = positions_of(m, (size_t)s->window, d, (size_t)n->d_stride);
+    for (int i = 0; i < s->n_layers && !m->missing; i++) {
+        char name[64];
+        snprintf(name, sizeof name, "temporal.layers.%d", i);
+        layers[i] = encoder_of(m, name, d, (size_t)s->n_heads, (size_t)s->d_feedforward);
+    }
+    n->layers = layers;
+    if (s->pre_norm) n->last = norm_of(m, "temporal.norm", d);
+    if (s->fourier) spectral_of(m, n, s);
+    if (s->modulated) n->modulation = linear_of(m, "modulation", 2 * n_found, 2);
+    n->head_1 = linear_of(m, "head_1", (size_t)s->first, n_found + 2);
     n->head_2 = linear_of(m, "head_2", (size_t)s->second, (size_t)s->first);
     const double *w = tensor(m, "head_3", ".weight", 1, (size_t)s->second), *bias = tensor(m, "head_3", ".bias", 1, 0);
     float *head = room(m, (size_t)s->second);

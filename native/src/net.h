@@ -1,4 +1,4 @@
-/* The network of foten and foten-plus as one step needs it, its weights laid out for one instruction set. */
+/* The network of foten, foten-plus and ten as one step needs it, its weights laid out for one instruction set. */
 #ifndef FOTEN_NET_H
 #define FOTEN_NET_H
 
@@ -29,12 +29,12 @@ typedef struct {
 typedef struct {
     int window, d_model, n_heads, n_layers, d_feedforward, first, second, spectral_width;
     int pre_norm, bin_embedding, cos_sin, log_magnitude, half_bins;
-    int n_inputs, modulated;
+    int n_inputs, modulated, fourier; /* fourier: whether there is a spectral branch */
 } net_sizes;
 
 typedef struct {
     int window, n_inputs, d, d_stride, width, width_stride, n_layers, n_bins, n_magnitudes, first, second;
-    int pre_norm, log_magnitude, cos_sin, modulated, lifted;
+    int pre_norm, log_magnitude, cos_sin, modulated, lifted, fourier, n_found; /* n_found: numbers that the branches give the head */
     linear embedding;
     const float *positions; /* window x d_stride */
     const encoder *layers;

@@ -27,6 +27,7 @@ KINDS = {
         {**TINY, "spectral_width": 2, "bin_embedding": True, "phase_input": "cos_sin", "bins": "half"},
     ),
     "foten-post": ("foten", {**TINY, "pre_norm": False, "n_layers": 2, "magnitude_input": "log"}),
+    "ten": ("ten", {name: size for name, size in TINY.items() if name != "spectral_width"}),
     "plus": ("foten-plus", PLUS),
     "plus-table": (
         "foten-plus",

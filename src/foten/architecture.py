@@ -10,60 +10,32 @@ HEAVIEST_TAIL = 0.25  # of h in z·exp(h z²/2), the excitation's tails; beyond 
 
 
 @dataclass(frozen=True)
-class FotenArchitecture:
-    """The paper's network, Sec. IV: a temporal and a Fourier branch, fused at the last token.
+class TenArchitecture:
+    """The paper's network without its Fourier branch, TEN in Table II: the temporal branch and the head.
 
-    Differs from the paper where it is silent: layers normalise before attention (Fig. 3 shows it so); the
-    spectral branches are lifted from width 1 to `spectral_width` and projected back, since at the literal width 1 a layer
-    normalisation outputs a constant and the branch carries nothing; all m bins are kept and Eq. 9 gives its real part.
+    Differs from the paper where it is silent: layers normalise before attention (Fig. 3 shows it so).
     """
 
-    window: int = 20  # m, samples; Sec. VI-b
+    window: int = 25  # m, samples; Table II
     d_model: int = 32  # Sec. IV-c
     n_heads: int = 4  # Sec. IV-c
     n_layers: int = 3  # temporal encoder layers; Sec. IV-c
     d_feedforward: int = 128  # Sec. IV-c
     head: tuple[int, int] = (256, 64)  # dense layers before the output; Sec. IV-e
-    spectral_width: int = 32  # 1 is the literal reading, and degenerate
     pre_norm: bool = True  # False normalises after each sub-layer, as [17]
-    bin_embedding: bool = False  # a learned vector for each bin; the paper has none (Sec. IV-d)
-    phase_input: str = "angle"  # or "cos_sin"
-    magnitude_input: str = "linear"  # or "log", log(1 + M)
-    bins: str = "all"  # or "half": 0 … m/2 with a Hermitian inverse, so that a_spec is real by itself
 
     def __post_init__(self) -> None:
-        least = {
-            "window": 2,
-            "d_model": 1,
-            "n_heads": 1,
-            "n_layers": 1,
-            "d_feedforward": 1,
-            "spectral_width": 1,
-        }
+        least = {"window": 2, "d_model": 1, "n_heads": 1, "n_layers": 1, "d_feedforward": 1}
         for name, minimum in least.items():
             _check_count(name, getattr(self, name), minimum)
         if not isinstance(self.head, list | tuple) or len(self.head) != 2:
             raise ValueError(f"head is {self.head!r}, expected the widths of two layers")
         for width in self.head:
             _check_count("head", width, 1)
-        if self.d_model % self.n_heads or (self.spectral_width > 1 and self.spectral_width % self.n_heads):
-            raise ValueError(
-                f"widths {self.d_model} and {self.spectral_width} do not divide into {self.n_heads} heads"
-            )
-        known = {
-            "phase_input": ("angle", "cos_sin"),
-            "magnitude_input": ("linear", "log"),
-            "bins": ("all", "half"),
-        }
-        for name, values in known.items():
-            if getattr(self, name) not in values:
-                raise ValueError(
-                    f"{name} is {getattr(self, name)!r}, expected {values[0]!r} or {values[1]!r}"
-                )
-        if self.spectral_width == 1 and self.phase_input == "cos_sin":
-            raise ValueError("phase_input 'cos_sin' has two numbers a bin and needs a spectral_width above 1")
-        if not isinstance(self.pre_norm, bool) or not isinstance(self.bin_embedding, bool):
-            raise ValueError("pre_norm and bin_embedding are true or false")
+        if self.d_model % self.n_heads:
+            raise ValueError(f"width {self.d_model} does not divide into {self.n_heads} heads")
+        if not isinstance(self.pre_norm, bool):
+            raise ValueError("pre_norm is true or false")
         object.__setattr__(self, "head", tuple(self.head))
 
     @property
@@ -78,8 +50,55 @@ class FotenArchitecture:
 
     @property
     def modulated(self) -> bool:
-        """Return whether speed and force scale and shift what both branches find."""
+        """Return whether speed and force scale and shift what the branches find."""
         return False
+
+    @property
+    def n_found(self) -> int:
+        """Return how many numbers the branches give the head."""
+        return self.d_model
+
+
+@dataclass(frozen=True)
+class FotenArchitecture(TenArchitecture):
+    """The paper's network, Sec. IV: a temporal and a Fourier branch, fused at the last token.
+
+    Differs from the paper where it is silent: as `TenArchitecture`; the spectral branches are lifted from width 1 to
+    `spectral_width` and projected back, since at the literal width 1 a layer normalisation outputs a constant and the branch
+    carries nothing; all m bins are kept and Eq. 9 gives its real part.
+    """
+
+    window: int = 20  # m, samples; Sec. VI-b
+    spectral_width: int = 32  # 1 is the literal reading, and degenerate
+    bin_embedding: bool = False  # a learned vector for each bin; the paper has none (Sec. IV-d)
+    phase_input: str = "angle"  # or "cos_sin"
+    magnitude_input: str = "linear"  # or "log", log(1 + M)
+    bins: str = "all"  # or "half": 0 … m/2 with a Hermitian inverse, so that a_spec is real by itself
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_count("spectral_width", self.spectral_width, 1)
+        if self.spectral_width > 1 and self.spectral_width % self.n_heads:
+            raise ValueError(f"width {self.spectral_width} does not divide into {self.n_heads} heads")
+        known = {
+            "phase_input": ("angle", "cos_sin"),
+            "magnitude_input": ("linear", "log"),
+            "bins": ("all", "half"),
+        }
+        for name, values in known.items():
+            if getattr(self, name) not in values:
+                raise ValueError(
+                    f"{name} is {getattr(self, name)!r}, expected {values[0]!r} or {values[1]!r}"
+                )
+        if self.spectral_width == 1 and self.phase_input == "cos_sin":
+            raise ValueError("phase_input 'cos_sin' has two numbers a bin and needs a spectral_width above 1")
+        if not isinstance(self.bin_embedding, bool):
+            raise ValueError("bin_embedding is true or false")
+
+    @property
+    def n_found(self) -> int:
+        """Return how many numbers both branches give the head."""
+        return 2 * self.d_model
 
     @property
     def n_bins(self) -> int:
@@ -155,13 +174,14 @@ def _check_count(name: str, value: object, minimum: int) -> None:
         raise ValueError(f"{name} is {value!r}, expected a whole number, {minimum} or more")
 
 
-ARCHITECTURES: dict[str, type[FotenArchitecture]] = {
-    "foten": FotenArchitecture,
+ARCHITECTURES: dict[str, type[TenArchitecture]] = {
     "foten-plus": FotenPlusArchitecture,
+    "foten": FotenArchitecture,
+    "ten": TenArchitecture,
 }
 
 
-def architecture_from(key: str, sizes: Mapping[str, Any]) -> FotenArchitecture:
+def architecture_from(key: str, sizes: Mapping[str, Any]) -> TenArchitecture:
     """Return the architecture that a card describes.
 
     Raises:
@@ -176,12 +196,12 @@ def architecture_from(key: str, sizes: Mapping[str, Any]) -> FotenArchitecture:
     return ARCHITECTURES[key](**sizes)
 
 
-def sizes(architecture: FotenArchitecture) -> dict[str, Any]:
+def sizes(architecture: TenArchitecture) -> dict[str, Any]:
     """Return the sizes as plain JSON values."""
     return {**asdict(architecture), "head": list(architecture.head)}
 
 
-def multiply_adds(architecture: FotenArchitecture) -> int:
+def multiply_adds(architecture: TenArchitecture) -> int:
     """Return the multiplications and additions in pairs that a rendered sample costs, without those that change nothing.
 
     Left out: all but one query of the last temporal layer, all but one sample of Eq. 9, and the magnitudes above half of the
@@ -195,8 +215,7 @@ def multiply_adds(architecture: FotenArchitecture) -> int:
         linear = 10 * order + 12 * architecture.n_tones + scales
         if architecture.n_tones or not architecture.network_heard:
             return linear
-    m, d, width = architecture.window, architecture.d_model, architecture.spectral_width
-    n_bins, n_magnitudes = architecture.n_bins, m // 2 + 1
+    m, d = architecture.window, architecture.d_model
 
     def layer(n_tokens: int, n_asked: int, width: int) -> int:
         projected = 2 * n_tokens * width * width + n_asked * width * width
@@ -204,23 +223,27 @@ def multiply_adds(architecture: FotenArchitecture) -> int:
         return projected + attended + 2 * n_asked * width * architecture.d_feedforward
 
     temporal = m * architecture.n_inputs * d + (architecture.n_layers - 1) * layer(m, m, d) + layer(m, 1, d)
-    lifted = 2 * width if width > 1 else 0
-    n_phase = 2 if architecture.phase_input == "cos_sin" else 1
-    spectral = 2 * m * n_magnitudes + 2 * n_bins + d
-    for n_tokens, n_inputs in ((n_magnitudes, 1), (n_bins, n_phase)):
-        spectral += layer(n_tokens, n_tokens, width) + n_tokens * lifted * (1 + n_inputs) // 2
+    spectral = 0
+    if isinstance(architecture, FotenArchitecture):
+        width, n_bins, n_magnitudes = architecture.spectral_width, architecture.n_bins, m // 2 + 1
+        lifted = 2 * width if width > 1 else 0
+        n_phase = 2 if architecture.phase_input == "cos_sin" else 1
+        spectral = 2 * m * n_magnitudes + 2 * n_bins + d
+        for n_tokens, n_inputs in ((n_magnitudes, 1), (n_bins, n_phase)):
+            spectral += layer(n_tokens, n_tokens, width) + n_tokens * lifted * (1 + n_inputs) // 2
     first, second = architecture.head
-    head = (2 * d + 2) * first + first * second + second + architecture.modulated * 10 * d
+    head = (architecture.n_found + 2) * first + first * second + second
+    head += architecture.modulated * 5 * architecture.n_found
     return linear + temporal + spectral + head
 
 
-def tensor_shapes(key: str, architecture: FotenArchitecture) -> dict[str, tuple[int, ...]]:
+def tensor_shapes(architecture: TenArchitecture) -> dict[str, tuple[int, ...]]:
     """Return the name and shape of every tensor of a network, as a texture file holds them.
 
     Linear maps are (outputs, inputs), as in PyTorch.
     """
     if isinstance(architecture, FotenPlusArchitecture):
-        shapes = {f"network.{name}": shape for name, shape in _foten_shapes(architecture).items()}
+        shapes = {f"network.{name}": shape for name, shape in _network_shapes(architecture).items()}
         width = architecture.excitation_width
         shapes |= _lattice(
             "lattice", architecture.n_speed, architecture.n_force, architecture.order, width
@@ -233,7 +256,7 @@ def tensor_shapes(key: str, architecture: FotenArchitecture) -> dict[str, tuple[
             shapes |= _lattice("rest", n_speed, n_force, architecture.rest_order, width)
         shapes |= {"excitation.largest": (2,), "excitation.swell": (2,), **_linear("excitation.tail", 1, 5)}
         return shapes
-    return _foten_shapes(architecture)
+    return _network_shapes(architecture)
 
 
 def _lattice(name: str, n_speed: int, n_force: int, order: int, width: int) -> dict[str, tuple[int, ...]]:
@@ -266,22 +289,31 @@ def _encoder(name: str, width: int, d_feedforward: int) -> dict[str, tuple[int, 
     }
 
 
-def _foten_shapes(architecture: FotenArchitecture) -> dict[str, tuple[int, ...]]:
-    d, width, (first, second) = architecture.d_model, architecture.spectral_width, architecture.head
+def _network_shapes(architecture: TenArchitecture) -> dict[str, tuple[int, ...]]:
+    d, n_found, (first, second) = architecture.d_model, architecture.n_found, architecture.head
     shapes = _linear("temporal.embedding", d, architecture.n_inputs)
     for layer in range(architecture.n_layers):
         shapes |= _encoder(f"temporal.layers.{layer}", d, architecture.d_feedforward)
     if architecture.pre_norm:
         shapes |= {"temporal.norm.weight": (d,), "temporal.norm.bias": (d,)}
+    if isinstance(architecture, FotenArchitecture):
+        shapes |= _spectral_shapes(architecture)
+    if architecture.modulated:
+        shapes |= _linear("modulation", 2 * n_found, 2)
+    shapes |= _linear("head_1", first, n_found + 2)
+    return shapes | _linear("head_2", second, first) | _linear("head_3", 1, second)
+
+
+def _spectral_shapes(architecture: FotenArchitecture) -> dict[str, tuple[int, ...]]:
+    width, shapes = architecture.spectral_width, _linear("spectral_embedding", architecture.d_model, 1)
     for name, n_inputs in (("magnitude", 1), ("phase", 2 if architecture.phase_input == "cos_sin" else 1)):
         shapes |= _encoder(f"spectral.{name}_layer", width, architecture.d_feedforward)
         if width > 1:
-            shapes |= _linear(f"spectral.{name}_in", width, n_inputs) | _linear(
-                f"spectral.{name}_out", 1, width
+            lift, back = (
+                _linear(f"spectral.{name}_in", width, n_inputs),
+                _linear(f"spectral.{name}_out", 1, width),
             )
+            shapes |= lift | back
     if architecture.bin_embedding:
         shapes["spectral.bins"] = (architecture.n_bins, width)
-    shapes |= _linear("spectral_embedding", d, 1) | _linear("head_1", first, 2 * d + 2)
-    if architecture.modulated:
-        shapes |= _linear("modulation", 4 * d, 2)
-    return shapes | _linear("head_2", second, first) | _linear("head_3", 1, second)
+    return shapes

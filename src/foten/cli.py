@@ -291,7 +291,12 @@ def train(
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="T.foten", help="The texture file to write.")
     ],
-    model: Annotated[str, typer.Option(help="foten-plus (ours) or foten (the paper's).")] = "foten-plus",
+    model: Annotated[
+        str,
+        typer.Option(
+            help="foten-plus (ours), foten (the paper's) or ten (foten without its Fourier branch, Table II)."
+        ),
+    ] = "foten-plus",
     recipe: Annotated[
         str, typer.Option(help="default (ours) or paper (Adam 1e-3, batch 16, 100 epochs).")
     ] = "default",
@@ -300,7 +305,9 @@ def train(
     ] = None,
     trim: Annotated[float | None, typer.Option(help="Discarded at both ends (ms). [2000]")] = None,
     block: Annotated[float | None, typer.Option(help="Unit of the split (ms). [2000]")] = None,
-    window: Annotated[int, typer.Option(help="m, samples that a prediction sees.")] = 20,
+    window: Annotated[
+        int | None, typer.Option(help="m, samples that a prediction sees. [20; ten 25]")
+    ] = None,
     seed: Annotated[
         int, typer.Option(min=0, max=2**32 - 1, help="Of initial weights, order and dropout.")
     ] = 0,
@@ -387,7 +394,8 @@ def train(
     preprocess_config = PreprocessConfig(
         zero_phase=zero_phase, force_units=force_units, **{k: v for k, v in cut.items() if v is not None}
     )
-    architecture = architecture_from(model, {"window": window, **_settings(settings or [])})
+    own = _settings(settings or [])
+    architecture = architecture_from(model, own if window is None else {"window": window, **own})
     recording = load_recording(recording_file)
     folder = RunFolder(run_folder or output.with_suffix(".run"))
     folder.open(

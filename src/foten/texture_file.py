@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.architecture import FotenArchitecture, FotenPlusArchitecture, architecture_from, tensor_shapes
+from foten.architecture import FotenPlusArchitecture, TenArchitecture, architecture_from, tensor_shapes
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
@@ -91,7 +91,7 @@ class Texture:
         return int(self.card["window"])
 
     @property
-    def architecture(self) -> FotenArchitecture:
+    def architecture(self) -> TenArchitecture:
         """Return the network's sizes."""
         return architecture_from(self.card["model"], self.card["sizes"])
 
@@ -255,7 +255,7 @@ def _check_tensors(texture: Texture) -> None:
             f"the file holds {n_golden} golden windows, expected {MIN_GOLDEN} or more: it proves nothing"
         )
     shapes = {
-        **tensor_shapes(texture.card["model"], texture.architecture),
+        **tensor_shapes(texture.architecture),
         "warm_start": (m, 3),
         "golden.windows": (n_golden, m, 3),
         "golden.one_step": (n_golden,),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from foten.architecture import FotenArchitecture
+from foten.architecture import FotenArchitecture, TenArchitecture
 from foten.dsp.spectrum import WEAKEST_BIN, dft_matrices, last_sample_row, position_encoding
 from foten.models.dropout import Dropout
 from foten.models.encoder import EncoderLayer
@@ -14,7 +14,7 @@ from foten.models.encoder import EncoderLayer
 class TemporalBranch(nn.Module):
     """Embedding, positions and encoder layers over the acceleration window (Eq. 2–5)."""
 
-    def __init__(self, architecture: FotenArchitecture) -> None:
+    def __init__(self, architecture: TenArchitecture) -> None:
         super().__init__()
         d = architecture.d_model
         self.embedding = nn.Linear(architecture.n_inputs, d)
@@ -100,20 +100,25 @@ class SpectralBranch(nn.Module):
 
 
 class Foten(nn.Module):
-    """FoTEN: both branches, fused with speed and force at the last token, and a dense head (Eq. 10, 11)."""
+    """FoTEN: both branches, fused with speed and force at the last token, and a dense head (Eq. 10, 11).
 
-    def __init__(self, architecture: FotenArchitecture) -> None:
+    Of a `TenArchitecture` it is TEN (Table II), the same without the Fourier branch.
+    """
+
+    def __init__(self, architecture: TenArchitecture) -> None:
         super().__init__()
         self.architecture = architecture
-        d, (first, second) = architecture.d_model, architecture.head
+        n_found, (first, second) = architecture.n_found, architecture.head
         self.temporal = TemporalBranch(architecture)
-        self.spectral = SpectralBranch(architecture)
-        self.spectral_embedding = nn.Linear(1, d)
-        self.head_1 = nn.Linear(2 * d + 2, first)
+        self.spectral = self.spectral_embedding = None
+        if isinstance(architecture, FotenArchitecture):
+            self.spectral = SpectralBranch(architecture)
+            self.spectral_embedding = nn.Linear(1, architecture.d_model)
+        self.head_1 = nn.Linear(n_found + 2, first)
         self.head_2 = nn.Linear(first, second)
         self.head_3 = nn.Linear(second, 1)
         self.dropout = Dropout()
-        self.modulation = nn.Linear(2, 4 * d) if architecture.modulated else None
+        self.modulation = nn.Linear(2, 2 * n_found) if architecture.modulated else None
         if self.modulation is not None:
             nn.init.zeros_(self.modulation.weight)
             nn.init.zeros_(self.modulation.bias)
@@ -123,11 +128,11 @@ class Foten(nn.Module):
 
         Where `n_inputs` is 2, windows are (b, m, 4) with what else the temporal branch sees last; where it is 4, it sees all.
         """
-        acceleration = windows[:, :, 0]
         without_hand = torch.cat([windows[:, :, :1], windows[:, :, 3:]], dim=2)
-        temporal = self.temporal(windows if self.architecture.n_inputs == 4 else without_hand)
-        spectral = self.spectral_embedding(self.spectral(acceleration)[:, None])
-        found = torch.cat([temporal, spectral], dim=1)
+        found = self.temporal(windows if self.architecture.n_inputs == 4 else without_hand)
+        if self.spectral is not None and self.spectral_embedding is not None:
+            sample = self.spectral(windows[:, :, 0])[:, None]
+            found = torch.cat([found, self.spectral_embedding(sample)], dim=1)
         if self.modulation is not None:
             scale, shift = self.modulation(windows[:, -1, 1:3]).chunk(2, dim=1)
             found = found * (1 + scale) + shift

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.architecture import HEAVIEST_TAIL, FotenArchitecture, FotenPlusArchitecture
+from foten.architecture import HEAVIEST_TAIL, FotenArchitecture, FotenPlusArchitecture, TenArchitecture
 from foten.dsp.lattice import analyse, check_reflections, forecast, push
 from foten.dsp.noise import Swell, gaussianised, heavy_tailed
 from foten.dsp.plane import Plane
@@ -44,28 +44,23 @@ class Engine(Predictor, Protocol):
         ...
 
 
-class NumpyFoten:
-    """The paper's network, pruned exactly as in training: one query row in the last layer, one row of Eq. 9.
+class NumpyNetwork:
+    """The paper's network or TEN, pruned exactly as in training: one query row in the last layer, one row of Eq. 9.
 
     In float64: float32 takes half the time, but missed PyTorch in float64 by 1.7e-5 on four times a golden window of the
     simulated styrofoam, more than the file's own proof allows.
     """
 
     def __init__(
-        self, architecture: FotenArchitecture, tensors: Mapping[str, NDArray[Any]], prefix: str = ""
+        self, architecture: TenArchitecture, tensors: Mapping[str, NDArray[Any]], prefix: str = ""
     ) -> None:
         self.window = architecture.window
         self._architecture = architecture
         self._w = _Weights(tensors, prefix)
-        m = architecture.window
-        matrices = (
-            position_encoding(m, architecture.d_model),
-            *(matrix[:, : architecture.n_bins] for matrix in dft_matrices(m)),
-            *last_sample_row(m, half=architecture.bins == "half"),
-        )
-        self._positions, self._real, self._imaginary, self._cosine, self._sine = (
-            np.ascontiguousarray(matrix) for matrix in matrices
-        )
+        self._positions = np.ascontiguousarray(position_encoding(self.window, architecture.d_model))
+        self._spectral: _Spectral | None = None
+        if isinstance(architecture, FotenArchitecture):
+            self._spectral = _Spectral(architecture, self._w)
 
     def start(self, windows: Array) -> WindowState:
         """Return the state of streams that have heard the given scaled windows, shape (s, m, 3)."""
@@ -73,19 +68,20 @@ class NumpyFoten:
 
     def predict(self, windows: Array) -> Array:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
-        acceleration = np.ascontiguousarray(windows[:, :, 0])
         seen = windows
         if self._architecture.n_inputs < 4:
             seen = np.concatenate([windows[:, :, :1], windows[:, :, 3:]], axis=2)
         tokens = self._w.linear("temporal.embedding", seen) + self._positions
         n_layers = self._architecture.n_layers
         for layer in range(n_layers):
-            tokens = self._layer(f"temporal.layers.{layer}", tokens, last_only=layer == n_layers - 1)
-        temporal = tokens[:, 0]
+            last_only = layer == n_layers - 1
+            tokens = _layer(self._w, f"temporal.layers.{layer}", self._architecture, tokens, last_only)
+        found = tokens[:, 0]
         if self._architecture.pre_norm:
-            temporal = self._w.norm("temporal.norm", temporal)
-        spectral = self._w.linear("spectral_embedding", self._spectral(acceleration)[:, None])
-        found = np.concatenate([temporal, spectral], axis=1)
+            found = self._w.norm("temporal.norm", found)
+        if self._spectral is not None:
+            sample = self._spectral(np.ascontiguousarray(windows[:, :, 0]))[:, None]
+            found = np.concatenate([found, self._w.linear("spectral_embedding", sample)], axis=1)
         if self._architecture.modulated:
             scale, shift = np.split(self._w.linear("modulation", windows[:, -1, 1:3]), 2, axis=1)
             found = found * (1 + scale) + shift
@@ -94,7 +90,22 @@ class NumpyFoten:
         hidden = np.maximum(self._w.linear("head_2", hidden), 0.0)
         return self._w.linear("head_3", hidden)[:, 0]
 
-    def _spectral(self, acceleration: NDArray[Any]) -> NDArray[Any]:
+
+class _Spectral:
+    """Magnitude and phase through an encoder layer each, and back to time (Eq. 6–9)."""
+
+    def __init__(self, architecture: FotenArchitecture, weights: _Weights) -> None:
+        self._architecture = architecture
+        self._w = weights
+        m = architecture.window
+        matrices = (
+            *(matrix[:, : architecture.n_bins] for matrix in dft_matrices(m)),
+            *last_sample_row(m, half=architecture.bins == "half"),
+        )
+        self._real, self._imaginary, self._cosine, self._sine = map(np.ascontiguousarray, matrices)
+
+    def __call__(self, acceleration: NDArray[Any]) -> NDArray[Any]:
+        """Return Re a_spec[m−1]: (b, m) scaled → (b,)."""
         real, imaginary = acceleration @ self._real, acceleration @ self._imaginary + 0.0
         power = real * real + imaginary * imaginary
         heard = power > WEAKEST_BIN * power.sum(axis=1, keepdims=True)
@@ -116,37 +127,42 @@ class NumpyFoten:
             tokens = self._w.linear(f"spectral.{name}_in", tokens)
         if self._architecture.bin_embedding:
             tokens = tokens + self._w["spectral.bins"]
-        tokens = self._layer(f"spectral.{name}_layer", tokens)
+        tokens = _layer(self._w, f"spectral.{name}_layer", self._architecture, tokens)
         return (self._w.linear(f"spectral.{name}_out", tokens) if lifted else tokens)[..., 0]
 
-    def _layer(self, name: str, tokens: NDArray[Any], last_only: bool = False) -> NDArray[Any]:
-        pre_norm = self._architecture.pre_norm
-        normed = self._w.norm(f"{name}.norm_1", tokens) if pre_norm else tokens
-        asked = slice(-1, None) if last_only else slice(None)
-        hidden = tokens[:, asked] + self._attend(name, normed, asked)
-        if not pre_norm:
-            hidden = self._w.norm(f"{name}.norm_1", hidden)
-        inner = self._w.norm(f"{name}.norm_2", hidden) if pre_norm else hidden
-        inner = np.maximum(self._w.linear(f"{name}.feedforward_in", inner), 0.0)
-        hidden = hidden + self._w.linear(f"{name}.feedforward_out", inner)
-        return hidden if pre_norm else self._w.norm(f"{name}.norm_2", hidden)
 
-    def _attend(self, name: str, normed: NDArray[Any], asked: slice) -> NDArray[Any]:
-        b, _, width = normed.shape
-        n_heads = self._architecture.n_heads if width % self._architecture.n_heads == 0 else 1
-        projected = self._w.linear(f"{name}.attention_in", normed)
-        query, key, value = (
-            part.reshape(b, -1, n_heads, width // n_heads).transpose(0, 2, 1, 3)
-            for part in (
-                projected[:, asked, :width],
-                projected[..., width : 2 * width],
-                projected[..., 2 * width :],
-            )
+def _layer(
+    w: _Weights, name: str, architecture: TenArchitecture, tokens: NDArray[Any], last_only: bool = False
+) -> NDArray[Any]:
+    """Return what an encoder layer makes of tokens (b, n, width), or of the last alone (Eq. 3–5)."""
+    pre_norm = architecture.pre_norm
+    normed = w.norm(f"{name}.norm_1", tokens) if pre_norm else tokens
+    asked = slice(-1, None) if last_only else slice(None)
+    hidden = tokens[:, asked] + _attended(w, name, architecture.n_heads, normed, asked)
+    if not pre_norm:
+        hidden = w.norm(f"{name}.norm_1", hidden)
+    inner = w.norm(f"{name}.norm_2", hidden) if pre_norm else hidden
+    inner = np.maximum(w.linear(f"{name}.feedforward_in", inner), 0.0)
+    hidden = hidden + w.linear(f"{name}.feedforward_out", inner)
+    return hidden if pre_norm else w.norm(f"{name}.norm_2", hidden)
+
+
+def _attended(w: _Weights, name: str, n_heads: int, normed: NDArray[Any], asked: slice) -> NDArray[Any]:
+    b, _, width = normed.shape
+    n_heads = n_heads if width % n_heads == 0 else 1
+    projected = w.linear(f"{name}.attention_in", normed)
+    query, key, value = (
+        part.reshape(b, -1, n_heads, width // n_heads).transpose(0, 2, 1, 3)
+        for part in (
+            projected[:, asked, :width],
+            projected[..., width : 2 * width],
+            projected[..., 2 * width :],
         )
-        scores = (query * (width // n_heads) ** -0.5) @ key.transpose(0, 1, 3, 2)
-        scores = np.exp(scores - scores.max(axis=-1, keepdims=True))
-        mixed = (scores @ value) / scores.sum(axis=-1, keepdims=True)
-        return self._w.linear(f"{name}.attention_out", mixed.transpose(0, 2, 1, 3).reshape(b, -1, width))
+    )
+    scores = (query * (width // n_heads) ** -0.5) @ key.transpose(0, 1, 3, 2)
+    scores = np.exp(scores - scores.max(axis=-1, keepdims=True))
+    mixed = (scores @ value) / scores.sum(axis=-1, keepdims=True)
+    return w.linear(f"{name}.attention_out", mixed.transpose(0, 2, 1, 3).reshape(b, -1, width))
 
 
 class Forecast(NamedTuple):
@@ -421,7 +437,7 @@ class NumpyFotenPlus:
         self.network_heard = architecture.network_heard and not architecture.n_tones
         self._m = architecture.window
         self._limit = architecture.correction_limit
-        self._network = NumpyFoten(architecture, tensors, "network.")
+        self._network = NumpyNetwork(architecture, tensors, "network.")
         self._w = _Weights(tensors, "")
         self._sigma = _Scale(tensors, "excitation.")
         in_sigma, in_acceleration = self._w["excitation.largest"]
@@ -669,8 +685,9 @@ class _Weights:
 
 
 ENGINES: dict[str, Callable[[Any, Mapping[str, NDArray[Any]]], Engine]] = {
-    "foten": NumpyFoten,
     "foten-plus": NumpyFotenPlus,
+    "foten": NumpyNetwork,
+    "ten": NumpyNetwork,
 }
 """What runs each model of a texture file."""
 

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from foten.architecture import FotenArchitecture, sizes
+from foten.architecture import TenArchitecture, sizes
 from foten.dsp.noise import Swell, gaussian
 from foten.models.foten_plus import FotenPlus
 from foten.recording.scaling import Scaling
@@ -82,7 +82,7 @@ class TorchPredictor:
 def export(
     network: nn.Module,
     key: str,
-    architecture: FotenArchitecture,
+    architecture: TenArchitecture,
     scaling: Scaling,
     windows: NDArray[np.float64],
     warm_start: NDArray[np.float64],

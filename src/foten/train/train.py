@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 import foten
-from foten.architecture import FotenArchitecture, FotenPlusArchitecture
+from foten.architecture import FotenPlusArchitecture, TenArchitecture
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
 from foten.models import build
 from foten.models.foten_plus import FotenPlus
@@ -57,7 +57,7 @@ class Trained:
 def train_texture(
     recording: Recording,
     key: str,
-    architecture: FotenArchitecture,
+    architecture: TenArchitecture,
     config: TrainConfig,
     preprocess_config: PreprocessConfig | None = None,
     split_method: str = "regrouped",
