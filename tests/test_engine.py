@@ -9,7 +9,8 @@ from conftest import SMALL, architecture_with, exported, untrained
 from foten.architecture import ARCHITECTURES, FotenArchitecture, FotenPlusArchitecture
 from foten.evaluate.one_step import excitation_scores
 from foten.models import MODELS
-from foten.render.engine import ENGINES, engine_for, excitation_fit
+from foten.render.engine import ENGINES, engine_for
+from foten.render.forecast import excitation_fit
 from foten.texture_file import ONE_STEP_TOLERANCE, Texture, texture_from_bytes
 
 VARIANTS: dict[str, dict[str, Any]] = {

@@ -28,8 +28,8 @@ from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.recording.windows import targets, windows
 from foten.render.closed_loop import ClosedLoop
-from foten.render.engine import Forecast
 from foten.render.engine import engine_for as engine_of_texture
+from foten.render.forecast import Forecast
 from foten.render.synthesizer import Synthesizer
 from foten.texture_file import texture_from_bytes
 from foten.train.config import RECIPES, TrainConfig

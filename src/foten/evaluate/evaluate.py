@@ -18,7 +18,8 @@ from foten.recording.scaling import Scaling
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.recording.windows import targets
-from foten.render.engine import Forecast, engine_for
+from foten.render.engine import engine_for
+from foten.render.forecast import Forecast
 from foten.render.synthesizer import FADE_FORCE, FADE_SPEED
 from foten.texture_file import Texture
 

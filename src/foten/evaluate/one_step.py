@@ -11,7 +11,8 @@ from foten.evaluate.bootstrap import intervals
 from foten.evaluate.metrics import goodness_of_fit
 from foten.recording.scaling import Scaling
 from foten.recording.windows import windows
-from foten.render.engine import NumpyFotenPlus, Predictor, excitation_fit
+from foten.render.engine import NumpyFotenPlus
+from foten.render.forecast import Predictor, excitation_fit
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.render.engine import State
+from foten.render.forecast import State
 
 Array = NDArray[np.float64]
 

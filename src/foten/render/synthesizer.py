@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from foten.dsp.noise import gaussian
 from foten.render.closed_loop import ClosedLoop
-from foten.render.engine import Engine, engine_for
+from foten.render.engine import engine_for
+from foten.render.forecast import Engine
 from foten.texture_file import CLOSED_LOOP_TOLERANCE, ONE_STEP_TOLERANCE, Texture
 
 Array = NDArray[np.float64]

@@ -23,7 +23,7 @@ from foten.recording.recording import Recording
 from foten.recording.split import Split, split_blocks
 from foten.recording.trace import Trace
 from foten.recording.windows import targets, windows
-from foten.render.engine import Forecast, excitation_fit
+from foten.render.forecast import Forecast, excitation_fit
 from foten.render.synthesizer import FADE_FORCE, FADE_SPEED
 from foten.texture_file import Texture
 from foten.train.config import TrainConfig
