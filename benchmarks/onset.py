@@ -26,10 +26,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from foten.render.synthesizer import FADE_FORCE, FADE_SPEED, Synthesizer
+from foten.render.synthesizer import FADE_FORCE, FADE_SPEED
 from foten.texture_file import Texture, read_texture
 from foten.whole_file import whole_file
 from main_table import SOURCES, between, made_earlier, name_of
+from streams import rendered
 
 WINDOW_MS = 40.0
 STARTS_MS = (0.0, 20.0, 60.0, 100.0)
@@ -61,17 +62,16 @@ def judge(texture: Texture, n_strokes: int, n_streams: int, seed: int = 0) -> di
     (slow, fast), (light, heavy) = (texture.trained_range(channel) for channel in ("speed", "force"))
     speeds = rng.uniform(max(slow, min(FADE_SPEED, fast)), fast, n_strokes)
     forces = rng.uniform(max(light, min(FADE_FORCE, heavy)), heavy, n_strokes)
-    synthesizer = Synthesizer(texture, seed, n_streams * n_strokes)
     hand = (np.repeat(values, n_streams)[:, None] + np.zeros(n) for values in (speeds, forces))
-    rendered = synthesizer.render(*hand).reshape(n_strokes, n_streams, n)
-    settled = rendered[:, :, round(SETTLED_S * rate) :]
+    played = rendered(texture, seed, *hand)[0].reshape(n_strokes, n_streams, n)
+    settled = played[:, :, round(SETTLED_S * rate) :]
     cut = settled[..., : settled.shape[2] // window * window].reshape(n_strokes, -1, window)
     loud = np.square(settled).mean(axis=(1, 2))
     colours = np.stack([band_powers(windows, rate) for windows in cut])
     heard = (colours > 0).all(axis=0)
 
     def away(first: int) -> tuple[float, float, float]:
-        part = rendered[:, :, first : first + window]
+        part = played[:, :, first : first + window]
         level = 10 * np.log10(np.square(part).mean(axis=(1, 2)) / loud)
         powers = np.stack([band_powers(windows, rate) for windows in part])
         ratio = 10 * np.log10(powers[:, heard] / colours[:, heard])
@@ -89,8 +89,8 @@ def judge(texture: Texture, n_strokes: int, n_streams: int, seed: int = 0) -> di
     )
     first = np.ones(round(CLICK_MS * rate / 1000))
     streams = MORE_STREAMS * n_streams
-    many = Synthesizer(texture, seed + 1, streams * n_strokes)
-    at_once = many.render(*(np.repeat(values, streams)[:, None] * first for values in (speeds, forces)))
+    hand = (np.repeat(values, streams)[:, None] * first for values in (speeds, forces))
+    at_once, _ = rendered(texture, seed + 1, *hand)
     begun = np.abs(at_once.reshape(n_strokes, streams, -1)) > limits[:, None, None]
     begin = [away(round(start * rate / 1000)) for start in STARTS_MS]
     strays = [away(round(SETTLED_S * rate) + k * window) for k in range(10)]

@@ -41,10 +41,10 @@ from foten.dsp.lattice import LEAK
 from foten.dsp.noise import LARGEST_SWELL
 from foten.render.closed_loop import ClosedLoop
 from foten.render.engine import ToneState, engine_for
-from foten.render.synthesizer import Synthesizer
 from foten.texture_file import Texture, read_texture
 from foten.whole_file import whole_file
 from main_table import SOURCES, between, made_earlier, name_of
+from streams import rendered
 
 LARGEST_NOISE = 5.68  # standard deviations, of the counter-based generator
 LISTENED_S, LISTENED = 12.0, 30_000  # to two streams that are to meet: seconds, and samples at most
@@ -218,23 +218,21 @@ def main() -> None:
         half = arguments.streams // 2
         speed[half:] = into(speed[half:], *texture.trained_range("speed"))
         force[half:] = into(force[half:], *texture.trained_range("force"))
-        synthesizer = Synthesizer(texture, 1, arguments.streams)
         started = time.perf_counter()
-        rendered = synthesizer.render(speed, force)
+        played, n_saturated = rendered(texture, 1, speed, force)
         elapsed = time.perf_counter() - started
-        statistics = synthesizer.statistics
-        still = Synthesizer(texture, 1).render(np.zeros(1000), np.ones(1000))
+        still, _ = rendered(texture, 1, np.zeros((1, 1000)), np.ones((1, 1000)))
         result = {
             "file": path.stem,
             "texture_sha256": texture.sha256(),
             "source_sha256": SOURCES,
             "rate_hz": texture.rate_hz,
             "network_heard": texture.architecture.network_heard and not texture.architecture.n_tones,
-            "samples": statistics.n,
-            "finite": bool(np.isfinite(rendered).all()),
-            "max_sd": float(np.abs(rendered).max() / texture.scaling.sd[0]),
-            "rms_sd": float(np.sqrt(np.square(rendered).mean()) / texture.scaling.sd[0]),
-            "n_saturated": statistics.n_saturated,
+            "samples": played.size,
+            "finite": bool(np.isfinite(played).all()),
+            "max_sd": float(np.abs(played).max() / texture.scaling.sd[0]),
+            "rms_sd": float(np.sqrt(np.square(played).mean()) / texture.scaling.sd[0]),
+            "n_saturated": n_saturated,
             "recorded_peak_sd": texture.card["metrics"]["recorded_peak_sd"],
             "rest_m_s2": float(np.abs(still).max()),
             "times_real_time": arguments.minutes * 60 / elapsed,

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import asdict, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 import torch
 
-from foten.architecture import ARCHITECTURES, TenArchitecture
+from foten.architecture import ARCHITECTURES, ArArchitecture, Architecture, TenArchitecture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
 from foten.texture_file import Texture
+
+if TYPE_CHECKING:
+    from foten.train.export_local import LocalModels
 
 torch.set_num_threads(1)  # small matrices only lose by more
 
@@ -28,7 +31,7 @@ SMALL: dict[str, Any] = {
 """Sizes of a network that is quick to run and has every part."""
 
 
-def architecture_with(key: str, wanted: dict[str, Any]) -> TenArchitecture:
+def architecture_with(key: str, wanted: dict[str, Any]) -> Architecture:
     """Return a model's architecture with those of the sizes that it has."""
     has = {field.name for field in fields(ARCHITECTURES[key])}
     return ARCHITECTURES[key](**{name: value for name, value in wanted.items() if name in has})
@@ -107,11 +110,40 @@ def untrained(key: str, architecture: TenArchitecture | None = None, seed: int =
     return network.eval()
 
 
-def exported(key: str, architecture: TenArchitecture | None = None, **card: Any) -> Texture:
-    """Return an untrained network as a proved texture."""
-    from foten.train.export import export
+def local_models(architecture: ArArchitecture) -> LocalModels:
+    """Return seeded local models, silent at rest, over a fan of triangles; the first stands in the middle."""
+    from foten.train.export_local import LocalModels
 
+    rng = np.random.default_rng(2)
+    n, p, q = architecture.n_models, architecture.order, architecture.ma
+    turn = 2 * np.pi * np.arange(n - 1) / (n - 1)
+    rim = np.stack([110 + 109 * np.cos(turn), 1.3 + 1.2 * np.sin(turn)], axis=1)
+    lsf, ma_lsf = (np.pi * (np.arange(1, k + 1) + rng.uniform(-0.4, 0.4, (n, k))) / (k + 1) for k in (p, q))
+    variance = rng.uniform(0.01, 0.2, n)
+    variance[-1] = 0.0
+    fan = np.array([[0, 1 + i, 1 + (i + 1) % (n - 1)] for i in range(n - 1)])
+    return LocalModels(
+        np.concatenate([[[110.0, 1.3]], rim]),
+        lsf,
+        variance,
+        fan[: architecture.n_triangles],
+        np.array([60.0, 0.5]),
+        ma_lsf,
+        rng.uniform(0.5, 1.5, n) if q else np.ones(n),
+    )
+
+
+def exported(key: str, architecture: Architecture | None = None, **card: Any) -> Texture:
+    """Return an untrained network, or local models that nobody fitted, as a proved texture."""
+    from foten.train.export import export
+    from foten.train.export_local import export_local
+
+    if key == "ar":
+        architecture = architecture or ARCHITECTURES[key](n_models=9, n_triangles=8)
+        assert isinstance(architecture, ArArchitecture)
+        return export_local(local_models(architecture), SCALING, {**CARD, **card})
     architecture = architecture or ARCHITECTURES[key]()
+    assert isinstance(architecture, TenArchitecture)
     rng = np.random.default_rng(1)
     windows = rng.standard_normal((64, architecture.history, 3))
     warm_start = 0.5 * rng.standard_normal((architecture.history, 3))

@@ -26,6 +26,7 @@ from foten.render.native import NativeState, NativeTexture, isa, noise
 from foten.render.renderer import Renderer
 from foten.render.synthesizer import Synthesizer
 from foten.texture_file import CLOSED_LOOP_TOLERANCE, Texture
+from test_ar_engine import LOCAL
 from test_engine import CASES, PLUS, VARIANTS
 from test_synthesizer import stroke
 
@@ -36,10 +37,10 @@ def native(texture: Texture) -> NativeTexture:
 
 
 def made(key: str, variant: str) -> Texture:
-    return exported(key, architecture_with(key, {**VARIANTS, **PLUS}[variant]))
+    return exported(key, architecture_with(key, {**VARIANTS, **PLUS, **LOCAL}[variant]))
 
 
-@pytest.mark.parametrize(("key", "variant"), CASES)
+@pytest.mark.parametrize(("key", "variant"), [*CASES, *(("ar", name) for name in LOCAL)])
 def test_it_renders_what_numpy_renders(key: str, variant: str) -> None:
     """Oracle: the loop in NumPy, float64; over rests, beyond the range and across 400 samples."""
     texture = made(key, variant)
@@ -49,7 +50,7 @@ def test_it_renders_what_numpy_renders(key: str, variant: str) -> None:
     error = np.abs(found - expected) / SCALING.sd[0] / np.maximum(1, np.abs(expected) / SCALING.sd[0])
     assert error[:64].max() < CLOSED_LOOP_TOLERANCE
     # What float32 rounds is fed back: for longer a loop of a network alone may part from itself.
-    assert error.max() < (10 if key == "foten-plus" else 100) * CLOSED_LOOP_TOLERANCE
+    assert error.max() < (10 if key in ("foten-plus", "ar") else 100) * CLOSED_LOOP_TOLERANCE
     assert np.abs(expected).max() > 0.01
 
 

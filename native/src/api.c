@@ -83,8 +83,8 @@ static foten_status prove(foten_model *m, texture_file *file) {
     const double *conditions = one_step ? file_take(file, "golden.condition", (size_t[]){GOLDEN_STEPS, 2, 0, 0}, &memory) : NULL;
     const double *closed = conditions ? file_take(file, "golden.closed_loop", (size_t[]){GOLDEN_STEPS, 0, 0, 0}, &memory) : NULL;
     const double *warm = closed ? file_take(file, "warm_start", (size_t[]){length, 3, 0, 0}, &memory) : NULL;
-    const double *sigma = warm && m->plus ? file_take(file, "golden.sigma", (size_t[]){n, 0, 0, 0}, &memory) : NULL;
-    if (!warm || (m->plus && !sigma) || !file_all_taken(file, m->name)) goto done;
+    const double *sigma = warm && m->excited ? file_take(file, "golden.sigma", (size_t[]){n, 0, 0, 0}, &memory) : NULL;
+    if (!warm || (m->excited && !sigma) || !file_all_taken(file, m->name)) goto done;
 
     block size = {0};
     loop_place(m, &size);
@@ -99,22 +99,22 @@ static foten_status prove(foten_model *m, texture_file *file) {
     double scale;
     for (size_t i = 0; i < n; i++) {
         loop_start(m, l, windows + i * length * 3, m->history, 1);
-        found[i] = loop_forecast(m, l, &scale, m->plus);
+        found[i] = loop_forecast(m, l, &scale, 1);
     }
     status = FOTEN_NO_PROOF;
     if (!proven(file, "one step", found, one_step, n, ONE_STEP_TOLERANCE)) goto done;
-    for (size_t i = 0; m->plus && i < n; i++) {
+    for (size_t i = 0; m->excited && i < n; i++) {
         loop_start(m, l, windows + i * length * 3, m->history, 0);
         loop_forecast(m, l, &found[i], 0);
     }
-    if (m->plus && !proven(file, "the excitation", found, sigma, n, ONE_STEP_TOLERANCE)) goto done;
+    if (m->excited && !proven(file, "the excitation", found, sigma, n, ONE_STEP_TOLERANCE)) goto done;
     loop_start(m, m->begin, warm, m->history, 0);
     loop_copy(m, l, m->begin);
     for (int i = 0; i < GOLDEN_STEPS; i++) {
         int cut;
         hand hand = hand_of(m, conditions + 2 * i);
         double noise = noise_at(0, 0, (uint64_t)i);
-        found[i] = loop_step(m, l, &hand, m->plus ? &noise : NULL, INFINITY, &cut);
+        found[i] = loop_step(m, l, &hand, m->excited ? &noise : NULL, INFINITY, &cut);
     }
     if (proven(file, "64 closed-loop steps", found, closed, GOLDEN_STEPS, CLOSED_LOOP_TOLERANCE)) status = FOTEN_OK;
 done:
@@ -146,7 +146,7 @@ void foten_model_free(foten_model *model) {
 foten_info foten_model_info(const foten_model *m) {
     block size = {0};
     loop_place(m, &size);
-    foten_info info = {m->name, m->texture, m->rate_hz, m->history, m->plus, {m->low[0], m->high[0]}, {m->low[1], m->high[1]}, m->sd[0],
+    foten_info info = {m->name, m->texture, m->rate_hz, m->history, m->excited, {m->low[0], m->high[0]}, {m->low[1], m->high[1]}, m->sd[0],
                        m->lowpass_hz, sizeof(foten_state) + size.used + (size_t)m->history * 3 * sizeof(double)};
     return info;
 }
@@ -302,8 +302,8 @@ static double sample_of(foten_state *s, const double condition[2]) {
         if (!s->deterministic) loop_begin(m, s->loop, &hand, s->seed, s->stream);
         s->fresh = 0;
     }
-    double noise = s->deterministic || !m->plus ? 0 : noise_at(s->seed, s->stream, n);
-    double vibration = loop_step(m, s->loop, &hand, s->deterministic || !m->plus ? NULL : &noise, m->saturation, &cut);
+    double noise = s->deterministic || !m->excited ? 0 : noise_at(s->seed, s->stream, n);
+    double vibration = loop_step(m, s->loop, &hand, s->deterministic || !m->excited ? NULL : &noise, m->saturation, &cut);
     s->last[0] = condition[0];
     s->last[1] = condition[1];
     count(s, N, 1);

@@ -9,28 +9,38 @@ static const double LEAK = 0.9997;          /* of a state in a sample; as foten.
 static const double HEAVIEST_TAIL = 0.25;
 static const double LARGEST_SHOCK = 4, LARGEST_SWELL = 3, LARGEST_STRAY = 3;
 static const double MEAN_SIZE = 0.79788456080286541, SIZE_SD = 0.60281027498907660; /* of |z| */
-enum { CANDIDATES = 32 };
+static const double LARGEST_INNOVATION = 100; /* standard deviations, of those found in a recorded window */
+enum { CANDIDATES = 32, SETTLED_AFTER = 256 };
 static const uint64_t TO_BEGIN = (uint64_t)1 << 63; /* the first of the noise numbers that streams begin with */
 
 static double within(double x, double limit) { return x > limit ? limit : x < -limit ? -limit : x; }
 static const lattice *heard(const foten_model *m) { return m->n_tones ? &m->rest : &m->whole; }
 
+/* States of what is heard; numbers that the network sees, speed and force of the last sample included. */
+static int order_of(const foten_model *m) { return m->local ? m->local->order : m->plus ? heard(m)->order : 0; }
+static size_t numbers_seen(const foten_model *m) { return m->network ? (size_t)m->network->window * (size_t)m->network->n_inputs + 2 : 0; }
+
 loop *loop_place(const foten_model *m, block *from) {
     loop *l = block_take(from, 1, sizeof *l);
     size_t order = 0;
     if (m->plus) order = (size_t)(m->whole.order > m->rest.order ? m->whole.order : m->rest.order);
+    if (m->local) order = (size_t)m->local->order;
+    size_t zeros = m->local ? (size_t)m->local->ma : 0, seen_numbers = numbers_seen(m);
     double *states = block_take(from, order, sizeof *states), *reflections = block_take(from, order, sizeof *reflections);
     double *cosines = block_take(from, order, sizeof *cosines), *coefficients = block_take(from, 2 * (size_t)m->n_tones, sizeof *coefficients);
-    float *seen = block_take(from, (size_t)m->network->window * (size_t)m->network->n_inputs + 2, sizeof *seen);
-    float *scratch = block_take(from, m->network->scratch, sizeof *scratch);
+    double *coming = block_take(from, zeros, sizeof *coming), *past = block_take(from, zeros, sizeof *past);
+    float *seen = block_take(from, seen_numbers, sizeof *seen);
+    float *scratch = block_take(from, m->network ? m->network->scratch : 0, sizeof *scratch);
     if (!from->base) return NULL;
-    *l = (loop){.states = states, .reflections = reflections, .cosines = cosines, .coefficients = coefficients, .seen = seen, .scratch = scratch};
+    *l = (loop){.states = states, .reflections = reflections, .cosines = cosines, .coefficients = coefficients, .seen = seen, .scratch = scratch,
+                .past = past};
+    l->local = (local_mixture){.reflections = reflections, .zeros = coming};
     return l;
 }
 
 void loop_copy(const foten_model *m, loop *to, const loop *from) {
     loop kept = *to;
-    size_t order = m->plus ? (size_t)heard(m)->order : 0;
+    size_t order = (size_t)order_of(m);
     *to = *from;
     to->states = kept.states;
     to->reflections = kept.reflections;
@@ -38,13 +48,20 @@ void loop_copy(const foten_model *m, loop *to, const loop *from) {
     to->coefficients = kept.coefficients;
     to->seen = kept.seen;
     to->scratch = kept.scratch;
+    to->past = kept.past;
+    to->local.reflections = kept.local.reflections;
+    to->local.zeros = kept.local.zeros;
     if (order) {
         memcpy(to->states, from->states, order * sizeof *to->states);
         memcpy(to->reflections, from->reflections, order * sizeof *to->states);
         memcpy(to->cosines, from->cosines, order * sizeof *to->states);
     }
     if (m->n_tones) memcpy(to->coefficients, from->coefficients, 2 * (size_t)m->n_tones * sizeof *to->coefficients);
-    memcpy(to->seen, from->seen, ((size_t)m->network->window * (size_t)m->network->n_inputs + 2) * sizeof *to->seen);
+    if (m->local && m->local->ma) {
+        memcpy(to->past, from->past, (size_t)m->local->ma * sizeof *to->past);
+        memcpy(to->local.zeros, from->local.zeros, (size_t)m->local->ma * sizeof *to->past);
+    }
+    if (m->network) memcpy(to->seen, from->seen, numbers_seen(m) * sizeof *to->seen);
 }
 
 hand hand_of(const foten_model *m, const double condition[2]) {
@@ -53,15 +70,20 @@ hand hand_of(const foten_model *m, const double condition[2]) {
     return (hand){{condition[0], condition[1]}, physical[0]};
 }
 
+/* What goes with reflections: their cosines, and the product of these. */
+static void reflect(loop *l, int order) {
+    for (int i = 0; i < order; i++) l->cosines[i] = sqrt(1 - l->reflections[i] * l->reflections[i]);
+    l->gain = 1;
+    for (int i = 0; i < order; i++) l->gain *= l->cosines[i];
+}
+
 /* The level and the reflections of a lattice for the sample after one under a hand. */
 static void follow(const lattice *from, const hand *hand, loop *l) {
     double logs[2], physical[2];
     l->level = scale_at(&from->level, hand->condition, logs);
     physical_of(&from->level, hand->condition, physical);
     plane_at(&from->reflections, physical[0], physical[1], l->reflections);
-    for (int i = 0; i < from->order; i++) l->cosines[i] = sqrt(1 - l->reflections[i] * l->reflections[i]);
-    l->gain = 1;
-    for (int i = 0; i < from->order; i++) l->gain *= l->cosines[i];
+    reflect(l, from->order);
 }
 
 /* Tones of coefficients c_1, s_1, c_2, ... at a phase. */
@@ -107,9 +129,9 @@ static void heed(const foten_model *m, loop *l, const hand *hand, int first) {
 }
 
 /* A recorded sample (over what its level scales) through the lattice from output to innovation, which is returned. */
-static double analyse(const lattice *from, loop *l, double x) {
+static double analyse(int order, loop *l, double x) {
     double f = x, before = x;
-    for (int i = 0; i < from->order; i++) {
+    for (int i = 0; i < order; i++) {
         double k = l->reflections[i], c = l->cosines[i], b = LEAK * l->states[i];
         double backward = (b + k * f) / c;
         f = (f + k * b) / c;
@@ -120,16 +142,15 @@ static double analyse(const lattice *from, loop *l, double x) {
 }
 
 /* What the lattice will give without innovation. */
-static double foreseen(const lattice *from, const loop *l) {
+static double foreseen(int order, const loop *l) {
     double f = 0;
-    for (int i = from->order - 1; i >= 0; i--) f = l->cosines[i] * f - l->reflections[i] * (LEAK * l->states[i]);
+    for (int i = order - 1; i >= 0; i--) f = l->cosines[i] * f - l->reflections[i] * (LEAK * l->states[i]);
     return f;
 }
 
 /* An innovation through the lattice, which moves on by a sample and gives it. */
-static double synthesise(const lattice *from, loop *l, double e) {
+static double synthesise(int p, loop *l, double e) {
     double f = e;
-    int p = from->order;
     for (int i = p - 1; i >= 0; i--) {
         double k = l->reflections[i], c = l->cosines[i], b = LEAK * l->states[i];
         if (i + 1 < p) l->states[i + 1] = k * f + c * b;
@@ -164,7 +185,7 @@ static void start_lattice(const foten_model *m, const lattice *of, loop *l, cons
         const double *sample = windows + 3 * t;
         hand before = hand_of(m, sample - 2);
         follow(of, &before, l);
-        double e = analyse(of, l, sample[0] / behind(of, l));
+        double e = analyse(of->order, l, sample[0] / behind(of, l));
         see(m, l, sample[0] / l->level, sample + 1, e / drive(of, l));
     }
 }
@@ -195,7 +216,7 @@ static void start_tones(const foten_model *m, loop *l, const double *windows, in
         travelled += turned;
         tones_at(m, &before, turned, l->coefficients);
         follow(&m->rest, &before, l);
-        analyse(&m->rest, l, (windows[3 * t] - tone_of(l->coefficients, m->n_tones, travelled + chosen)) / behind(&m->rest, l));
+        analyse(m->rest.order, l, (windows[3 * t] - tone_of(l->coefficients, m->n_tones, travelled + chosen)) / behind(&m->rest, l));
     }
     hand last = hand_of(m, windows + 3 * n - 2);
     /* The way to the first sample belongs to the recording, of which nothing is to be left: the path begins here, and the phase
@@ -205,9 +226,78 @@ static void start_tones(const foten_model *m, loop *l, const double *windows, in
     l->path = l->rate = 0;
 }
 
+/* Mix the local models for the sample after one under a hand. */
+static void heed_local(const foten_model *m, loop *l, const hand *hand, int first) {
+    int moved = first || hand->condition[0] != l->heeded.condition[0] || hand->condition[1] != l->heeded.condition[1];
+    l->heeded = *hand;
+    if (!moved) return;
+    local_at(m->local, hand->condition, &l->local);
+    reflect(l, m->local->order);
+}
+
+static void remember(const foten_model *m, loop *l, double innovation) {
+    int q = m->local->ma;
+    if (!q) return;
+    memmove(l->past + 1, l->past, (size_t)(q - 1) * sizeof *l->past);
+    l->past[0] = innovation;
+}
+
+/* What past innovations add to the next one, through the zeros. */
+static double coloured(const foten_model *m, const loop *l) {
+    double sum = 0;
+    for (int k = 0; k < m->local->ma; k++) sum += l->local.zeros[k] * l->past[k];
+    return sum;
+}
+
+static void start_local(const foten_model *m, loop *l, const double *windows, int n) {
+    int p = m->local->order;
+    memset(l->states, 0, (size_t)p * sizeof *l->states);
+    if (m->local->ma) memset(l->past, 0, (size_t)m->local->ma * sizeof *l->past);
+    l->local.triangle = 0;
+    for (int t = 0; t < n; t++) {
+        hand hand = hand_of(m, windows + 3 * t + 1);
+        if (t > 0) {
+            double most = LARGEST_INNOVATION * l->local.root, found = 0;
+            double missed = windows[3 * t] - foreseen(p, l) - l->local.gain * coloured(m, l);
+            if (t > p && l->local.gain > 0) found = within(missed / l->local.gain, most);
+            analyse(p, l, windows[3 * t]);
+            remember(m, l, found);
+        }
+        heed_local(m, l, &hand, t == 0);
+    }
+}
+
+static double step_local(const foten_model *m, loop *l, const hand *hand, const double *noise) {
+    double e = noise ? l->local.root * *noise : 0;
+    double sample = synthesise(m->local->order, l, l->local.gain * (e + coloured(m, l)) / l->gain);
+    remember(m, l, e);
+    heed_local(m, l, hand, 0);
+    return sample;
+}
+
+/* Draw states and innovations; with zeros, which colour what drives the lattice, play until it has settled. */
+static void begin_local(const foten_model *m, loop *l, const hand *hand, uint64_t seed, uint64_t stream) {
+    uint64_t n = TO_BEGIN;
+    int p = m->local->order, q = m->local->ma;
+    double power = 1;
+    heed_local(m, l, hand, 1);
+    for (int k = 0; k < q; k++) power += l->local.zeros[k] * l->local.zeros[k];
+    double size = l->local.root * (l->local.gain * sqrt(power) / l->gain);
+    for (int i = 0; i < p; i++) l->states[i] = size * noise_at(seed, stream, n++);
+    for (int k = 0; k < q; k++) l->past[k] = l->local.root * noise_at(seed, stream, n++);
+    for (int i = 0; q && i < SETTLED_AFTER; i++) {
+        double noise = noise_at(seed, stream, n++);
+        step_local(m, l, hand, &noise);
+    }
+}
+
 void loop_start(const foten_model *m, loop *l, const double *windows, int n, int as_prediction) {
+    if (m->local) {
+        start_local(m, l, windows, n);
+        return;
+    }
     hand last = hand_of(m, windows + 3 * n - 2);
-    memset(l->seen, 0, ((size_t)m->network->window * (size_t)m->network->n_inputs + 2) * sizeof *l->seen);
+    memset(l->seen, 0, numbers_seen(m) * sizeof *l->seen);
     l->swell = 0;
     if (!m->plus) {
         for (int t = 0; t < n; t++) see(m, l, windows[3 * t], windows + 3 * t + 1, 0);
@@ -234,9 +324,13 @@ static double swelling(const foten_model *m, const loop *l) { return exp(l->swel
 
 double loop_forecast(const foten_model *m, loop *l, double *scale, int with_network) {
     *scale = 0;
+    if (m->local) {
+        *scale = l->local.gain * l->local.root;
+        return foreseen(m->local->order, l) + l->local.gain * coloured(m, l);
+    }
     if (!m->plus) return m->isa->predict(m->network, l->seen, l->scratch);
     const lattice *of = with_network ? &m->whole : heard(m);
-    double sample = foreseen(of, l) * behind(of, l), unit = l->gain * l->level;
+    double sample = foreseen(of->order, l) * behind(of, l), unit = l->gain * l->level;
     if (with_network || m->network_heard) sample += unit * correction(m, l);
     if (m->n_tones && !with_network) sample += l->tone;
     *scale = unit * swelling(m, l) * l->sigma;
@@ -245,6 +339,12 @@ double loop_forecast(const foten_model *m, loop *l, double *scale, int with_netw
 
 double loop_step(const foten_model *m, loop *l, const hand *hand, const double *noise, double limit, int *cut) {
     double sample;
+    if (m->local) {
+        sample = step_local(m, l, hand, noise);
+        double played = within(sample, limit);
+        *cut = played != sample;
+        return played;
+    }
     if (!m->plus) {
         sample = m->isa->predict(m->network, l->seen, l->scratch);
         double played = within(sample, limit);
@@ -264,7 +364,7 @@ double loop_step(const foten_model *m, loop *l, const hand *hand, const double *
             l->swell = within(kept * l->swell + sqrt(1 - kept * kept) * m->swell_sd * ((shock - MEAN_SIZE) / SIZE_SD), LARGEST_SWELL * m->swell_sd);
         }
     }
-    sample = behind(of, l) * synthesise(of, l, drive(of, l) * e);
+    sample = behind(of, l) * synthesise(of->order, l, drive(of, l) * e);
     if (m->n_tones) {
         sample += l->tone;
         double alike = exp(-l->turned / PI);
@@ -283,6 +383,7 @@ double loop_step(const foten_model *m, loop *l, const hand *hand, const double *
 }
 
 void loop_begin(const foten_model *m, loop *l, const hand *hand, uint64_t seed, uint64_t stream) {
+    if (m->local) begin_local(m, l, hand, seed, stream);
     if (!m->plus) return;
     const lattice *of = heard(m);
     uint64_t n = TO_BEGIN;
@@ -309,12 +410,10 @@ void loop_begin(const foten_model *m, loop *l, const hand *hand, uint64_t seed, 
 }
 
 void loop_quiet(const foten_model *m, loop *l) {
-    if (m->plus) {
-        double most = 0;
-        for (int i = 0; i < heard(m)->order; i++) most = fabs(l->states[i]) > most ? fabs(l->states[i]) : most;
-        if (most < 1e-100) memset(l->states, 0, (size_t)heard(m)->order * sizeof *l->states);
-    }
-    int n = m->network->n_inputs * m->network->window;
-    for (int i = 0; i < n; i++)
+    double most = 0;
+    for (int i = 0; i < order_of(m); i++) most = fabs(l->states[i]) > most ? fabs(l->states[i]) : most;
+    if (most < 1e-100 && order_of(m)) memset(l->states, 0, (size_t)order_of(m) * sizeof *l->states);
+    size_t n = numbers_seen(m);
+    for (size_t i = 0; i < n; i++)
         if (fabsf(l->seen[i]) < 1e-30f) l->seen[i] = 0;
 }

@@ -19,6 +19,8 @@ struct loop {
     hand heeded;          /* what the next sample goes by, the hand of the one before */
     double level, sigma, tail, gain;
     double swell;
+    local_mixture local;  /* of ar, for the next sample, and its innovations so far */
+    double *past;
     double phase, path, rate, turned, tone;
 };
 

@@ -9,67 +9,73 @@ enum { LARGEST_SIZE = 65536, LONGEST_WINDOW = 512, MOST_LAYERS = 64 };
 static const double LARGEST[3] = {1e5, 1e5, 1e4}; /* m/s2, mm/s and N that a card may speak of */
 static const double LARGEST_SATURATION = 1e4;     /* standard deviations */
 
-/* All that a card may say of a network's sizes, with what holds where it does not. */
+/* All that a card may say of a model's sizes, with what holds where it does not. */
 typedef struct {
     net_sizes net;
     int model, excitation_width, order, n_speed, n_force, n_tones, n_tone_speed, n_tone_force, rest_order, n_rest_speed, n_rest_force;
     int level_drives, rest_level_drives, network_heard, hand; /* hand: 0 head, 1 tokens, 2 modulation */
+    int ma, n_models, n_triangles;
     double correction_limit;
 } sizes;
 
-/* Each model has the sizes of those before it. */
-enum { TEN, FOTEN, FOTEN_PLUS, MODELS };
+enum { TEN = 1, FOTEN = 2, PLUS = 4, AR = 8, NETWORKS = TEN | FOTEN | PLUS };
 
 static const struct {
     const char *name;
-    int counts, switches, choices, window; /* how many of each table below are its own; its usual window */
-} KNOWN[MODELS] = {{"ten", 5, 1, 0, 25}, {"foten", 6, 2, 3, 20}, {"foten-plus", 16, 5, 4, 20}};
+    int bit, window; /* its usual one */
+} MODELS[] = {{"foten-plus", PLUS, 20}, {"foten", FOTEN, 20}, {"ten", TEN, 25}, {"ar", AR, 21}};
 
 static const struct {
     const char *name;
+    int of; /* which models have it */
     size_t at;
     int usual, least;
 } COUNTS[] = {
-    {"window", offsetof(sizes, net.window), 0, 2},
-    {"d_model", offsetof(sizes, net.d_model), 32, 1},
-    {"n_heads", offsetof(sizes, net.n_heads), 4, 1},
-    {"n_layers", offsetof(sizes, net.n_layers), 3, 1},
-    {"d_feedforward", offsetof(sizes, net.d_feedforward), 128, 1},
-    {"spectral_width", offsetof(sizes, net.spectral_width), 32, 1},
-    {"excitation_width", offsetof(sizes, excitation_width), 16, 1},
-    {"order", offsetof(sizes, order), 20, 1},
-    {"n_speed", offsetof(sizes, n_speed), 1, 1},
-    {"n_force", offsetof(sizes, n_force), 1, 1},
-    {"n_tones", offsetof(sizes, n_tones), 0, 0},
-    {"n_tone_speed", offsetof(sizes, n_tone_speed), 1, 1},
-    {"n_tone_force", offsetof(sizes, n_tone_force), 1, 1},
-    {"rest_order", offsetof(sizes, rest_order), 1, 1},
-    {"n_rest_speed", offsetof(sizes, n_rest_speed), 1, 1},
-    {"n_rest_force", offsetof(sizes, n_rest_force), 1, 1},
+    {"window", NETWORKS | AR, offsetof(sizes, net.window), 0, 2},
+    {"d_model", NETWORKS, offsetof(sizes, net.d_model), 32, 1},
+    {"n_heads", NETWORKS, offsetof(sizes, net.n_heads), 4, 1},
+    {"n_layers", NETWORKS, offsetof(sizes, net.n_layers), 3, 1},
+    {"d_feedforward", NETWORKS, offsetof(sizes, net.d_feedforward), 128, 1},
+    {"spectral_width", FOTEN | PLUS, offsetof(sizes, net.spectral_width), 32, 1},
+    {"excitation_width", PLUS, offsetof(sizes, excitation_width), 16, 1},
+    {"order", PLUS | AR, offsetof(sizes, order), 20, 1},
+    {"n_speed", PLUS, offsetof(sizes, n_speed), 1, 1},
+    {"n_force", PLUS, offsetof(sizes, n_force), 1, 1},
+    {"n_tones", PLUS, offsetof(sizes, n_tones), 0, 0},
+    {"n_tone_speed", PLUS, offsetof(sizes, n_tone_speed), 1, 1},
+    {"n_tone_force", PLUS, offsetof(sizes, n_tone_force), 1, 1},
+    {"rest_order", PLUS, offsetof(sizes, rest_order), 1, 1},
+    {"n_rest_speed", PLUS, offsetof(sizes, n_rest_speed), 1, 1},
+    {"n_rest_force", PLUS, offsetof(sizes, n_rest_force), 1, 1},
+    {"ma", AR, offsetof(sizes, ma), 0, 0},
+    {"n_models", AR, offsetof(sizes, n_models), 3, 3},
+    {"n_triangles", AR, offsetof(sizes, n_triangles), 1, 1},
 };
 
 static const struct {
     const char *name;
+    int of;
     size_t at;
     int usual;
 } SWITCHES[] = {
-    {"pre_norm", offsetof(sizes, net.pre_norm), 1},
-    {"bin_embedding", offsetof(sizes, net.bin_embedding), 0},
-    {"network_heard", offsetof(sizes, network_heard), 1},
-    {"level_drives", offsetof(sizes, level_drives), 0},
-    {"rest_level_drives", offsetof(sizes, rest_level_drives), 0},
+    {"pre_norm", NETWORKS, offsetof(sizes, net.pre_norm), 1},
+    {"bin_embedding", FOTEN | PLUS, offsetof(sizes, net.bin_embedding), 0},
+    {"network_heard", PLUS, offsetof(sizes, network_heard), 1},
+    {"level_drives", PLUS, offsetof(sizes, level_drives), 0},
+    {"rest_level_drives", PLUS, offsetof(sizes, rest_level_drives), 0},
 };
 
 static const struct {
     const char *name;
+    int of;
     size_t at;
     const char *values[3];
     int usual;
 } CHOICES[] = {
-    {"phase_input", offsetof(sizes, net.cos_sin), {"angle", "cos_sin", NULL}, 0},
-    {"magnitude_input", offsetof(sizes, net.log_magnitude), {"linear", "log", NULL}, 0},
-    {"bins", offsetof(sizes, net.half_bins), {"all", "half", NULL}, 0},
-    {"hand", offsetof(sizes, hand), {"head", "tokens", "modulation"}, 1},
+    {"phase_input", FOTEN | PLUS, offsetof(sizes, net.cos_sin), {"angle", "cos_sin", NULL}, 0},
+    {"magnitude_input", FOTEN | PLUS, offsetof(sizes, net.log_magnitude), {"linear", "log", NULL}, 0},
+    {"bins", FOTEN | PLUS, offsetof(sizes, net.half_bins), {"all", "half", NULL}, 0},
+    {"hand", PLUS, offsetof(sizes, hand), {"head", "tokens", "modulation"}, 1},
 };
 
 #define N(table) (int)(sizeof(table) / sizeof *(table))
@@ -84,26 +90,34 @@ static foten_status read_sizes(texture_file *file, json from, sizes *s) {
     size_t n_known = 0;
     memset(s, 0, sizeof *s);
     json model = json_member(file->card, "model");
-    while (s->model < MODELS && !json_is_string(model, KNOWN[s->model].name)) s->model++;
-    if (s->model == MODELS)
-        return file_refuse(file, FOTEN_BAD_FILE, "this library does not run the file's model, expected foten-plus, foten or ten");
-    int plus = s->model == FOTEN_PLUS;
-    for (int i = 0; i < KNOWN[s->model].counts; i++) {
-        long long count = i ? COUNTS[i].usual : KNOWN[s->model].window;
+    long long usual_window = 0;
+    for (int i = 0; i < N(MODELS); i++)
+        if (json_is_string(model, MODELS[i].name)) {
+            s->model = MODELS[i].bit;
+            usual_window = MODELS[i].window;
+        }
+    if (!s->model)
+        return file_refuse(file, FOTEN_BAD_FILE, "this library does not run the file's model, expected foten-plus, foten, ten or ar");
+    int plus = s->model == PLUS;
+    for (int i = 0; i < N(COUNTS); i++) {
+        if (!(COUNTS[i].of & s->model)) continue;
+        long long count = i ? COUNTS[i].usual : usual_window;
         value = json_member(from, COUNTS[i].name);
         n_known += value.begin != NULL;
         if (value.begin && !json_integer(value, &count)) return wrong_size(file, COUNTS[i].name);
         if (count < COUNTS[i].least || count > LARGEST_SIZE) return wrong_size(file, COUNTS[i].name);
         FIELD(s, COUNTS[i].at) = (int)count;
     }
-    for (int i = 0; i < KNOWN[s->model].switches; i++) {
+    for (int i = 0; i < N(SWITCHES); i++) {
+        if (!(SWITCHES[i].of & s->model)) continue;
         int on = SWITCHES[i].usual;
         value = json_member(from, SWITCHES[i].name);
         n_known += value.begin != NULL;
         if (value.begin && !json_boolean(value, &on)) return wrong_size(file, SWITCHES[i].name);
         FIELD(s, SWITCHES[i].at) = on;
     }
-    for (int i = 0; i < KNOWN[s->model].choices; i++) {
+    for (int i = 0; i < N(CHOICES); i++) {
+        if (!(CHOICES[i].of & s->model)) continue;
         int chosen = CHOICES[i].usual;
         value = json_member(from, CHOICES[i].name);
         n_known += value.begin != NULL;
@@ -115,7 +129,7 @@ static foten_status read_sizes(texture_file *file, json from, sizes *s) {
         }
         FIELD(s, CHOICES[i].at) = chosen;
     }
-    value = json_member(from, "head");
+    value = s->model & NETWORKS ? json_member(from, "head") : (json){NULL, NULL};
     n_known += value.begin != NULL;
     s->net.first = 256;
     s->net.second = 64;
@@ -139,6 +153,11 @@ static foten_status read_sizes(texture_file *file, json from, sizes *s) {
         return file_refuse(file, FOTEN_BAD_FILE, "the card has a size that this library does not know; is the library older than the file?");
     net_sizes *n = &s->net;
     if (n->window > LONGEST_WINDOW) return wrong_size(file, "window");
+    if (s->model == AR) {
+        if (s->order > HIGHEST_LOCAL_ORDER) return wrong_size(file, "order");
+        if (s->ma > HIGHEST_LOCAL_ORDER) return wrong_size(file, "ma");
+        return n->window > s->order ? FOTEN_OK : wrong_size(file, "window");
+    }
     if (n->n_layers > MOST_LAYERS) return wrong_size(file, "n_layers");
     if (n->d_model % n->n_heads || (n->spectral_width > 1 && n->spectral_width % n->n_heads)) return wrong_size(file, "n_heads");
     if (n->spectral_width == 1 && n->cos_sin) return wrong_size(file, "phase_input");
@@ -171,7 +190,7 @@ static foten_status read_card(foten_model *m, texture_file *file, const sizes *s
     if (!text_of(json_member(card, "model"), &m->memory, &m->name) || !text_of(json_member(card, "texture"), &m->memory, &m->texture))
         return file_refuse(file, FOTEN_BAD_FILE, "the card does not name a model and a texture");
     int most = s->order > s->rest_order ? s->order : s->rest_order;
-    m->history = s->model == FOTEN_PLUS ? s->net.window + most + 1 : s->net.window;
+    m->history = s->model == PLUS ? s->net.window + most + 1 : s->net.window;
     if (!json_integer(json_member(card, "window"), &window) || window != m->history)
         return file_refuse(file, FOTEN_BAD_FILE, "the card's window is not the network's %d", m->history);
     if (!json_number(json_member(card, "rate_hz"), &m->rate_hz) || !(m->rate_hz > 0 && m->rate_hz < 1e9))
@@ -326,7 +345,12 @@ foten_status model_read(foten_model *m, texture_file *file, const isa *isa) {
     if (status == FOTEN_OK) status = read_card(m, file, &s);
     if (status != FOTEN_OK) return status;
     m->isa = isa;
-    int plus = s.model == FOTEN_PLUS;
+    int plus = s.model == PLUS;
+    m->excited = plus || s.model == AR;
+    if (s.model == AR) {
+        m->local = local_make(file, s.order, s.ma, s.n_models, s.n_triangles, &m->memory);
+        return m->local ? FOTEN_OK : file_refuse(file, m->memory.failed ? FOTEN_NO_MEMORY : FOTEN_BAD_FILE, "no memory");
+    }
     if (plus && !read_plus(m, file, &s)) return FOTEN_BAD_FILE;
     m->network = net_make(file, plus ? "network." : "", &s.net, isa, &m->memory);
     if (!m->network) return file_refuse(file, m->memory.failed ? FOTEN_NO_MEMORY : FOTEN_BAD_FILE, "no memory");

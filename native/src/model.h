@@ -7,6 +7,7 @@
 #include "arena.h"
 #include "file.h"
 #include "foten.h"
+#include "local.h"
 #include "net.h"
 
 /* Values at the vertices of a grid, bilinear in speed and log force between them, constant outside. */
@@ -33,14 +34,16 @@ typedef struct loop loop;
 struct foten_model {
     arena memory;
     char *name, *texture;
-    int plus, history; /* history: samples in the windows of the file */
+    int excited, history; /* whether there is a random part; samples in the windows of the file */
     double rate_hz, lowpass_hz, saturation, mean[3], sd[3], low[2], high[2], exponents[2];
 
     const isa *isa;
-    net *network;
+    net *network;              /* of foten, foten-plus and ten */
+    const local_models *local; /* of ar */
     double correction_limit;
     int network_heard;
 
+    int plus;
     /* foten-plus: `whole` is the lattice of the vibration, `rest` that of what the tones leave, or the same. */
     lattice whole, rest;
     int n_tones;

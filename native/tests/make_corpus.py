@@ -28,6 +28,8 @@ KINDS = {
     ),
     "foten-post": ("foten", {**TINY, "pre_norm": False, "n_layers": 2, "magnitude_input": "log"}),
     "ten": ("ten", {name: size for name, size in TINY.items() if name != "spectral_width"}),
+    "ar": ("ar", {"order": 3, "n_models": 4, "n_triangles": 3, "window": 4}),
+    "ar-zeros": ("ar", {"order": 2, "ma": 3, "n_models": 5, "n_triangles": 4, "window": 9}),
     "plus": ("foten-plus", PLUS),
     "plus-table": (
         "foten-plus",

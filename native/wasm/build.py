@@ -23,6 +23,7 @@ NAMES = (
     "file",
     "isa",
     "json",
+    "local",
     "loop",
     "model",
     "net",

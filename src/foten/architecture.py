@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
+HIGHEST_LOCAL_ORDER = 40  # beyond it line spectral frequencies no longer give the filter in float64
 HEAVIEST_TAIL = 0.25  # of h in z·exp(h z²/2), the excitation's tails; beyond it there is no fourth moment
 
 
@@ -51,6 +52,11 @@ class TenArchitecture:
     @property
     def modulated(self) -> bool:
         """Return whether speed and force scale and shift what the branches find."""
+        return False
+
+    @property
+    def excited(self) -> bool:
+        """Return whether there is a random part."""
         return False
 
     @property
@@ -158,6 +164,11 @@ class FotenPlusArchitecture(FotenArchitecture):
         return self.window + max(self.order, self.rest_order) + 1
 
     @property
+    def excited(self) -> bool:
+        """Return whether there is a random part."""
+        return True
+
+    @property
     def n_inputs(self) -> int:
         """Return how many numbers of each sample the temporal branch sees: acceleration and innovation, speed and force."""
         return 4 if self.hand == "tokens" else 2
@@ -168,20 +179,61 @@ class FotenPlusArchitecture(FotenArchitecture):
         return self.hand == "modulation"
 
 
+@dataclass(frozen=True)
+class ArArchitecture:
+    """Piecewise AR [12]: local linear models scattered over speed and force, mixed between the three around a hand.
+
+    Where `ma` is 0 each is an autoregression; Penn's texture toolkit has zeros as well.
+    """
+
+    order: int = 20  # p, of all models alike
+    ma: int = 0  # q, of what the innovations go through before
+    n_models: int = 3
+    n_triangles: int = 1
+    window: int = 21  # samples that a prediction is given; at least p + 1, and more to find the innovations before zeros
+
+    def __post_init__(self) -> None:
+        for name, least in {
+            "order": 1,
+            "ma": 0,
+            "n_models": 3,
+            "n_triangles": 1,
+            "window": self.order + 1,
+        }.items():
+            _check_count(name, getattr(self, name), least)
+        for name in ("order", "ma"):
+            if getattr(self, name) > HIGHEST_LOCAL_ORDER:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected {HIGHEST_LOCAL_ORDER} at most")
+
+    @property
+    def history(self) -> int:
+        """Return how many samples a prediction is given."""
+        return self.window
+
+    @property
+    def excited(self) -> bool:
+        """Return whether there is a random part."""
+        return True
+
+
+Architecture = TenArchitecture | ArArchitecture
+
+
 def _check_count(name: str, value: object, minimum: int) -> None:
     # 65536 bounds what a damaged file can make a program allocate.
     if type(value) is not int or not minimum <= value <= 65536:
         raise ValueError(f"{name} is {value!r}, expected a whole number, {minimum} or more")
 
 
-ARCHITECTURES: dict[str, type[TenArchitecture]] = {
+NETWORKS: dict[str, type[TenArchitecture]] = {
     "foten-plus": FotenPlusArchitecture,
     "foten": FotenArchitecture,
     "ten": TenArchitecture,
 }
+ARCHITECTURES: dict[str, type[Architecture]] = {**NETWORKS, "ar": ArArchitecture}
 
 
-def architecture_from(key: str, sizes: Mapping[str, Any]) -> TenArchitecture:
+def architecture_from(key: str, sizes: Mapping[str, Any]) -> Architecture:
     """Return the architecture that a card describes.
 
     Raises:
@@ -196,17 +248,23 @@ def architecture_from(key: str, sizes: Mapping[str, Any]) -> TenArchitecture:
     return ARCHITECTURES[key](**sizes)
 
 
-def sizes(architecture: TenArchitecture) -> dict[str, Any]:
+def sizes(architecture: Architecture) -> dict[str, Any]:
     """Return the sizes as plain JSON values."""
-    return {**asdict(architecture), "head": list(architecture.head)}
+    return {
+        name: list(size) if isinstance(size, tuple) else size for name, size in asdict(architecture).items()
+    }
 
 
-def multiply_adds(architecture: TenArchitecture) -> int:
+def multiply_adds(architecture: Architecture) -> int:
     """Return the multiplications and additions in pairs that a rendered sample costs, without those that change nothing.
 
     Left out: all but one query of the last temporal layer, all but one sample of Eq. 9, and the magnitudes above half of the
     rate, which are those below it; and the network, where a rendering does not hear it.
     """
+    if isinstance(architecture, ArArchitecture):
+        p, q = architecture.order, architecture.ma
+        # Mixed, multiplied out, stepped down to reflections, and run; a hand that keeps still costs the last alone.
+        return 3 * (p + q + 2) + 2 * p * p + q * q + 10 * p + q
     linear = 0
     if isinstance(architecture, FotenPlusArchitecture):
         order = architecture.rest_order if architecture.n_tones else architecture.order
@@ -237,11 +295,18 @@ def multiply_adds(architecture: TenArchitecture) -> int:
     return linear + temporal + spectral + head
 
 
-def tensor_shapes(architecture: TenArchitecture) -> dict[str, tuple[int, ...]]:
+def tensor_shapes(architecture: Architecture) -> dict[str, tuple[int, ...]]:
     """Return the name and shape of every tensor of a network, as a texture file holds them.
 
     Linear maps are (outputs, inputs), as in PyTorch.
     """
+    if isinstance(architecture, ArArchitecture):
+        n = architecture.n_models
+        shapes = {"local.points": (n, 2), "local.lsf": (n, architecture.order), "local.variance": (n,)}
+        if architecture.ma:
+            shapes |= {"local.ma_lsf": (n, architecture.ma), "local.gain": (n,)}
+        shapes |= {"local.triangles": (architecture.n_triangles, 3)}
+        return shapes | {f"local.{part}": (2,) for part in ("scale", "mean", "sd")}
     if isinstance(architecture, FotenPlusArchitecture):
         shapes = {f"network.{name}": shape for name, shape in _network_shapes(architecture).items()}
         width = architecture.excitation_width

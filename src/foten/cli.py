@@ -355,7 +355,7 @@ def train(
     """Learn a texture file from a recording. Ctrl-C keeps the best so far."""
     import dataclasses
 
-    from foten.architecture import ARCHITECTURES, architecture_from
+    from foten.architecture import NETWORKS, TenArchitecture, architecture_from
     from foten.datasets.hdf5 import load_recording
     from foten.recording import felt
     from foten.recording.inspect import inspect_recording
@@ -365,8 +365,8 @@ def train(
     from foten.train.run import RunFolder, TrainingDisplay
     from foten.train.train import train_texture
 
-    if model not in ARCHITECTURES:
-        raise ValueError(f"unknown model {model!r}, expected one of {', '.join(ARCHITECTURES)}")
+    if model not in NETWORKS:
+        raise ValueError(f"unknown model {model!r}, expected one of {', '.join(NETWORKS)}")
     if recipe not in RECIPES:
         raise ValueError(f"unknown recipe {recipe!r}, expected one of {', '.join(RECIPES)}")
     if output.suffix != ".foten":
@@ -396,6 +396,7 @@ def train(
     )
     own = _settings(settings or [])
     architecture = architecture_from(model, own if window is None else {"window": window, **own})
+    assert isinstance(architecture, TenArchitecture)
     recording = load_recording(recording_file)
     folder = RunFolder(run_folder or output.with_suffix(".run"))
     folder.open(

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.architecture import FotenPlusArchitecture, TenArchitecture, architecture_from, tensor_shapes
+from foten.architecture import Architecture, architecture_from, tensor_shapes
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
@@ -91,8 +91,8 @@ class Texture:
         return int(self.card["window"])
 
     @property
-    def architecture(self) -> TenArchitecture:
-        """Return the network's sizes."""
+    def architecture(self) -> Architecture:
+        """Return the model's sizes."""
         return architecture_from(self.card["model"], self.card["sizes"])
 
     @property
@@ -104,7 +104,7 @@ class Texture:
     @property
     def has_excitation(self) -> bool:
         """Return whether the file carries σ(speed, force)."""
-        return isinstance(self.architecture, FotenPlusArchitecture)
+        return self.architecture.excited
 
     def trained_range(self, channel: str) -> tuple[float, float]:
         """Return the lowest and highest trained `speed` [mm/s] or `force` [N]."""

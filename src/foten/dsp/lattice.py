@@ -137,3 +137,18 @@ def polynomial(reflections: Array) -> Array:
     for k in reflections:
         a = np.append(a, 0.0) + k * np.append(a, 0.0)[::-1]
     return a * LEAK ** np.arange(a.size)
+
+
+def reflections_of(polynomials: Array) -> Array:
+    """Return the reflections with which a lattice, its leak included, is 1/A, stable or made so: (b, p + 1), 1 first → (b, p).
+
+    The inverse of `polynomial`. Zeros of A nearer to the unit circle than the leak allows come out a little further inside.
+    """
+    b, p = polynomials.shape[0], polynomials.shape[1] - 1
+    a = polynomials / LEAK ** np.arange(p + 1)
+    reflections = np.empty((b, p))
+    for i in range(p, 0, -1):
+        k = np.clip(a[:, i], -MAX_REFLECTION, MAX_REFLECTION)
+        reflections[:, i - 1] = k
+        a = (a[:, :i] - k[:, None] * a[:, i:0:-1]) / (1 - k * k)[:, None]
+    return reflections

@@ -15,6 +15,7 @@ from foten.dsp.noise import Swell
 from foten.dsp.plane import Plane
 from foten.dsp.spectrum import WEAKEST_BIN, dft_matrices, last_sample_row, position_encoding
 from foten.dsp.tones import LARGEST_STRAY, fitted_phase, heard_of, tone
+from foten.render.ar import NumpyAr
 from foten.render.forecast import Engine, Forecast, Predictor, State
 from foten.texture_file import Texture
 
@@ -599,6 +600,7 @@ ENGINES: dict[str, Callable[[Any, Mapping[str, NDArray[Any]]], Engine]] = {
     "foten-plus": NumpyFotenPlus,
     "foten": NumpyNetwork,
     "ten": NumpyNetwork,
+    "ar": NumpyAr,
 }
 """What runs each model of a texture file."""
 

@@ -26,7 +26,7 @@ from foten.recording.windows import targets, windows
 from foten.render.forecast import Forecast, excitation_fit
 from foten.render.synthesizer import FADE_FORCE, FADE_SPEED
 from foten.texture_file import Texture
-from foten.train.config import TrainConfig
+from foten.train.config import WARM_START, TrainConfig
 from foten.train.excitation import engine_of, fit_excitation, free_run_distance
 from foten.train.export import export
 from foten.train.fit import Data, Epoch, Progress, fit, pick_device, predict, reproducible
@@ -37,7 +37,6 @@ Array = NDArray[np.float64]
 
 NETWORK_IS_NEARER = 0.98  # times the free run's distance without it
 TONES_MAY_PAINT = 1.05  # times the log-spectral distance without them, on the validation blocks
-WARM_START = (45.0, 0.8)  # mm/s, N: mean of early contacts; Sec. V-a
 WARM_START_NEAR = 100  # of so many training windows one is near enough to begin from
 WARM_START_RINGS_MS = 20.0  # the end of a window, which is heard in what comes after
 

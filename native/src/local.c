@@ -1,0 +1,217 @@
+#include "local.h"
+
+#include <math.h>
+#include <string.h>
+
+static const double PI = 3.14159265358979323846;
+static const double LEAK = 0.9997, HIGHEST_REFLECTION = 0.99999; /* as foten.dsp.lattice says */
+static const double LEAST_AREA = 1e-9, INSIDE = -1e-12;          /* as foten.dsp.mesh says */
+static const double FURTHEST[2] = {1e5, 1e4};                    /* mm/s and N that a model may stand at */
+
+static double crossed(const double a[2], const double b[2]) { return a[0] * b[1] - a[1] * b[0]; }
+
+/* Corner k of a triangle: which model it is, and where it stands in units of the scale. */
+static int corner(const local_models *m, int triangle, int k, double at[2]) {
+    int model = (int)m->triangles[3 * triangle + k];
+    for (int i = 0; i < 2; i++) at[i] = m->points[2 * model + i] / m->scale[i];
+    return model;
+}
+
+/* What each corner counts for a point: all of it, and 0 or more for each where the point lies inside. */
+static void shares_of(const double corners[3][2], const double at[2], double shares[3]) {
+    double first[2], second[2], away[2];
+    for (int i = 0; i < 2; i++) {
+        first[i] = corners[1][i] - corners[0][i];
+        second[i] = corners[2][i] - corners[0][i];
+        away[i] = at[i] - corners[0][i];
+    }
+    double area = crossed(first, second);
+    shares[1] = crossed(away, second) / area;
+    shares[2] = crossed(first, away) / area;
+    shares[0] = 1 - shares[1] - shares[2];
+}
+
+/* Angles that rise from 0 to pi, a row of them for each model. */
+static int rising(texture_file *file, const char *name, const double *angles, int rows, int n) {
+    for (int row = 0; row < rows; row++)
+        for (int i = 0; i <= n; i++) {
+            double before = i ? angles[row * n + i - 1] : 0, after = i < n ? angles[row * n + i] : PI;
+            if (!(after > before)) {
+                file_refuse(file, FOTEN_BAD_FILE, "tensor 'local.%s' does not rise from 0 to pi: the filter would not be stable", name);
+                return 0;
+            }
+        }
+    return 1;
+}
+
+static const double *never_negative(texture_file *file, const char *name, int n, arena *memory) {
+    const double *found = file_take(file, name, (size_t[]){(size_t)n, 0, 0, 0}, memory);
+    for (int i = 0; found && i < n; i++)
+        if (!(found[i] >= 0)) {
+            file_refuse(file, FOTEN_BAD_FILE, "a local model has a negative variance or gain");
+            return NULL;
+        }
+    return found;
+}
+
+const local_models *local_make(texture_file *file, int order, int ma, int n_models, int n_triangles, arena *memory) {
+    local_models *m = arena_take(memory, 1, sizeof *m);
+    size_t n = (size_t)n_models;
+    const double *pair;
+    if (!m) return NULL;
+    *m = (local_models){.order = order, .ma = ma, .n_models = n_models, .n_triangles = n_triangles};
+    if (!(m->points = file_take(file, "local.points", (size_t[]){n, 2, 0, 0}, memory))) return NULL;
+    if (!(m->lsf = file_take(file, "local.lsf", (size_t[]){n, (size_t)order, 0, 0}, memory))) return NULL;
+    if (!rising(file, "lsf", m->lsf, n_models, order)) return NULL;
+    if (!(m->variance = never_negative(file, "local.variance", n_models, memory))) return NULL;
+    if (ma) {
+        if (!(m->ma_lsf = file_take(file, "local.ma_lsf", (size_t[]){n, (size_t)ma, 0, 0}, memory))) return NULL;
+        if (!rising(file, "ma_lsf", m->ma_lsf, n_models, ma)) return NULL;
+        if (!(m->gain = never_negative(file, "local.gain", n_models, memory))) return NULL;
+    }
+    if (!(m->triangles = file_take(file, "local.triangles", (size_t[]){(size_t)n_triangles, 3, 0, 0}, memory))) return NULL;
+    struct {
+        const char *name;
+        double *to;
+    } pairs[] = {{"local.scale", m->scale}, {"local.mean", m->mean}, {"local.sd", m->sd}};
+    for (int k = 0; k < 3; k++) {
+        if (!(pair = file_take(file, pairs[k].name, (size_t[]){2, 0, 0, 0}, memory))) return NULL;
+        memcpy(pairs[k].to, pair, sizeof m->scale);
+    }
+    for (int i = 0; i < 2; i++) {
+        int fits = m->scale[i] > 0 && m->scale[i] <= FURTHEST[i] && m->sd[i] > 0 && m->sd[i] <= FURTHEST[i] && fabs(m->mean[i]) <= FURTHEST[i];
+        for (int k = 0; k < n_models; k++) fits &= m->points[2 * k + i] >= 0 && m->points[2 * k + i] <= FURTHEST[i];
+        if (!fits) {
+            file_refuse(file, FOTEN_BAD_FILE, "the local models stand at speeds or forces, or are scaled by some, that are of no hand");
+            return NULL;
+        }
+    }
+    for (int t = 0; t < n_triangles; t++) {
+        double at[3][2], first[2], second[2];
+        for (int k = 0; k < 3; k++) {
+            double model = m->triangles[3 * t + k];
+            if (!(model >= 0 && model < n_models && model == floor(model))) {
+                file_refuse(file, FOTEN_BAD_FILE, "a triangle of the mesh has a corner that no model is at");
+                return NULL;
+            }
+            corner(m, t, k, at[k]);
+        }
+        for (int i = 0; i < 2; i++) {
+            first[i] = at[1][i] - at[0][i];
+            second[i] = at[2][i] - at[0][i];
+        }
+        if (!(fabs(crossed(first, second)) > LEAST_AREA)) {
+            file_refuse(file, FOTEN_BAD_FILE, "a triangle of the mesh is flat: three models in a line, or two in one place");
+            return NULL;
+        }
+    }
+    return m;
+}
+
+/* Whether a point lies in a triangle, and what its corners count. */
+static int within(const local_models *m, int triangle, const double at[2], double shares[3]) {
+    double corners[3][2];
+    for (int k = 0; k < 3; k++) corner(m, triangle, k, corners[k]);
+    shares_of(corners, at, shares);
+    return shares[0] > INSIDE && shares[1] > INSIDE && shares[2] > INSIDE;
+}
+
+/* The triangle with the edge nearest to a point outside of all, and what its corners count at the nearest place. */
+static int nearest(const local_models *m, const double at[2], double shares[3]) {
+    double best = INFINITY;
+    int found = 0;
+    for (int k = 0; k < 3; k++)
+        for (int t = 0; t < m->n_triangles; t++) {
+            double begin[2], end[2], over = 0, length = 0, distance = 0;
+            corner(m, t, k, begin);
+            corner(m, t, (k + 1) % 3, end);
+            for (int i = 0; i < 2; i++) {
+                over += (at[i] - begin[i]) * (end[i] - begin[i]);
+                length += (end[i] - begin[i]) * (end[i] - begin[i]);
+            }
+            double share = over / length;
+            share = share < 0 ? 0 : share > 1 ? 1 : share;
+            for (int i = 0; i < 2; i++) {
+                double off = at[i] - begin[i] - share * (end[i] - begin[i]);
+                distance += off * off;
+            }
+            if (distance < best) {
+                best = distance;
+                found = t;
+                shares[k] = 1 - share;
+                shares[(k + 1) % 3] = share;
+                shares[(k + 2) % 3] = 0;
+            }
+        }
+    return found;
+}
+
+/* Multiply a polynomial of degree n by 1 + b z^-1 + c z^-2. */
+static void multiply(double *polynomial, int n, double b, double c) {
+    polynomial[n + 1] = polynomial[n + 2] = 0;
+    for (int i = n + 2; i > 0; i--) polynomial[i] += b * polynomial[i - 1] + (i > 1 ? c * polynomial[i - 2] : 0);
+}
+
+/* A of line spectral frequencies, 1 first. */
+static void polynomial_of(const double *angles, int p, double *a) {
+    double both[2][HIGHEST_LOCAL_ORDER + 4] = {{1}, {1}};
+    int degrees[2] = {0, 0};
+    for (int i = 0; i < p; i++) {
+        multiply(both[i % 2], degrees[i % 2], -2 * cos(angles[i]), 1);
+        degrees[i % 2] += 2;
+    }
+    if (p % 2) {
+        multiply(both[1], degrees[1], 0, -1);
+    } else {
+        multiply(both[0], degrees[0], 1, 0);
+        multiply(both[1], degrees[1], -1, 0);
+    }
+    for (int i = 0; i <= p; i++) a[i] = 0.5 * (both[0][i] + both[1][i]);
+}
+
+void local_at(const local_models *m, const double condition[2], local_mixture *out) {
+    int p = m->order, q = m->ma;
+    double at[2], shares[3], angles[HIGHEST_LOCAL_ORDER], a[HIGHEST_LOCAL_ORDER + 1], sum = 0, variance = 0;
+    for (int i = 0; i < 2; i++) {
+        double physical = condition[i] * m->sd[i] + m->mean[i];
+        at[i] = (physical > 0 ? physical : 0) / m->scale[i];
+    }
+    if (!within(m, out->triangle, at, shares)) {
+        int t = 0;
+        while (t < m->n_triangles && !within(m, t, at, shares)) t++;
+        out->triangle = t < m->n_triangles ? t : nearest(m, at, shares);
+    }
+    int models[3];
+    for (int k = 0; k < 3; k++) {
+        models[k] = (int)m->triangles[3 * out->triangle + k];
+        shares[k] = shares[k] > 0 ? shares[k] : 0;
+        sum += shares[k];
+    }
+    for (int k = 0; k < 3; k++) shares[k] /= sum;
+    for (int i = 0; i < p; i++) {
+        angles[i] = 0;
+        for (int k = 0; k < 3; k++) angles[i] += shares[k] * m->lsf[models[k] * p + i];
+    }
+    polynomial_of(angles, p, a);
+    double leak = 1;
+    for (int i = 1; i <= p; i++) a[i] /= leak *= LEAK;
+    for (int i = p; i > 0; i--) {
+        double k = a[i] > HIGHEST_REFLECTION ? HIGHEST_REFLECTION : a[i] < -HIGHEST_REFLECTION ? -HIGHEST_REFLECTION : a[i];
+        double lower[HIGHEST_LOCAL_ORDER + 1];
+        out->reflections[i - 1] = k;
+        for (int j = 0; j < i; j++) lower[j] = (a[j] - k * a[i - j]) / (1 - k * k);
+        memcpy(a, lower, (size_t)i * sizeof *a);
+    }
+    for (int k = 0; k < 3; k++) variance += shares[k] * m->variance[models[k]];
+    out->root = sqrt(variance);
+    out->gain = 1;
+    if (!q) return;
+    out->gain = 0;
+    for (int k = 0; k < 3; k++) out->gain += shares[k] * m->gain[models[k]];
+    for (int i = 0; i < q; i++) {
+        angles[i] = 0;
+        for (int k = 0; k < 3; k++) angles[i] += shares[k] * m->ma_lsf[models[k] * q + i];
+    }
+    polynomial_of(angles, q, a);
+    memcpy(out->zeros, a + 1, (size_t)q * sizeof *a);
+}

@@ -1,0 +1,71 @@
+"""Line spectral frequencies: p angles that say what a polynomial does, and that may be mixed at will.
+
+For A(z) = 1 + a₁z⁻¹ + … + a_p z^−p, with its mirror image z^−(p+1) A(1/z), the polynomials
+
+    P(z) = A(z) + z^−(p+1) A(1/z)        Q(z) = A(z) − z^−(p+1) A(1/z)        A = (P + Q) / 2
+
+have all their zeros on the unit circle. Where those of A lie inside it, the zeros of P and Q alternate, and their angles in
+(0, π) are the line spectral frequencies ω₁ < … < ω_p. Any rising angles in (0, π) are those of some such A, and a mean of
+rising angles rises: a mixture of filters is a filter without poles outside, which a mixture of coefficients need not be.
+
+Source: Itakura, J. Acoust. Soc. Am. 57 (1975) S35; used between local models of a texture by Culbertson, Unwin and Kuchenbecker,
+IEEE Trans. Haptics 7 (2014).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LEAST_GAP = 0.005  # rad between neighbours, and from 0 and π: nearer ones ring for seconds at 1 kHz
+
+
+def line_spectral_frequencies(a: Array) -> Array:
+    """Return the angles of a polynomial with its zeros inside the unit circle: (p + 1,), 1 first → (p,), rising [rad].
+
+    Raises:
+        ValueError: a zero lies on the unit circle or outside it.
+    """
+    p = a.size - 1
+    if p == 0:
+        return np.empty(0)
+    if not np.abs(np.roots(a)).max() < 1:
+        raise ValueError("the polynomial has a zero outside the unit circle, expected a stable filter")
+    padded = np.append(a, 0.0)
+    both = [padded + padded[::-1], padded - padded[::-1]]
+    # What is known to be a zero goes first: at −1 and 1, or both of Q.
+    known = [[1.0, 1.0], [1.0, -1.0]] if p % 2 == 0 else [[1.0], [1.0, 0.0, -1.0]]
+    angles = [np.angle(np.roots(np.polydiv(one, root)[0])) for one, root in zip(both, known, strict=True)]
+    return np.sort(np.concatenate([angle[angle > 0] for angle in angles]))
+
+
+def polynomial_of(frequencies: Array) -> Array:
+    """Return A of line spectral frequencies: (b, p) → (b, p + 1), 1 first."""
+    b, p = frequencies.shape
+    cosines = np.cos(frequencies)
+    both = [np.ones((b, 1)), np.ones((b, 1))]
+    for i in range(p):
+        both[i % 2] = _times(both[i % 2], [np.ones(b), -2 * cosines[:, i], np.ones(b)])
+    even, odd = ([1.0, 1.0], [1.0, -1.0]), ([1.0], [1.0, 0.0, -1.0])
+    for k, known in enumerate(odd if p % 2 else even):
+        both[k] = _times(both[k], [np.full(b, value) for value in known])
+    return np.asarray((0.5 * (both[0] + both[1]))[:, : p + 1])
+
+
+def _times(polynomial: Array, factor: list[Array]) -> Array:
+    out = np.zeros((len(polynomial), polynomial.shape[1] + len(factor) - 1))
+    for lag, weight in enumerate(factor):
+        out[:, lag : lag + polynomial.shape[1]] += weight[:, None] * polynomial
+    return out
+
+
+def spread_out(frequencies: Array, gap: float = LEAST_GAP) -> Array:
+    """Return the same angles, rising by at least `gap` and as far from 0 and π: (…, p) → (…, p)."""
+    p = frequencies.shape[-1]
+    steps = gap * np.arange(1, p + 1)
+    up = np.maximum.accumulate(frequencies - steps, axis=-1).clip(min=0.0) + steps
+    down = up + gap * np.arange(p, 0, -1) - np.pi
+    highest = np.minimum.accumulate(down[..., ::-1], axis=-1)[..., ::-1].clip(max=0.0)
+    return np.asarray(highest + np.pi - gap * np.arange(p, 0, -1))

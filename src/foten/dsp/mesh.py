@@ -1,0 +1,96 @@
+"""Models at scattered speeds and forces: a triangulation of the plane between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LEAST_AREA = 1e-9  # of a triangle, scaled; a flatter one has no weights
+_INSIDE = -1e-12  # a weight above this is one of the triangle that a point lies in
+_AT_ONCE = 2_000_000  # points times triangles held in memory
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles over speed and force; whoever stands outside of all is heard from the nearest edge.
+
+    Attributes:
+        points: speed [mm/s] and force [N], shape (n, 2).
+        triangles: three points each, shape (t, 3).
+        scale: what a speed and a force are divided by before distances are told, shape (2,).
+    """
+
+    points: Array
+    triangles: NDArray[np.int64]
+    scale: Array
+
+    def __post_init__(self) -> None:
+        """Check that it is a mesh.
+
+        Raises:
+            ValueError: what is none.
+        """
+        if not (self.scale > 0).all():
+            raise ValueError(f"the mesh is scaled by {self.scale}, expected positive numbers")
+        if not ((self.triangles >= 0) & (self.triangles < len(self.points))).all():
+            raise ValueError("a triangle of the mesh has a corner that no model is at")
+        corners = (self.points / self.scale)[self.triangles]
+        if not (
+            np.abs(_cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])) > LEAST_AREA
+        ).all():
+            raise ValueError("a triangle of the mesh is flat: three models in a line, or two in one place")
+
+    def at(self, speed: Array, force: Array) -> tuple[NDArray[np.int64], Array]:
+        """Return which three models are heard at speeds [mm/s] and forces [N], and by what share: (b,) → (b, 3), (b, 3)."""
+        asked = np.stack([speed, force], axis=1) / self.scale
+        chosen = np.empty((len(asked), 3), dtype=np.int64)
+        weights = np.empty((len(asked), 3))
+        step = max(1, _AT_ONCE // len(self.triangles))
+        for i in range(0, len(asked), step):
+            part = slice(i, i + step)
+            chosen[part], weights[part] = self._some(asked[part])
+        return chosen, weights
+
+    def _some(self, asked: Array) -> tuple[NDArray[np.int64], Array]:
+        corners = (self.points / self.scale)[self.triangles]
+        origin, first, second = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        away = asked[:, None] - origin
+        area = _cross(first, second)
+        over = np.stack([_cross(away, second) / area, _cross(first, away) / area], axis=2)
+        shares = np.concatenate([1 - over.sum(axis=2, keepdims=True), over], axis=2)
+        inside = (shares > _INSIDE).all(axis=2)
+        triangle = inside.argmax(axis=1)
+        weights = shares[np.arange(len(asked)), triangle]
+        lost = np.flatnonzero(inside.sum(axis=1) == 0)
+        if lost.size:
+            triangle[lost], weights[lost] = _nearest(asked[lost], corners)
+        weights = np.maximum(weights, 0.0)
+        return self.triangles[triangle], weights / weights.sum(axis=1, keepdims=True)
+
+
+def _nearest(asked: Array, corners: Array) -> tuple[NDArray[np.int64], Array]:
+    """Return the triangle whose edge is nearest to each point, and the shares of its corners at the nearest place."""
+    best = np.full(len(asked), np.inf)
+    triangle, weights = np.zeros(len(asked), dtype=np.int64), np.zeros((len(asked), 3))
+    for k in range(3):
+        begin, along = corners[:, k], corners[:, (k + 1) % 3] - corners[:, k]
+        share = ((asked[:, None] - begin) * along).sum(axis=2) / np.square(along).sum(axis=1)
+        share = np.clip(share, 0.0, 1.0)
+        distance = np.square(asked[:, None] - begin - share[..., None] * along).sum(axis=2)
+        nearest = distance.argmin(axis=1)
+        rows = np.arange(len(asked))
+        nearer = distance[rows, nearest] < best
+        best = np.where(nearer, distance[rows, nearest], best)
+        found = np.zeros((len(asked), 3))
+        found[:, (k + 1) % 3] = share[rows, nearest]
+        found[:, k] = 1 - share[rows, nearest]
+        triangle, weights = np.where(nearer, nearest, triangle), np.where(nearer[:, None], found, weights)
+    return triangle, weights
+
+
+def _cross(a: Array, b: Array) -> Array:
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])

@@ -1,0 +1,165 @@
+"""Piecewise AR in NumPy: local linear models over speed and force, in a lattice."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.architecture import ArArchitecture
+from foten.dsp.lattice import forecast, push, reflections_of
+from foten.dsp.lsf import polynomial_of
+from foten.dsp.mesh import Mesh
+from foten.render.forecast import Forecast
+
+Array = NDArray[np.float64]
+
+LARGEST_INNOVATION = 100.0  # standard deviations, of those found in a recorded window
+SETTLED_AFTER = 256  # samples that are played to begin with, where there are zeros
+
+
+@dataclass
+class ArState:
+    """Streams of local models.
+
+    Attributes:
+        states: b₀ … b_{p−1} of the lattice, shape (p, s).
+        past: the last q innovations, the youngest first, scaled, shape (q, s).
+        condition: speed and force of the last sample, scaled, shape (s, 2).
+    """
+
+    engine: NumpyAr
+    states: Array
+    past: Array
+    condition: Array
+    reflections: Array = field(init=False)
+    zeros: Array = field(init=False)
+    root: Array = field(init=False)
+    gain: Array = field(init=False)
+    bounded: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        self.reflections, self.zeros, self.root, self.gain = self.engine.mixed(self.condition)
+
+    def _heed(self, condition: Array) -> None:
+        if np.array_equal(condition, self.condition):
+            return
+        self.condition = condition
+        self.reflections, self.zeros, self.root, self.gain = self.engine.mixed(condition)
+
+    @property
+    def n_to_begin(self) -> int:
+        """Return one number for each state and, with zeros, for each innovation before and each sample that is played."""
+        q = len(self.past)
+        return len(self.states) + (q + SETTLED_AFTER if q else 0)
+
+    def begin(self, condition: Array, noise: Array) -> None:
+        """Draw the states and the innovations; with zeros, which colour what drives the lattice, play until it has settled."""
+        p, q = self.states.shape[0], self.past.shape[0]
+        hand = condition[:, :2]
+        self._heed(hand)
+        _, share = forecast(self.states, self.reflections)
+        loud = self.gain * np.sqrt(1 + np.square(self.zeros).sum(axis=0)) / share
+        self.states = self.root * loud * noise[:, :p].T
+        self.past = self.root * noise[:, p : p + q].T
+        for z in noise[:, p + q :].T:
+            self.push(self.forecast().excited(z), hand, z)
+
+    def forecast(self) -> Forecast:
+        """Return what lattice and past innovations foretell."""
+        sample, _ = forecast(self.states, self.reflections)
+        return Forecast(sample + self.gain * (self.zeros * self.past).sum(axis=0), self.gain * self.root)
+
+    def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
+        """Take in the samples that followed the last forecast; their innovations are those of the noise."""
+        self.states, _ = push(self.states, self.reflections, sample)
+        self._remember(0 * sample if noise is None else self.root * noise)
+        self._heed(condition[:, :2])
+
+    def hear(self, sample: Array, condition: Array, complete: bool) -> None:
+        """Take in recorded samples, whose innovations have to be found, once all p samples before are known."""
+        missed = complete * (sample - self.forecast().sample)
+        innovation = np.divide(missed, self.gain, out=np.zeros_like(missed), where=self.gain > 0)
+        largest = LARGEST_INNOVATION * self.root
+        self.states, _ = push(self.states, self.reflections, sample)
+        self._remember(np.clip(innovation, -largest, largest))
+        self._heed(condition)
+
+    def _remember(self, innovation: Array) -> None:
+        if len(self.past):
+            self.past = np.concatenate([innovation[None], self.past[:-1]])
+
+
+class NumpyAr:
+    """Local models mixed by line spectral frequencies, variance and gain, and run as a lattice that cannot run away.
+
+    Between the three models around a hand their line spectral frequencies are mixed by barycentric weights; that is a stable
+    filter, but stable filters in turn need not be. So it is run as a normalised lattice, in which they are (`dsp.lattice`); under
+    a steady hand it is the same filter 1/A, but for poles nearer to the unit circle than 0.9997. The innovations are bounded, and
+    with them all that is heard: below G/√(1 − leak²), where G bounds gain · |1 + b₁ + …| over Π cᵢ.
+
+    Source: Culbertson, Unwin and Kuchenbecker, IEEE Trans. Haptics 7 (2014), [12] of the paper, as far as its abstract and the
+    public texture files tell: our re-implementation. Differs from it: the lattice, where a direct form keeps its samples.
+    """
+
+    def __init__(self, architecture: ArArchitecture, tensors: Mapping[str, NDArray[Any]]) -> None:
+        self.window = architecture.window
+        self._p, self._q = architecture.order, architecture.ma
+        values = {
+            name.removeprefix("local."): np.asarray(tensor, dtype=np.float64)
+            for name, tensor in tensors.items()
+            if name.startswith("local.")
+        }
+        n = architecture.n_models
+        self._mean, self._sd = values["mean"], values["sd"]
+        triangles = values["triangles"]
+        if not (triangles == np.round(triangles)).all():
+            raise ValueError("a triangle of the mesh has a corner that is no whole number")
+        self._mesh = Mesh(values["points"], triangles.astype(np.int64), values["scale"])
+        gain = values.get("gain", np.ones(n))
+        self._table = np.concatenate(
+            [
+                values["lsf"],
+                values.get("ma_lsf", np.empty((n, 0))),
+                values["variance"][:, None],
+                gain[:, None],
+            ],
+            axis=1,
+        )
+        for name, angles in (("lsf", values["lsf"]), ("ma_lsf", values.get("ma_lsf", np.empty((n, 0))))):
+            edged = np.pad(angles, ((0, 0), (1, 1)), constant_values=((0, 0), (0.0, np.pi)))
+            if angles.shape[1] and not (np.diff(edged, axis=1) > 0).all():
+                raise ValueError(
+                    f"tensor 'local.{name}' does not rise from 0 to π: the filter would not be stable"
+                )
+        if not (values["variance"] >= 0).all() or not (gain >= 0).all():
+            raise ValueError("a local model has a negative variance or gain")
+
+    def mixed(self, condition: Array) -> tuple[Array, Array, Array, Array]:
+        """Return the model under a speed and force, scaled (b, 2).
+
+        Returns:
+            Reflections (p, b); b₁ … b_q (q, b); the standard deviation of the innovations [scaled] and the gain, each (b,).
+        """
+        hand = np.maximum(condition * self._sd + self._mean, 0.0)
+        chosen, weights = self._mesh.at(*hand.T)
+        found = (self._table[chosen] * weights[:, :, None]).sum(axis=1)
+        p, q = self._p, self._q
+        reflections = reflections_of(polynomial_of(found[:, :p])).T
+        zeros = polynomial_of(found[:, p : p + q])[:, 1:].T
+        return reflections, zeros, np.sqrt(found[:, -2]), found[:, -1]
+
+    def start(self, windows: Array) -> ArState:
+        """Return the state of streams that have heard the given scaled windows, shape (s, m, 3)."""
+        s = len(windows)
+        state = ArState(self, np.zeros((self._p, s)), np.zeros((self._q, s)), windows[:, 0, 1:])
+        for n in range(1, windows.shape[1]):
+            state.hear(windows[:, n, 0], windows[:, n, 1:], n > self._p)
+        return state
+
+    def predict(self, windows: Array) -> Array:
+        """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
+        return self.start(windows).forecast().sample
