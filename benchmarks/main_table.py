@@ -228,12 +228,11 @@ def run_again(arguments: argparse.Namespace) -> None:
         print(
             f"{run.name}: {'other ' + ', '.join(differ) if differ else 'equal'}", file=sys.stderr, flush=True
         )
-        again = json.loads(SAME.read_text()) if SAME.exists() else {}
-        if again.get("source_sha256") != SOURCES:
-            again = {"source_sha256": SOURCES, "equal": {}, "differ": {}}
-        again["differ" if differ else "equal"].setdefault(before["source_sha256"], []).append(run.name)
+        made_again = _made_again()
+        by_today = made_again.setdefault(SOURCES, {"equal": {}, "differ": {}})
+        by_today["differ" if differ else "equal"].setdefault(before["source_sha256"], []).append(run.name)
         with whole_file(SAME) as part:
-            part.write_text(json.dumps(again, indent=1) + "\n")
+            part.write_text(json.dumps(made_again, indent=1) + "\n")
         with whole_file(path) as part:
             part.write_text(json.dumps(found, indent=1) + "\n")
 
@@ -627,21 +626,45 @@ def made_earlier(folder: Path) -> Iterator[str]:
         yield "\n† made by an earlier state of the sources."
 
 
+def _made_again() -> dict[str, dict[str, dict[str, list[str]]]]:
+    """Return by state of the sources which runs of which earlier ones it made again, and came out equal or other."""
+    return json.loads(SAME.read_text()) if SAME.exists() else {}
+
+
+def _vouched() -> dict[str, tuple[str, list[str]]]:
+    """Return the earlier states whose runs come out the same today: which state made which of their runs again."""
+    found: dict[str, tuple[str, list[str]]] = {}
+    waiting, made_again = [SOURCES], _made_again()
+    while waiting:
+        by = waiting.pop()
+        again = made_again.get(by, {"equal": {}, "differ": {}})
+        for source, names in again["equal"].items():
+            if source not in again["differ"] and source not in found:
+                found[source] = (by, names)
+                waiting.append(source)
+    return found
+
+
 def _told(states: dict[str, list[str]], where: str = "") -> Iterator[str]:
     """Say how many results were made by other sources than those that are here, and name them, or say where they are named.
 
-    Those of a state of which some were made again, and none came out other, are not named.
+    Those of a state of which some were made again, by today's or by one of which that holds, and none came out other, are not
+    named.
     """
-    n, again = sum(map(len, states.values())), json.loads(SAME.read_text()) if SAME.exists() else {}
-    equal, differ = (
-        again.get(kind, {}) if again.get("source_sha256") == SOURCES else {} for kind in ("equal", "differ")
-    )
-    vouched = {source for source in states if equal.get(source) and not differ.get(source)}
-    for source in sorted(vouched):
+    n, vouched = sum(map(len, states.values())), _vouched()
+    known = [source for source in sorted(states) if source in vouched]
+    if known:
+        told = []
+        for source in known:
+            by, names = vouched[source]
+            who = "today's" if by == SOURCES else f"{by[:8]}"
+            told.append(
+                f"{len(states[source])} by {source[:8]}, of which {who} made {len(names)} again"
+                + ("" if where else f" ({', '.join(sorted(names))})")
+            )
         yield (
-            f"Of {n} runs, {len(states[source])} were made by an earlier state of the sources, {source[:8]}. Of that state, "
-            f"{len(equal[source])} more were made again by today's and were equal to the last digit"
-            + ("." if where else f": {', '.join(sorted(equal[source]))}.")
+            f"Of {n} runs, some were made by earlier states of the sources: {'; '.join(told)}. All that were made again were "
+            "equal to the last digit, each pair on one machine."
         )
     earlier = sorted(
         name for source, names in states.items() if source not in {SOURCES, *vouched} for name in names
