@@ -348,6 +348,8 @@ class FakeDaq:
             raise FakeDaq.Error("underflow")
 
     def write(self, volts: float) -> None:
+        if self.fails == "still":
+            raise FakeDaq.Error("gone")
         self.log.append(("volts", volts))
 
     def __enter__(self) -> FakeDaq:
@@ -394,11 +396,20 @@ def test_a_daq_is_filled_before_it_starts_and_again_as_it_empties() -> None:
     assert sink.n_cut == (0.05 * np.arange(n, dtype=np.float32) > 10).sum()
 
 
-def test_a_daq_that_does_not_stop_says_what_to_do() -> None:
-    sink = DaqSink("Dev1/ao0", 10_000.0, library=FakeDaq("stop"))
-    sink.start(lambda out: out.fill(0.0))
+def test_a_daq_that_does_not_stop_well_is_set_to_no_voltage_all_the_same() -> None:
+    daq = FakeDaq("stop")
+    sink = DaqSink("Dev1/ao0", 10_000.0, library=daq)
+    sink.start(lambda out: out.fill(1.0))
     sink.stop()
-    assert "switch the amplifier off: underflow" in str(sink.failed)
+    assert daq.log[-2] == ("volts", 0.0)
+    assert str(sink.failed) == "the NI-DAQ ended badly: underflow"
+
+
+def test_a_daq_that_may_hold_a_voltage_says_what_to_do() -> None:
+    sink = DaqSink("Dev1/ao0", 10_000.0, library=FakeDaq("still"))
+    sink.start(lambda out: out.fill(1.0))
+    sink.stop()
+    assert "switch the amplifier off: gone" in str(sink.failed)
 
 
 def test_the_stand_in_has_the_names_of_the_library() -> None:

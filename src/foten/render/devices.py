@@ -301,7 +301,7 @@ class DaqSink:
         try:
             self._task = self._library.Task("foten")
         except errors.Error as error:
-            raise OSError(f"no NI-DAQ: {str(error).splitlines()[0]}") from error
+            raise OSError(f"no NI-DAQ: {_first_line(error)}") from error
         try:
             constants = self._library.constants
             self._task.ao_channels.add_ao_voltage_chan(channel, min_val=-limit_v, max_val=limit_v)
@@ -321,7 +321,7 @@ class DaqSink:
             )
         except errors.Error as error:
             self._task.close()
-            raise OSError(f"the NI-DAQ refuses {channel}: {str(error).splitlines()[0]}") from error
+            raise OSError(f"the NI-DAQ refuses {channel}: {_first_line(error)}") from error
 
     def start(self, read: Read) -> None:
         """Fill the buffer and start the clock."""
@@ -348,7 +348,7 @@ class DaqSink:
             self._task.register_every_n_samples_transferred_from_buffer_event(self._block.size, refill)
             self._task.start()
         except self._library.errors.Error as error:
-            raise OSError(f"the NI-DAQ does not start: {str(error).splitlines()[0]}") from error
+            raise OSError(f"the NI-DAQ does not start: {_first_line(error)}") from error
 
     def stop(self) -> None:
         """Fade out, stop the clock, set the output to 0 V, and give the device back.
@@ -363,20 +363,25 @@ class DaqSink:
             self._fading.set()
             if self._silent.wait(1.0):
                 time.sleep(2 * self._block.size / self.rate_hz)  # until the fade has left the buffer
-        try:
+        for end in (self._task.stop, self._task.close):
             try:
-                self._task.stop()
-            finally:
-                self._task.close()
+                end()
+            except errors.Error as error:
+                self.failed = self.failed or OSError(f"the NI-DAQ ended badly: {_first_line(error)}")
+        try:
             with self._library.Task("foten-still") as still:
                 still.ao_channels.add_ao_voltage_chan(
                     self._channel, min_val=-self._limit, max_val=self._limit
                 )
                 still.write(0.0)
-        except errors.Error as error:
-            self.failed = self.failed or OSError(
-                f"the NI-DAQ may not be at 0 V, switch the amplifier off: {str(error).splitlines()[0]}"
+        except errors.Error as error:  # worse than whatever it died of before
+            self.failed = OSError(
+                f"the NI-DAQ may not be at 0 V, switch the amplifier off: {_first_line(error)}"
             )
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).partition("\n")[0]
 
 
 def _nidaqmx() -> Any:
