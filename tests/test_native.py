@@ -347,6 +347,18 @@ def test_what_is_wrong_in_a_file_is_said(texture: Texture) -> None:
     NativeTexture(bytes_of())
 
 
+def test_a_window_without_a_prediction_hides_no_other(texture: Texture) -> None:
+    """One that is finite, and so large that the network overflows on it, came after those that were wrong, and the file was let through."""
+    from safetensors.numpy import save
+
+    tensors = {name: tensor.copy() for name, tensor in texture.tensors.items()}
+    tensors["golden.one_step"][:6] += 1
+    tensors["golden.windows"][6, -1, 0] = 1.7e308
+    data = save(tensors, metadata={"foten": json.dumps(dict(texture.card))})
+    with pytest.raises(ValueError, match="proof: one step"):
+        NativeTexture(data)
+
+
 def test_silence_does_not_become_slow() -> None:
     """A lattice without excitation dies away: its state becomes zero before it becomes denormal."""
     texture = exported("foten-plus", FotenPlusArchitecture(**{**SMALL, "network_heard": False}))

@@ -56,7 +56,7 @@ static int proven(texture_file *file, const char *what, const double *found, con
     double worst = 0;
     for (size_t i = 0; i < n; i++) {
         double size = fabs(expected[i]) > 1 ? fabs(expected[i]) : 1, error = fabs(found[i] - expected[i]) / size;
-        if (!(error <= worst)) worst = error;
+        if (error > worst || isnan(error)) worst = error; /* which nothing is larger than */
     }
 #ifdef FOTEN_FUZZING
     tolerance = INFINITY; /* what a hostile file makes of the loop is to be reached */
