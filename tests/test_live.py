@@ -247,7 +247,7 @@ def test_a_wav_is_what_was_played(texture: Texture, tmp_path: Path) -> None:
     assert struct.unpack("<I", path.read_bytes()[4:8])[0] == path.stat().st_size - 8
 
 
-def test_a_wav_that_cannot_be_is_refused_and_one_that_fails_is_not_left(tmp_path: Path) -> None:
+def test_a_wav_that_cannot_be_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="no such folder"):
         WavSink(tmp_path / "no" / "x.wav", 8000)
     with pytest.raises(ValueError, match="4 GB"):
@@ -255,13 +255,27 @@ def test_a_wav_that_cannot_be_is_refused_and_one_that_fails_is_not_left(tmp_path
     with pytest.raises(ValueError, match="whole number"):
         WavSink(tmp_path / "x.wav", 8000.5)
 
-    def render(out: np.ndarray) -> None:
-        raise RuntimeError("no more")
 
-    sink = WavSink(tmp_path / "x.wav", 8000, n=100)
-    sink.failed = OSError("disk full")
-    sink.stop()
-    assert list(tmp_path.iterdir()) == []
+@pytest.mark.parametrize("dies", ["rendering", "sink"])
+def test_a_wav_that_fails_is_not_left_and_the_one_before_it_is(tmp_path: Path, dies: str) -> None:
+    path = tmp_path / "x.wav"
+    path.write_bytes(b"of yesterday")
+
+    def render(out: np.ndarray) -> None:
+        out[:] = 1.0
+        if dies == "rendering" and live.statistics.n_samples > 200:
+            raise OSError("no more")
+
+    sink = WavSink(path, 8000, n=8000)
+    live = Live(render, sink)
+    live.start()
+    if dies == "sink":
+        sink.failed = OSError("no more")
+    while live.running:
+        time.sleep(0.001)
+    with pytest.raises(OSError, match="no more"):
+        live.stop()
+    assert [one.read_bytes() for one in tmp_path.iterdir()] == [b"of yesterday"]
 
 
 def received(sink: Any, listening: socket.socket, n: int) -> list[bytes]:

@@ -348,7 +348,7 @@ def test_what_is_wrong_in_a_file_is_said(texture: Texture) -> None:
 
 
 def test_a_window_without_a_prediction_hides_no_other(texture: Texture) -> None:
-    """One that is finite, and so large that the network overflows on it, came after those that were wrong, and the file was let through."""
+    """One so large that the network overflows came after those that were wrong, and the file was let through."""
     from safetensors.numpy import save
 
     tensors = {name: tensor.copy() for name, tensor in texture.tensors.items()}

@@ -94,6 +94,19 @@ def test_lifting_is_quiet_and_landing_elsewhere_is_no_stroke(texture: Texture) -
     np.testing.assert_allclose(found[2400:2480, 0], 100.0, rtol=1e-3)
 
 
+@pytest.mark.parametrize("events_hz", [60.0, 120.0, 240.0])
+@pytest.mark.parametrize("angle", [0.0, 0.6])
+def test_a_pen_that_stops_does_not_turn_back(texture: Texture, events_hz: float, angle: float) -> None:
+    """The tablet goes on telling the same place. A second-order low-pass undershoots a step by 4.3 %, and nothing adds to it."""
+    at = np.arange(0.0, 1.0, 1 / events_hz)
+    path = 200 * np.minimum(at, 0.5)
+    events = np.stack([np.cos(angle) * path, np.sin(angle) * path, np.full(at.size, 0.5), at], axis=1)
+    speed = hands(Stylus(Renderer(texture)), events, 990)[:, 0]
+    falling = 500 + int(np.argmax(speed[500:] < 100))
+    turned = falling + int(np.argmax(np.diff(speed[falling:]) > 0))
+    assert speed[turned:].max() < 1.05 * 0.043 * 200
+
+
 def test_a_pen_that_rests_is_still_and_pressed(texture: Texture) -> None:
     """Browsers tell nothing of a pen that does not move."""
     at = np.arange(0.0, 0.5, 0.008)

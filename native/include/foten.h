@@ -154,8 +154,8 @@ FOTEN_API foten_stats foten_statistics(const foten_state *state);
  *
  * Speed is the norm of the velocity through the low-pass that the texture was trained with, force is a exp(b p) of a pressure p in
  * 0..1 through the same, 0 where the pen is lifted (Eq. 12 of the paper; a and b are the tablet's own). Between events the
- * velocity is carried on, by a part of its last change, which halves its delay: 4 to 2 ms at 60 to 240 events a second that are told
- * at once, beside the 11 ms of the low-pass, which the training has as well. Force is held: 10 to 3 ms.
+ * velocity is carried on, by a part of its last change and at most by its own size, which halves its delay: 5 to 2 ms at 60 to 240
+ * events a second that are told at once, beside the 11 ms of the low-pass, which the training has as well. Force is held: 10 to 3 ms.
  *
  * Events that are not finite, are not later than the one before, or come faster than they are rendered are counted and left out. A jump
  * faster than 5 m/s, or out of a hole of ten usual steps, is a pen that was lifted. Without events the hand stands still, after

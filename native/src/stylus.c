@@ -115,12 +115,20 @@ static void listen(foten_stylus *s) {
         s->since_s = s->still = 0;
     }
     atomic_store_explicit(&s->n_taken, taken, memory_order_release);
-    for (int i = 0; i < 2; i++) {
-        if (jumped) s->held[i] = 0;
-        if (took <= 0) continue;
-        double velocity = moved[i] / took, before = s->moving && !jumped ? s->moved[i] : velocity;
-        s->held[i] = velocity + took / (took + CARRIED_S) * (velocity - before);
-        s->moved[i] = velocity;
+    if (jumped) s->held[0] = s->held[1] = 0;
+    if (took > 0) {
+        double velocity[2], change[2];
+        for (int i = 0; i < 2; i++) {
+            velocity[i] = moved[i] / took;
+            change[i] = s->moving && !jumped ? velocity[i] - s->moved[i] : 0;
+        }
+        /* What is carried on is at most what is there: a pen that stops would turn back otherwise, and be felt once more. */
+        double share = took / (took + CARRIED_S), most = hypot(velocity[0], velocity[1]), carried = share * hypot(change[0], change[1]);
+        if (carried > most) share *= most / carried;
+        for (int i = 0; i < 2; i++) {
+            s->held[i] = velocity[i] + share * change[i];
+            s->moved[i] = velocity[i];
+        }
     }
     s->moving = took > 0 || (s->moving && !jumped);
 }

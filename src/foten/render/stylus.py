@@ -92,7 +92,7 @@ class Stylus:
     heard: tell fractions of them where the device has them.
 
     What is not finite, late, doubled, out of order or a jump is counted (`stats`) and does no harm. Beside the low-pass of 20 Hz,
-    which recordings went through too, speed comes 2 to 4 ms after the hand at 240 to 60 events a second that are told at
+    which recordings went through too, speed comes 2 to 5 ms after the hand at 240 to 60 events a second that are told at
     once, and force 3 to 10 ms.
 
     Args:
