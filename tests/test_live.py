@@ -81,6 +81,25 @@ def test_percentiles_are_those_of_what_was_counted() -> None:
     assert np.isnan(Timing().percentile_s(50))
 
 
+def test_after_a_machine_stood_still_no_sink_makes_up_for_it() -> None:
+    """It took all that it had missed at once, and the ring ran empty."""
+    took: list[float] = []
+
+    class Stalled(NullSink):
+        def take(self, block: np.ndarray) -> None:
+            took.append(time.perf_counter())
+            if len(took) == 10:
+                time.sleep(0.4)
+
+    sink = Stalled(1000.0, block_ms=20)
+    sink.start(lambda out: None)
+    while len(took) < 20:
+        time.sleep(0.001)
+    sink.stop()
+    assert took[19] - took[10] > 7 * 0.02
+    assert sink.n_late >= 18  # of 20 ms each
+
+
 class Pulled:
     """A sink that a test pulls by hand."""
 

@@ -747,6 +747,7 @@ def play(
                 "n_missed": statistics.n_missed,
                 "n_underruns": statistics.n_underruns,
                 "n_device_underruns": played.n_device_underruns,
+                "n_late": played.n_late,
                 "n_lacking": statistics.n_lacking,
                 "ring_least_ms": statistics.least_ms if statistics.least_ms < float("inf") else None,
                 "gain": scale,

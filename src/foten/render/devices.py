@@ -31,6 +31,9 @@ _LARGEST_WAV = 2**32 - 4096  # bytes
 class Paced:
     """A sink that takes a block every so often, in a thread of its own; what it does with it is a subclass's.
 
+    After a machine has stood still it goes on at its pace: blocks that should have been taken meanwhile are left out, and counted in
+    `n_late`, since taken at once they would empty the ring.
+
     Args:
         rate_hz: at which samples are taken.
         block_ms: taken at once.
@@ -48,6 +51,7 @@ class Paced:
         self._block = np.zeros(max(1, round(block_ms * rate_hz / 1000)), dtype=np.float32)
         self._period_s = self._block.size / rate_hz / ratio
         self.n_at_once = self._block.size
+        self.n_late = 0
         self.failed: BaseException | None = None
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
@@ -76,6 +80,10 @@ class Paced:
                 wait = due - time.perf_counter()
                 if wait > 0:
                     self._stopping.wait(wait)
+                elif self._period_s > 0:
+                    n_late = int(-wait / self._period_s)
+                    due += n_late * self._period_s
+                    self.n_late += n_late
         except BaseException as error:  # told by `Live.stop`, in the thread that waits for it
             self.failed = error
 

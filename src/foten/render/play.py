@@ -34,6 +34,7 @@ class Played:
         counted: what the kernel counted.
         n_cut: samples beyond what the sink takes.
         n_device_underruns: times that a sound card itself found samples missing.
+        n_late: blocks that a sink which keeps its own time left out after the machine stood still.
         interrupted: whether Ctrl-C ended it.
     """
 
@@ -42,6 +43,7 @@ class Played:
     counted: dict[str, int]
     n_cut: int
     n_device_underruns: int
+    n_late: int
     interrupted: bool
 
 
@@ -160,6 +162,7 @@ def play(
         renderer.counted(),
         getattr(sink, "n_cut", 0),
         getattr(sink, "n_device_underruns", 0),
+        getattr(sink, "n_late", 0),
         interrupted,
     )
 
