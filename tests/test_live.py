@@ -18,8 +18,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from foten.render import devices
 from foten.render.actuator import ActuatorProfile
-from foten.render.devices import DaqSink, NullSink, OscSink, UdpSink, WavSink
+from foten.render.devices import DaqSink, NullSink, OscSink, SoundSink, UdpSink, WavSink
 from foten.render.live import Live, LiveStatistics, Timing
 from foten.render.play import along, circling, gain_for, rate_for, sink_of
 from foten.render.renderer import Renderer
@@ -326,6 +327,71 @@ def test_packets_and_messages_hold_the_samples() -> None:
     assert message[8:16] == b",ifb\0\0\0\0"
     assert struct.unpack(">ifI", message[16:28]) == (0, 1000.0, 16)
     np.testing.assert_array_equal(np.frombuffer(message[28:], "<f4"), np.arange(4))
+
+
+class FakeSound:
+    """What of sounddevice's interface the sink uses, with a device that plays 20 ms later; no PortAudio, no card."""
+
+    class PortAudioError(Exception):
+        pass
+
+    latency = 0.02
+
+    def OutputStream(self, **asked: Any) -> FakeSound:  # noqa: N802, sounddevice calls it so
+        self.asked = asked
+        return self
+
+    def start(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+    def call(self) -> np.ndarray:
+        """Return what the card plays next, shape (n, n_channels)."""
+        out = np.full((self.asked["blocksize"], self.asked["channels"]), np.nan, dtype=np.float32)
+        self.asked["callback"](out, len(out), None, SimpleNamespace(output_underflow=False))
+        return out
+
+
+@pytest.fixture
+def sound(monkeypatch: pytest.MonkeyPatch) -> FakeSound:
+    fake = FakeSound()
+    monkeypatch.setattr(devices, "sound_library", lambda: fake)
+    return fake
+
+
+def test_a_card_that_fills_its_buffer_at_once_finds_all_of_it(sound: FakeSound) -> None:
+    live = Live(lambda out: out.fill(0.5), SoundSink(0.5, rate_hz=48_000.0, channel=1, n_channels=2))
+    live.start()
+    heard = [sound.call() for _ in range(4)]  # 20 ms in blocks of 5
+    live.stop()
+    assert live.statistics.n_underruns == 0
+    np.testing.assert_array_equal(np.concatenate(heard), np.tile([0.0, 0.25], (960, 1)))
+
+
+def test_what_is_beyond_full_scale_is_cut_and_counted(sound: FakeSound) -> None:
+    sink = SoundSink(2.0, rate_hz=48_000.0)
+    sink.start(lambda out: out.fill(0.7))
+    np.testing.assert_array_equal(sound.call(), np.ones((240, 1)))
+    assert sink.n_cut == 240
+
+
+def test_a_device_is_a_name_or_a_number(sound: FakeSound) -> None:
+    """PortAudio's numbers are ints: "3" was looked for among the names."""
+    for told, asked in (("3", 3), ("USB 3", "USB 3"), (None, None)):
+        sink_of("sound", 48_000.0, 1.0, None, device=told)
+        assert sound.asked["device"] == asked
+
+
+@pytest.mark.parametrize("gain", [float("nan"), float("inf")])
+def test_a_gain_that_is_no_number_reaches_no_hardware(sound: FakeSound, gain: float) -> None:
+    daq = FakeDaq()
+    for make in (lambda: SoundSink(gain), lambda: DaqSink("Dev1/ao0", 1000.0, gain, library=daq)):
+        with pytest.raises(ValueError, match="expected a finite number"):
+            make()
+    with pytest.raises(ValueError, match="expected a positive number"):
+        DaqSink("Dev1/ao0", 1000.0, limit_v=gain, library=daq)
 
 
 class FakeDaq:

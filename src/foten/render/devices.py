@@ -24,15 +24,15 @@ Read = Callable[[Samples], None]
 SOUND_RATE_HZ = 48_000.0
 PACKET_MS = 4.0
 _DAQ_BUFFERED_MS = 20.0
-_SOUND_AT_ONCE_MS = 5.0  # that a card with low latency takes at most
+_SOUND_BLOCK_MS = 5.0
 _LARGEST_WAV = 2**32 - 4096  # bytes
 
 
 class Paced:
     """A sink that takes a block every so often, in a thread of its own; what it does with it is a subclass's.
 
-    After a machine has stood still it goes on at its pace: blocks that should have been taken meanwhile are left out, and counted in
-    `n_late`, since taken at once they would empty the ring.
+    After a machine has stood still it goes on at its pace: what it did not take meanwhile it does not take at once, which would
+    empty the ring; `n_late` counts such blocks.
 
     Args:
         rate_hz: at which samples are taken.
@@ -172,7 +172,7 @@ class SoundSink:
 
     Args:
         gain: full scale for one of what is rendered; what goes beyond full scale is cut, and counted in `n_cut`.
-        device: its name or number, as `python -m sounddevice` lists them; None for the usual one.
+        device: its name, or its number as an int, as `python -m sounddevice` lists them; None for the usual one.
         channel: that is played on, from 0; the others are silent.
         n_channels: of the device.
 
@@ -193,18 +193,19 @@ class SoundSink:
     ) -> None:
         if not 0 <= channel < n_channels:
             raise ValueError(f"channel {channel} of {n_channels}, expected one from 0 on below that")
+        _check_gain(gain)
         self.rate_hz = float(rate_hz)
         self.n_cut = self.n_device_underruns = 0
         self.failed: BaseException | None = None
-        self.n_at_once = round(_SOUND_AT_ONCE_MS * rate_hz / 1000)
         self._stopped = False
         self._gain, self._channel = gain, channel
         self._sounddevice = sound_library()
-        self._mono = np.zeros(0, dtype=np.float32)
+        self._mono = np.zeros(max(1, round(_SOUND_BLOCK_MS * rate_hz / 1000)), dtype=np.float32)
         self._read: Read | None = None
         try:
             self._stream = self._sounddevice.OutputStream(
                 samplerate=rate_hz,
+                blocksize=self._mono.size,
                 device=device,
                 channels=n_channels,
                 dtype="float32",
@@ -214,6 +215,8 @@ class SoundSink:
             )
         except (ValueError, self._sounddevice.PortAudioError) as error:
             raise OSError(f"no sound: {error}; 'python -m sounddevice' lists the devices") from error
+        # A device whose own buffer is longer than a block asks for several at once, for no more than it plays later.
+        self.n_at_once = max(self._mono.size, math.ceil(self.latency_s * rate_hz))
 
     @property
     def latency_s(self) -> float:
@@ -243,8 +246,6 @@ class SoundSink:
             self.failed = OSError("the sound card stopped by itself; was it unplugged?")
 
     def _play(self, out: Samples, n: int, when: Any, status: Any) -> None:
-        if self._mono.size != n:
-            self._mono = np.zeros(n, dtype=np.float32)  # devices keep to one size but for the first call
         assert self._read is not None
         self.n_device_underruns += bool(status.output_underflow)
         try:
@@ -256,6 +257,11 @@ class SoundSink:
         self.n_cut += int((np.abs(self._mono) > 1).sum())
         out[:] = 0.0
         np.clip(self._mono, -1.0, 1.0, out=out[:, self._channel])
+
+
+def _check_gain(gain: float) -> None:
+    if not math.isfinite(gain):
+        raise ValueError(f"the gain is {gain}, expected a finite number")
 
 
 def sound_library() -> Any:
@@ -294,6 +300,9 @@ class DaqSink:
     def __init__(
         self, channel: str, rate_hz: float, gain: float = 1.0, limit_v: float = 10.0, library: Any = None
     ) -> None:
+        _check_gain(gain)
+        if not 0 < limit_v < math.inf:
+            raise ValueError(f"the output's range is ±{limit_v} V, expected a positive number")
         self.rate_hz = float(rate_hz)
         self.n_cut = 0
         self.failed: BaseException | None = None

@@ -89,7 +89,8 @@ def sink_of(
     if where == "null":
         return NullSink(rate_hz)
     if where == "sound":
-        return SoundSink(gain, device, rate_hz, channel, channel + 1)
+        chosen = int(device) if device is not None and device.isdecimal() else device
+        return SoundSink(gain, chosen, rate_hz, channel, channel + 1)
     if where.lower().endswith(".wav"):
         return WavSink(Path(where), rate_hz, about, None if seconds is None else round(seconds * rate_hz))
     if kind == "daq" and rest:
