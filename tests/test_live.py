@@ -424,7 +424,12 @@ class FakeDaq:
         self.log.append((name, fields))
 
     def _writer(self, stream: Any, auto_start: bool) -> Any:
-        return SimpleNamespace(write_many_sample=lambda data: self.written.append(data.copy()))
+        return SimpleNamespace(write_many_sample=self._take)
+
+    def _take(self, volts: np.ndarray) -> None:
+        if self.fails == "samples":
+            raise FakeDaq.Error("invalid buffer")
+        self.written.append(volts.copy())
 
     def register_every_n_samples_transferred_from_buffer_event(self, n: int, callback: Any) -> None:
         self.n, self.callback = n, callback
@@ -509,6 +514,13 @@ def test_a_daq_that_may_hold_a_voltage_says_what_to_do() -> None:
     sink.start(lambda out: out.fill(1.0))
     sink.stop()
     assert "switch the amplifier off: gone" in str(sink.failed)
+
+
+def test_a_daq_that_takes_no_samples_is_not_started() -> None:
+    daq = FakeDaq("samples")
+    with pytest.raises(OSError, match="takes no samples: invalid buffer"):
+        DaqSink("Dev1/ao0", 10_000.0, library=daq).start(lambda out: out.fill(0.0))
+    assert "start" not in daq.log
 
 
 def test_the_stand_in_has_the_names_of_the_library() -> None:

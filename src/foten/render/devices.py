@@ -341,7 +341,11 @@ class DaqSink:
             raise OSError(f"the NI-DAQ refuses {channel}: {_first_line(error)}") from error
 
     def start(self, read: Read) -> None:
-        """Fill the buffer and start the clock."""
+        """Fill the buffer and start the clock.
+
+        Raises:
+            BaseException: what filling it died of; OSError where the device refuses.
+        """
 
         def refill(*_: Any) -> int:
             try:
@@ -355,13 +359,17 @@ class DaqSink:
                     volts *= np.linspace(1.0, 0.0, volts.size)
                     self._silent.set()
                 self._writer.write_many_sample(volts)
+            except self._library.errors.Error as error:
+                self.failed = OSError(f"the NI-DAQ takes no samples: {_first_line(error)}")
             except BaseException as error:  # told by `Live.stop`, in the thread that waits for it
                 self.failed = error
             return 0
 
         try:
-            refill()
-            refill()
+            for _ in range(2):
+                refill()
+                if self.failed is not None:
+                    raise self.failed
             self._task.register_every_n_samples_transferred_from_buffer_event(self._block.size, refill)
             self._task.start()
         except self._library.errors.Error as error:
