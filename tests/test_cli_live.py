@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ import pytest
 from conftest import exported
 from foten.cli import _status
 from foten.render import devices
+from foten.render.actuator import ActuatorProfile, write_profile
 from foten.render.renderer import Renderer
 
 
@@ -50,45 +52,46 @@ def test_play_counts_and_says_what_lies_between(file: Path, capsys: pytest.Captu
     assert "Ctrl-C" in err
 
 
+def wav(path: Path) -> tuple[np.ndarray, dict[str, Any]]:
+    """Return a WAV's float samples, and its comment."""
+    data = path.read_bytes()
+    at = data.index(b"data") + 8
+    comment = data[data.index(b"ICMT") + 8 :].split(b"\0")[0]
+    return np.frombuffer(
+        data[at : at + int.from_bytes(data[at - 4 : at], "little")], dtype="<f4"
+    ), json.loads(comment)
+
+
 def test_play_into_a_file_is_what_is_rendered(file: Path, tmp_path: Path) -> None:
     path = tmp_path / "stroke.wav"
     arguments = ["--to", str(path), "--seconds", "0.3", "--speed", "80", "--force", "0.8", "--rate", "1000"]
     assert _status(["play", str(file), *arguments, "--seed", "4"]) == 0
-    data = path.read_bytes()
-    at = data.index(b"data") + 8
-    n = int.from_bytes(data[at - 4 : at], "little") // 4
-    played = np.frombuffer(data[at : at + 4 * n], dtype="<f4")
-    assert n == 300
-    np.testing.assert_array_equal(played, Renderer(file, seed=4).render(80.0, 0.8, n))
+    np.testing.assert_array_equal(wav(path)[0], Renderer(file, seed=4).render(80.0, 0.8, 300))
 
 
-def test_play_follows_a_stroke(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_play_and_render_make_the_same_of_a_stroke(file: Path, tmp_path: Path) -> None:
     stroke = tmp_path / "s.csv"
     stroke.write_text(
         "t,speed,force\n" + "".join(f"{0.01 * k},{0 if k < 50 else 90},{0.8}\n" for k in range(100))
     )
-    path = tmp_path / "stroke.wav"
-    assert (
-        _status(
-            [
-                "play",
-                str(file),
-                "--to",
-                str(path),
-                "--seconds",
-                "0.9",
-                "--stroke",
-                str(stroke),
-                "--rate",
-                "1000",
-            ]
-        )
-        == 0
-    )
-    data = path.read_bytes()
-    at = data.index(b"data") + 8
-    played = np.frombuffer(data[at : at + int.from_bytes(data[at - 4 : at], "little")], dtype="<f4")
-    assert np.abs(played[:400]).max() < 0.1 * np.abs(played[600:]).max()
+    both = [str(file), "--stroke", str(stroke), "--seed", "5"]
+    played, rendered = tmp_path / "played.wav", tmp_path / "rendered.wav"
+    assert _status(["play", *both, "--to", str(played), "--seconds", "0.99", "--rate", "1000"]) == 0
+    assert _status(["render", *both, "-o", str(rendered)]) == 0
+    (one, about), (other, expected) = wav(played), wav(rendered)
+    np.testing.assert_array_equal(one, other)
+    assert about == expected
+    assert {"foten", "texture_sha256", "stroke", "seed"} <= about.keys()
+
+
+def test_a_file_says_what_its_numbers_are(file: Path, tmp_path: Path) -> None:
+    path, coil = tmp_path / "drive.wav", tmp_path / "coil.json"
+    profile = ActuatorProfile("coil", resonance_hz=70.0, gain=2.0, unit="A")
+    write_profile(profile, coil)
+    assert _status(["play", str(file), "--to", str(path), "--seconds", "0.1", "--actuator", str(coil)]) == 0
+    about = wav(path)[1]
+    assert about["unit"] == "A"
+    assert ActuatorProfile(**about["actuator"]) == profile
 
 
 @pytest.mark.parametrize(
@@ -101,12 +104,16 @@ def test_play_follows_a_stroke(file: Path, tmp_path: Path, capsys: pytest.Captur
         (["--to", "null", "--lead-ms", "0"], "lead"),
         (["--to", "null", "--rate", "10"], "rate"),
         (["--to", "null", "--speed", "-1", "--force", "1"], "speed"),
+        (["--to", "null", "--gain", "2"], "--gain"),
+        (["--to", "null", "--device", "2"], "--device"),
+        (["--to", "null", "--channel", "0"], "--channel"),
+        (["--to", "a.wav", "--seconds", "inf"], "--seconds is inf"),
     ],
 )
 def test_what_cannot_be_played_is_one_line(
     file: Path, arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert _status(["play", str(file), *arguments, "--seconds", "0.1"]) == 2
+    assert _status(["play", str(file), "--seconds", "0.1", *arguments]) == 2
     assert told in one_line(capsys)
 
 

@@ -17,14 +17,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import butter, lfilter
 
 from foten.render import devices
 from foten.render.actuator import ActuatorProfile
 from foten.render.devices import DaqSink, NullSink, OscSink, SoundSink, UdpSink, WavSink
 from foten.render.live import Live, LiveStatistics, Timing
-from foten.render.play import along, circling, gain_for, rate_for, sink_of
+from foten.render.play import along, circling, gain_for, rate_for, rendering, sink_of
 from foten.render.renderer import Renderer
 from foten.render.ring import Ring
+from foten.render.stroke import Stroke
 from foten.texture_file import Texture
 
 
@@ -558,21 +560,55 @@ def test_a_daq_that_is_not_there_is_one_line(fails: str, message: str) -> None:
     assert fails == "driver" or daq.log[-1] == "close"
 
 
-def test_hands_rates_gains_and_sinks_by_name(tmp_path: Path) -> None:
-    hand = circling((10.0, 200.0), (0.2, 2.0))
-    seen = np.array([hand(t) for t in np.linspace(0, 20, 500)])
-    assert seen[:, 0].min() > 10
-    assert seen[:, 0].max() < 200
-    assert np.ptp(seen[:, 1]) > 1
-    stroke = along(np.arange(5.0), np.arange(5.0, 10.0), 10.0)
-    assert stroke(0.25) == (2.0, 7.0)
-    assert stroke(0.75) == (2.0, 7.0)  # over and over
+def test_a_circle_is_over_the_middle_of_the_trained_range() -> None:
+    speed, force = circling((10.0, 200.0), (0.2, 2.0), 1000.0)(np.arange(20_000))
+    assert speed.min() > 10
+    assert speed.max() < 200
+    assert np.ptp(force) > 1
+
+
+def test_a_stroke_is_played_over_and_over_without_a_step() -> None:
+    """Physics: the hand goes over as fast as the low-pass, SciPy's, lets a step be. Oracle: the stroke laid end to end."""
+    speed, force = np.linspace(20.0, 120.0, 500), np.linspace(0.5, 1.5, 500)
+    hand = along(Stroke(speed[None], force, 1000.0), 20.0)
+    once = Stroke(speed[None], force, 1000.0).conditioned(20.0)
+    np.testing.assert_array_equal(hand(np.arange(500)), once)
+    thrice = Stroke(np.tile(speed, 3)[None], np.tile(force, 3), 1000.0).conditioned(20.0)
+    np.testing.assert_allclose(hand(np.arange(1500)), thrice, rtol=1e-9)
+    fastest = np.diff(lfilter(*butter(2, 20.0, fs=1000.0), np.ones(200))).max()
+    assert (np.abs(np.diff(hand(np.arange(1500)))).max(axis=1) <= fastest * np.array([100.0, 1.0])).all()
+
+
+@pytest.mark.parametrize("rate", [None, 8000.0, 44_100.0, 300.0])
+def test_what_is_played_is_the_stroke_that_is_rendered(texture: Texture, rate: float | None) -> None:
+    """The hand was looked at once in each block, and its steps were felt."""
+    speed, force = np.linspace(20.0, 180.0, 400), np.linspace(0.5, 1.5, 400)
+    hand = along(Stroke(speed[None], force, 1000.0), 20.0)
+    render, blocks = rendering(Renderer(texture, rate, seed=3), hand), []
+    whole = Renderer(texture, rate, seed=3).render(*hand(np.arange(400)))
+    for size in np.random.default_rng(0).integers(0, 40, 400):
+        blocks.append(np.empty(size, dtype=np.float32))
+        render(blocks[-1])
+        if sum(block.size for block in blocks) > whole.size - 100:
+            break
+    played = np.concatenate(blocks)
+    assert played.size > 15
+    np.testing.assert_array_equal(played, whole[: played.size])
+
+
+def test_rates_gains_and_sinks_by_name(tmp_path: Path) -> None:
     assert rate_for("sound", None, 1000.0) == 48_000
     assert rate_for("null", None, 1000.0) == 8000
     assert rate_for("daq:Dev1/ao0", None, 10_000.0) == 10_000
     assert rate_for("null", 2500.0, 1000.0) == 2500
     assert gain_for(None, None, 2.0, "sound") == 0.05
     assert gain_for(None, 3.0, 2.0, "sound") == 3
+    for where in ("null", "x.wav", "udp:x:1", "osc:x:1"):
+        with pytest.raises(ValueError, match="takes what is rendered as it is"):
+            gain_for(None, 3.0, 2.0, where)
+        for asked in ({"device": "3"}, {"channel": 0}):
+            with pytest.raises(ValueError, match="are a sound card's"):
+                sink_of(where, 8000, 1.0, None, **asked)
     assert gain_for(None, None, 2.0, "udp:x:1") == 1
     volts, full = ActuatorProfile(unit="V"), ActuatorProfile(unit="full scale")
     assert gain_for(volts, None, 2.0, "daq:x") == gain_for(full, None, 2.0, "sound") == 1
