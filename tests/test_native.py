@@ -400,6 +400,18 @@ def test_the_public_renderer(texture: Texture, tmp_path: Path) -> None:
             call(foten.Renderer(texture))
 
 
+def test_a_stroke_may_be_read_only_and_one_of_its_arrays_a_single_number(texture: Texture) -> None:
+    speed = np.full(50, 80.0, dtype=np.float32)
+    speed.flags.writeable = False
+    expected = foten.Renderer(texture, seed=7).render(80.0, 0.8, 50)
+    for force in (0.8, np.array([0.8])):  # warnings are errors: NumPy's of a broadcast array was one
+        np.testing.assert_array_equal(foten.Renderer(texture, seed=7).render(speed, force), expected)
+    np.testing.assert_array_equal(foten.Renderer(texture, seed=7).render(np.array([80.0]), 0.8), expected[:1])
+    renderer = foten.Renderer(texture)
+    with pytest.raises(ValueError, match="to be written to"):
+        renderer.render_into(speed, 80.0, 0.8)
+
+
 def test_the_processor_is_told() -> None:
     assert isa() in ("avx512", "avx2", "neon", "portable")
 
