@@ -18,7 +18,10 @@ import pytest
 from conftest import exported
 from foten.cli import _status
 from foten.render import devices
+from foten.render import play as playing
 from foten.render.actuator import ActuatorProfile, write_profile
+from foten.render.live import LiveStatistics
+from foten.render.play import Played
 from foten.render.renderer import Renderer
 
 
@@ -166,6 +169,27 @@ def test_what_is_beyond_is_told(file: Path, tmp_path: Path, capsys: pytest.Captu
     out = capsys.readouterr().out
     assert "speed was above" in out
     assert "taken as twice that" in out
+
+
+def test_what_went_wrong_is_told_with_what_helps(
+    file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    counted = Renderer(file).counted() | {"n": 800, "n_refused": 3, "n_lost": 4}
+    statistics = LiveStatistics(n_underruns=5, n_lacking=60)
+
+    def played(*_: Any) -> Played:
+        return Played(statistics, {}, counted, n_cut=0, n_device_underruns=7, n_late=8, interrupted=False)
+
+    monkeypatch.setattr(playing, "play", played)
+    assert _status(["play", str(file), "--to", "null", "--lead-ms", "20"]) == 0
+    out, err = capsys.readouterr()
+    ring, card, late = out.splitlines()[-3:]
+    assert "ran empty 5 times, 60 samples of silence; a longer --lead-ms than 20" in ring
+    assert "too late 7 times" in card
+    assert "--lead-ms" not in card
+    assert "8 blocks" in late
+    assert "no number 3 times" in err
+    assert "4 samples were no numbers" in err
 
 
 def test_bench_times_each_instruction_set(file: Path, capsys: pytest.CaptureFixture[str]) -> None:

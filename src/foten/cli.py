@@ -570,6 +570,12 @@ def _tell_what_was_outside(statistics: dict[str, int], texture: Texture) -> None
         print(f"speed or force was below the trained range for {share['n_below']}; the vibration fades there")
     if statistics["n_saturated"]:
         _say(f"the saturator cut {statistics['n_saturated']} samples: the loop ran away there")
+    if statistics["n_refused"]:
+        _say(
+            f"the hand was negative or no number {statistics['n_refused']} times, taken as 0 or as it was before"
+        )
+    if statistics["n_lost"]:
+        _say(f"{statistics['n_lost']} samples were no numbers, and silence instead; is the file foten's own?")
 
 
 @app.command()
@@ -757,7 +763,8 @@ def play(
         name, long = info.texture or texture_file.name, "" if seconds is None else f" for {seconds:g} s"
         _say(f"{name} to {to} at {renderer.rate:g} Hz{long}; Ctrl-C ends it")
 
-    played = play_live(renderer, sink, hand, seconds, LEAD_MS if lead_ms is None else lead_ms, begun)
+    lead_ms = LEAD_MS if lead_ms is None else lead_ms
+    played = play_live(renderer, sink, hand, seconds, lead_ms, begun)
     statistics = played.statistics
     if as_json:
         _print_json(
@@ -789,9 +796,19 @@ def play(
         _tell_what_was_outside(played.counted, texture)
         if played.counted["n_limited"]:
             print(f"the actuator's limit bent {played.counted['n_limited']} samples")
+        if statistics.n_underruns:
+            print(
+                f"the ring ran empty {statistics.n_underruns} times, {statistics.n_lacking} samples of silence; "
+                f"a longer --lead-ms than {lead_ms:g} helps"
+            )
         if played.n_device_underruns:
             print(
-                f"the sound card found samples missing {played.n_device_underruns} times; a longer --lead-ms helps"
+                f"the sound card got its samples too late {played.n_device_underruns} times, whatever the ring held: "
+                "this machine is busy with something else"
+            )
+        if played.n_late:
+            print(
+                f"this machine stood still for {played.n_late} blocks of the sink, which were not made up for"
             )
         if played.n_cut:
             print(
