@@ -24,8 +24,10 @@ CORPUS = sorted((ROOT / "native" / "tests" / "corpus").glob("*.foten"))
 WASM = ROOT / "native" / "wasm"
 MUTATIONS = 3000
 
+# That of the extra `dev` lies beside this Python, which need not be in the path.
+CMAKE = shutil.which("cmake", path=os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
 needs_cmake = pytest.mark.skipif(
-    shutil.which("cmake") is None or shutil.which("cc") is None, reason="needs CMake and a C compiler"
+    CMAKE is None or shutil.which("cc") is None, reason="needs CMake and a C compiler"
 )
 needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="needs Node")
 
@@ -45,8 +47,9 @@ def ran(*command: str | Path, cwd: Path | None = None, **env: str) -> str:
 
 
 def built(folder: Path, *options: str) -> Path:
-    ran("cmake", "-S", ROOT, "-B", folder, "-DFOTEN_TESTS=ON", *options)
-    ran("cmake", "--build", folder, "--parallel", "2")
+    assert CMAKE is not None
+    ran(CMAKE, "-S", ROOT, "-B", folder, "-DFOTEN_TESTS=ON", *options)
+    ran(CMAKE, "--build", folder, "--parallel", "2")
     return folder
 
 
