@@ -82,6 +82,26 @@ def accelerations(table: str) -> np.ndarray:
     return np.array([float(row["acceleration_m_s2"]) for row in csv.DictReader(io.StringIO(table))])
 
 
+@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+@pytest.mark.parametrize("kernel", ["neon", "simd128"])
+def test_kernels_for_other_processors_compile_without_a_warning(tmp_path: Path, kernel: str) -> None:
+    """The vectors are the compiler's own, so that it knows them whatever the processor."""
+    ran(
+        *(
+            "cc",
+            "-std=c11",
+            "-O3",
+            "-Wall",
+            "-Wextra",
+            "-Wno-psabi",
+            "-Werror",
+            "-I",
+            ROOT / "native" / "include",
+        ),
+        *("-c", ROOT / "native" / "src" / f"kernel_{kernel}.c", "-o", tmp_path / "kernel.o"),
+    )
+
+
 @needs_cmake
 def test_nothing_is_allocated_while_rendering(build: Path) -> None:
     """The program fails as well where its counter sees nothing of what loading allocates."""

@@ -83,6 +83,8 @@ static int late(foten_stylus *s, const event *e) {
     return 0;
 }
 
+static double length(const double v[2]) { return sqrt(v[0] * v[0] + v[1] * v[1]); }
+
 /* Take in what has come since the last sample. */
 static void listen(foten_stylus *s) {
     uint64_t pushed = atomic_load_explicit(&s->n_pushed, memory_order_acquire), taken = atomic_load_explicit(&s->n_taken, memory_order_relaxed);
@@ -123,7 +125,7 @@ static void listen(foten_stylus *s) {
             change[i] = s->moving && !jumped ? velocity[i] - s->moved[i] : 0;
         }
         /* What is carried on is at most what is there: a pen that stops would turn back otherwise, and be felt once more. */
-        double share = took / (took + CARRIED_S), most = hypot(velocity[0], velocity[1]), carried = share * hypot(change[0], change[1]);
+        double share = took / (took + CARRIED_S), most = length(velocity), carried = share * length(change);
         if (carried > most) share *= most / carried;
         for (int i = 0; i < 2; i++) {
             s->held[i] = velocity[i] + share * change[i];
