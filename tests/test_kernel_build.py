@@ -103,6 +103,17 @@ def test_kernels_for_other_processors_compile_without_a_warning(tmp_path: Path, 
 
 
 @needs_cmake
+def test_kernels_are_those_of_the_processor_that_is_built_for(tmp_path: Path) -> None:
+    """On a Mac with Apple silicon a build for x86-64 had the kernel for NEON, and did not link."""
+    assert CMAKE is not None
+    mac = ("-DCMAKE_SYSTEM_NAME=Linux", "-DCMAKE_SYSTEM_PROCESSOR=arm64", "-DCMAKE_OSX_ARCHITECTURES=x86_64")
+    ran(CMAKE, "-S", ROOT, "-B", tmp_path, *mac)
+    targets = ran(CMAKE, "--build", tmp_path, "--target", "help")
+    assert "foten_avx2" in targets
+    assert "foten_neon" not in targets
+
+
+@needs_cmake
 def test_nothing_is_allocated_while_rendering(build: Path) -> None:
     """The program fails as well where its counter sees nothing of what loading allocates."""
     told = ran(build / "hot_path", *CORPUS)
