@@ -195,6 +195,13 @@ public static class Try {
                 renderer.Render(block);
                 foreach (var x in block) Console.WriteLine(x.ToString("R", CultureInfo.InvariantCulture));
             }
+            renderer.Dispose();
+            Action[] uses = {
+                () => renderer.SetHand(1, 1), () => renderer.Render(block), () => renderer.Reset(0),
+                () => Console.Write(renderer.Delay)
+            };
+            foreach (var use in uses)
+                try { use(); Environment.Exit(3); } catch (ObjectDisposedException) { }
         }
     }
 }
@@ -235,6 +242,46 @@ try {{ foten.texture(new Uint8Array(100)); }} catch (error) {{ console.log(error
     with pytest.raises(ValueError) as error:  # noqa: PT011, the message is what is compared
         NativeTexture(bytes(100))
     assert refused == str(error.value)
+
+
+@needs_node
+def test_node_knows_names_seeds_and_what_was_freed(file: Path, tmp_path: Path) -> None:
+    named = tmp_path / "named.foten"
+    named.write_bytes(file.read_bytes().replace(b"untrained", b"untr\xffined", 1))
+    program = tmp_path / "freed.mjs"
+    program.write_text(
+        f"""
+import {{ readFileSync }} from "node:fs";
+import {{ Foten }} from "{(WASM / "foten.mjs").as_uri()}";
+const foten = await Foten.load(readFileSync("{WASM / "foten.wasm"}"));
+const texture = foten.texture(readFileSync("{named}"));
+console.log(texture.info.texture);
+const renderer = texture.renderer({{ seed: 3 }}), stylus = renderer.stylus();
+renderer.setHand(80, 0.8);
+const before = renderer.render(new Float32Array(20)).join();
+renderer.reset();
+console.log(renderer.render(new Float32Array(20)).join() === before);
+stylus.free();
+const block = new Float32Array(1);
+function tried(...uses) {{
+  for (const use of uses) try {{ use(); }} catch (error) {{ console.log(error.message); }}
+}}
+tried(() => stylus.push(0, 0, 1, 0), () => stylus.stats, () => renderer.renderStylus(stylus, block));
+renderer.free();
+tried(() => renderer.setHand(80, 0.8), () => renderer.render(block), () => renderer.reset());
+tried(() => renderer.delay, () => renderer.hand, () => renderer.stats);
+texture.free();
+tried(() => texture.renderer(), () => renderer.stylus());
+"""
+    )
+    name, same, *freed = ran("node", program).splitlines()
+    assert name == NativeTexture(named.read_bytes()).info.texture == "untr�ined"
+    assert same == "true"
+    assert freed == [
+        *["this stylus was freed"] * 3,
+        *["this renderer was freed"] * 6,
+        *["this texture was freed"] * 2,
+    ]
 
 
 def test_the_wasm_has_the_digest_that_is_beside_it() -> None:
