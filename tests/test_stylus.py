@@ -10,6 +10,7 @@ from scipy.signal import sosfilt
 
 from foten.datasets.stroking import stroking
 from foten.dsp.filters import butterworth
+from foten.render.native import NativeStylus, NativeTexture
 from foten.render.renderer import Renderer
 from foten.render.stylus import PressureCalibration, Stylus, fit_pressure
 from foten.texture_file import Texture
@@ -75,6 +76,26 @@ def test_a_steady_stroke_is_its_speed_and_force(texture: Texture) -> None:
     np.testing.assert_allclose(found[:, 0], 100.0, rtol=1e-6)
     np.testing.assert_allclose(found[:, 1], CURVE.force(np.array([0.5]))[0], rtol=1e-6)
     assert stylus.stats.n_late == stylus.stats.n_jumps == 0
+
+
+@pytest.mark.parametrize(
+    ("told", "meant"),
+    [((0, 0), (0.13, 3.32)), ((0, 2), (0.13, 2)), ((0.2, 0), (0.2, 3.32)), ((0.2, 2), (0.2, 2))],
+)
+def test_what_is_left_out_of_a_curve_is_the_papers(
+    texture: Texture, told: tuple[float, float], meant: tuple[float, float]
+) -> None:
+    """A steepness by itself was dropped."""
+    stylus = NativeStylus(NativeTexture(texture.to_bytes()), *told)
+    stylus.push(0.0, 0.0, 0.5, 0.0)
+    force = [stylus.next()[1] for _ in range(1000)][-1]
+    assert force == pytest.approx(meant[0] * np.exp(meant[1] * 0.5), rel=1e-6)
+
+
+def test_a_force_may_be_the_same_at_any_pressure(texture: Texture) -> None:
+    stylus = Stylus(Renderer(texture), PressureCalibration(0.8, 0.0))
+    stylus.push(0.0, 0.0, 0.5, 0.0)
+    assert [stylus.next_hand()[1] for _ in range(1000)][-1] == pytest.approx(0.8, rel=1e-6)
 
 
 def test_lifting_is_quiet_and_landing_elsewhere_is_no_stroke(texture: Texture) -> None:

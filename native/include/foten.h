@@ -164,7 +164,7 @@ FOTEN_API foten_stats foten_statistics(const foten_state *state);
 typedef struct foten_stylus foten_stylus;
 
 typedef struct {
-    double newtons, steepness; /* a [N] and b; 0 and 0 for the paper's 0.13 and 3.32 */
+    double newtons, steepness; /* a [N] and b; of each 0 for the paper's, 0.13 and 3.32 */
 } foten_stylus_options;
 
 typedef struct {

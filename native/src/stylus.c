@@ -42,7 +42,7 @@ foten_stylus *foten_stylus_new(const foten_model *model, const foten_stylus_opti
     if (!s) return NULL;
     s->period_s = 1 / model->rate_hz;
     s->newtons = o.newtons > 0 ? o.newtons : PAPER_NEWTONS;
-    s->steepness = o.newtons > 0 ? o.steepness : PAPER_STEEPNESS;
+    s->steepness = o.steepness != 0 ? o.steepness : PAPER_STEEPNESS;
     s->filter = lowpass(model->lowpass_hz, model->rate_hz);
     s->usual_s = 1.0 / 120;
     return s;

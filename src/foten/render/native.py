@@ -315,7 +315,7 @@ class NativeState:
         library().foten_run_scaled(self._pointer, hands, drawn, limit, len(out), filled)
 
     def set_hand(self, speed: float, force: float) -> None:
-        """Tell where the hand is [mm/s, N], from any thread; what is negative or not finite is counted and left out."""
+        """Tell where the hand is [mm/s, N], from any thread; what is negative is 0, what is not finite left out, and both counted."""
         library().foten_set_hand(self._pointer, speed, force)
 
     def render(self, out: NDArray[np.float32]) -> None:
@@ -369,7 +369,7 @@ class NativeStylus:
 
     Args:
         texture: whose rate and low-pass it goes by.
-        newtons, steepness: a [N] and b of F = a·exp(b·p).
+        newtons, steepness: a [N] and b of F = a·exp(b·p); of each 0 for the paper's.
     """
 
     def __init__(self, texture: NativeTexture, newtons: float, steepness: float) -> None:
