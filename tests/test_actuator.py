@@ -129,8 +129,15 @@ def test_a_sweep_of_something_else_says_so() -> None:
         identify(drive, np.zeros_like(drive), 4000.0)
     with pytest.raises(ValueError, match="shape"):
         identify(drive, drive[:-1], 4000.0)
+    spoiled = np.where(np.arange(drive.size) == 7, np.nan, drive)
+    for pair in ((drive, spoiled), (spoiled, drive)):
+        with pytest.raises(ValueError, match="NaN"):
+            identify(*pair, 4000.0)
     with pytest.raises(ValueError, match="expected to lie"):
         sweep(1.0, 800.0)
+    for seconds in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(ValueError, match="expected positive"):
+            sweep(seconds, 4000.0)
 
 
 def test_a_profile_is_read_as_it_was_written(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import json
 import re
 import shutil
@@ -17,7 +18,7 @@ import pytest
 
 from conftest import exported
 from foten.cli import _status
-from foten.render import devices
+from foten.render import bench, devices
 from foten.render import play as playing
 from foten.render.actuator import ActuatorProfile, write_profile
 from foten.render.live import LiveStatistics
@@ -201,6 +202,73 @@ def test_bench_times_each_instruction_set(file: Path, capsys: pytest.CaptureFixt
     out = capsys.readouterr().out
     assert "contacts a core" in out
     assert "portable" in out
+
+
+def test_bench_times_no_instruction_set_in_the_place_of_another(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What this processor has not was timed in full with what it has."""
+    programs = []
+
+    def run(command: list[str], **options: Any) -> Any:
+        programs.append(usual(command, **options))
+        return programs[-1]
+
+    usual = subprocess.run
+    monkeypatch.setattr(bench.subprocess, "run", run)
+    found = [times.isa for times in bench.time_all(file, 1000)]
+    assert len(programs) == len(bench.INSTRUCTION_SETS) > len(found) > 0
+    assert [one for one in bench.INSTRUCTION_SETS if one in found] == found
+    assert sum(bool(done.stdout) for done in programs) == len(found)
+
+
+@pytest.mark.parametrize(
+    ("status", "stderr", "told"),
+    [
+        (-signal.SIGSEGV, "", "Segmentation fault"),
+        (3, "", "status 3"),
+        (1, "Traceback\n  x\nValueError: no more", "no more"),
+    ],
+)
+def test_a_program_that_ends_is_told_in_one_line(
+    file: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    status: int,
+    stderr: str,
+    told: str,
+) -> None:
+    def run(command: list[str], **_: Any) -> subprocess.CompletedProcess[str]:
+        return subprocess.CompletedProcess(command, status, "", stderr)
+
+    monkeypatch.setattr(bench.subprocess, "run", run)
+    assert _status(["bench", str(file)]) == 2
+    line = one_line(capsys)
+    assert told in line
+    assert "ValueError" not in line
+    assert _status(["doctor"]) == 1
+    assert told in capsys.readouterr().out
+
+
+def test_bench_refuses_what_is_no_texture_as_play_does(capsys: pytest.CaptureFixture[str]) -> None:
+    assert _status(["bench", str(Path(__file__))]) == 2
+    assert one_line(capsys).startswith("foten: this is not a texture file")
+
+
+def test_doctor_does_without_metadata(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As where the sources are in the path, and nothing is installed."""
+
+    def missing(name: str) -> None:
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(importlib.metadata, "distribution", missing)
+    monkeypatch.setattr(importlib.metadata, "version", missing)
+    assert _status(["doctor"]) in (0, 1)
+    out = capsys.readouterr().out
+    assert re.search(r"size +\d+ MB: foten", out)
+    assert "PyTorch of an unknown version" in out
 
 
 def test_doctor_says_what_is_here(capsys: pytest.CaptureFixture[str]) -> None:

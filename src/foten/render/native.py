@@ -315,7 +315,7 @@ class NativeState:
         library().foten_run_scaled(self._pointer, hands, drawn, limit, len(out), filled)
 
     def set_hand(self, speed: float, force: float) -> None:
-        """Tell where the hand is [mm/s, N], from any thread; what is negative is 0, what is not finite left out, and both counted."""
+        """Tell where the hand is [mm/s, N], from any thread; what is negative is 0, what is not finite left out; both count."""
         library().foten_set_hand(self._pointer, speed, force)
 
     def render(self, out: NDArray[np.float32]) -> None:
