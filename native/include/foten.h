@@ -79,7 +79,7 @@ typedef struct {
     double trained_force[2];     /* N */
     double acceleration_sd;      /* m/s2, of the recording */
     double lowpass_hz;           /* that the speed and force of the recording went through */
-    size_t state_bytes;          /* of a state at the texture's own rate */
+    size_t state_bytes;          /* that a state at the texture's own rate asks for */
 } foten_info;
 
 /* Check a texture file in memory and make it ready; the bytes may be freed afterwards. `why` gets one line for people, and may be
