@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import runpy
 import struct
 import subprocess
 import sys
@@ -289,6 +290,15 @@ def test_another_rate_keeps_the_band_and_adds_nothing_above(
     found = np.fft.irfft(part, out.size)
     match = [float(found[lag : lag + out.size // 2] @ wanted[: out.size // 2]) for lag in lags]
     assert lags[int(np.argmax(match))] / rate == pytest.approx(state.delay_s, abs=0.2e-3 + 0.5 / rate)
+
+
+def test_a_change_of_rate_stops_what_its_header_says() -> None:
+    table = runpy.run_path(str(Path(__file__).parents[1] / "native" / "tools" / "resample_table.py"))
+    kernel = table["kernel"]()
+    spectrum = np.abs(np.fft.rfft(kernel, 1 << 18))
+    rates = np.fft.rfftfreq(1 << 18, 1 / table["STEPS"])
+    assert 20 * np.log10(spectrum[rates >= 0.55].max() / spectrum[0]) < -58
+    assert 20 * np.log10(spectrum[rates <= 0.45].min() / spectrum[0]) > -0.01
 
 
 def test_rates_that_cannot_be_are_refused(native: NativeTexture) -> None:
