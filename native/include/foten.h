@@ -62,7 +62,7 @@ typedef enum {
     FOTEN_NO_PROOF = 4 /* the processor does not reproduce the golden windows of the file */
 } foten_status;
 
-/* The library's version, as "0.1.0", and the instruction set that it uses here: "avx512", "avx2", "neon", "simd128" or "portable".
+/* The library's FOTEN_ABI and FOTEN_VERSION, and the instruction set that it uses here: "avx512", "avx2", "neon", "simd128" or "portable".
  * FOTEN_ISA in the environment asks for another one that the processor has; set it before the first call. */
 FOTEN_API int foten_abi(void);
 FOTEN_API const char *foten_version(void);
