@@ -7,7 +7,8 @@ THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
 .PHONY: demo test check slow wasm wasm-check web clean
 
-$(VENV)/.installed: pyproject.toml constraints.txt
+# An editable install takes Python from here, and the kernel from when it was built.
+$(VENV)/.installed: pyproject.toml constraints.txt CMakeLists.txt $(wildcard native/src/* native/include/*)
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	touch $@
@@ -28,7 +29,7 @@ check: $(VENV)/.installed
 	$(THREADS) $(BIN)/python -m pytest -q
 
 $(VENV)/.wasm: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt '.[wasm]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt ziglang # of the extra wasm, which would bring a copy of foten
 	touch $@
 
 wasm: $(VENV)/.wasm

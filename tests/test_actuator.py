@@ -54,6 +54,15 @@ def test_the_limit_is_never_reached_and_small_drives_are_left_alone(texture: Tex
     assert renderer.stats.n_limited == (~small).sum() > 0
 
 
+@pytest.mark.parametrize("limit", [0.1, 0.3, 1.0])
+def test_an_overdrive_does_not_reach_the_limit_either(texture: Texture, limit: float) -> None:
+    """Hundred times too loud; as a float 0.1 is more than 0.1."""
+    wanted = Renderer(texture, seed=5).render(100.0, 1.0, 2000).astype(float)
+    profile = ActuatorProfile(gain=wanted.std() / (100 * limit), limit=limit)
+    drive = Renderer(texture, seed=5, actuator=profile).render(100.0, 1.0, 2000).astype(float)
+    assert 0.999999 * limit < np.abs(drive).max() < limit
+
+
 def test_without_a_resonance_the_drive_is_acceleration_over_gain(texture: Texture) -> None:
     wanted, drive = driven(texture, ActuatorProfile(gain=4.0), 1000.0, 500)
     np.testing.assert_allclose(drive, wanted / 4, rtol=1e-6)
@@ -120,8 +129,15 @@ def test_a_sweep_of_something_else_says_so() -> None:
         identify(drive, np.zeros_like(drive), 4000.0)
     with pytest.raises(ValueError, match="shape"):
         identify(drive, drive[:-1], 4000.0)
+    spoiled = np.where(np.arange(drive.size) == 7, np.nan, drive)
+    for pair in ((drive, spoiled), (spoiled, drive)):
+        with pytest.raises(ValueError, match="NaN"):
+            identify(*pair, 4000.0)
     with pytest.raises(ValueError, match="expected to lie"):
         sweep(1.0, 800.0)
+    for seconds in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(ValueError, match="expected positive"):
+            sweep(seconds, 4000.0)
 
 
 def test_a_profile_is_read_as_it_was_written(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import json
 import re
 import shutil
@@ -10,13 +11,18 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from conftest import exported
 from foten.cli import _status
-from foten.render import devices
+from foten.render import bench, devices
+from foten.render import play as playing
+from foten.render.actuator import ActuatorProfile, write_profile
+from foten.render.live import LiveStatistics
+from foten.render.play import Played
 from foten.render.renderer import Renderer
 
 
@@ -50,45 +56,46 @@ def test_play_counts_and_says_what_lies_between(file: Path, capsys: pytest.Captu
     assert "Ctrl-C" in err
 
 
+def wav(path: Path) -> tuple[np.ndarray, dict[str, Any]]:
+    """Return a WAV's float samples, and its comment."""
+    data = path.read_bytes()
+    at = data.index(b"data") + 8
+    comment = data[data.index(b"ICMT") + 8 :].split(b"\0")[0]
+    return np.frombuffer(
+        data[at : at + int.from_bytes(data[at - 4 : at], "little")], dtype="<f4"
+    ), json.loads(comment)
+
+
 def test_play_into_a_file_is_what_is_rendered(file: Path, tmp_path: Path) -> None:
     path = tmp_path / "stroke.wav"
     arguments = ["--to", str(path), "--seconds", "0.3", "--speed", "80", "--force", "0.8", "--rate", "1000"]
     assert _status(["play", str(file), *arguments, "--seed", "4"]) == 0
-    data = path.read_bytes()
-    at = data.index(b"data") + 8
-    n = int.from_bytes(data[at - 4 : at], "little") // 4
-    played = np.frombuffer(data[at : at + 4 * n], dtype="<f4")
-    assert n == 300
-    np.testing.assert_array_equal(played, Renderer(file, seed=4).render(80.0, 0.8, n))
+    np.testing.assert_array_equal(wav(path)[0], Renderer(file, seed=4).render(80.0, 0.8, 300))
 
 
-def test_play_follows_a_stroke(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_play_and_render_make_the_same_of_a_stroke(file: Path, tmp_path: Path) -> None:
     stroke = tmp_path / "s.csv"
     stroke.write_text(
         "t,speed,force\n" + "".join(f"{0.01 * k},{0 if k < 50 else 90},{0.8}\n" for k in range(100))
     )
-    path = tmp_path / "stroke.wav"
-    assert (
-        _status(
-            [
-                "play",
-                str(file),
-                "--to",
-                str(path),
-                "--seconds",
-                "0.9",
-                "--stroke",
-                str(stroke),
-                "--rate",
-                "1000",
-            ]
-        )
-        == 0
-    )
-    data = path.read_bytes()
-    at = data.index(b"data") + 8
-    played = np.frombuffer(data[at : at + int.from_bytes(data[at - 4 : at], "little")], dtype="<f4")
-    assert np.abs(played[:400]).max() < 0.1 * np.abs(played[600:]).max()
+    both = [str(file), "--stroke", str(stroke), "--seed", "5"]
+    played, rendered = tmp_path / "played.wav", tmp_path / "rendered.wav"
+    assert _status(["play", *both, "--to", str(played), "--seconds", "0.99", "--rate", "1000"]) == 0
+    assert _status(["render", *both, "-o", str(rendered)]) == 0
+    (one, about), (other, expected) = wav(played), wav(rendered)
+    np.testing.assert_array_equal(one, other)
+    assert about == expected
+    assert {"foten", "texture_sha256", "stroke", "seed"} <= about.keys()
+
+
+def test_a_file_says_what_its_numbers_are(file: Path, tmp_path: Path) -> None:
+    path, coil = tmp_path / "drive.wav", tmp_path / "coil.json"
+    profile = ActuatorProfile("coil", resonance_hz=70.0, gain=2.0, unit="A")
+    write_profile(profile, coil)
+    assert _status(["play", str(file), "--to", str(path), "--seconds", "0.1", "--actuator", str(coil)]) == 0
+    about = wav(path)[1]
+    assert about["unit"] == "A"
+    assert ActuatorProfile(**about["actuator"]) == profile
 
 
 @pytest.mark.parametrize(
@@ -101,12 +108,16 @@ def test_play_follows_a_stroke(file: Path, tmp_path: Path, capsys: pytest.Captur
         (["--to", "null", "--lead-ms", "0"], "lead"),
         (["--to", "null", "--rate", "10"], "rate"),
         (["--to", "null", "--speed", "-1", "--force", "1"], "speed"),
+        (["--to", "null", "--gain", "2"], "--gain"),
+        (["--to", "null", "--device", "2"], "--device"),
+        (["--to", "null", "--channel", "0"], "--channel"),
+        (["--to", "a.wav", "--seconds", "inf"], "--seconds is inf"),
     ],
 )
 def test_what_cannot_be_played_is_one_line(
     file: Path, arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert _status(["play", str(file), *arguments, "--seconds", "0.1"]) == 2
+    assert _status(["play", str(file), "--seconds", "0.1", *arguments]) == 2
     assert told in one_line(capsys)
 
 
@@ -161,6 +172,27 @@ def test_what_is_beyond_is_told(file: Path, tmp_path: Path, capsys: pytest.Captu
     assert "taken as twice that" in out
 
 
+def test_what_went_wrong_is_told_with_what_helps(
+    file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    counted = Renderer(file).counted() | {"n": 800, "n_refused": 3, "n_lost": 4}
+    statistics = LiveStatistics(n_underruns=5, n_lacking=60)
+
+    def played(*_: Any) -> Played:
+        return Played(statistics, {}, counted, n_cut=0, n_device_underruns=7, n_late=8, interrupted=False)
+
+    monkeypatch.setattr(playing, "play", played)
+    assert _status(["play", str(file), "--to", "null", "--lead-ms", "20"]) == 0
+    out, err = capsys.readouterr()
+    ring, card, late = out.splitlines()[-3:]
+    assert "ran empty 5 times, 60 samples of silence; a longer --lead-ms than 20" in ring
+    assert "too late 7 times" in card
+    assert "--lead-ms" not in card
+    assert "8 blocks" in late
+    assert "no number 3 times" in err
+    assert "4 samples were no numbers" in err
+
+
 def test_bench_times_each_instruction_set(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert _status(["bench", str(file), "-n", "1000", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -170,6 +202,73 @@ def test_bench_times_each_instruction_set(file: Path, capsys: pytest.CaptureFixt
     out = capsys.readouterr().out
     assert "contacts a core" in out
     assert "portable" in out
+
+
+def test_bench_times_no_instruction_set_in_the_place_of_another(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What this processor has not was timed in full with what it has."""
+    programs = []
+
+    def run(command: list[str], **options: Any) -> Any:
+        programs.append(usual(command, **options))
+        return programs[-1]
+
+    usual = subprocess.run
+    monkeypatch.setattr(bench.subprocess, "run", run)
+    found = [times.isa for times in bench.time_all(file, 1000)]
+    assert len(programs) == len(bench.INSTRUCTION_SETS) > len(found) > 0
+    assert [one for one in bench.INSTRUCTION_SETS if one in found] == found
+    assert sum(bool(done.stdout) for done in programs) == len(found)
+
+
+@pytest.mark.parametrize(
+    ("status", "stderr", "told"),
+    [
+        (-signal.SIGSEGV, "", "Segmentation fault"),
+        (3, "", "status 3"),
+        (1, "Traceback\n  x\nValueError: no more", "no more"),
+    ],
+)
+def test_a_program_that_ends_is_told_in_one_line(
+    file: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    status: int,
+    stderr: str,
+    told: str,
+) -> None:
+    def run(command: list[str], **_: Any) -> subprocess.CompletedProcess[str]:
+        return subprocess.CompletedProcess(command, status, "", stderr)
+
+    monkeypatch.setattr(bench.subprocess, "run", run)
+    assert _status(["bench", str(file)]) == 2
+    line = one_line(capsys)
+    assert told in line
+    assert "ValueError" not in line
+    assert _status(["doctor"]) == 1
+    assert told in capsys.readouterr().out
+
+
+def test_bench_refuses_what_is_no_texture_as_play_does(capsys: pytest.CaptureFixture[str]) -> None:
+    assert _status(["bench", str(Path(__file__))]) == 2
+    assert one_line(capsys).startswith("foten: this is not a texture file")
+
+
+def test_doctor_does_without_metadata(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As where the sources are in the path, and nothing is installed."""
+
+    def missing(name: str) -> None:
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(importlib.metadata, "distribution", missing)
+    monkeypatch.setattr(importlib.metadata, "version", missing)
+    assert _status(["doctor"]) in (0, 1)
+    out = capsys.readouterr().out
+    assert re.search(r"size +\d+ MB: foten", out)
+    assert "PyTorch of an unknown version" in out
 
 
 def test_doctor_says_what_is_here(capsys: pytest.CaptureFixture[str]) -> None:

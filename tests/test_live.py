@@ -17,13 +17,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import butter, lfilter
 
+from foten.render import devices
 from foten.render.actuator import ActuatorProfile
-from foten.render.devices import DaqSink, NullSink, OscSink, UdpSink, WavSink
+from foten.render.devices import DaqSink, NullSink, OscSink, SoundSink, UdpSink, WavSink
 from foten.render.live import Live, LiveStatistics, Timing
-from foten.render.play import along, circling, gain_for, rate_for, sink_of
+from foten.render.play import along, circling, gain_for, rate_for, rendering, sink_of
 from foten.render.renderer import Renderer
 from foten.render.ring import Ring
+from foten.render.stroke import Stroke
 from foten.texture_file import Texture
 
 
@@ -79,6 +82,25 @@ def test_percentiles_are_those_of_what_was_counted() -> None:
         assert timing.percentile_s(percent) == pytest.approx(np.percentile(times, percent), rel=0.03)
     assert timing.percentile_s(100) == timing.largest_s == times.max()
     assert np.isnan(Timing().percentile_s(50))
+
+
+def test_after_a_machine_stood_still_no_sink_makes_up_for_it() -> None:
+    """It took all that it had missed at once, and the ring ran empty."""
+    took: list[float] = []
+
+    class Stalled(NullSink):
+        def take(self, block: np.ndarray) -> None:
+            took.append(time.perf_counter())
+            if len(took) == 10:
+                time.sleep(0.4)
+
+    sink = Stalled(1000.0, block_ms=20)
+    sink.start(lambda out: None)
+    while len(took) < 20:
+        time.sleep(0.001)
+    sink.stop()
+    assert took[19] - took[10] > 7 * 0.02
+    assert sink.n_late >= 18  # of 20 ms each
 
 
 class Pulled:
@@ -247,7 +269,7 @@ def test_a_wav_is_what_was_played(texture: Texture, tmp_path: Path) -> None:
     assert struct.unpack("<I", path.read_bytes()[4:8])[0] == path.stat().st_size - 8
 
 
-def test_a_wav_that_cannot_be_is_refused_and_one_that_fails_is_not_left(tmp_path: Path) -> None:
+def test_a_wav_that_cannot_be_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="no such folder"):
         WavSink(tmp_path / "no" / "x.wav", 8000)
     with pytest.raises(ValueError, match="4 GB"):
@@ -255,13 +277,27 @@ def test_a_wav_that_cannot_be_is_refused_and_one_that_fails_is_not_left(tmp_path
     with pytest.raises(ValueError, match="whole number"):
         WavSink(tmp_path / "x.wav", 8000.5)
 
-    def render(out: np.ndarray) -> None:
-        raise RuntimeError("no more")
 
-    sink = WavSink(tmp_path / "x.wav", 8000, n=100)
-    sink.failed = OSError("disk full")
-    sink.stop()
-    assert list(tmp_path.iterdir()) == []
+@pytest.mark.parametrize("dies", ["rendering", "sink"])
+def test_a_wav_that_fails_is_not_left_and_the_one_before_it_is(tmp_path: Path, dies: str) -> None:
+    path = tmp_path / "x.wav"
+    path.write_bytes(b"of yesterday")
+
+    def render(out: np.ndarray) -> None:
+        out[:] = 1.0
+        if dies == "rendering" and live.statistics.n_samples > 200:
+            raise OSError("no more")
+
+    sink = WavSink(path, 8000, n=8000)
+    live = Live(render, sink)
+    live.start()
+    if dies == "sink":
+        sink.failed = OSError("no more")
+    while live.running:
+        time.sleep(0.001)
+    with pytest.raises(OSError, match="no more"):
+        live.stop()
+    assert [one.read_bytes() for one in tmp_path.iterdir()] == [b"of yesterday"]
 
 
 def received(sink: Any, listening: socket.socket, n: int) -> list[bytes]:
@@ -295,6 +331,71 @@ def test_packets_and_messages_hold_the_samples() -> None:
     np.testing.assert_array_equal(np.frombuffer(message[28:], "<f4"), np.arange(4))
 
 
+class FakeSound:
+    """What of sounddevice's interface the sink uses, with a device that plays 20 ms later; no PortAudio, no card."""
+
+    class PortAudioError(Exception):
+        pass
+
+    latency = 0.02
+
+    def OutputStream(self, **asked: Any) -> FakeSound:  # noqa: N802, sounddevice calls it so
+        self.asked = asked
+        return self
+
+    def start(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+    def call(self) -> np.ndarray:
+        """Return what the card plays next, shape (n, n_channels)."""
+        out = np.full((self.asked["blocksize"], self.asked["channels"]), np.nan, dtype=np.float32)
+        self.asked["callback"](out, len(out), None, SimpleNamespace(output_underflow=False))
+        return out
+
+
+@pytest.fixture
+def sound(monkeypatch: pytest.MonkeyPatch) -> FakeSound:
+    fake = FakeSound()
+    monkeypatch.setattr(devices, "sound_library", lambda: fake)
+    return fake
+
+
+def test_a_card_that_fills_its_buffer_at_once_finds_all_of_it(sound: FakeSound) -> None:
+    live = Live(lambda out: out.fill(0.5), SoundSink(0.5, rate_hz=48_000.0, channel=1, n_channels=2))
+    live.start()
+    heard = [sound.call() for _ in range(4)]  # 20 ms in blocks of 5
+    live.stop()
+    assert live.statistics.n_underruns == 0
+    np.testing.assert_array_equal(np.concatenate(heard), np.tile([0.0, 0.25], (960, 1)))
+
+
+def test_what_is_beyond_full_scale_is_cut_and_counted(sound: FakeSound) -> None:
+    sink = SoundSink(2.0, rate_hz=48_000.0)
+    sink.start(lambda out: out.fill(0.7))
+    np.testing.assert_array_equal(sound.call(), np.ones((240, 1)))
+    assert sink.n_cut == 240
+
+
+def test_a_device_is_a_name_or_a_number(sound: FakeSound) -> None:
+    """PortAudio's numbers are ints: "3" was looked for among the names."""
+    for told, asked in (("3", 3), ("USB 3", "USB 3"), (None, None)):
+        sink_of("sound", 48_000.0, 1.0, None, device=told)
+        assert sound.asked["device"] == asked
+
+
+@pytest.mark.parametrize("gain", [float("nan"), float("inf")])
+def test_a_gain_that_is_no_number_reaches_no_hardware(sound: FakeSound, gain: float) -> None:
+    daq = FakeDaq()
+    for make in (lambda: SoundSink(gain), lambda: DaqSink("Dev1/ao0", 1000.0, gain, library=daq)):
+        with pytest.raises(ValueError, match="expected a finite number"):
+            make()
+    with pytest.raises(ValueError, match="expected a positive number"):
+        DaqSink("Dev1/ao0", 1000.0, limit_v=gain, library=daq)
+
+
 class FakeDaq:
     """What of nidaqmx's interface the sink uses, as version 1.7 has it; no driver, no device."""
 
@@ -325,7 +426,12 @@ class FakeDaq:
         self.log.append((name, fields))
 
     def _writer(self, stream: Any, auto_start: bool) -> Any:
-        return SimpleNamespace(write_many_sample=lambda data: self.written.append(data.copy()))
+        return SimpleNamespace(write_many_sample=self._take)
+
+    def _take(self, volts: np.ndarray) -> None:
+        if self.fails == "samples":
+            raise FakeDaq.Error("invalid buffer")
+        self.written.append(volts.copy())
 
     def register_every_n_samples_transferred_from_buffer_event(self, n: int, callback: Any) -> None:
         self.n, self.callback = n, callback
@@ -348,6 +454,8 @@ class FakeDaq:
             raise FakeDaq.Error("underflow")
 
     def write(self, volts: float) -> None:
+        if self.fails == "still":
+            raise FakeDaq.Error("gone")
         self.log.append(("volts", volts))
 
     def __enter__(self) -> FakeDaq:
@@ -394,11 +502,27 @@ def test_a_daq_is_filled_before_it_starts_and_again_as_it_empties() -> None:
     assert sink.n_cut == (0.05 * np.arange(n, dtype=np.float32) > 10).sum()
 
 
-def test_a_daq_that_does_not_stop_says_what_to_do() -> None:
-    sink = DaqSink("Dev1/ao0", 10_000.0, library=FakeDaq("stop"))
-    sink.start(lambda out: out.fill(0.0))
+def test_a_daq_that_does_not_stop_well_is_set_to_no_voltage_all_the_same() -> None:
+    daq = FakeDaq("stop")
+    sink = DaqSink("Dev1/ao0", 10_000.0, library=daq)
+    sink.start(lambda out: out.fill(1.0))
     sink.stop()
-    assert "switch the amplifier off: underflow" in str(sink.failed)
+    assert daq.log[-2] == ("volts", 0.0)
+    assert str(sink.failed) == "the NI-DAQ ended badly: underflow"
+
+
+def test_a_daq_that_may_hold_a_voltage_says_what_to_do() -> None:
+    sink = DaqSink("Dev1/ao0", 10_000.0, library=FakeDaq("still"))
+    sink.start(lambda out: out.fill(1.0))
+    sink.stop()
+    assert "switch the amplifier off: gone" in str(sink.failed)
+
+
+def test_a_daq_that_takes_no_samples_is_not_started() -> None:
+    daq = FakeDaq("samples")
+    with pytest.raises(OSError, match="takes no samples: invalid buffer"):
+        DaqSink("Dev1/ao0", 10_000.0, library=daq).start(lambda out: out.fill(0.0))
+    assert "start" not in daq.log
 
 
 def test_the_stand_in_has_the_names_of_the_library() -> None:
@@ -436,21 +560,55 @@ def test_a_daq_that_is_not_there_is_one_line(fails: str, message: str) -> None:
     assert fails == "driver" or daq.log[-1] == "close"
 
 
-def test_hands_rates_gains_and_sinks_by_name(tmp_path: Path) -> None:
-    hand = circling((10.0, 200.0), (0.2, 2.0))
-    seen = np.array([hand(t) for t in np.linspace(0, 20, 500)])
-    assert seen[:, 0].min() > 10
-    assert seen[:, 0].max() < 200
-    assert np.ptp(seen[:, 1]) > 1
-    stroke = along(np.arange(5.0), np.arange(5.0, 10.0), 10.0)
-    assert stroke(0.25) == (2.0, 7.0)
-    assert stroke(0.75) == (2.0, 7.0)  # over and over
+def test_a_circle_is_over_the_middle_of_the_trained_range() -> None:
+    speed, force = circling((10.0, 200.0), (0.2, 2.0), 1000.0)(np.arange(20_000))
+    assert speed.min() > 10
+    assert speed.max() < 200
+    assert np.ptp(force) > 1
+
+
+def test_a_stroke_is_played_over_and_over_without_a_step() -> None:
+    """Physics: the hand goes over as fast as the low-pass, SciPy's, lets a step be. Oracle: the stroke laid end to end."""
+    speed, force = np.linspace(20.0, 120.0, 500), np.linspace(0.5, 1.5, 500)
+    hand = along(Stroke(speed[None], force, 1000.0), 20.0)
+    once = Stroke(speed[None], force, 1000.0).conditioned(20.0)
+    np.testing.assert_array_equal(hand(np.arange(500)), once)
+    thrice = Stroke(np.tile(speed, 3)[None], np.tile(force, 3), 1000.0).conditioned(20.0)
+    np.testing.assert_allclose(hand(np.arange(1500)), thrice, rtol=1e-9)
+    fastest = np.diff(lfilter(*butter(2, 20.0, fs=1000.0), np.ones(200))).max()
+    assert (np.abs(np.diff(hand(np.arange(1500)))).max(axis=1) <= fastest * np.array([100.0, 1.0])).all()
+
+
+@pytest.mark.parametrize("rate", [None, 8000.0, 44_100.0, 300.0])
+def test_what_is_played_is_the_stroke_that_is_rendered(texture: Texture, rate: float | None) -> None:
+    """The hand was looked at once in each block, and its steps were felt."""
+    speed, force = np.linspace(20.0, 180.0, 400), np.linspace(0.5, 1.5, 400)
+    hand = along(Stroke(speed[None], force, 1000.0), 20.0)
+    render, blocks = rendering(Renderer(texture, rate, seed=3), hand), []
+    whole = Renderer(texture, rate, seed=3).render(*hand(np.arange(400)))
+    for size in np.random.default_rng(0).integers(0, 40, 400):
+        blocks.append(np.empty(size, dtype=np.float32))
+        render(blocks[-1])
+        if sum(block.size for block in blocks) > whole.size - 100:
+            break
+    played = np.concatenate(blocks)
+    assert played.size > 15
+    np.testing.assert_array_equal(played, whole[: played.size])
+
+
+def test_rates_gains_and_sinks_by_name(tmp_path: Path) -> None:
     assert rate_for("sound", None, 1000.0) == 48_000
     assert rate_for("null", None, 1000.0) == 8000
     assert rate_for("daq:Dev1/ao0", None, 10_000.0) == 10_000
     assert rate_for("null", 2500.0, 1000.0) == 2500
     assert gain_for(None, None, 2.0, "sound") == 0.05
     assert gain_for(None, 3.0, 2.0, "sound") == 3
+    for where in ("null", "x.wav", "udp:x:1", "osc:x:1"):
+        with pytest.raises(ValueError, match="takes what is rendered as it is"):
+            gain_for(None, 3.0, 2.0, where)
+        for asked in ({"device": "3"}, {"channel": 0}):
+            with pytest.raises(ValueError, match="are a sound card's"):
+                sink_of(where, 8000, 1.0, None, **asked)
     assert gain_for(None, None, 2.0, "udp:x:1") == 1
     volts, full = ActuatorProfile(unit="V"), ActuatorProfile(unit="full scale")
     assert gain_for(volts, None, 2.0, "daq:x") == gain_for(full, None, 2.0, "sound") == 1

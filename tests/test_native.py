@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import runpy
 import struct
 import subprocess
 import sys
@@ -292,6 +293,15 @@ def test_another_rate_keeps_the_band_and_adds_nothing_above(
     assert lags[int(np.argmax(match))] / rate == pytest.approx(state.delay_s, abs=0.2e-3 + 0.5 / rate)
 
 
+def test_a_change_of_rate_stops_what_its_header_says() -> None:
+    table = runpy.run_path(str(Path(__file__).parents[1] / "native" / "tools" / "resample_table.py"))
+    kernel = table["kernel"]()
+    spectrum = np.abs(np.fft.rfft(kernel, 1 << 18))
+    rates = np.fft.rfftfreq(1 << 18, 1 / table["STEPS"])
+    assert 20 * np.log10(spectrum[rates >= 0.55].max() / spectrum[0]) < -58
+    assert 20 * np.log10(spectrum[rates <= 0.45].min() / spectrum[0]) > -0.01
+
+
 def test_rates_that_cannot_be_are_refused(native: NativeTexture) -> None:
     for rate in (40.0, 500_000.0, -1.0, float("nan"), float("inf")):
         with pytest.raises(ValueError, match="expected 50 to 400000 Hz"):
@@ -348,6 +358,18 @@ def test_what_is_wrong_in_a_file_is_said(texture: Texture) -> None:
     NativeTexture(bytes_of())
 
 
+def test_a_window_without_a_prediction_hides_no_other(texture: Texture) -> None:
+    """One so large that the network overflows came after those that were wrong, and the file was let through."""
+    from safetensors.numpy import save
+
+    tensors = {name: tensor.copy() for name, tensor in texture.tensors.items()}
+    tensors["golden.one_step"][:6] += 1
+    tensors["golden.windows"][6, -1, 0] = 1.7e308
+    data = save(tensors, metadata={"foten": json.dumps(dict(texture.card))})
+    with pytest.raises(ValueError, match="proof: one step"):
+        NativeTexture(data)
+
+
 def test_silence_does_not_become_slow() -> None:
     """A lattice without excitation dies away: its state becomes zero before it becomes denormal."""
     texture = exported("foten-plus", FotenPlusArchitecture(**{**SMALL, "network_heard": False}))
@@ -387,6 +409,18 @@ def test_the_public_renderer(texture: Texture, tmp_path: Path) -> None:
     ):
         with pytest.raises(ValueError, match=r"expected|n was given"):
             call(foten.Renderer(texture))
+
+
+def test_a_stroke_may_be_read_only_and_one_of_its_arrays_a_single_number(texture: Texture) -> None:
+    speed = np.full(50, 80.0, dtype=np.float32)
+    speed.flags.writeable = False
+    expected = foten.Renderer(texture, seed=7).render(80.0, 0.8, 50)
+    for force in (0.8, np.array([0.8])):  # warnings are errors: NumPy's of a broadcast array was one
+        np.testing.assert_array_equal(foten.Renderer(texture, seed=7).render(speed, force), expected)
+    np.testing.assert_array_equal(foten.Renderer(texture, seed=7).render(np.array([80.0]), 0.8), expected[:1])
+    renderer = foten.Renderer(texture)
+    with pytest.raises(ValueError, match="to be written to"):
+        renderer.render_into(speed, 80.0, 0.8)
 
 
 def test_the_processor_is_told() -> None:

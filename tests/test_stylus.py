@@ -10,6 +10,7 @@ from scipy.signal import sosfilt
 
 from foten.datasets.stroking import stroking
 from foten.dsp.filters import butterworth
+from foten.render.native import NativeStylus, NativeTexture
 from foten.render.renderer import Renderer
 from foten.render.stylus import PressureCalibration, Stylus, fit_pressure
 from foten.texture_file import Texture
@@ -77,6 +78,26 @@ def test_a_steady_stroke_is_its_speed_and_force(texture: Texture) -> None:
     assert stylus.stats.n_late == stylus.stats.n_jumps == 0
 
 
+@pytest.mark.parametrize(
+    ("told", "meant"),
+    [((0, 0), (0.13, 3.32)), ((0, 2), (0.13, 2)), ((0.2, 0), (0.2, 3.32)), ((0.2, 2), (0.2, 2))],
+)
+def test_what_is_left_out_of_a_curve_is_the_papers(
+    texture: Texture, told: tuple[float, float], meant: tuple[float, float]
+) -> None:
+    """A steepness by itself was dropped."""
+    stylus = NativeStylus(NativeTexture(texture.to_bytes()), *told)
+    stylus.push(0.0, 0.0, 0.5, 0.0)
+    force = [stylus.next()[1] for _ in range(1000)][-1]
+    assert force == pytest.approx(meant[0] * np.exp(meant[1] * 0.5), rel=1e-6)
+
+
+def test_a_force_may_be_the_same_at_any_pressure(texture: Texture) -> None:
+    stylus = Stylus(Renderer(texture), PressureCalibration(0.8, 0.0))
+    stylus.push(0.0, 0.0, 0.5, 0.0)
+    assert [stylus.next_hand()[1] for _ in range(1000)][-1] == pytest.approx(0.8, rel=1e-6)
+
+
 def test_lifting_is_quiet_and_landing_elsewhere_is_no_stroke(texture: Texture) -> None:
     """Speed and force fall and rise as the low-pass does: never faster than it lets a step."""
     at = np.arange(0.0, 1.0, 0.01)
@@ -92,6 +113,19 @@ def test_lifting_is_quiet_and_landing_elsewhere_is_no_stroke(texture: Texture) -
     fastest = np.diff(step, prepend=0.0).max()
     assert np.abs(np.diff(found[:, 1])).max() < 1.05 * fastest * CURVE.force(np.array([0.5]))[0]
     np.testing.assert_allclose(found[2400:2480, 0], 100.0, rtol=1e-3)
+
+
+@pytest.mark.parametrize("events_hz", [60.0, 120.0, 240.0])
+@pytest.mark.parametrize("angle", [0.0, 0.6])
+def test_a_pen_that_stops_does_not_turn_back(texture: Texture, events_hz: float, angle: float) -> None:
+    """The tablet goes on telling the same place. A second-order low-pass undershoots a step by 4.3 %, and nothing adds to it."""
+    at = np.arange(0.0, 1.0, 1 / events_hz)
+    path = 200 * np.minimum(at, 0.5)
+    events = np.stack([np.cos(angle) * path, np.sin(angle) * path, np.full(at.size, 0.5), at], axis=1)
+    speed = hands(Stylus(Renderer(texture)), events, 990)[:, 0]
+    falling = 500 + int(np.argmax(speed[500:] < 100))
+    turned = falling + int(np.argmax(np.diff(speed[falling:]) > 0))
+    assert speed[turned:].max() < 1.05 * 0.043 * 200
 
 
 def test_a_pen_that_rests_is_still_and_pressed(texture: Texture) -> None:

@@ -62,7 +62,7 @@ typedef enum {
     FOTEN_NO_PROOF = 4 /* the processor does not reproduce the golden windows of the file */
 } foten_status;
 
-/* The library's version, as "0.1.0", and the instruction set that it uses here: "avx512", "avx2", "neon", "simd128" or "portable".
+/* The library's FOTEN_ABI and FOTEN_VERSION, and the instruction set that it uses here: "avx512", "avx2", "neon", "simd128" or "portable".
  * FOTEN_ISA in the environment asks for another one that the processor has; set it before the first call. */
 FOTEN_API int foten_abi(void);
 FOTEN_API const char *foten_version(void);
@@ -79,7 +79,7 @@ typedef struct {
     double trained_force[2];     /* N */
     double acceleration_sd;      /* m/s2, of the recording */
     double lowpass_hz;           /* that the speed and force of the recording went through */
-    size_t state_bytes;          /* of a state at the texture's own rate */
+    size_t state_bytes;          /* that a state at the texture's own rate asks for */
 } foten_info;
 
 /* Check a texture file in memory and make it ready; the bytes may be freed afterwards. `why` gets one line for people, and may be
@@ -154,8 +154,8 @@ FOTEN_API foten_stats foten_statistics(const foten_state *state);
  *
  * Speed is the norm of the velocity through the low-pass that the texture was trained with, force is a exp(b p) of a pressure p in
  * 0..1 through the same, 0 where the pen is lifted (Eq. 12 of the paper; a and b are the tablet's own). Between events the
- * velocity is carried on, by a part of its last change, which halves its delay: 4 to 2 ms at 60 to 240 events a second that are told
- * at once, beside the 11 ms of the low-pass, which the training has as well. Force is held: 10 to 3 ms.
+ * velocity is carried on, by a part of its last change and at most by its own size, which halves its delay: 5 to 2 ms at 60 to 240
+ * events a second that are told at once, beside the 11 ms of the low-pass, which the training has as well. Force is held: 10 to 3 ms.
  *
  * Events that are not finite, are not later than the one before, or come faster than they are rendered are counted and left out. A jump
  * faster than 5 m/s, or out of a hole of ten usual steps, is a pen that was lifted. Without events the hand stands still, after
@@ -164,7 +164,7 @@ FOTEN_API foten_stats foten_statistics(const foten_state *state);
 typedef struct foten_stylus foten_stylus;
 
 typedef struct {
-    double newtons, steepness; /* a [N] and b; 0 and 0 for the paper's 0.13 and 3.32 */
+    double newtons, steepness; /* a [N] and b; of each 0 for the paper's, 0.13 and 3.32 */
 } foten_stylus_options;
 
 typedef struct {

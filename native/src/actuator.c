@@ -4,6 +4,12 @@
 
 static const double PI = 3.14159265358979323846, LOWEST_HZ = 20, KNEE = 0.8, LOWEST_RATE_HZ = 4000, TIMES_RESONANCE = 16, DAMPED = 0.70710678118654752;
 
+/* The largest float below a number, as drives leave: tanh comes to 1, and rounding goes up as well. */
+static float below(double limit) {
+    float found = (float)limit;
+    return found < limit ? found : nextafterf(found, 0);
+}
+
 int actuator_make(actuator *into, const foten_actuator *of, double rate_hz) {
     if (!of) {
         *into = (actuator){0};
@@ -12,7 +18,7 @@ int actuator_make(actuator *into, const foten_actuator *of, double rate_hz) {
     double lowest = of->lowest_hz > 0 ? of->lowest_hz : LOWEST_HZ;
     if (!isfinite(of->gain) || of->gain == 0 || !(of->limit >= 0) || !(of->resonance_hz >= 0) || !(of->damping >= 0)) return 0;
     /* What was heard goes on where only the figures change. */
-    actuator made = {.on = 1, .limit = of->limit, .first = into->first, .second = into->second}, *a = &made;
+    actuator made = {.on = 1, .limit = of->limit, .most = below(of->limit), .first = into->first, .second = into->second}, *a = &made;
     if (of->resonance_hz == 0) {
         a->b0 = 1 / of->gain;
         a->first = a->second = 0;
@@ -47,5 +53,6 @@ double actuator_drive(actuator *a, double x, int *bent) {
     double size = a->limit > 0 ? fabs(y) / a->limit : 0;
     if (size <= KNEE) return y;
     *bent = 1;
-    return copysign(a->limit * (KNEE + (1 - KNEE) * tanh((size - KNEE) / (1 - KNEE))), y);
+    double drive = a->limit * (KNEE + (1 - KNEE) * tanh((size - KNEE) / (1 - KNEE)));
+    return copysign(drive < a->most ? drive : a->most, y);
 }

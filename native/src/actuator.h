@@ -5,7 +5,7 @@
 
 typedef struct {
     int on;
-    double b0, b1, b2, a1, a2, first, second, limit;
+    double b0, b1, b2, a1, a2, first, second, limit, most; /* most: the largest drive below the limit */
 } actuator;
 
 int actuator_make(actuator *a, const foten_actuator *of, double rate_hz); /* 0 where it cannot be; NULL switches it off */

@@ -56,7 +56,7 @@ static int proven(texture_file *file, const char *what, const double *found, con
     double worst = 0;
     for (size_t i = 0; i < n; i++) {
         double size = fabs(expected[i]) > 1 ? fabs(expected[i]) : 1, error = fabs(found[i] - expected[i]) / size;
-        if (!(error <= worst)) worst = error;
+        if (error > worst || isnan(error)) worst = error; /* which nothing is larger than */
     }
 #ifdef FOTEN_FUZZING
     tolerance = INFINITY; /* what a hostile file makes of the loop is to be reached */
@@ -84,6 +84,7 @@ static foten_status prove(foten_model *m, texture_file *file) {
     const double *closed = conditions ? file_take(file, "golden.closed_loop", (size_t[]){GOLDEN_STEPS, 0, 0, 0}, &memory) : NULL;
     const double *warm = closed ? file_take(file, "warm_start", (size_t[]){length, 3, 0, 0}, &memory) : NULL;
     const double *sigma = warm && m->excited ? file_take(file, "golden.sigma", (size_t[]){n, 0, 0, 0}, &memory) : NULL;
+    if (memory.failed) status = FOTEN_NO_MEMORY;
     if (!warm || (m->excited && !sigma) || !file_all_taken(file, m->name)) goto done;
 
     block size = {0};
@@ -143,11 +144,28 @@ void foten_model_free(foten_model *model) {
     free(model);
 }
 
-foten_info foten_model_info(const foten_model *m) {
+/* A state's parts in a block, at a rate; nothing yet where that only measures. */
+static foten_state *state_place(const foten_model *model, double rate, block *from) {
+    foten_state *s = block_take(from, 1, sizeof *s);
+    loop *loop = loop_place(model, from);
+    double *windows = block_take(from, (size_t)model->history * 3, sizeof *windows);
+    resampler *resampler = rate == model->rate_hz ? NULL : resampler_place(from, model->rate_hz, rate);
+    if (!from->base) return NULL;
+    s->loop = loop;
+    s->windows = windows;
+    s->resampler = resampler;
+    return s;
+}
+
+static size_t state_bytes(const foten_model *model, double rate) {
     block size = {0};
-    loop_place(m, &size);
+    state_place(model, rate, &size);
+    return size.used + ALIGNED;
+}
+
+foten_info foten_model_info(const foten_model *m) {
     foten_info info = {m->name, m->texture, m->rate_hz, m->history, m->excited, {m->low[0], m->high[0]}, {m->low[1], m->high[1]}, m->sd[0],
-                       m->lowpass_hz, sizeof(foten_state) + size.used + (size_t)m->history * 3 * sizeof(double)};
+                       m->lowpass_hz, state_bytes(m, m->rate_hz)};
     return info;
 }
 
@@ -155,28 +173,20 @@ foten_state *foten_state_new(const foten_model *model, const foten_options *opti
     foten_options o = options ? *options : (foten_options){0};
     double rate = o.rate_hz == 0 ? model->rate_hz : o.rate_hz;
     if (!(rate >= model->rate_hz * SLOWEST && rate <= model->rate_hz * FASTEST)) return NULL;
-    int other = rate != model->rate_hz;
-    block size = {0};
-    block_take(&size, 1, sizeof(foten_state));
-    loop_place(model, &size);
-    block_take(&size, (size_t)model->history * 3, sizeof(double));
-    if (other) resampler_place(&size, model->rate_hz, rate);
-    unsigned char *memory = malloc(size.used + ALIGNED);
+    size_t n = state_bytes(model, rate);
+    unsigned char *memory = malloc(n);
     if (!memory) return NULL;
+    memset(memory, 0, n);
     size_t shift = (size_t)(-(uintptr_t)memory & (ALIGNED - 1));
     if (shift < 1) shift = ALIGNED; /* one byte before the block says where its memory begins */
     block real = {memory + shift, 0};
     real.base[-1] = (unsigned char)shift;
-    memset(real.base, 0, size.used);
-    foten_state *s = block_take(&real, 1, sizeof *s);
+    foten_state *s = state_place(model, rate, &real);
     s->model = model;
     s->stream = o.stream;
     s->deterministic = o.deterministic;
     s->smooth = o.smooth;
     s->filter = lowpass(model->lowpass_hz, model->rate_hz);
-    s->loop = loop_place(model, &real);
-    s->windows = block_take(&real, (size_t)model->history * 3, sizeof *s->windows);
-    s->resampler = other ? resampler_place(&real, model->rate_hz, rate) : NULL;
     foten_reset(s, o.seed);
     return s;
 }

@@ -1,8 +1,7 @@
 /* The network for one instruction set: included by each kernel_*.c, which defines
- *   ISA    its name,
  *   LANES  floats in the vectors of linear maps,
  *   SHORT  floats in those of attention, where the lanes are queries: fewer waste less of 20,
- *   ROWS   tokens whose sums stay in registers together.
+ *   ROWS   tokens whose sums stay in registers together: 5, 8 or 11.
  * The vectors are the compiler's own, so that the same lines become AVX-512, AVX2, NEON, wasm's SIMD or plain C. */
 
 #include <math.h>
@@ -69,11 +68,12 @@ INLINE void panel(const int rows, const int vectors, int inputs, const float *re
         for (int k = 0; k < vectors; k++) store(out + n * out_stride + k * LANES, rectified ? rectify(a[n][k]) : a[n][k]);
 }
 
-#define EACH_ROWS(X) X(1) X(2) X(3) X(4) X(5)
-#if ROWS > 5
-#undef EACH_ROWS
-#define EACH_ROWS(X) X(1) X(2) X(3) X(4) X(5) X(6) X(7) X(8) X(9) X(10) X(11)
-#endif
+#define FIRST_5(X) X(1) X(2) X(3) X(4) X(5)
+#define FIRST_8(X) FIRST_5(X) X(6) X(7) X(8)
+#define FIRST_11(X) FIRST_8(X) X(9) X(10) X(11)
+#define JOINED(a, b) a##b
+#define FIRST(n) JOINED(FIRST_, n)
+#define EACH_ROWS FIRST(ROWS)
 
 static void some_rows(int rows, int vectors, int inputs, const float *w, const float *bias, const float *in, int in_stride,
                       float *out, int out_stride, int rectified) {

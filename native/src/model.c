@@ -188,7 +188,7 @@ static foten_status read_card(foten_model *m, texture_file *file, const sizes *s
     json card = file->card;
     long long window;
     if (!text_of(json_member(card, "model"), &m->memory, &m->name) || !text_of(json_member(card, "texture"), &m->memory, &m->texture))
-        return file_refuse(file, FOTEN_BAD_FILE, "the card does not name a model and a texture");
+        return m->memory.failed ? file_refuse(file, FOTEN_NO_MEMORY, "no memory") : file_refuse(file, FOTEN_BAD_FILE, "the card does not name a model and a texture");
     int most = s->order > s->rest_order ? s->order : s->rest_order;
     m->history = s->model == PLUS ? s->net.window + most + 1 : s->net.window;
     if (!json_integer(json_member(card, "window"), &window) || window != m->history)
@@ -351,7 +351,7 @@ foten_status model_read(foten_model *m, texture_file *file, const isa *isa) {
         m->local = local_make(file, s.order, s.ma, s.n_models, s.n_triangles, &m->memory);
         return m->local ? FOTEN_OK : file_refuse(file, m->memory.failed ? FOTEN_NO_MEMORY : FOTEN_BAD_FILE, "no memory");
     }
-    if (plus && !read_plus(m, file, &s)) return FOTEN_BAD_FILE;
+    if (plus && !read_plus(m, file, &s)) return m->memory.failed ? FOTEN_NO_MEMORY : FOTEN_BAD_FILE;
     m->network = net_make(file, plus ? "network." : "", &s.net, isa, &m->memory);
     if (!m->network) return file_refuse(file, m->memory.failed ? FOTEN_NO_MEMORY : FOTEN_BAD_FILE, "no memory");
     return FOTEN_OK;

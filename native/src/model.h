@@ -58,8 +58,8 @@ struct foten_model {
 /* Read and check all of a texture file but the proof. */
 foten_status model_read(foten_model *model, texture_file *file, const isa *isa);
 
-/* The largest of a plane's indices at or below which a value lies, and its share of the next one. */
-void plane_at(const plane *p, double speed, double log_force, double *out);
+/* A plane's values at a speed [mm/s] and a force [N]: `width` of them. */
+void plane_at(const plane *p, double speed, double force, double *out);
 
 double scale_at(const scale *s, const double condition[2], double logarithms[2]);
 void powers_of(const double logarithms[2], double out[5]);

@@ -6,7 +6,7 @@
 
 #include "arena.h"
 
-/* A low-pass of minimum phase at 0.45 of the slower rate, 60 dB down from 0.55 of it. */
+/* A low-pass of minimum phase at 0.45 of the slower rate, 58 dB down from 0.55 of it. */
 typedef struct resampler resampler;
 
 enum { FASTEST = 400 };                     /* times the texture's rate */

@@ -42,7 +42,7 @@ foten_stylus *foten_stylus_new(const foten_model *model, const foten_stylus_opti
     if (!s) return NULL;
     s->period_s = 1 / model->rate_hz;
     s->newtons = o.newtons > 0 ? o.newtons : PAPER_NEWTONS;
-    s->steepness = o.newtons > 0 ? o.steepness : PAPER_STEEPNESS;
+    s->steepness = o.steepness != 0 ? o.steepness : PAPER_STEEPNESS;
     s->filter = lowpass(model->lowpass_hz, model->rate_hz);
     s->usual_s = 1.0 / 120;
     return s;
@@ -83,6 +83,8 @@ static int late(foten_stylus *s, const event *e) {
     return 0;
 }
 
+static double length(const double v[2]) { return sqrt(v[0] * v[0] + v[1] * v[1]); }
+
 /* Take in what has come since the last sample. */
 static void listen(foten_stylus *s) {
     uint64_t pushed = atomic_load_explicit(&s->n_pushed, memory_order_acquire), taken = atomic_load_explicit(&s->n_taken, memory_order_relaxed);
@@ -115,12 +117,20 @@ static void listen(foten_stylus *s) {
         s->since_s = s->still = 0;
     }
     atomic_store_explicit(&s->n_taken, taken, memory_order_release);
-    for (int i = 0; i < 2; i++) {
-        if (jumped) s->held[i] = 0;
-        if (took <= 0) continue;
-        double velocity = moved[i] / took, before = s->moving && !jumped ? s->moved[i] : velocity;
-        s->held[i] = velocity + took / (took + CARRIED_S) * (velocity - before);
-        s->moved[i] = velocity;
+    if (jumped) s->held[0] = s->held[1] = 0;
+    if (took > 0) {
+        double velocity[2], change[2];
+        for (int i = 0; i < 2; i++) {
+            velocity[i] = moved[i] / took;
+            change[i] = s->moving && !jumped ? velocity[i] - s->moved[i] : 0;
+        }
+        /* What is carried on is at most what is there: a pen that stops would turn back otherwise, and be felt once more. */
+        double share = took / (took + CARRIED_S), most = length(velocity), carried = share * length(change);
+        if (carried > most) share *= most / carried;
+        for (int i = 0; i < 2; i++) {
+            s->held[i] = velocity[i] + share * change[i];
+            s->moved[i] = velocity[i];
+        }
     }
     s->moving = took > 0 || (s->moving && !jumped);
 }

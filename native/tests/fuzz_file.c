@@ -23,7 +23,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t n) {
     if ((status == FOTEN_OK) != (model != NULL)) abort();
     if (status != FOTEN_OK && !why[0]) abort();
     if (!model) return 0;
-    foten_options options = {n % 2 ? 0 : 3 * foten_model_info(model).rate_hz, n, 0, 0};
+    foten_options options = {n % 2 ? 0 : 3 * foten_model_info(model).rate_hz, n, 0, 0, n % 3 == 0};
     foten_state *state = foten_state_new(model, &options);
     if (state) {
         float out[64];

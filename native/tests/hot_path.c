@@ -1,19 +1,28 @@
-/* After construction nothing is allocated: hot_path FILE... counts what rendering asks for, and that it would be counted.
+/* After construction nothing is allocated: hot_path FILE... counts what rendering asks for, and that it would be counted. A state asks for
+ * the memory that is told, and a file is not blamed for memory that there is not.
  *
  * Linked with --wrap=malloc and so on, so that every call of the library's goes through here. */
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "foten.h"
 
-static long n_calls;
+static long n_calls, n_asked, failing = -1; /* failing: which of those that ask gets nothing */
+static size_t asked;
+static int refused(size_t n) {
+    n_calls++;
+    asked = n;
+    return n_asked++ == failing;
+}
+
 void *__real_malloc(size_t n);
 void *__real_calloc(size_t n, size_t size);
 void *__real_realloc(void *p, size_t n);
 void __real_free(void *p);
-void *__wrap_malloc(size_t n) { n_calls++; return __real_malloc(n); }
-void *__wrap_calloc(size_t n, size_t size) { n_calls++; return __real_calloc(n, size); }
-void *__wrap_realloc(void *p, size_t n) { n_calls++; return __real_realloc(p, n); }
+void *__wrap_malloc(size_t n) { return refused(n) ? NULL : __real_malloc(n); }
+void *__wrap_calloc(size_t n, size_t size) { return refused(n * size) ? NULL : __real_calloc(n, size); }
+void *__wrap_realloc(void *p, size_t n) { return refused(n) ? NULL : __real_realloc(p, n); }
 void __wrap_free(void *p) { n_calls++; __real_free(p); }
 
 int main(int n_arguments, char **arguments) {
@@ -26,7 +35,7 @@ int main(int n_arguments, char **arguments) {
         fclose(file);
         char why[256];
         foten_model *model;
-        n_calls = 0;
+        n_calls = n_asked = 0;
         if (foten_model_load(bytes, n, &model, why, sizeof why) != FOTEN_OK) {
             fprintf(stderr, "%s: %s\n", arguments[i], why);
             return 1;
@@ -35,8 +44,24 @@ int main(int n_arguments, char **arguments) {
             fprintf(stderr, "the counter does not notice what loading allocates\n");
             return 1;
         }
-        foten_options options = {8 * foten_model_info(model).rate_hz, 0, 0, 0};
-        foten_state *own = foten_state_new(model, NULL), *other = foten_state_new(model, &options);
+        for (long k = 0, n_times = n_asked; k < n_times; k++) {
+            foten_model *none;
+            failing = k;
+            n_asked = 0;
+            foten_status status = foten_model_load(bytes, n, &none, why, sizeof why);
+            failing = -1;
+            if (status != FOTEN_NO_MEMORY || strcmp(why, "no memory")) {
+                fprintf(stderr, "%s: without its memory number %ld it is said: %s\n", arguments[i], k, why);
+                return 1;
+            }
+        }
+        foten_options options = {8 * foten_model_info(model).rate_hz, 0, 0, 0, 0};
+        foten_state *own = foten_state_new(model, NULL);
+        if (asked != foten_model_info(model).state_bytes) {
+            fprintf(stderr, "%s: a state takes %zu bytes, and %zu are told\n", arguments[i], asked, foten_model_info(model).state_bytes);
+            return 1;
+        }
+        foten_state *other = foten_state_new(model, &options);
         foten_stylus *stylus = foten_stylus_new(model, NULL);
         foten_actuator actuator = {70, 0.25, 2, 0, 5};
         for (int k = 0; k < 1024; k++) {

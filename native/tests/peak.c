@@ -40,8 +40,6 @@ static double now(void) {
 #if defined(__x86_64__)
 PEAK(avx512, 16, __attribute__((target("avx512f,fma"))))
 PEAK(avx2, 8, __attribute__((target("avx2,fma"))))
-#elif defined(__aarch64__)
-#undef PEAK_CONSTRAINT
 #endif
 
 int main(void) {

@@ -11,11 +11,17 @@
  * Units everywhere: acceleration m/s², speed mm/s, force N, rates Hz. See foten.h for what each call means.
  */
 
-const OPTIONS_BYTES = 32; // foten_options: double, uint64, uint64, int
+const OPTIONS_BYTES = 32; // foten_options: double, uint64, uint64, int, int
 const WHY_BYTES = 512;
 const ABI = 1; // FOTEN_ABI of the header that this follows
 
 export class FotenError extends Error {}
+
+/** What the kernel knows an object by; after it was freed that is 0, where other things lie. */
+function alive(object) {
+  if (!object.pointer) throw new FotenError(`this ${object.constructor.name.toLowerCase()} was freed`);
+  return object.pointer;
+}
 
 /** The kernel. One may run any number of textures and renderers. */
 export class Foten {
@@ -63,9 +69,16 @@ export class Foten {
 
   text(at) {
     const bytes = new Uint8Array(this.c.memory.buffer, at);
-    let text = "";
-    for (let i = 0; bytes[i]; i++) text += `%${bytes[i].toString(16).padStart(2, "0")}`;
-    return decodeURIComponent(text);
+    let escaped = "", plain = "";
+    for (let i = 0; bytes[i]; i++) {
+      escaped += `%${bytes[i].toString(16).padStart(2, "0")}`;
+      plain += bytes[i] < 128 ? String.fromCharCode(bytes[i]) : "\ufffd";
+    }
+    try {
+      return decodeURIComponent(escaped); // an AudioWorklet has no TextDecoder
+    } catch {
+      return plain; // a file's names need not be UTF-8
+    }
   }
 
   take(n) {
@@ -139,10 +152,11 @@ class Renderer {
       view.setBigUint64(at + 16, BigInt(stream), true);
       view.setInt32(at + 24, excitation ? 0 : 1, true);
       view.setInt32(at + 28, smooth ? 1 : 0, true);
-      return c.foten_state_new(texture.pointer, at);
+      return c.foten_state_new(alive(texture), at);
     });
     if (!this.pointer) throw new FotenError(`a rate of ${rate} Hz cannot be rendered of a texture of ${texture.info.rate} Hz`);
     this.rate = rate || texture.info.rate;
+    this.seed = seed;
     this.room = 0;
     this.at = 0;
     this.grow(1024);
@@ -160,7 +174,6 @@ class Renderer {
 
   /** What was rendered, as a view into the kernel's memory: made anew only where that has moved or the length is another one. */
   rendered(n) {
-    if (!this.pointer) throw new FotenError("this renderer was freed");
     if (this.view?.buffer !== this.foten.c.memory.buffer || this.view.length !== n)
       this.view = new Float32Array(this.foten.c.memory.buffer, this.at, n);
     return this.view;
@@ -168,23 +181,23 @@ class Renderer {
 
   /** Tell where the hand is: mm/s and N. */
   setHand(speed, force) {
-    this.foten.c.foten_set_hand(this.pointer, speed, force);
+    this.foten.c.foten_set_hand(alive(this), speed, force);
   }
 
   /** Fill a Float32Array with the next samples. Allocates only where its length is another one than before. */
   render(out) {
+    const pointer = alive(this);
     this.grow(out.length);
-    this.rendered(out.length);
-    this.foten.c.foten_render(this.pointer, this.at, out.length);
+    this.foten.c.foten_render(pointer, this.at, out.length);
     out.set(this.rendered(out.length));
     return out;
   }
 
   /** Fill a Float32Array under the hand of a stylus. */
   renderStylus(stylus, out) {
+    const pointer = alive(this), pen = alive(stylus);
     this.grow(out.length);
-    this.rendered(out.length);
-    this.foten.c.foten_render_stylus(this.pointer, stylus.pointer, this.at, out.length);
+    this.foten.c.foten_render_stylus(pointer, pen, this.at, out.length);
     out.set(this.rendered(out.length));
     return out;
   }
@@ -194,24 +207,26 @@ class Renderer {
     return new Stylus(this.texture, newtons, steepness);
   }
 
-  reset(seed = 0) {
-    this.foten.c.foten_reset(this.pointer, BigInt(seed));
+  /** Begin again, with the same seed or another one. */
+  reset(seed = this.seed) {
+    this.foten.c.foten_reset(alive(this), BigInt(seed));
+    this.seed = seed;
   }
 
   /** Delay of the change of rate [s]. */
   get delay() {
-    return this.foten.c.foten_delay_s(this.pointer);
+    return this.foten.c.foten_delay_s(alive(this));
   }
 
   /** Speed [mm/s] and force [N] that the last sample was rendered under. */
   get hand() {
-    this.foten.c.foten_hand(this.pointer, this.handAt, this.handAt + 4);
+    this.foten.c.foten_hand(alive(this), this.handAt, this.handAt + 4);
     const view = new DataView(this.foten.c.memory.buffer);
     return [view.getFloat32(this.handAt, true), view.getFloat32(this.handAt + 4, true)];
   }
 
   get stats() {
-    return counts(this.foten, "foten_statistics", this.pointer, ["n", "nSpeedBeyond", "nForceBeyond", "nSpeedClamped", "nForceClamped", "nBelow", "nSaturated", "nRefused", "nLimited", "nLost"]);
+    return counts(this.foten, "foten_statistics", alive(this), ["n", "nSpeedBeyond", "nForceBeyond", "nSpeedClamped", "nForceClamped", "nBelow", "nSaturated", "nRefused", "nLimited", "nLost"]);
   }
 
   free() {
@@ -230,18 +245,18 @@ class Stylus {
       const view = new DataView(this.foten.c.memory.buffer);
       view.setFloat64(at, newtons, true);
       view.setFloat64(at + 8, steepness, true);
-      return this.foten.c.foten_stylus_new(texture.pointer, at);
+      return this.foten.c.foten_stylus_new(alive(texture), at);
     });
     if (!this.pointer) throw new FotenError("no tablet has such a curve of pressure");
   }
 
   /** An event: position [mm], pressure 0..1 (0 is lifted), the device's time [s]. */
   push(x, y, pressure, t) {
-    this.foten.c.foten_stylus_push(this.pointer, x, y, pressure, t);
+    this.foten.c.foten_stylus_push(alive(this), x, y, pressure, t);
   }
 
   get stats() {
-    return counts(this.foten, "foten_stylus_statistics", this.pointer, ["n", "nRefused", "nLate", "nDropped", "nClipped", "nJumps"]);
+    return counts(this.foten, "foten_stylus_statistics", alive(this), ["n", "nRefused", "nLate", "nDropped", "nClipped", "nJumps"]);
   }
 
   free() {

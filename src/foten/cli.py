@@ -6,6 +6,7 @@ Results go to stdout, progress to stderr. Heavy imports stay inside the subcomma
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import sys
@@ -18,6 +19,7 @@ from typer.exceptions import Abort, TyperException
 from foten.whole_file import whole_file
 
 if TYPE_CHECKING:
+    from foten.render.stroke import Stroke
     from foten.texture_file import Texture
 
 app = typer.Typer(
@@ -353,7 +355,6 @@ def train(
     as_json: JsonOption = False,
 ) -> None:
     """Learn a texture file from a recording. Ctrl-C keeps the best so far."""
-    import dataclasses
 
     from foten.architecture import NETWORKS, TenArchitecture, architecture_from
     from foten.datasets.hdf5 import load_recording
@@ -533,6 +534,29 @@ def evaluate(
         print(judge.to_text(judgement.document))
 
 
+def _about(texture: Texture, hand: str, seed: int, deterministic: bool) -> dict[str, Any]:
+    """Return what made a rendering, as it is kept in the file that it is written to."""
+    from foten import __version__
+
+    return {
+        "foten": __version__,
+        "texture": texture.card["texture"],
+        "texture_sha256": texture.sha256(),
+        "stroke": hand,
+        "seed": seed,
+        "deterministic": deterministic,
+    }
+
+
+def _tell_of_holes(stroke: Stroke) -> None:
+    if stroke.gap_s:
+        _say(f"the stroke has a hole of {stroke.gap_s:.3g} s, bridged in a straight line")
+    if stroke.n_lifted:
+        _say(
+            f"the pen was taken as lifted in holes or jumps of the stroke, {stroke.n_lifted} in all: silence there"
+        )
+
+
 def _tell_what_was_outside(statistics: dict[str, int], texture: Texture) -> None:
     """Print how much of a rendering lay outside of what was recorded, and what was done there; nothing where none did."""
     share = {name: f"{100 * count / statistics['n']:.1f} %" for name, count in statistics.items()}
@@ -547,6 +571,12 @@ def _tell_what_was_outside(statistics: dict[str, int], texture: Texture) -> None
         print(f"speed or force was below the trained range for {share['n_below']}; the vibration fades there")
     if statistics["n_saturated"]:
         _say(f"the saturator cut {statistics['n_saturated']} samples: the loop ran away there")
+    if statistics["n_refused"]:
+        _say(
+            f"the hand was negative or no number {statistics['n_refused']} times, taken as 0 or as it was before"
+        )
+    if statistics["n_lost"]:
+        _say(f"{statistics['n_lost']} samples were no numbers, and silence instead; is the file foten's own?")
 
 
 @app.command()
@@ -575,7 +605,6 @@ def render(
     as_json: JsonOption = False,
 ) -> None:
     """Render vibration from a texture and a stroke."""
-    from foten import __version__
     from foten.render import sinks
     from foten.render.renderer import Renderer
     from foten.render.stroke import constant_stroke, read_stroke, recorded_stroke
@@ -607,21 +636,9 @@ def render(
     else:
         given = constant_stroke(float(speed or 0), float(force or 0), float(seconds or 0), rate)
         told = f"{speed:g} mm/s, {force:g} N, {seconds:g} s"
-    if given.gap_s:
-        _say(f"the stroke has a hole of {given.gap_s:.3g} s, bridged in a straight line")
-    if given.n_lifted:
-        _say(
-            f"the pen was taken as lifted in holes or jumps of the stroke, {given.n_lifted} in all: silence there"
-        )
+    _tell_of_holes(given)
     hand = given.conditioned(float(texture.card["lowpass_hz"]))
-    about = {
-        "foten": __version__,
-        "texture": texture.card["texture"],
-        "texture_sha256": texture.sha256(),
-        "stroke": told,
-        "seed": seed,
-        "rate_hz": rate,
-    }
+    about = {**_about(texture, told, seed, deterministic), "rate_hz": rate}
     renderer = Renderer(texture, seed=seed, excitation=not deterministic)
     acceleration = renderer.render(*hand).astype(float)
     for path in output:
@@ -662,7 +679,10 @@ def play(
     ] = "sound",
     stroke: Annotated[
         Path | None,
-        typer.Option(metavar="S.csv", help="As of 'foten render', over and over; by default a circle."),
+        typer.Option(
+            metavar="S.csv",
+            help="As of 'foten render', over and over, without a pause; by default a circle.",
+        ),
     ] = None,
     speed: Annotated[float | None, typer.Option(help="Constant speed (mm/s), with --force.")] = None,
     force: Annotated[float | None, typer.Option(help="Constant force (N), with --speed.")] = None,
@@ -678,12 +698,17 @@ def play(
     ] = None,
     gain: Annotated[
         float | None,
-        typer.Option(help="Full scale (sound) or volts (daq) for 1 m/s², or for 1 of the actuator's drive."),
+        typer.Option(
+            help="Full scale (sound) or volts (daq) for 1 m/s², or for 1 of the actuator's drive; of these alone."
+        ),
     ] = None,
     device: Annotated[
-        str | None, typer.Option(help="Of sound, as 'python -m sounddevice' lists them.")
+        str | None,
+        typer.Option(help="Number or name of the sound card, as 'python -m sounddevice' lists them."),
     ] = None,
-    channel: Annotated[int, typer.Option(min=0, help="Of the sound card that is played on, from 0.")] = 0,
+    channel: Annotated[
+        int | None, typer.Option(min=0, help="Of the sound card that is played on, from 0; 0 by default.")
+    ] = None,
     lead_ms: Annotated[
         float | None, typer.Option(help="Rendered ahead of what is heard (ms); 10 by default.")
     ] = None,
@@ -695,36 +720,42 @@ def play(
     from foten.render.actuator import read_profile
     from foten.render.example import EXAMPLE
     from foten.render.live import LEAD_MS
-    from foten.render.play import along, circling, gain_for, rate_for, sink_of
+    from foten.render.play import along, circling, gain_for, holding, rate_for, sink_of
     from foten.render.play import play as play_live
     from foten.render.renderer import Renderer
+    from foten.texture_file import read_texture
 
     texture_file = texture_file or EXAMPLE
     if not texture_file.exists():
         raise FileNotFoundError(f"no such file: {texture_file}")
     if (speed is None) != (force is None) or (stroke is not None and speed is not None):
         raise ValueError("expected --stroke, or --speed with --force, or neither for a circle")
+    if seconds is not None and not 0 <= seconds < float("inf"):
+        raise ValueError(f"--seconds is {seconds}, expected a finite number, 0 or more")
     profile = read_profile(actuator) if actuator is not None else None
-    data = texture_file.read_bytes()
-    own = Renderer(data).texture_rate
-    renderer = Renderer(data, rate_for(to, rate, own), seed, excitation=not deterministic, actuator=profile)
+    texture = read_texture(texture_file)
+    own = texture.rate_hz
+    renderer = Renderer(
+        texture, rate_for(to, rate, own), seed, excitation=not deterministic, actuator=profile
+    )
     info = renderer.native_texture.info
     if stroke is not None:
         from foten.render.stroke import read_stroke
-        from foten.texture_file import read_texture
 
-        lowpass = float(read_texture(texture_file).card["lowpass_hz"])
-        hand = along(*read_stroke(stroke, own).conditioned(lowpass), own)
+        given = read_stroke(stroke, own)
+        _tell_of_holes(given)
+        hand, told = along(given, info.lowpass_hz), stroke.name
     elif speed is not None and force is not None:
         for name, value, unit in (("speed", speed, "mm/s"), ("force", force, "N")):
             if not 0 <= value < float("inf"):
                 raise ValueError(f"--{name} is {value} {unit}, expected a finite number, 0 or more")
-        held = (speed, force)
-        hand = lambda t: held  # noqa: E731
+        hand, told = holding(speed, force), f"{speed:g} mm/s, {force:g} N"
     else:
-        hand = circling(info.trained_speed, info.trained_force)
+        hand, told = circling(info.trained_speed, info.trained_force, own), "a circle"
     scale = gain_for(profile, gain, info.acceleration_sd, to)
-    about = {"texture": info.texture, "seed": seed}
+    about = _about(texture, told, seed, deterministic)
+    if profile is not None:
+        about |= {"actuator": dataclasses.asdict(profile), "unit": profile.unit}
     if seconds is None and to.lower().endswith(".wav"):
         seconds = 10.0
     sink = sink_of(to, renderer.rate, scale, seconds, device, channel, about)
@@ -733,7 +764,8 @@ def play(
         name, long = info.texture or texture_file.name, "" if seconds is None else f" for {seconds:g} s"
         _say(f"{name} to {to} at {renderer.rate:g} Hz{long}; Ctrl-C ends it")
 
-    played = play_live(renderer, sink, hand, seconds, LEAD_MS if lead_ms is None else lead_ms, begun)
+    lead_ms = LEAD_MS if lead_ms is None else lead_ms
+    played = play_live(renderer, sink, hand, seconds, lead_ms, begun)
     statistics = played.statistics
     if as_json:
         _print_json(
@@ -748,6 +780,7 @@ def play(
                 "n_missed": statistics.n_missed,
                 "n_underruns": statistics.n_underruns,
                 "n_device_underruns": played.n_device_underruns,
+                "n_late": played.n_late,
                 "n_lacking": statistics.n_lacking,
                 "ring_least_ms": statistics.least_ms if statistics.least_ms < float("inf") else None,
                 "gain": scale,
@@ -759,16 +792,24 @@ def play(
         )
     else:
         print(statistics.line())
-        told = ", ".join(f"{ms:.1f} ms {name}" for name, ms in played.delays_ms.items())
-        print(f"delay from hand to output: {told}")
-        from foten.texture_file import read_texture
-
-        _tell_what_was_outside(played.counted, read_texture(texture_file))
+        delays = ", ".join(f"{ms:.1f} ms {name}" for name, ms in played.delays_ms.items())
+        print(f"delay from hand to output: {delays}")
+        _tell_what_was_outside(played.counted, texture)
         if played.counted["n_limited"]:
             print(f"the actuator's limit bent {played.counted['n_limited']} samples")
+        if statistics.n_underruns:
+            print(
+                f"the ring ran empty {statistics.n_underruns} times, {statistics.n_lacking} samples of silence; "
+                f"a longer --lead-ms than {lead_ms:g} helps"
+            )
         if played.n_device_underruns:
             print(
-                f"the sound card found samples missing {played.n_device_underruns} times; a longer --lead-ms helps"
+                f"the sound card got its samples too late {played.n_device_underruns} times, whatever the ring held: "
+                "this machine is busy with something else"
+            )
+        if played.n_late:
+            print(
+                f"this machine stood still for {played.n_late} blocks of the sink, which were not made up for"
             )
         if played.n_cut:
             print(

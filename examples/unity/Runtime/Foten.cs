@@ -13,7 +13,9 @@ namespace Foten
     /// <summary>A texture file made ready; any number of renderers may share it.</summary>
     public sealed class Texture : IDisposable
     {
-        internal IntPtr Pointer { get; private set; }
+        private IntPtr pointer;
+
+        internal IntPtr Pointer => pointer != IntPtr.Zero ? pointer : throw new ObjectDisposedException(nameof(Texture));
 
         public string Name { get; }
         public string Model { get; }
@@ -33,7 +35,7 @@ namespace Foten
             var why = new byte[256];
             int status = Native.foten_model_load(file, (UIntPtr)file.Length, out IntPtr model, why, (UIntPtr)why.Length);
             if (status != 0) throw new FotenException(Encoding.UTF8.GetString(why, 0, Math.Max(0, Array.IndexOf(why, (byte)0))));
-            Pointer = model;
+            pointer = model;
             Native.Info info = Native.foten_model_info(model);
             Name = Text(info.texture);
             Model = Text(info.model);
@@ -57,9 +59,8 @@ namespace Foten
         /// <summary>After its renderers.</summary>
         public void Dispose()
         {
-            if (Pointer == IntPtr.Zero) return;
-            Native.foten_model_free(Pointer);
-            Pointer = IntPtr.Zero;
+            Native.foten_model_free(pointer); // NULL is nothing
+            pointer = IntPtr.Zero;
         }
     }
 
@@ -68,6 +69,8 @@ namespace Foten
     {
         private readonly Texture texture; // the state needs it as long as it lives
         private IntPtr pointer;
+
+        private IntPtr State => pointer != IntPtr.Zero ? pointer : throw new ObjectDisposedException(nameof(Renderer));
 
         /// <param name="rate">Of the output [Hz]; 0 for the texture's own.</param>
         /// <param name="smooth">Puts the hand through the low-pass of the recordings: for one that is set once a frame.</param>
@@ -80,7 +83,7 @@ namespace Foten
         }
 
         /// <summary>Tell where the hand is: mm/s and N.</summary>
-        public void SetHand(float speed, float force) => Native.foten_set_hand(pointer, speed, force);
+        public void SetHand(float speed, float force) => Native.foten_set_hand(State, speed, force);
 
         /// <summary>Fill an array with the next samples [m/s²].</summary>
         public void Render(float[] samples) => Render(samples, samples.Length);
@@ -89,19 +92,17 @@ namespace Foten
         public void Render(float[] samples, int n)
         {
             if (n < 0 || n > samples.Length) throw new ArgumentOutOfRangeException(nameof(n));
-            if (pointer == IntPtr.Zero) throw new ObjectDisposedException(nameof(Renderer));
-            Native.foten_render(pointer, samples, (UIntPtr)n);
+            Native.foten_render(State, samples, (UIntPtr)n);
         }
 
-        public void Reset(ulong seed) => Native.foten_reset(pointer, seed);
+        public void Reset(ulong seed) => Native.foten_reset(State, seed);
 
         /// <summary>Delay of the change of rate [s].</summary>
-        public double Delay => Native.foten_delay_s(pointer);
+        public double Delay => Native.foten_delay_s(State);
 
         public void Dispose()
         {
-            if (pointer == IntPtr.Zero) return;
-            Native.foten_state_free(pointer);
+            Native.foten_state_free(pointer); // NULL is nothing
             pointer = IntPtr.Zero;
             GC.KeepAlive(texture);
         }

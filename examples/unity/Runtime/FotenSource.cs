@@ -12,7 +12,7 @@ public sealed class FotenSource : MonoBehaviour
     [Tooltip("mm/s")] public float speed;
     [Tooltip("N")] public float force;
 
-    private readonly object rendering = new object(); // held by the audio thread as it renders, and to free what it renders from
+    private readonly object rendering = new object(); // held by the audio thread as it renders, and to change what it renders from
     private Foten.Texture texture;
     private Foten.Renderer renderer;
     private float[] mono = new float[0];
@@ -52,10 +52,8 @@ public sealed class FotenSource : MonoBehaviour
         }
     }
 
-    private void Update()
-    {
-        lock (rendering) renderer?.SetHand(speed, force);
-    }
+    // Without the lock: a hand is set while it renders, and what is freed is freed on this thread.
+    private void Update() => renderer?.SetHand(speed, force);
 
     // On the audio thread.
     private void OnAudioFilterRead(float[] data, int channels)

@@ -121,7 +121,12 @@ def sweep(
     """Return a drive that runs through the frequencies once, each octave as long as the others, and fades in and out.
 
     Shape (seconds · rate_hz,). Play it, record the stylus's acceleration beside it, and give both to `identify`.
+
+    Raises:
+        ValueError: it lasts no time, or the frequencies cannot be.
     """
+    if not 0 < seconds < math.inf or not 0 < rate_hz < math.inf:
+        raise ValueError(f"the sweep lasts {seconds} s at {rate_hz} Hz, expected positive numbers")
     if not 0 < low_hz < high_hz < rate_hz / 2:
         raise ValueError(
             f"the sweep runs from {low_hz:g} to {high_hz:g} Hz, expected to lie between 0 and {rate_hz / 2:g} Hz"
@@ -158,13 +163,16 @@ def identify(
         name, unit, limit: as the profile is to have them; the limit is what amplifier and coil bear, and can't be measured.
 
     Raises:
-        ValueError: the shapes differ, nothing was measured between the frequencies, or it is not the answer to that drive.
+        ValueError: the shapes differ, a number is not finite, nothing was measured between the frequencies, or it is not the
+            answer to that drive.
     """
     drive, acceleration = (np.asarray(signal, dtype=np.float64) for signal in (drive, acceleration))
     if drive.shape != acceleration.shape or drive.ndim != 1 or drive.size < 64:
         raise ValueError(
             f"drive has shape {drive.shape} and acceleration {acceleration.shape}, expected (n,) both, 64 samples or more"
         )
+    if not (np.isfinite(drive).all() and np.isfinite(acceleration).all()):
+        raise ValueError("the drive or the acceleration holds NaN or infinity; were samples lost?")
     n = 2 * drive.size  # room for what rings on behind the end
     x, y = np.fft.rfft(drive, n), np.fft.rfft(acceleration, n)
     hertz = np.fft.rfftfreq(n, 1 / rate_hz)

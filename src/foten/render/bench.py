@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import signal
 import subprocess
 import sys
 import time
@@ -16,6 +18,16 @@ from foten.render.native import NativeState, NativeTexture, isa, library
 
 INSTRUCTION_SETS = ("avx512", "avx2", "neon", "portable")
 _WARM_UP = 200  # samples
+_TIMED = """
+import json, sys
+from dataclasses import asdict
+from pathlib import Path
+from foten.render.bench import time_steps
+from foten.render.native import isa
+path, n, name = sys.argv[1:]
+if isa() == name:  # else this processor has it not, and another one stands in
+    print(json.dumps(asdict(time_steps(Path(path), int(n)))))
+"""
 
 
 @dataclass(frozen=True)
@@ -63,24 +75,35 @@ def time_steps(path: Path, n: int = 20_000) -> StepTimes:
 
 
 def time_all(path: Path, n: int = 20_000) -> list[StepTimes]:
-    """Return the times in each instruction set that this processor has, the best first; each in a process of its own."""
-    found: dict[str, StepTimes] = {}
+    """Return the times in each instruction set that this processor has, the best first; each in a process of its own.
+
+    Raises:
+        ValueError: the file is none that renders.
+        OSError: one of the processes came to an end.
+    """
+    NativeTexture(path.read_bytes())
+    found = []
     for name in INSTRUCTION_SETS:
-        program = "import json, sys; from pathlib import Path; from dataclasses import asdict; "
-        program += "from foten.render.bench import time_steps; "
-        program += "print(json.dumps(asdict(time_steps(Path(sys.argv[1]), int(sys.argv[2])))))"
         done = subprocess.run(
-            [sys.executable, "-c", program, str(path), str(n)],
+            [sys.executable, "-c", _TIMED, str(path), str(n), name],
             env={**os.environ, "FOTEN_ISA": name},
             capture_output=True,
             text=True,
             check=False,
         )
         if done.returncode != 0:
-            raise ValueError(done.stderr.strip().splitlines()[-1])
-        times = StepTimes(**json.loads(done.stdout))
-        found.setdefault(times.isa, times)
-    return [found[name] for name in INSTRUCTION_SETS if name in found]
+            raise OSError(f"timing {name}: {reason(done)}")
+        if done.stdout:
+            found.append(StepTimes(**json.loads(done.stdout)))
+    return found
+
+
+def reason(done: subprocess.CompletedProcess[str]) -> str:
+    """Return in a line why a program in Python ended: what it raised, without the name of that, or the signal that ended it."""
+    if done.returncode < 0:
+        return f"ended by a signal, {signal.strsignal(-done.returncode)}"
+    *_, last = ["", *done.stderr.strip().splitlines()]
+    return re.sub(r"^[\w.]+: ", "", last) or f"ended with status {done.returncode}"
 
 
 def as_table(times: list[StepTimes]) -> str:

@@ -24,12 +24,15 @@ Read = Callable[[Samples], None]
 SOUND_RATE_HZ = 48_000.0
 PACKET_MS = 4.0
 _DAQ_BUFFERED_MS = 20.0
-_SOUND_AT_ONCE_MS = 5.0  # that a card with low latency takes at most
+_SOUND_BLOCK_MS = 5.0
 _LARGEST_WAV = 2**32 - 4096  # bytes
 
 
 class Paced:
     """A sink that takes a block every so often, in a thread of its own; what it does with it is a subclass's.
+
+    After a machine has stood still it goes on at its pace: what it did not take meanwhile it does not take at once, which would
+    empty the ring; `n_late` counts such blocks.
 
     Args:
         rate_hz: at which samples are taken.
@@ -48,6 +51,7 @@ class Paced:
         self._block = np.zeros(max(1, round(block_ms * rate_hz / 1000)), dtype=np.float32)
         self._period_s = self._block.size / rate_hz / ratio
         self.n_at_once = self._block.size
+        self.n_late = 0
         self.failed: BaseException | None = None
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
@@ -76,6 +80,10 @@ class Paced:
                 wait = due - time.perf_counter()
                 if wait > 0:
                     self._stopping.wait(wait)
+                elif self._period_s > 0:
+                    n_late = int(-wait / self._period_s)
+                    due += n_late * self._period_s
+                    self.n_late += n_late
         except BaseException as error:  # told by `Live.stop`, in the thread that waits for it
             self.failed = error
 
@@ -164,7 +172,7 @@ class SoundSink:
 
     Args:
         gain: full scale for one of what is rendered; what goes beyond full scale is cut, and counted in `n_cut`.
-        device: its name or number, as `python -m sounddevice` lists them; None for the usual one.
+        device: its name, or its number as an int, as `python -m sounddevice` lists them; None for the usual one.
         channel: that is played on, from 0; the others are silent.
         n_channels: of the device.
 
@@ -185,18 +193,19 @@ class SoundSink:
     ) -> None:
         if not 0 <= channel < n_channels:
             raise ValueError(f"channel {channel} of {n_channels}, expected one from 0 on below that")
+        _check_gain(gain)
         self.rate_hz = float(rate_hz)
         self.n_cut = self.n_device_underruns = 0
         self.failed: BaseException | None = None
-        self.n_at_once = round(_SOUND_AT_ONCE_MS * rate_hz / 1000)
         self._stopped = False
         self._gain, self._channel = gain, channel
         self._sounddevice = sound_library()
-        self._mono = np.zeros(0, dtype=np.float32)
+        self._mono = np.zeros(max(1, round(_SOUND_BLOCK_MS * rate_hz / 1000)), dtype=np.float32)
         self._read: Read | None = None
         try:
             self._stream = self._sounddevice.OutputStream(
                 samplerate=rate_hz,
+                blocksize=self._mono.size,
                 device=device,
                 channels=n_channels,
                 dtype="float32",
@@ -206,6 +215,8 @@ class SoundSink:
             )
         except (ValueError, self._sounddevice.PortAudioError) as error:
             raise OSError(f"no sound: {error}; 'python -m sounddevice' lists the devices") from error
+        # A device whose own buffer is longer than a block asks for several at once, for no more than it plays later.
+        self.n_at_once = max(self._mono.size, math.ceil(self.latency_s * rate_hz))
 
     @property
     def latency_s(self) -> float:
@@ -235,8 +246,6 @@ class SoundSink:
             self.failed = OSError("the sound card stopped by itself; was it unplugged?")
 
     def _play(self, out: Samples, n: int, when: Any, status: Any) -> None:
-        if self._mono.size != n:
-            self._mono = np.zeros(n, dtype=np.float32)  # devices keep to one size but for the first call
         assert self._read is not None
         self.n_device_underruns += bool(status.output_underflow)
         try:
@@ -248,6 +257,11 @@ class SoundSink:
         self.n_cut += int((np.abs(self._mono) > 1).sum())
         out[:] = 0.0
         np.clip(self._mono, -1.0, 1.0, out=out[:, self._channel])
+
+
+def _check_gain(gain: float) -> None:
+    if not math.isfinite(gain):
+        raise ValueError(f"the gain is {gain}, expected a finite number")
 
 
 def sound_library() -> Any:
@@ -286,6 +300,9 @@ class DaqSink:
     def __init__(
         self, channel: str, rate_hz: float, gain: float = 1.0, limit_v: float = 10.0, library: Any = None
     ) -> None:
+        _check_gain(gain)
+        if not 0 < limit_v < math.inf:
+            raise ValueError(f"the output's range is ±{limit_v} V, expected a positive number")
         self.rate_hz = float(rate_hz)
         self.n_cut = 0
         self.failed: BaseException | None = None
@@ -301,7 +318,7 @@ class DaqSink:
         try:
             self._task = self._library.Task("foten")
         except errors.Error as error:
-            raise OSError(f"no NI-DAQ: {str(error).splitlines()[0]}") from error
+            raise OSError(f"no NI-DAQ: {_first_line(error)}") from error
         try:
             constants = self._library.constants
             self._task.ao_channels.add_ao_voltage_chan(channel, min_val=-limit_v, max_val=limit_v)
@@ -321,10 +338,14 @@ class DaqSink:
             )
         except errors.Error as error:
             self._task.close()
-            raise OSError(f"the NI-DAQ refuses {channel}: {str(error).splitlines()[0]}") from error
+            raise OSError(f"the NI-DAQ refuses {channel}: {_first_line(error)}") from error
 
     def start(self, read: Read) -> None:
-        """Fill the buffer and start the clock."""
+        """Fill the buffer and start the clock.
+
+        Raises:
+            BaseException: what filling it died of; OSError where the device refuses.
+        """
 
         def refill(*_: Any) -> int:
             try:
@@ -338,17 +359,21 @@ class DaqSink:
                     volts *= np.linspace(1.0, 0.0, volts.size)
                     self._silent.set()
                 self._writer.write_many_sample(volts)
+            except self._library.errors.Error as error:
+                self.failed = OSError(f"the NI-DAQ takes no samples: {_first_line(error)}")
             except BaseException as error:  # told by `Live.stop`, in the thread that waits for it
                 self.failed = error
             return 0
 
         try:
-            refill()
-            refill()
+            for _ in range(2):
+                refill()
+                if self.failed is not None:
+                    raise self.failed
             self._task.register_every_n_samples_transferred_from_buffer_event(self._block.size, refill)
             self._task.start()
         except self._library.errors.Error as error:
-            raise OSError(f"the NI-DAQ does not start: {str(error).splitlines()[0]}") from error
+            raise OSError(f"the NI-DAQ does not start: {_first_line(error)}") from error
 
     def stop(self) -> None:
         """Fade out, stop the clock, set the output to 0 V, and give the device back.
@@ -363,20 +388,25 @@ class DaqSink:
             self._fading.set()
             if self._silent.wait(1.0):
                 time.sleep(2 * self._block.size / self.rate_hz)  # until the fade has left the buffer
-        try:
+        for end in (self._task.stop, self._task.close):
             try:
-                self._task.stop()
-            finally:
-                self._task.close()
+                end()
+            except errors.Error as error:
+                self.failed = self.failed or OSError(f"the NI-DAQ ended badly: {_first_line(error)}")
+        try:
             with self._library.Task("foten-still") as still:
                 still.ao_channels.add_ao_voltage_chan(
                     self._channel, min_val=-self._limit, max_val=self._limit
                 )
                 still.write(0.0)
-        except errors.Error as error:
-            self.failed = self.failed or OSError(
-                f"the NI-DAQ may not be at 0 V, switch the amplifier off: {str(error).splitlines()[0]}"
+        except errors.Error as error:  # worse than whatever it died of before
+            self.failed = OSError(
+                f"the NI-DAQ may not be at 0 V, switch the amplifier off: {_first_line(error)}"
             )
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).partition("\n")[0]
 
 
 def _nidaqmx() -> Any:

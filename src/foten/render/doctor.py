@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from foten.render.bench import reason
 from foten.render.example import EXAMPLE
 
 _TRIALS = 5
@@ -60,21 +61,23 @@ def _kernel() -> Check:
 def _size() -> Check:
     """Bytes of what an installation without extras brings: this package and all that it needs."""
     sizes: dict[str, int] = {}
+    recorded: set[Path] = set()
     waiting = ["foten"]
     while waiting:
         name = waiting.pop().lower()
         if name in sizes:
             continue
+        sizes[name] = 0
         try:
             found = importlib.metadata.distribution(name)
-        except importlib.metadata.PackageNotFoundError:
+        except importlib.metadata.PackageNotFoundError:  # run from its sources
             continue
         paths = [Path(str(file.locate())) for file in found.files or []]
+        recorded.update(paths)
         sizes[name] = sum(path.stat().st_size for path in paths if path.is_file())
         asked = [line for line in found.requires or [] if "extra ==" not in line]
         waiting += [re.split(r"[^A-Za-z0-9._-]", line, maxsplit=1)[0] for line in asked]
     # Of an editable install the sources lie elsewhere.
-    recorded = {Path(str(file.locate())) for file in importlib.metadata.distribution("foten").files or []}
     for folder in importlib.util.find_spec("foten").submodule_search_locations or []:  # type: ignore[union-attr]
         sizes["foten"] += sum(
             path.stat().st_size
@@ -101,7 +104,7 @@ def _start_up() -> list[Check]:
                 [sys.executable, "-c", program], check=False, capture_output=True, text=True
             )
             if done.returncode != 0:
-                return [Check(name, done.stderr.strip().splitlines()[-1], fine=False)]
+                return [Check(name, reason(done), fine=False)]
             times[name].append(time.perf_counter() - begin)
     least = {name: min(values) for name, values in times.items()}
     numpy = least["import numpy"]
@@ -149,7 +152,7 @@ def _sound() -> Check:
 def _daq() -> Check:
     if importlib.util.find_spec("nidaqmx") is None:
         return Check("NI-DAQ", "package nidaqmx is not installed: pip install 'foten[daq]'")
-    return Check("NI-DAQ", f"nidaqmx {importlib.metadata.version('nidaqmx')}")
+    return Check("NI-DAQ", f"nidaqmx {_version('nidaqmx')}")
 
 
 def _training() -> Check:
@@ -158,7 +161,14 @@ def _training() -> Check:
             "training",
             "PyTorch is not installed, and rendering does not need it: pip install 'foten[train]' to train",
         )
-    return Check("training", f"PyTorch {importlib.metadata.version('torch')}")
+    return Check("training", f"PyTorch {_version('torch')}")
+
+
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "of an unknown version"
 
 
 def as_documents(found: list[Check]) -> list[dict[str, Any]]:

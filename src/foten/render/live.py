@@ -84,7 +84,7 @@ class Sink(Protocol):
         rate_hz: at which it takes them.
         n_at_once: samples that it takes at most at once.
         patient: whether it would rather wait for samples than play silence, as a file does.
-        failed: what it died of; None while it lives.
+        failed: what it died of, or the rendering that it plays, of which `Live` tells it; None while both live.
     """
 
     rate_hz: float
@@ -181,13 +181,17 @@ class Live:
         Raises:
             BaseException: what the rendering thread or the sink died of.
         """
+        self._close()
+        for failed in (self._failed, self._sink.failed):
+            if failed is not None:
+                raise failed
+
+    def _close(self) -> None:
+        self._sink.failed = self._sink.failed or self._failed
         try:
             self._sink.stop()
         finally:
             self._end()
-        for failed in (self._failed, self._sink.failed):
-            if failed is not None:
-                raise failed
 
     def _end(self) -> None:
         self._stopping.set()
@@ -251,5 +255,4 @@ def _let_turns_be_long(live: Live) -> None:
 def _end_all() -> None:
     """End what still plays as the interpreter ends, before what it renders from is gone."""
     for live in list(_playing):
-        live._sink.stop()
-        live._end()
+        live._close()

@@ -296,7 +296,7 @@ class NativeState:
             raise ValueError(
                 f"the window has shapes {[column.shape for column in columns]}, expected ({n},) each"
             )
-        if library().foten_start(self._pointer, *(_floats(column) for column in columns)) != 0:
+        if library().foten_start(self._pointer, *(column.ctypes.data_as(_FLOATS) for column in columns)) != 0:
             raise ValueError("the window to start from holds NaN or infinity")
 
     def run_scaled(
@@ -315,16 +315,16 @@ class NativeState:
         library().foten_run_scaled(self._pointer, hands, drawn, limit, len(out), filled)
 
     def set_hand(self, speed: float, force: float) -> None:
-        """Tell where the hand is [mm/s, N], from any thread; what is negative or not finite is counted and left out."""
+        """Tell where the hand is [mm/s, N], from any thread; what is negative is 0, what is not finite left out; both count."""
         library().foten_set_hand(self._pointer, speed, force)
 
     def render(self, out: NDArray[np.float32]) -> None:
         """Fill an array with acceleration [m/s²] at the state's rate, under the hand that was last set."""
-        library().foten_render(self._pointer, _floats(out), out.size)
+        library().foten_render(self._pointer, _filled(out), out.size)
 
     def render_stylus(self, stylus: NativeStylus, out: NDArray[np.float32]) -> None:
         """Fill an array with acceleration [m/s²] at the state's rate, under the hand of a stylus."""
-        library().foten_render_stylus(self._pointer, stylus.pointer, _floats(out), out.size)
+        library().foten_render_stylus(self._pointer, stylus.pointer, _filled(out), out.size)
 
     def render_stroke(self, speed: NDArray[np.floating], force: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return the acceleration [m/s²] at the state's rate for a stroke at the texture's own rate [mm/s, N], shapes (n,)."""
@@ -332,9 +332,8 @@ class NativeState:
         if speed.shape != force.shape or speed.ndim != 1:
             raise ValueError(f"speed has shape {speed.shape} and force {force.shape}, expected (n,) both")
         out = np.empty(library().foten_rendered(self._pointer, speed.size), dtype=np.float32)
-        n = library().foten_render_stroke(
-            self._pointer, _floats(speed), _floats(force), speed.size, _floats(out)
-        )
+        told, pressed, filled = (array.ctypes.data_as(_FLOATS) for array in (speed, force, out))
+        n = library().foten_render_stroke(self._pointer, told, pressed, speed.size, filled)
         return out[:n]
 
 
@@ -370,7 +369,7 @@ class NativeStylus:
 
     Args:
         texture: whose rate and low-pass it goes by.
-        newtons, steepness: a [N] and b of F = a·exp(b·p).
+        newtons, steepness: a [N] and b of F = a·exp(b·p); of each 0 for the paper's.
     """
 
     def __init__(self, texture: NativeTexture, newtons: float, steepness: float) -> None:
@@ -408,7 +407,7 @@ _ABI = 1  # FOTEN_ABI of the header that this follows
 _NO_MEMORY = 3
 
 
-def _floats(array: NDArray[np.float32]) -> ctypes._Pointer[c_float]:
+def _filled(array: NDArray[np.float32]) -> ctypes._Pointer[c_float]:
     if array.dtype != np.float32 or not array.flags.c_contiguous or not array.flags.writeable:
         raise ValueError(f"the array is {array.dtype}, expected float32 without gaps, to be written to")
     return array.ctypes.data_as(_FLOATS)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +13,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.render.actuator import ActuatorProfile
-from foten.render.devices import SOUND_RATE_HZ, DaqSink, NullSink, OscSink, SoundSink, UdpSink, WavSink
+from foten.render.devices import (
+    SOUND_RATE_HZ,
+    DaqSink,
+    NullSink,
+    OscSink,
+    Samples,
+    SoundSink,
+    UdpSink,
+    WavSink,
+)
 from foten.render.live import Live, LiveStatistics, Sink
 from foten.render.renderer import Renderer
+from foten.render.stroke import Stroke
 
 LOUDNESS = 0.1  # of full scale, of a sound's standard deviation, where no gain is given
 CIRCLES_A_SECOND = 0.5
 LEAST_RATE_HZ = 8000.0  # of what is sent to a device that keeps to any rate: images and steps of the texture's own are felt
 
-Hand = Callable[[float], tuple[float, float]]
-"""Speed [mm/s] and force [N] at a time [s]."""
+Array = NDArray[np.float64]
+Hand = Callable[[NDArray[np.int64]], tuple[Array, Array]]
+"""Speed [mm/s] and force [N] at samples of the texture's own rate, counted from 0; shapes (n,)."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +46,7 @@ class Played:
         counted: what the kernel counted.
         n_cut: samples beyond what the sink takes.
         n_device_underruns: times that a sound card itself found samples missing.
+        n_late: blocks that a sink which keeps its own time left out after the machine stood still.
         interrupted: whether Ctrl-C ended it.
     """
 
@@ -42,30 +55,61 @@ class Played:
     counted: dict[str, int]
     n_cut: int
     n_device_underruns: int
+    n_late: int
     interrupted: bool
 
 
-def circling(speeds: tuple[float, float], forces: tuple[float, float]) -> Hand:
+def circling(speeds: tuple[float, float], forces: tuple[float, float], rate_hz: float) -> Hand:
     """Return a hand that draws a circle, slower and faster, lighter and firmer, over the middle of a trained range."""
 
-    def hand(t: float) -> tuple[float, float]:
+    def hand(at: NDArray[np.int64]) -> tuple[Array, Array]:
         # 1.618 of each other, so that speed and force do not keep step.
-        turns = np.array([CIRCLES_A_SECOND, CIRCLES_A_SECOND / 1.618]) * t
+        turns = np.outer([CIRCLES_A_SECOND, CIRCLES_A_SECOND / 1.618], at / rate_hz)
         share = 0.5 - 0.4 * np.cos(2 * np.pi * turns)
         (slow, fast), (light, firm) = speeds, forces
-        return float(slow + share[0] * (fast - slow)), float(light + share[1] * (firm - light))
+        return slow + share[0] * (fast - slow), light + share[1] * (firm - light)
 
     return hand
 
 
-def along(speed: NDArray[np.float64], force: NDArray[np.float64], rate_hz: float) -> Hand:
-    """Return the hand of a stroke at a rate, over and over."""
+def holding(speed: float, force: float) -> Hand:
+    """Return a hand at one speed [mm/s] and force [N]."""
+    return lambda at: (np.full(at.size, speed), np.full(at.size, force))
 
-    def hand(t: float) -> tuple[float, float]:
-        i = int(t * rate_hz) % speed.size
-        return float(speed[i]), float(force[i])
+
+def along(stroke: Stroke, lowpass_hz: float) -> Hand:
+    """Return the hand of a stroke, over and over: once as `Stroke.conditioned` has it, then again, as if the hand had gone over
+    from the end to the beginning at once. The low-pass rounds that step as it does those within.
+    """
+    n = stroke.force.size
+    twice = replace(stroke, moved=np.tile(stroke.moved, 2), force=np.tile(stroke.force, 2))
+    speed, force = twice.conditioned(lowpass_hz)
+
+    def hand(at: NDArray[np.int64]) -> tuple[Array, Array]:
+        i = np.where(at < n, at, n + at % n)
+        return speed[i], force[i]
 
     return hand
+
+
+def rendering(renderer: Renderer, hand: Hand) -> Callable[[Samples], None]:
+    """Return what fills an array, shape (n,), with the next samples under a hand: those of a whole stroke, whatever the sizes."""
+    state, ratio = renderer.native_state, renderer.texture_rate / renderer.rate
+    waiting = np.zeros(
+        0, dtype=np.float32
+    )  # of one of the texture's own samples, for which the last array had no room
+    n = 0
+
+    def render(out: Samples) -> None:
+        nonlocal waiting, n
+        while waiting.size < out.size:
+            at = np.arange(n, n + math.ceil((out.size - waiting.size) * ratio))
+            n += at.size
+            waiting = np.concatenate([waiting, state.render_stroke(*hand(at))])
+        out[:] = waiting[: out.size]
+        waiting = waiting[out.size :]
+
+    return render
 
 
 def sink_of(
@@ -74,20 +118,23 @@ def sink_of(
     gain: float,
     seconds: float | None,
     device: str | None = None,
-    channel: int = 0,
+    channel: int | None = None,
     about: dict[str, Any] | None = None,
 ) -> Sink:
     """Return the sink that a text names: sound, null, FILE.wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.
 
     Raises:
-        ValueError: it names none.
+        ValueError: it names none, or one without devices and channels of which some were given.
         OSError: the device, its library or the host is missing.
     """
+    if where != "sound" and (device is not None or channel is not None):
+        raise ValueError(f"--device and --channel are a sound card's, and it is played to {where}")
     kind, _, rest = where.partition(":")
     if where == "null":
         return NullSink(rate_hz)
     if where == "sound":
-        return SoundSink(gain, device, rate_hz, channel, channel + 1)
+        chosen = int(device) if device is not None and device.isdecimal() else device
+        return SoundSink(gain, chosen, rate_hz, channel or 0, (channel or 0) + 1)
     if where.lower().endswith(".wav"):
         return WavSink(Path(where), rate_hz, about, None if seconds is None else round(seconds * rate_hz))
     if kind == "daq" and rest:
@@ -123,16 +170,8 @@ def play(
     Raises:
         OSError: the sink refused or died.
     """
-    state, rate = renderer.native_state, renderer.rate
-    rendered, interrupted = 0, False
-
-    def render(out: NDArray[np.float32]) -> None:
-        nonlocal rendered
-        state.set_hand(*hand(rendered / rate))
-        state.render(out)
-        rendered += out.size
-
-    live = Live(render, sink, lead_ms=lead_ms)
+    interrupted = False
+    live = Live(rendering(renderer, hand), sink, lead_ms=lead_ms)
     begin = time.monotonic()
     try:
         live.start()
@@ -160,6 +199,7 @@ def play(
         renderer.counted(),
         getattr(sink, "n_cut", 0),
         getattr(sink, "n_device_underruns", 0),
+        getattr(sink, "n_late", 0),
         interrupted,
     )
 
@@ -171,9 +211,12 @@ def gain_for(profile: ActuatorProfile | None, asked: float | None, sd: float, wh
     usual loudness, and to whatever takes numbers as it is.
 
     Raises:
-        ValueError: the unit of what is rendered is not that of the sink, and no one said how many of these are one of those.
+        ValueError: the unit of what is rendered is not that of the sink, and no one said how many of these are one of those; or
+            a gain is asked for where numbers go as they are.
     """
     if asked is not None:
+        if where != "sound" and not where.startswith("daq:"):
+            raise ValueError(f"--gain is for sound and daq, and {where} takes what is rendered as it is")
         return asked
     unit = "m/s²" if profile is None else profile.unit
     if where == "sound":

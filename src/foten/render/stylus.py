@@ -14,6 +14,7 @@ from foten.render.renderer import Renderer
 Array = NDArray[np.float64]
 
 _STEPS = 100
+_FLAT = 1e-300  # steepness of a force that no pressure changes: of 0 the kernel makes the paper's
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ class Stylus:
     heard: tell fractions of them where the device has them.
 
     What is not finite, late, doubled, out of order or a jump is counted (`stats`) and does no harm. Beside the low-pass of 20 Hz,
-    which recordings went through too, speed comes 2 to 4 ms after the hand at 240 to 60 events a second that are told at
+    which recordings went through too, speed comes 2 to 5 ms after the hand at 240 to 60 events a second that are told at
     once, and force 3 to 10 ms.
 
     Args:
@@ -103,7 +104,7 @@ class Stylus:
     def __init__(self, renderer: Renderer, calibration: PressureCalibration | None = None) -> None:
         curve = calibration or PressureCalibration()
         self._renderer = renderer
-        self._stylus = NativeStylus(renderer.native_texture, curve.a, curve.b)
+        self._stylus = NativeStylus(renderer.native_texture, curve.a, curve.b or _FLAT)
 
     def push(self, x_mm: float, y_mm: float, pressure: float, t_s: float) -> None:
         """Tell of an event: position [mm], pressure 0 … 1 (0 is lifted), the device's time [s]."""
