@@ -19,6 +19,7 @@ from typer.exceptions import Abort, TyperException
 from foten.whole_file import whole_file
 
 if TYPE_CHECKING:
+    from foten.recording.trace import Trace
     from foten.render.stroke import Stroke
     from foten.texture_file import Texture
 
@@ -296,7 +297,7 @@ def train(
     model: Annotated[
         str,
         typer.Option(
-            help="foten-plus (ours), foten (the paper's) or ten (foten without its Fourier branch, Table II)."
+            help="foten-plus (ours), foten (the paper's), ten (it without its Fourier branch) or ar (piecewise AR)."
         ),
     ] = "foten-plus",
     recipe: Annotated[
@@ -356,18 +357,19 @@ def train(
 ) -> None:
     """Learn a texture file from a recording. Ctrl-C keeps the best so far."""
 
-    from foten.architecture import NETWORKS, TenArchitecture, architecture_from
+    from foten.architecture import ARCHITECTURES, TenArchitecture, architecture_from
     from foten.datasets.hdf5 import load_recording
     from foten.recording import felt
     from foten.recording.inspect import inspect_recording
     from foten.recording.preprocess import PreprocessConfig
     from foten.texture_file import write_texture
     from foten.train.config import RECIPES
+    from foten.train.local import train_local
     from foten.train.run import RunFolder, TrainingDisplay
     from foten.train.train import train_texture
 
-    if model not in NETWORKS:
-        raise ValueError(f"unknown model {model!r}, expected one of {', '.join(NETWORKS)}")
+    if model not in ARCHITECTURES:
+        raise ValueError(f"unknown model {model!r}, expected one of {', '.join(ARCHITECTURES)}")
     if recipe not in RECIPES:
         raise ValueError(f"unknown recipe {recipe!r}, expected one of {', '.join(RECIPES)}")
     if output.suffix != ".foten":
@@ -396,9 +398,34 @@ def train(
         zero_phase=zero_phase, force_units=force_units, **{k: v for k, v in cut.items() if v is not None}
     )
     own = _settings(settings or [])
+    recording = load_recording(recording_file)
+    if model == "ar":
+        of_networks = {
+            **asked,
+            "window": window,
+            "set": settings,
+            "resume": resume or None,
+            "run": run_folder,
+        }
+        given = [name for name, value in of_networks.items() if value is not None]
+        if given:
+            raise ValueError(
+                f"--{given[0].replace('_', '-')} is for networks, and --model ar is none: leave it out"
+            )
+        fitted = train_local(
+            recording,
+            preprocess_config,
+            split,
+            split_seed,
+            texture,
+            licence,
+            on_stage=lambda stage: _say(f"{stage} …"),
+        )
+        write_texture(fitted.texture, output)
+        _tell_trained(fitted.texture, fitted.trace, output, recording_file, as_json)
+        return
     architecture = architecture_from(model, own if window is None else {"window": window, **own})
     assert isinstance(architecture, TenArchitecture)
-    recording = load_recording(recording_file)
     folder = RunFolder(run_folder or output.with_suffix(".run"))
     folder.open(
         {
@@ -448,37 +475,65 @@ def train(
         )
     write_texture(trained.texture, output)
     folder.close(trained)
-    metrics = trained.texture.card["metrics"]
-    found = {
-        "output": str(output),
-        "sha256": trained.texture.sha256(),
-        "interrupted": trained.progress.interrupted,
-        "n_blocks": trained.trace.n_blocks,
-        "n_samples_dropped": trained.trace.n_dropped,
-        "n_samples_uncovered": trained.trace.n_uncovered,
-        "split_sha256": trained.split.sha256(),
-        **metrics,
-    }
-    if as_json:
-        _print_json(found)
-    else:
-        print(
-            f"one-step validation error {metrics['validation_mae_scaled']:.4f} sd (epoch {metrics['best_epoch']})",
-            end="",
-        )
-        alone = metrics["validation_mae_scaled_lattice"]
-        print("" if alone is None else f", {alone:.4f} sd without its network")
-        if trained.trace.n_uncovered:
-            print(f"{trained.trace.n_uncovered} samples that not every channel covers were left out")
-        if trained.trace.n_dropped:
-            print(f"{trained.trace.n_dropped} samples at the end did not fill a block and were left out")
-        condition = trained.texture.card["warm_start"]["found"]
-        print(
-            f"warm start recorded at {condition['speed']:.0f} mm/s and {condition['force']:.2f} N (asked: 45 mm/s, 0.8 N)"
-        )
-        print(f"wrote {output} and {folder.path}; next: foten evaluate {output} {recording_file}")
+    _tell_trained(
+        trained.texture,
+        trained.trace,
+        output,
+        recording_file,
+        as_json,
+        trained.progress.interrupted,
+        folder.path,
+    )
     if trained.progress.interrupted:
         raise typer.Exit(130)
+
+
+def _tell_trained(
+    texture: Texture,
+    trace: Trace,
+    output: Path,
+    recording_file: Path,
+    as_json: bool,
+    interrupted: bool = False,
+    folder: Path | None = None,
+) -> None:
+    """Print what a training has found."""
+    card, metrics = texture.card, texture.card["metrics"]
+    if as_json:
+        _print_json(
+            {
+                "output": str(output),
+                "sha256": texture.sha256(),
+                "interrupted": interrupted,
+                "n_blocks": trace.n_blocks,
+                "n_samples_dropped": trace.n_dropped,
+                "n_samples_uncovered": trace.n_uncovered,
+                "split_sha256": card["split_sha256"],
+                **metrics,
+            }
+        )
+        return
+    told = [f"one-step validation error {metrics['validation_mae_scaled']:.4f} sd"]
+    if card["model"] == "ar":
+        sizes = card["sizes"]
+        told[0] += f", order {sizes['order']}"
+        told.append(f"{sizes['n_models']} models from {metrics['n_pieces']} pieces")
+    else:
+        told[0] += f" (epoch {metrics['best_epoch']})"
+    if metrics.get("validation_mae_scaled_lattice") is not None:
+        told.append(f"{metrics['validation_mae_scaled_lattice']:.4f} sd without its network")
+    print(", ".join(told))
+    if trace.n_uncovered:
+        print(f"{trace.n_uncovered} samples that not every channel covers were left out")
+    if trace.n_dropped:
+        print(f"{trace.n_dropped} samples at the end did not fill a block and were left out")
+    condition = card["warm_start"]["found"]
+    whence = "modelled" if card["model"] == "ar" else "recorded"
+    print(
+        f"warm start {whence} at {condition['speed']:.0f} mm/s and {condition['force']:.2f} N (asked: 45 mm/s, 0.8 N)"
+    )
+    made = f"{output} and {folder}" if folder is not None else f"{output}"
+    print(f"wrote {made}; next: foten evaluate {output} {recording_file}")
 
 
 @app.command()
@@ -894,8 +949,13 @@ def info(
 
 
 def _linear_part(texture: Texture) -> dict[str, str]:
-    """Return what `info` says of the lattice and the tones; nothing of a model that has none."""
+    """Return what `info` says of the local models, or of the lattice and the tones; nothing of a model that has none."""
     sizes, metrics = texture.card["sizes"], texture.card["metrics"]
+    if texture.card["model"] == "ar":
+        zeros = f", {sizes['ma']} zeros" if sizes["ma"] else ""
+        return {
+            "models": f"{sizes['n_models']} of order {sizes['order']}{zeros}, in {sizes['n_triangles']} triangles"
+        }
     if not texture.has_excitation:
         return {}
     vertices = sizes["n_speed"] * sizes["n_force"]

@@ -18,7 +18,7 @@ from foten.recording.scaling import Scaling
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.recording.windows import targets
-from foten.render.engine import engine_for
+from foten.render.engine import NumpyFotenPlus, engine_for
 from foten.render.forecast import Forecast
 from foten.render.synthesizer import FADE_FORCE, FADE_SPEED
 from foten.texture_file import Texture
@@ -195,7 +195,7 @@ def _one_step(
             reasons["one_step.nll"] = "the excitation is that of a rendering, or the hand was at rest"
         result = {**result, **scores, "intervals": {**result["intervals"], **scores["intervals"]}}
     references["zero"], references["persistence"] = score(Zero()), score(Persistence())
-    if texture.has_excitation:
+    if isinstance(engine, NumpyFotenPlus):
         references["lattice"] = score(_Lattice(engine))
     else:
         reasons["references.lattice"] = f"{texture.card['model']} has none"

@@ -11,8 +11,7 @@ from foten.evaluate.bootstrap import intervals
 from foten.evaluate.metrics import goodness_of_fit
 from foten.recording.scaling import Scaling
 from foten.recording.windows import windows
-from foten.render.engine import NumpyFotenPlus
-from foten.render.forecast import Predictor, excitation_fit
+from foten.render.forecast import ExcitedEngine, Predictor, excitation_fit
 
 Array = NDArray[np.float64]
 
@@ -59,7 +58,7 @@ def _with_history(predictor: Predictor, samples: Array, n: NDArray[np.int64]) ->
 
 
 def excitation_scores(
-    engine: NumpyFotenPlus, samples: Array, n: NDArray[np.int64], heard: NDArray[np.bool_]
+    engine: ExcitedEngine, samples: Array, n: NDArray[np.int64], heard: NDArray[np.bool_]
 ) -> dict[str, Any]:
     """Return how well the excitation, its scale and its tails, describes the one-step error.
 
@@ -79,7 +78,7 @@ def excitation_scores(
         central 50 and 90 % of the predicted distribution; `standardised_sd`: of the errors, taken back through the tails to
         what should be a standard normal, 1 when the excitation is right; `intervals`.
     """
-    forecast = engine.follow(_with_history(engine, samples, n), corrected=engine.network_heard)
+    forecast = engine.follow_heard(_with_history(engine, samples, n))
     if forecast.scale is None:
         return {**dict.fromkeys(("nll", "coverage_50", "coverage_90", "standardised_sd")), "intervals": {}}
     standardised, nll = excitation_fit(forecast, samples[n, 0])

@@ -18,6 +18,7 @@ from foten.render.forecast import Forecast
 Array = NDArray[np.float64]
 
 LARGEST_INNOVATION = 100.0  # standard deviations, of those found in a recorded window
+_QUIETEST = 1e-9  # scaled; what is told to vary by nothing at all has no likelihood
 SETTLED_AFTER = 256  # samples that are played to begin with, where there are zeros
 
 
@@ -159,6 +160,25 @@ class NumpyAr:
         for n in range(1, windows.shape[1]):
             state.hear(windows[:, n, 0], windows[:, n, 1:], n > self._p)
         return state
+
+    def follow(self, blocks: Array) -> Forecast:
+        """Return the forecast of every sample of recorded blocks from those before it in its block, from sample `window` on.
+
+        Args:
+            blocks: scaled, shape (s, n, 3).
+
+        Returns:
+            Each of shape (s, n − window), scaled.
+        """
+        state = self.start(blocks[:, : self.window])
+        sample, scale = (np.empty((len(blocks), blocks.shape[1] - self.window)) for _ in range(2))
+        for n in range(self.window, blocks.shape[1]):
+            found = state.forecast()
+            sample[:, n - self.window], scale[:, n - self.window] = found.sample, found.scale
+            state.hear(blocks[:, n, 0], blocks[:, n, 1:], complete=True)
+        return Forecast(sample, np.maximum(scale, _QUIETEST), np.zeros_like(scale))
+
+    follow_heard = follow
 
     def predict(self, windows: Array) -> Array:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""

@@ -484,6 +484,10 @@ class NumpyFotenPlus:
         scale = unit[:, asked] * self.sigma(before).reshape(sample.shape)
         return Forecast(sample, scale, self.tail(before).reshape(sample.shape), self.largest)
 
+    def follow_heard(self, blocks: Array) -> Forecast:
+        """Return the same with the network or without, as a rendering hears it."""
+        return self.follow(blocks, corrected=self.network_heard)
+
     def excited(self, sample: Array, unit: Array, condition: Array) -> Forecast:
         """Return a forecast with the excitation of a speed and force (b, 2): scaled samples and the innovation's unit (b,)."""
         return Forecast(sample, unit * self.sigma(condition), self.tail(condition), self.largest)

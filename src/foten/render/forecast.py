@@ -100,3 +100,18 @@ class Engine(Predictor, Protocol):
     def start(self, windows: Array) -> State:
         """Return the state of streams that have heard the given scaled windows, shape (s, m, 3)."""
         ...
+
+
+class ExcitedEngine(Engine, Protocol):
+    """An engine with a random part."""
+
+    def follow_heard(self, blocks: Array) -> Forecast:
+        """Return the forecast that a rendering hears, of every sample of recorded blocks from those before it in its block.
+
+        Args:
+            blocks: scaled, shape (s, n, 3).
+
+        Returns:
+            Each of shape (s, n − window), scaled; the sample alone where the rendering knows more than the recording says.
+        """
+        ...

@@ -26,6 +26,7 @@ from foten.recording.windows import targets, windows
 from foten.render.forecast import Forecast, excitation_fit
 from foten.render.synthesizer import FADE_FORCE, FADE_SPEED
 from foten.texture_file import Texture
+from foten.train.card import card_of, recorded_peak
 from foten.train.config import WARM_START, TrainConfig
 from foten.train.excitation import engine_of, fit_excitation, free_run_distance
 from foten.train.export import export
@@ -101,11 +102,6 @@ def train_texture(
             trained = network.network.to(pick_device())
         else:
             trained = network = build(key, architecture).to(pick_device())
-        training_samples = trace.stacked().reshape(trace.n_blocks, trace.block, 3)[list(split.train)]
-        low, high = training_samples.min(axis=(0, 1)), training_samples.max(axis=(0, 1))
-        peak = float(np.abs(prepared.scaling.scale(training_samples)[..., 0]).max())
-        # For safety only: well beyond what was recorded.
-        saturation = max(12.0, 1.5 * peak)
         progress = fit(trained, data, config, on_epoch, checkpoint, resume)
         lattice_mae = progress.epochs[0].validation_mae if isinstance(network, FotenPlus) else None
         if isinstance(network, FotenPlus):
@@ -131,25 +127,9 @@ def train_texture(
         warm_start, condition = pick_warm_start(prepared, architecture.history)
         best = max((line for line in progress.epochs if line.best), key=lambda line: line.epoch)
         card: dict[str, Any] = {
-            "rate_hz": trace.rate_hz,
-            "trained_range": {
-                "speed": [float(low[1]), float(high[1])],
-                "force": [float(low[2]), float(high[2])],
-            },
+            **card_of(recording, prepared, preprocess_config, texture_name, licence),
             "beyond_exponents": _beyond_exponents(trace, split, key),
-            "saturation": saturation,
-            "lowpass_hz": preprocess_config.render_lowpass_hz,
-            "delay_ms": preprocess_config.delay_ms,
             "warm_start": condition,
-            "texture": texture_name or recording.texture,
-            "tool": recording.tool,
-            "sensors": recording.sensors,
-            "notes": recording.notes,
-            "licence": licence,
-            "recording_sha256": trace.recording_sha256,
-            "preprocess": dict(trace.preprocess),
-            "split": asdict(split),
-            "split_sha256": split.sha256(),
             "training": {
                 **asdict(config),
                 "versions": {"foten": foten.__version__, "torch": torch.__version__, "numpy": np.__version__},
@@ -166,7 +146,7 @@ def train_texture(
                 "validation_level_error_db": played[1],
                 "tail_gain_nat": tail_gain,
                 "level_errors_db": level_errors,
-                "recorded_peak_sd": peak,
+                "recorded_peak_sd": recorded_peak(prepared),
                 "best_epoch": best.epoch,
                 "n_epochs": progress.epochs[-1].epoch,
             },

@@ -1,0 +1,199 @@
+"""Recording to local linear models: pieces, a filter each, and a mesh between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import foten
+from foten.dsp.ar import burg
+from foten.dsp.lsf import line_spectral_frequencies, spread_out
+from foten.dsp.mesh import LEAST_AREA
+from foten.dsp.segmentation import MAX_ORDER, pieces_of
+from foten.recording.preprocess import PreprocessConfig, preprocess
+from foten.recording.recording import Recording
+from foten.recording.split import Split, split_blocks
+from foten.recording.trace import Trace
+from foten.render.ar import NumpyAr
+from foten.render.engine import engine_for
+from foten.render.synthesizer import FADE_SPEED
+from foten.texture_file import Texture
+from foten.train.card import card_of, recorded_peak
+from foten.train.export_local import LocalModels, export_local
+from foten.train.prepared import Prepared, prepare
+
+Array = NDArray[np.float64]
+
+ORDERS = (4, 6, 8, 10, 12, 14, 16, 18, 20)  # tried for all models of a texture alike
+GRID_S, LONGEST_S = 0.05, 1.0  # between places that a cut is tried at; of a piece, over which a hand changes
+LEAST_SAMPLES = 100  # of a piece that is fitted
+SAME = 0.02  # standard deviations between models that are one
+_GRID = 50  # samples between places, at the least
+_EDGE_SPEEDS, _EDGE_FORCES = (
+    (0.0, 0.25, 0.5, 0.75, 1.0),
+    (0.5, 1.0),
+)  # of the highest, where silent models stand
+
+
+@dataclass(frozen=True)
+class LocallyTrained:
+    """A texture of local models and how it came about."""
+
+    texture: Texture
+    trace: Trace
+    split: Split
+    errors: dict[int, float]
+    """One-step validation error by the order that was tried, scaled."""
+
+
+def train_local(
+    recording: Recording,
+    preprocess_config: PreprocessConfig | None = None,
+    split_method: str = "regrouped",
+    split_seed: int = 0,
+    texture_name: str = "",
+    licence: str = "",
+    on_stage: Callable[[str], None] = lambda stage: None,
+) -> LocallyTrained:
+    """Return a texture of local linear models learned from a recording, its order chosen on the validation blocks.
+
+    Raises:
+        ValueError: the recording does not fit the configuration, or holds too little to fit models to.
+    """
+    preprocess_config = preprocess_config or PreprocessConfig()
+    trace = preprocess(recording, preprocess_config)
+    split = split_blocks(trace, split_method, split_seed)
+    prepared = prepare(trace, split)
+    on_stage("cutting the training blocks into pieces")
+    pieces = list(_pieces(prepared))
+    if len(pieces) < 3:
+        raise ValueError(
+            f"the training blocks hold {len(pieces)} pieces of {LEAST_SAMPLES} samples or more above {FADE_SPEED:g} mm/s, "
+            "expected 3 or more: record longer, or faster"
+        )
+    card = card_of(recording, prepared, preprocess_config, texture_name, licence)
+    card |= {"training": {"versions": {"foten": foten.__version__, "numpy": np.__version__}}}
+    on_stage("choosing the order")
+    tried: dict[int, Texture] = {}
+    for order in ORDERS:
+        metrics = {"validation_mae_scaled": 0.0}
+        tried[order] = export_local(
+            fitted(pieces, prepared, order), prepared.scaling, {**card, "metrics": metrics}
+        )
+    errors = {order: _validation_error(texture, prepared) for order, texture in tried.items()}
+    best = min(errors, key=lambda order: errors[order])
+    found: dict[str, Any] = {
+        "validation_mae_scaled": errors[best],
+        "validation_mae_scaled_by_order": {str(order): error for order, error in errors.items()},
+        "n_pieces": len(pieces),
+        "recorded_peak_sd": recorded_peak(prepared),
+    }
+    models = fitted(pieces, prepared, best)
+    texture = export_local(models, prepared.scaling, {**card, "metrics": found})
+    return LocallyTrained(texture, trace, split, errors)
+
+
+def fitted(pieces: list[Array], prepared: Prepared, order: int) -> LocalModels:
+    """Return a model for each piece (n, 3) of acceleration [m/s²], speed [mm/s] and force [N], merged, with silent ones around.
+
+    Labels are medians. Models nearer than `SAME` are merged. At rest and without force stand silent models with the angles of the
+    nearest, and one at the highest speed and force that is as loud as the nearest, so that the mesh covers the trained range.
+    """
+    points, angles, variances, weights = [], [], [], []
+    for piece in pieces:
+        reflections, variance = burg(piece[:, 0] - piece[:, 0].mean(), order)
+        points.append(np.median(piece[:, 1:], axis=0))
+        angles.append(spread_out(line_spectral_frequencies(_polynomial(reflections))))
+        variances.append(variance)
+        weights.append(len(piece))
+    scale = np.maximum(np.std(points, axis=0), 1e-3 * np.max(points, axis=0))
+    of = _merged(np.array(points), scale)
+    share = np.zeros((of.max() + 1, len(of)))
+    share[of, np.arange(len(of))] = weights
+    share /= share.sum(axis=1, keepdims=True)
+    own = share @ np.array(points)
+    train = list(prepared.split.train)
+    top = np.array(
+        [prepared.trace.blocks(c)[train].max() for c in (prepared.trace.speed, prepared.trace.force)]
+    )
+    around = [(s * top[0], 0.0) for s in _EDGE_SPEEDS] + [(0.0, f * top[1]) for f in _EDGE_FORCES]
+    edge = np.array([*around, (float(top[0]), float(top[1]))])
+    nearest = np.square((edge[:, None] - own) / scale).sum(axis=2).argmin(axis=1)
+    lsf, variance = share @ np.array(angles), share @ np.array(variances)
+    silent = np.array([0.0] * len(around) + [1.0])
+    return _meshed(
+        np.concatenate([own, edge]),
+        np.concatenate([lsf, lsf[nearest]]),
+        np.concatenate([variance, silent * variance[nearest]]),
+        scale,
+    )
+
+
+def _pieces(prepared: Prepared) -> Iterator[Array]:
+    """Return the pieces of the training blocks that are fitted, each of shape (n, 3)."""
+    trace, rate = prepared.trace, prepared.trace.rate_hz
+    stacked = trace.stacked()
+    train = np.array(sorted(prepared.split.train))
+    grid, longest = max(_GRID, round(GRID_S * rate)), round(LONGEST_S * rate)
+    for run in np.split(train, np.flatnonzero(np.diff(train) > 1) + 1):
+        samples = stacked[run[0] * trace.block : (run[-1] + 1) * trace.block]
+        x = samples[:, 0] - prepared.scaling.mean[0]
+        cuts = pieces_of(x, MAX_ORDER, min(grid, len(x) // 2), max(longest, 2 * grid)).cuts
+        for piece in np.split(samples, cuts):
+            if len(piece) >= LEAST_SAMPLES and np.median(piece[:, 1]) >= FADE_SPEED:
+                yield piece
+
+
+def _polynomial(reflections: Array) -> Array:
+    """Return A of reflections without a leak, 1 first."""
+    a = np.ones(1)
+    for k in reflections:
+        a = np.append(a, 0.0) + k * np.append(a, 0.0)[::-1]
+    return a
+
+
+def _merged(points: Array, scale: Array) -> NDArray[np.int64]:
+    """Return which model each piece belongs to: one that begins near enough, or one of its own."""
+    seeds: list[Array] = []
+    of = np.empty(len(points), dtype=np.int64)
+    for i, point in enumerate(points / scale):
+        away = [float(np.hypot(*(point - seed))) for seed in seeds]
+        near = int(np.argmin(away)) if away else -1
+        if near < 0 or away[near] > SAME:
+            near = len(seeds)
+            seeds.append(point)
+        of[i] = near
+    return of
+
+
+def _meshed(points: Array, lsf: Array, variance: Array, scale: Array) -> LocalModels:
+    """Return models with Delaunay's triangles over the scaled points, those left out that no triangle has a corner at."""
+    from scipy.spatial import Delaunay
+
+    triangles = Delaunay(points / scale).simplices.astype(np.int64)
+    corners = (points / scale)[triangles]
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    triangles = triangles[np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) > 2 * LEAST_AREA]
+    used, numbered = np.unique(triangles, return_inverse=True)
+    return LocalModels(
+        points[used],
+        lsf[used],
+        variance[used],
+        numbered.reshape(triangles.shape),
+        scale,
+        np.empty((len(used), 0)),
+        np.ones(len(used)),
+    )
+
+
+def _validation_error(texture: Texture, prepared: Prepared) -> float:
+    """Return the one-step error on the validation blocks, the same samples whatever the order, scaled."""
+    engine, blocks = engine_for(texture), prepared.samples[list(prepared.split.validation)]
+    assert isinstance(engine, NumpyAr)
+    first = MAX_ORDER + 1
+    predicted = engine.follow(blocks).sample[:, first - engine.window :]
+    return float(np.abs(predicted - blocks[:, first:, 0]).mean())
