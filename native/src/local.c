@@ -171,7 +171,7 @@ static void polynomial_of(const double *angles, int p, double *a) {
 
 void local_at(const local_models *m, const double condition[2], local_mixture *out) {
     int p = m->order, q = m->ma;
-    double at[2], shares[3], angles[HIGHEST_LOCAL_ORDER], a[HIGHEST_LOCAL_ORDER + 1], sum = 0, variance = 0;
+    double at[2], shares[3], angles[HIGHEST_LOCAL_ORDER] = {0}, a[HIGHEST_LOCAL_ORDER + 1], sum = 0, variance = 0;
     for (int i = 0; i < 2; i++) {
         double physical = condition[i] * m->sd[i] + m->mean[i];
         at[i] = (physical > 0 ? physical : 0) / m->scale[i];
@@ -188,10 +188,8 @@ void local_at(const local_models *m, const double condition[2], local_mixture *o
         sum += shares[k];
     }
     for (int k = 0; k < 3; k++) shares[k] /= sum;
-    for (int i = 0; i < p; i++) {
-        angles[i] = 0;
+    for (int i = 0; i < p; i++)
         for (int k = 0; k < 3; k++) angles[i] += shares[k] * m->lsf[models[k] * p + i];
-    }
     polynomial_of(angles, p, a);
     double leak = 1;
     for (int i = 1; i <= p; i++) a[i] /= leak *= LEAK;
