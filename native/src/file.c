@@ -19,6 +19,26 @@ foten_status file_refuse(texture_file *file, foten_status status, const char *fo
     return status;
 }
 
+/* Once, since a header is long: the card lies in it. */
+static int list_entries(texture_file *file) {
+    json name, value;
+    size_t n = json_count(file->header);
+    file->entries = malloc((n + 1) * sizeof *file->entries);
+    if (!file->entries) return 0;
+    for (const char *position = NULL; json_next(file->header, &position, &name, &value);) file->entries[file->n_entries++] = (entry){name, value};
+    return 1;
+}
+
+/* What an entry of the header says, the last of that name. */
+static json entry_of(const texture_file *file, const char *name) {
+    size_t n = strlen(name);
+    for (size_t i = file->n_entries; i > 0; i--) {
+        const entry *e = &file->entries[i - 1];
+        if ((size_t)(e->name.end - e->name.begin) == n + 2 && !memcmp(e->name.begin + 1, name, n)) return e->value;
+    }
+    return (json){NULL, NULL};
+}
+
 foten_status file_open(texture_file *file, const void *bytes, size_t n_bytes, char *why, size_t why_size) {
     memset(file, 0, sizeof *file);
     file->why = why;
@@ -37,7 +57,8 @@ foten_status file_open(texture_file *file, const void *bytes, size_t n_bytes, ch
     file->n_data = n_bytes - 8 - (size_t)length;
     if (!file->header.begin || *file->header.begin != '{')
         return file_refuse(file, FOTEN_BAD_FILE, "this is not a texture file, or it is damaged: its header is not JSON");
-    json written = json_member(json_member(file->header, "__metadata__"), "foten");
+    if (!list_entries(file)) return file_refuse(file, FOTEN_NO_MEMORY, "no memory");
+    json written = json_member(entry_of(file, "__metadata__"), "foten");
     if (!written.begin)
         return file_refuse(file, FOTEN_BAD_FILE, "this is a safetensors file without a texture card, expected one written by 'foten train'");
     size_t room = (size_t)(written.end - written.begin);
@@ -51,14 +72,17 @@ foten_status file_open(texture_file *file, const void *bytes, size_t n_bytes, ch
 
 void file_close(texture_file *file) {
     free(file->text);
+    free(file->entries);
     file->text = NULL;
+    file->entries = NULL;
+    file->n_entries = 0;
 }
 
 typedef struct { const unsigned char *data; size_t n; int wide; } place;
 
 /* Where a tensor lies: nothing is trusted, neither its shape nor its offsets. */
 static int find(const texture_file *file, const char *name, size_t shape[4], place *at) {
-    json tensor = json_member(file->header, name), sizes = json_member(tensor, "shape"), offsets = json_member(tensor, "data_offsets"), item;
+    json tensor = entry_of(file, name), sizes = json_member(tensor, "shape"), offsets = json_member(tensor, "data_offsets"), item;
     json kind = json_member(tensor, "dtype");
     int dimensions = 0;
     size_t n = 1;
@@ -137,7 +161,7 @@ double *file_take(texture_file *file, const char *name, const size_t shape[4], a
 }
 
 int file_all_taken(texture_file *file, const char *model) {
-    size_t n = json_count(file->header);
+    size_t n = file->n_entries;
     if (n == file->n_taken + 1) return 1; /* and the card */
     file_refuse(file, FOTEN_BAD_FILE, "the file holds %zu tensors, expected the %zu of '%s'", n - 1, file->n_taken, model);
     return 0;

@@ -7,12 +7,17 @@
 #include "foten.h"
 #include "json.h"
 
+/* An entry of the header: its name, quoted, and what it says. */
+typedef struct { json name, value; } entry;
+
 typedef struct {
     const unsigned char *bytes; /* the file */
     size_t n_bytes;
     const unsigned char *data;  /* where the tensors lie */
     size_t n_data;
     json header;
+    entry *entries;             /* of the header, owned */
+    size_t n_entries;
     char *text;                 /* of the card, owned */
     json card;
     char *why;
