@@ -5,6 +5,9 @@ BIN := $(VENV)/bin
 # Small matrices only lose by more threads, on a busy machine a factor of ten.
 THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
+# A file's tests stay together, for what they share.
+PYTEST := $(THREADS) $(BIN)/python -m pytest -q --numprocesses auto --maxprocesses 4 --dist loadfile
+
 .PHONY: demo test check slow wasm wasm-check web clean
 
 # An editable install takes Python from here, and the kernel from when it was built.
@@ -17,16 +20,16 @@ demo: $(VENV)/.installed
 	$(THREADS) $(BIN)/foten demo -o demo
 
 test: $(VENV)/.installed
-	$(THREADS) $(BIN)/python -m pytest -q
+	$(PYTEST)
 
 slow: $(VENV)/.installed
-	$(THREADS) $(BIN)/python -m pytest -q -m slow
+	$(PYTEST) -m slow
 
 check: $(VENV)/.installed
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	$(THREADS) $(BIN)/python -m pytest -q
+	$(PYTEST)
 
 $(VENV)/.wasm: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt ziglang # of the extra wasm, which would bring a copy of foten
