@@ -635,11 +635,11 @@ def _vouched() -> dict[str, tuple[str, list[str]]]:
     """Return the earlier states whose runs come out the same today: which state made which of their runs again."""
     found: dict[str, tuple[str, list[str]]] = {}
     waiting, made_again = [SOURCES], _made_again()
+    differ = {source for again in made_again.values() for source in again["differ"]}
     while waiting:
         by = waiting.pop()
-        again = made_again.get(by, {"equal": {}, "differ": {}})
-        for source, names in again["equal"].items():
-            if source not in again["differ"] and source not in found:
+        for source, names in made_again.get(by, {"equal": {}})["equal"].items():
+            if source not in differ and source not in found:
                 found[source] = (by, names)
                 waiting.append(source)
     return found

@@ -43,7 +43,7 @@ from foten.render.closed_loop import ClosedLoop
 from foten.render.engine import ToneState, engine_for
 from foten.texture_file import Texture, read_texture
 from foten.whole_file import whole_file
-from main_table import SOURCES, between, made_earlier, name_of
+from main_table import SOURCES, between, heard_of, made_earlier, name_of
 from streams import rendered
 
 LARGEST_NOISE = 5.68  # standard deviations, of the counter-based generator
@@ -227,7 +227,7 @@ def main() -> None:
             "texture_sha256": texture.sha256(),
             "source_sha256": SOURCES,
             "rate_hz": texture.rate_hz,
-            "network_heard": texture.architecture.network_heard and not texture.architecture.n_tones,
+            "network_heard": bool(heard_of(texture).get("network")),
             "samples": played.size,
             "finite": bool(np.isfinite(played).all()),
             "max_sd": float(np.abs(played).max() / texture.scaling.sd[0]),

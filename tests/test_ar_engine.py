@@ -10,15 +10,15 @@ import pytest
 
 from conftest import CARD, SCALING, exported, local_models
 from foten.architecture import ArArchitecture
-from foten.dsp.lattice import LEAK
-from foten.dsp.lsf import polynomial_of
+from foten.dsp.lattice import LEAK, forecast, reflections_of
+from foten.dsp.lsf import line_spectral_frequencies, polynomial_of
 from foten.render.ar import NumpyAr
 from foten.render.closed_loop import ClosedLoop
 from foten.render.engine import engine_for
 from foten.render.native import NativeState, NativeTexture
 from foten.render.synthesizer import Synthesizer
 from foten.texture_file import Texture
-from foten.train.export_local import export_local
+from foten.train.export_local import LocalModels, export_local
 
 LOCAL: dict[str, dict[str, Any]] = {
     "models": {"order": 20, "n_models": 9, "n_triangles": 8},
@@ -75,29 +75,51 @@ def test_it_begins_as_if_it_had_always_been_there(name: str) -> None:
     assert level[0] == pytest.approx(level[-100:].mean(), rel=0.1)
 
 
-@pytest.mark.parametrize("name", ["models", "with-zeros"])
-def test_no_hand_makes_it_grow(name: str) -> None:
-    """The energy of a normalised lattice's states, for any reflections: at most drive² / (1 − leak²)."""
-    texture = made(name)
+SWITCHED = 0.98  # radius of the poles of two resonances, one at 100 Hz and one at 400
+
+
+def two_tones() -> LocalModels:
+    """Return models of two sharp resonances, as loud as each other, that stable filters in turn grow with."""
+    tones = [
+        np.array([1.0, -2 * SWITCHED * np.cos(2 * np.pi * hz / 1000), SWITCHED**2]) for hz in (100.0, 400.0)
+    ]
+    angles = np.array([line_spectral_frequencies(a) for a in tones])[[0, 1, 0]]
+    return LocalModels(
+        np.array([[50.0, 1.0], [150.0, 1.0], [100.0, 2.0]]),
+        angles,
+        np.full(3, 0.04),
+        np.array([[0, 1, 2]]),
+        np.array([60.0, 0.5]),
+        np.empty((3, 0)),
+        np.ones(3),
+    )
+
+
+def test_no_hand_makes_it_grow() -> None:
+    """The two resonances switched whenever that makes the most of it: a direct form runs away, the lattice does not."""
+    texture = export_local(two_tones(), SCALING, CARD)
     engine = engine_for(texture)
     assert isinstance(engine, NumpyAr)
-    rng = np.random.default_rng(0)
     points = (texture.tensors["local.points"] - texture.tensors["local.mean"]) / texture.tensors["local.sd"]
-    windows = 50.0 * rng.choice([-1.0, 1.0], (24, texture.window, 3))
-    loop = ClosedLoop(engine.start(windows))
-    reflections, zeros, root, gain = engine.mixed(points)
-    drive = 5.68 * (root.max() * gain.max()) * (1 + np.abs(zeros).sum(axis=0).max(initial=0.0))
-    largest = drive / np.sqrt(1 - np.square(reflections)).prod(axis=0).min() / np.sqrt(1 - LEAK**2)
-    first = [
-        float(
-            np.abs(loop.step(points[rng.integers(0, len(points), 24)], rng.choice([-5.68, 5.68], 24))).max()
-        )
-    ]
-    for _ in range(6000):
-        outwards = np.where(loop.state.forecast().sample >= 0, 5.68, -5.68)
-        first.append(float(np.abs(loop.step(points[rng.integers(0, len(points), 24)], outwards)).max()))
-    assert max(first[3000:]) < largest
-    assert max(first[3000:]) > 1
+    reflections, _, drive = engine.mixed(points)
+    bound = 5.68 * drive.max() / np.sqrt(1 - LEAK**2)
+    taps = -polynomial_of(texture.tensors["local.lsf"])[:, 1:]
+    direct, largest, state = np.array([1.0, 0.0]), [], engine.start(np.zeros((1, texture.window, 3)))
+    loop = ClosedLoop(state)
+    for _ in range(3000):
+        # Whichever makes the next two samples of the direct form largest.
+        if np.abs(direct).max() < 1e100:
+            ahead = [(taps[i] @ direct, i) for i in range(2)]
+            worst = max(ahead, key=lambda found: abs(found[0]))
+            direct = np.array([worst[0], direct[0]])
+        expected = [forecast(state.states, reflections[:, [i]])[0][0] for i in range(2)]
+        i = int(np.argmax(np.abs(expected)))
+        state._heed(points[[i]])
+        outwards = np.array([5.68 if expected[i] >= 0 else -5.68])
+        largest.append(float(np.abs(loop.step(points[[i]], outwards)).max()))
+    assert np.abs(direct).max() > 1e50
+    assert max(largest) < bound
+    assert max(largest) > 5 * drive.max()
 
 
 def test_two_streams_under_one_noise_meet() -> None:
@@ -118,6 +140,28 @@ def test_a_model_in_no_triangle_is_refused() -> None:
         export_local(dataclasses.replace(models, triangles=models.triangles[:1]), SCALING, CARD)
 
 
+def test_a_pole_that_rings_for_ever_is_refused() -> None:
+    a = np.array([1.0, -2 * 0.9999 * np.cos(0.4), 0.9999**2])
+    angles = np.tile(line_spectral_frequencies(a), (3, 1))
+    with pytest.raises(ValueError, match=r"local model 0 has a pole 0\.9999"):
+        export_local(dataclasses.replace(two_tones(), lsf=angles), SCALING, CARD)
+
+
+@pytest.mark.parametrize("radius", [0.9, 0.999])
+def test_half_way_from_a_tone_to_noise_it_is_as_loud_as_both(radius: float) -> None:
+    """A tone and white noise of one power: mixed by innovations, the middle was louder by the tone's gain."""
+    tone = line_spectral_frequencies(np.array([1.0, -2 * radius * np.cos(0.9), radius**2]))
+    noise = np.pi * np.arange(1, 3) / 3
+    k = reflections_of(polynomial_of(tone[None]))[0]
+    variance = np.array([np.prod(1 - k * k), 1.0, np.prod(1 - k * k)])
+    models = dataclasses.replace(two_tones(), lsf=np.stack([tone, noise, tone]), variance=variance)
+    texture = export_local(models, SCALING, CARD)
+    state = NativeState(NativeTexture(texture.to_bytes()), seed=0)
+    played = state.render_stroke(np.full(400_000, 100.0, np.float32), np.full(400_000, 1.0, np.float32))
+    # The leak takes some of what rings long: 1.5 dB at 0.999.
+    assert 10 * np.log10(played.var()) == pytest.approx(0.0, abs=0.5 if radius < 0.99 else 2.0)
+
+
 def test_silence_is_silent() -> None:
     """A model of variance 0 is heard as nothing, from the first sample on."""
     played = steady(made("models"), 8, 100)
@@ -135,6 +179,9 @@ BROKEN: dict[str, tuple[str, Any, str]] = {
     "half a corner": ("local.triangles", lambda t: t + 0.5, "corner that"),
     "a flat triangle": ("local.triangles", lambda t: 0 * t, "flat"),
     "another variance": ("local.variance", lambda t: 1.1 * t, "fails its own proof"),
+    "a hand from elsewhere": ("local.sd", lambda t: -t, "of no hand"),
+    "models far away": ("local.points", lambda t: t - 1000.0, "of no hand"),
+    "too loud": ("local.variance", lambda t: 1e12 * t, "louder than"),
     "other angles": ("local.lsf", lambda t: 0.999 * t, "fails its own proof"),
     "other zeros": ("local.ma_lsf", lambda t: 0.999 * t, "fails its own proof"),
 }
@@ -160,10 +207,11 @@ def test_what_is_broken_is_refused(what: str) -> None:
         ({"order": 41, "window": 42}, "order is 41, expected 40 at most"),
         ({"ma": 41}, "ma is 41, expected 40 at most"),
         ({"window": 20}, "window is 20, expected a whole number, 21 or more"),
+        ({"order": "x"}, "order is 'x', expected a whole number"),
         ({"n_models": 2}, "n_models is 2"),
         ({"n_triangles": 0}, "n_triangles is 0"),
     ],
 )
-def test_sizes_that_cannot_be_are_refused(sizes: dict[str, int], message: str) -> None:
+def test_sizes_that_cannot_be_are_refused(sizes: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         ArArchitecture(**sizes)

@@ -80,6 +80,15 @@ def test_no_piece_is_longer_than_asked() -> None:
     assert len(pieces.orders) == len(edges) - 1
 
 
+def test_a_long_recording_takes_as_much_longer_as_it_is_long() -> None:
+    """Pieces of a second at most: 240 s in 4800 steps of the grid, which a square of them would not fit in memory for."""
+    rng = np.random.default_rng(0)
+    x = rng.standard_normal(240_000) * np.repeat(rng.uniform(0.2, 5, 240), 1000)
+    pieces = pieces_of(x, max_order=2, longest=1000)
+    assert np.diff(np.concatenate([[0], pieces.cuts, [x.size]])).max() <= 1000
+    assert len(set(range(1000, 240_000, 1000)) - {round(cut, -2) for cut in pieces.cuts.tolist()}) < 12
+
+
 def test_silence_is_told() -> None:
     x = np.concatenate([np.zeros(500), np.random.default_rng(0).standard_normal(500)])
     pieces = pieces_of(x)

@@ -6,7 +6,7 @@
 static const double PI = 3.14159265358979323846;
 static const double LEAK = 0.9997, HIGHEST_REFLECTION = 0.99999; /* as foten.dsp.lattice says */
 static const double LEAST_AREA = 1e-9, INSIDE = -1e-12;          /* as foten.dsp.mesh says */
-static const double FURTHEST[2] = {1e5, 1e4};                    /* mm/s and N that a model may stand at */
+static const double FURTHEST[2] = {1e5, 1e4}, LOUDEST = 1e4;     /* mm/s and N that a model may stand at; standard deviations */
 
 static double crossed(const double a[2], const double b[2]) { return a[0] * b[1] - a[1] * b[0]; }
 
@@ -29,6 +29,44 @@ static void shares_of(const double corners[3][2], const double at[2], double sha
     shares[1] = crossed(away, second) / area;
     shares[2] = crossed(first, away) / area;
     shares[0] = 1 - shares[1] - shares[2];
+}
+
+/* Multiply a polynomial of degree n by 1 + b z^-1 + c z^-2. */
+static void multiply(double *polynomial, int n, double b, double c) {
+    polynomial[n + 1] = polynomial[n + 2] = 0;
+    for (int i = n + 2; i > 0; i--) polynomial[i] += b * polynomial[i - 1] + (i > 1 ? c * polynomial[i - 2] : 0);
+}
+
+/* A of line spectral frequencies, 1 first. */
+static void polynomial_of(const double *angles, int p, double *a) {
+    double both[2][HIGHEST_LOCAL_ORDER + 4] = {{1}, {1}};
+    int degrees[2] = {0, 0};
+    for (int i = 0; i < p; i++) {
+        multiply(both[i % 2], degrees[i % 2], -2 * cos(angles[i]), 1);
+        degrees[i % 2] += 2;
+    }
+    if (p % 2) {
+        multiply(both[1], degrees[1], 0, -1);
+    } else {
+        multiply(both[0], degrees[0], 1, 0);
+        multiply(both[1], degrees[1], -1, 0);
+    }
+    for (int i = 0; i <= p; i++) a[i] = 0.5 * (both[0][i] + both[1][i]);
+}
+
+/* The reflections of a lattice, its leak included, that is 1/A; a is lost. Returns the product of their cosines. */
+static double reflections_of(double *a, int p, double *reflections) {
+    double leak = 1, gain = 1;
+    for (int i = 1; i <= p; i++) a[i] /= leak *= LEAK;
+    for (int i = p; i > 0; i--) {
+        double k = a[i] > HIGHEST_REFLECTION ? HIGHEST_REFLECTION : a[i] < -HIGHEST_REFLECTION ? -HIGHEST_REFLECTION : a[i];
+        double lower[HIGHEST_LOCAL_ORDER + 1];
+        reflections[i - 1] = k;
+        gain *= sqrt(1 - k * k);
+        for (int j = 0; j < i; j++) lower[j] = (a[j] - k * a[i - j]) / (1 - k * k);
+        memcpy(a, lower, (size_t)i * sizeof *a);
+    }
+    return gain;
 }
 
 /* Angles that rise from 0 to pi, a row of them for each model. */
@@ -63,12 +101,25 @@ const local_models *local_make(texture_file *file, int order, int ma, int n_mode
     if (!(m->points = file_take(file, "local.points", (size_t[]){n, 2, 0, 0}, memory))) return NULL;
     if (!(m->lsf = file_take(file, "local.lsf", (size_t[]){n, (size_t)order, 0, 0}, memory))) return NULL;
     if (!rising(file, "lsf", m->lsf, n_models, order)) return NULL;
-    if (!(m->variance = never_negative(file, "local.variance", n_models, memory))) return NULL;
+    const double *variance = never_negative(file, "local.variance", n_models, memory), *gain = NULL;
+    double *power = arena_take(memory, n, sizeof *power);
+    if (!variance || !power) return NULL;
     if (ma) {
         if (!(m->ma_lsf = file_take(file, "local.ma_lsf", (size_t[]){n, (size_t)ma, 0, 0}, memory))) return NULL;
         if (!rising(file, "ma_lsf", m->ma_lsf, n_models, ma)) return NULL;
-        if (!(m->gain = never_negative(file, "local.gain", n_models, memory))) return NULL;
+        if (!(gain = never_negative(file, "local.gain", n_models, memory))) return NULL;
     }
+    for (int i = 0; i < n_models; i++) {
+        double a[HIGHEST_LOCAL_ORDER + 1], reflections[HIGHEST_LOCAL_ORDER];
+        polynomial_of(m->lsf + i * order, order, a);
+        double drive = sqrt(variance[i]) * (gain ? gain[i] : 1) / reflections_of(a, order, reflections);
+        if (!(drive <= LOUDEST)) {
+            file_refuse(file, FOTEN_BAD_FILE, "a local model is louder than %g standard deviations", LOUDEST);
+            return NULL;
+        }
+        power[i] = drive * drive;
+    }
+    m->power = power;
     if (!(m->triangles = file_take(file, "local.triangles", (size_t[]){(size_t)n_triangles, 3, 0, 0}, memory))) return NULL;
     struct {
         const char *name;
@@ -146,32 +197,9 @@ static int nearest(const local_models *m, const double at[2], double shares[3]) 
     return found;
 }
 
-/* Multiply a polynomial of degree n by 1 + b z^-1 + c z^-2. */
-static void multiply(double *polynomial, int n, double b, double c) {
-    polynomial[n + 1] = polynomial[n + 2] = 0;
-    for (int i = n + 2; i > 0; i--) polynomial[i] += b * polynomial[i - 1] + (i > 1 ? c * polynomial[i - 2] : 0);
-}
-
-/* A of line spectral frequencies, 1 first. */
-static void polynomial_of(const double *angles, int p, double *a) {
-    double both[2][HIGHEST_LOCAL_ORDER + 4] = {{1}, {1}};
-    int degrees[2] = {0, 0};
-    for (int i = 0; i < p; i++) {
-        multiply(both[i % 2], degrees[i % 2], -2 * cos(angles[i]), 1);
-        degrees[i % 2] += 2;
-    }
-    if (p % 2) {
-        multiply(both[1], degrees[1], 0, -1);
-    } else {
-        multiply(both[0], degrees[0], 1, 0);
-        multiply(both[1], degrees[1], -1, 0);
-    }
-    for (int i = 0; i <= p; i++) a[i] = 0.5 * (both[0][i] + both[1][i]);
-}
-
 void local_at(const local_models *m, const double condition[2], local_mixture *out) {
     int p = m->order, q = m->ma;
-    double at[2], shares[3], angles[HIGHEST_LOCAL_ORDER] = {0}, a[HIGHEST_LOCAL_ORDER + 1], sum = 0, variance = 0;
+    double at[2], shares[3], angles[HIGHEST_LOCAL_ORDER] = {0}, a[HIGHEST_LOCAL_ORDER + 1], sum = 0, power = 0;
     for (int i = 0; i < 2; i++) {
         double physical = condition[i] * m->sd[i] + m->mean[i];
         at[i] = (physical > 0 ? physical : 0) / m->scale[i];
@@ -191,21 +219,10 @@ void local_at(const local_models *m, const double condition[2], local_mixture *o
     for (int i = 0; i < p; i++)
         for (int k = 0; k < 3; k++) angles[i] += shares[k] * m->lsf[models[k] * p + i];
     polynomial_of(angles, p, a);
-    double leak = 1;
-    for (int i = 1; i <= p; i++) a[i] /= leak *= LEAK;
-    for (int i = p; i > 0; i--) {
-        double k = a[i] > HIGHEST_REFLECTION ? HIGHEST_REFLECTION : a[i] < -HIGHEST_REFLECTION ? -HIGHEST_REFLECTION : a[i];
-        double lower[HIGHEST_LOCAL_ORDER + 1];
-        out->reflections[i - 1] = k;
-        for (int j = 0; j < i; j++) lower[j] = (a[j] - k * a[i - j]) / (1 - k * k);
-        memcpy(a, lower, (size_t)i * sizeof *a);
-    }
-    for (int k = 0; k < 3; k++) variance += shares[k] * m->variance[models[k]];
-    out->root = sqrt(variance);
-    out->gain = 1;
+    reflections_of(a, p, out->reflections);
+    for (int k = 0; k < 3; k++) power += shares[k] * m->power[models[k]];
+    out->drive = sqrt(power);
     if (!q) return;
-    out->gain = 0;
-    for (int k = 0; k < 3; k++) out->gain += shares[k] * m->gain[models[k]];
     for (int i = 0; i < q; i++) {
         angles[i] = 0;
         for (int k = 0; k < 3; k++) angles[i] += shares[k] * m->ma_lsf[models[k] * q + i];

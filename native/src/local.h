@@ -9,13 +9,13 @@ enum { HIGHEST_LOCAL_ORDER = 40 };
 
 typedef struct {
     int order, ma, n_models, n_triangles;
-    const double *points, *lsf, *ma_lsf, *variance, *gain, *triangles; /* a model a row; the 4th and 5th NULL for none and 1 */
+    const double *points, *lsf, *ma_lsf, *power, *triangles; /* a model a row; power: of what drives it; ma_lsf NULL for none */
     double scale[2], mean[2], sd[2];
 } local_models;
 
-/* What a hand makes of them: reflections, b_1 ... b_q, the innovations' standard deviation and their gain. */
+/* What a hand makes of them: reflections, b_1 ... b_q, and what an innovation of unit variance drives the lattice with. */
 typedef struct {
-    double *reflections, *zeros, root, gain;
+    double *reflections, *zeros, drive;
     int triangle; /* that the hand was last in, where the next one probably is */
 } local_mixture;
 

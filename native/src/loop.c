@@ -257,9 +257,8 @@ static void start_local(const foten_model *m, loop *l, const double *windows, in
     for (int t = 0; t < n; t++) {
         hand hand = hand_of(m, windows + 3 * t + 1);
         if (t > 0) {
-            double most = LARGEST_INNOVATION * l->local.root, found = 0;
-            double missed = windows[3 * t] - foreseen(p, l) - l->local.gain * coloured(m, l);
-            if (t > p && l->local.gain > 0) found = within(missed / l->local.gain, most);
+            double scale, found = 0, missed = windows[3 * t] - loop_forecast(m, l, &scale, 0);
+            if (t > p && scale > 0) found = within(missed / scale, LARGEST_INNOVATION);
             analyse(p, l, windows[3 * t]);
             remember(m, l, found);
         }
@@ -268,8 +267,8 @@ static void start_local(const foten_model *m, loop *l, const double *windows, in
 }
 
 static double step_local(const foten_model *m, loop *l, const hand *hand, const double *noise) {
-    double e = noise ? l->local.root * *noise : 0;
-    double sample = synthesise(m->local->order, l, l->local.gain * (e + coloured(m, l)) / l->gain);
+    double e = noise ? *noise : 0;
+    double sample = synthesise(m->local->order, l, l->local.drive * (e + coloured(m, l)));
     remember(m, l, e);
     heed_local(m, l, hand, 0);
     return sample;
@@ -282,9 +281,9 @@ static void begin_local(const foten_model *m, loop *l, const hand *hand, uint64_
     double power = 1;
     heed_local(m, l, hand, 1);
     for (int k = 0; k < q; k++) power += l->local.zeros[k] * l->local.zeros[k];
-    double size = l->local.root * (l->local.gain * sqrt(power) / l->gain);
+    double size = l->local.drive * sqrt(power);
     for (int i = 0; i < p; i++) l->states[i] = size * noise_at(seed, stream, n++);
-    for (int k = 0; k < q; k++) l->past[k] = l->local.root * noise_at(seed, stream, n++);
+    for (int k = 0; k < q; k++) l->past[k] = noise_at(seed, stream, n++);
     for (int i = 0; q && i < SETTLED_AFTER; i++) {
         double noise = noise_at(seed, stream, n++);
         step_local(m, l, hand, &noise);
@@ -325,8 +324,8 @@ static double swelling(const foten_model *m, const loop *l) { return exp(l->swel
 double loop_forecast(const foten_model *m, loop *l, double *scale, int with_network) {
     *scale = 0;
     if (m->local) {
-        *scale = l->local.gain * l->local.root;
-        return foreseen(m->local->order, l) + l->local.gain * coloured(m, l);
+        *scale = l->local.drive * l->gain;
+        return foreseen(m->local->order, l) + *scale * coloured(m, l);
     }
     if (!m->plus) return m->isa->predict(m->network, l->seen, l->scratch);
     const lattice *of = with_network ? &m->whole : heard(m);

@@ -193,17 +193,12 @@ class ArArchitecture:
     window: int = 21  # samples that a prediction is given; at least p + 1, and more to find the innovations before zeros
 
     def __post_init__(self) -> None:
-        for name, least in {
-            "order": 1,
-            "ma": 0,
-            "n_models": 3,
-            "n_triangles": 1,
-            "window": self.order + 1,
-        }.items():
+        for name, least in {"order": 1, "ma": 0, "n_models": 3, "n_triangles": 1}.items():
             _check_count(name, getattr(self, name), least)
         for name in ("order", "ma"):
             if getattr(self, name) > HIGHEST_LOCAL_ORDER:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected {HIGHEST_LOCAL_ORDER} at most")
+        _check_count("window", self.window, self.order + 1)
 
     @property
     def history(self) -> int:

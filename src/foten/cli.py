@@ -400,12 +400,11 @@ def train(
     own = _settings(settings or [])
     recording = load_recording(recording_file)
     if model == "ar":
-        of_networks = {
-            **asked,
-            "window": window,
-            "set": settings,
+        of_networks = {**asked, "window": window, "set": settings, "run": run_folder}
+        of_networks |= {
             "resume": resume or None,
-            "run": run_folder,
+            "seed": seed or None,
+            "recipe": recipe if recipe != "default" else None,
         }
         given = [name for name, value in of_networks.items() if value is not None]
         if given:
@@ -517,7 +516,9 @@ def _tell_trained(
     if card["model"] == "ar":
         sizes = card["sizes"]
         told[0] += f", order {sizes['order']}"
-        told.append(f"{sizes['n_models']} models from {metrics['n_pieces']} pieces")
+        told.append(f"{sizes['n_models']} models from {metrics['n_pieces']} pieces, those around it counted")
+        if metrics["n_pieces_left_out"]:
+            told.append(f"{metrics['n_pieces_left_out']} pieces that do not vibrate left out")
     else:
         told[0] += f" (epoch {metrics['best_epoch']})"
     if metrics.get("validation_mae_scaled_lattice") is not None:

@@ -131,12 +131,12 @@ def push(states: Array, reflections: Array, x: Array) -> tuple[Array, Array]:
     return after, f[-1]
 
 
-def polynomial(reflections: Array) -> Array:
+def polynomial(reflections: Array, leak: float = LEAK) -> Array:
     """Return A(z) of a lattice of constant reflections (p,), 1 first, shape (p + 1,); its all-pole filter is Π c_i / A."""
     a = np.ones(1)
     for k in reflections:
         a = np.append(a, 0.0) + k * np.append(a, 0.0)[::-1]
-    return a * LEAK ** np.arange(a.size)
+    return a * leak ** np.arange(a.size)
 
 
 def reflections_of(polynomials: Array) -> Array:

@@ -7,6 +7,7 @@ For A(z) = 1 + a₁z⁻¹ + … + a_p z^−p, with its mirror image z^−(p+1) A
 have all their zeros on the unit circle. Where those of A lie inside it, the zeros of P and Q alternate, and their angles in
 (0, π) are the line spectral frequencies ω₁ < … < ω_p. Any rising angles in (0, π) are those of some such A, and a mean of
 rising angles rises: a mixture of filters is a filter without poles outside, which a mixture of coefficients need not be.
+So it is in exact arithmetic: in float64 a filter of order 20 whose angles all lie within 1 rad has poles outside for rounding.
 
 Source: Itakura, J. Acoust. Soc. Am. 57 (1975) S35; used between local models of a texture by Culbertson, Unwin and Kuchenbecker,
 IEEE Trans. Haptics 7 (2014).

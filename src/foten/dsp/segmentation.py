@@ -70,8 +70,7 @@ def pieces_of(x: Array, max_order: int = MAX_ORDER, grid: int = 50, longest: int
         )
     told = _Description(x, max_order)
     places = np.append(np.arange(0, x.size - grid + 1, grid), x.size)
-    costs = told.between(places, longest)
-    cuts = places[_best(costs, np.log(x.size))]
+    cuts = places[_best(told.between(places, longest), np.log(x.size))]
     for _ in range(_PASSES):
         moved = _moved(told, cuts, grid, longest)
         if np.array_equal(moved, cuts):
@@ -87,6 +86,7 @@ class _Description:
     """What pieces of one signal take to tell, without what their number takes."""
 
     def __init__(self, x: Array, max_order: int) -> None:
+        self.n = x.size
         self._sums = np.zeros((max_order + 1, x.size + 1))
         for lag in range(max_order + 1):
             np.cumsum(x[lag:] * x[: x.size - lag], out=self._sums[lag, lag + 1 :])
@@ -117,35 +117,45 @@ class _Description:
         return nats[orders, np.arange(len(n))], orders
 
     def between(self, places: Index, longest: int | None) -> Array:
-        """Return the nats of every piece from one place to another, infinite where it is too long, shape (k, k)."""
-        costs = np.full((len(places),) * 2, np.inf)
-        first, last = np.triu_indices(len(places), 1)
-        if longest is not None:
-            allowed = places[last] - places[first] <= longest
-            first, last = first[allowed], last[allowed]
-        costs[first, last], _ = self.of(places[first], places[last])
+        """Return the nats of the pieces that end at each place and begin so many places before, infinite where there is none.
+
+        Returns:
+            Shape (w, k), the first row for one place before; w as many as the longest piece has.
+        """
+        k = len(places)
+        widest = k - 1 if longest is None else int(np.searchsorted(places, longest, side="right"))
+        back, last = np.meshgrid(np.arange(1, widest + 1), np.arange(k), indexing="ij")
+        there = back <= last
+        first, last = (last - back)[there], last[there]
+        allowed = places[last] - places[first] <= (self.n if longest is None else longest)
+        first, last = first[allowed], last[allowed]
+        costs = np.full((widest, k), np.inf)
+        costs[last - first - 1, last], _ = self.of(places[first], places[last])
         return costs
 
 
 def _best(costs: Array, each: float) -> Index:
-    """Return at which of the places to cut: the nats from one to another (k, k), and those of one piece more."""
-    k = len(costs)
+    """Return at which of the places to cut: the nats of pieces, as `between` gives them, and those of one piece more."""
+    w, k = costs.shape
     # By how many pieces a place is reached with: the logarithm of their number does not add up. It only grows, so there are no
     # more pieces than without it.
     least, pieces = np.full(k, np.inf), np.zeros(k, dtype=int)
     least[0] = 0.0
     for j in range(1, k):
-        reached = least[:j] + costs[:j, j] + each
+        back = np.arange(1, min(w, j) + 1)
+        reached = least[j - back] + costs[back - 1, j] + each
         i = int(reached.argmin())
-        least[j], pieces[j] = reached[i], pieces[i] + 1
+        least[j], pieces[j] = reached[i], pieces[j - back[i]] + 1
     most = int(pieces[-1])
     nats = np.full((most + 1, k), np.inf)
     nats[0, 0] = 0.0
     before = np.zeros((most + 1, k), dtype=int)
     for number in range(1, most + 1):
-        reached = nats[number - 1][:, None] + costs
-        before[number] = reached.argmin(axis=0)
-        nats[number] = reached[before[number], np.arange(k)]
+        for away in range(1, w + 1):
+            reached = nats[number - 1, :-away] + costs[away - 1, away:]
+            better = reached < nats[number, away:]
+            nats[number, away:][better] = reached[better]
+            before[number, away:][better] = np.flatnonzero(better)
     numbers = np.arange(1, most + 1)
     number = int((nats[1:, -1] + numbers * each + np.log(np.maximum(numbers - 1, 1))).argmin()) + 1
     cuts, place = [], k - 1
@@ -157,7 +167,7 @@ def _best(costs: Array, each: float) -> Index:
 
 def _moved(told: _Description, cuts: Index, grid: int, longest: int | None) -> Index:
     """Return each cut in turn where the two pieces beside it are shortest to tell, at most a step of the grid away."""
-    edges = np.concatenate([[0], cuts, [told._sums.shape[1] - 1]])
+    edges = np.concatenate([[0], cuts, [told.n]])
     for j in range(1, len(edges) - 1):
         tried = np.arange(max(edges[j - 1] + 1, edges[j] - grid), min(edges[j + 1], edges[j] + grid + 1))
         if longest is not None:

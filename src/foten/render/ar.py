@@ -17,6 +17,8 @@ from foten.render.forecast import Forecast
 
 Array = NDArray[np.float64]
 
+FURTHEST = np.array([1e5, 1e4])  # mm/s and N that a model may stand at
+LOUDEST = 1e4  # standard deviations, of what drives a model
 LARGEST_INNOVATION = 100.0  # standard deviations, of those found in a recorded window
 _QUIETEST = 1e-9  # scaled; what is told to vary by nothing at all has no likelihood
 SETTLED_AFTER = 256  # samples that are played to begin with, where there are zeros
@@ -28,8 +30,9 @@ class ArState:
 
     Attributes:
         states: b₀ … b_{p−1} of the lattice, shape (p, s).
-        past: the last q innovations, the youngest first, scaled, shape (q, s).
+        past: the last q innovations, the youngest first, of unit variance, shape (q, s).
         condition: speed and force of the last sample, scaled, shape (s, 2).
+        reflections, zeros, drive: as `NumpyAr.mixed` says, for the sample to come.
     """
 
     engine: NumpyAr
@@ -38,18 +41,17 @@ class ArState:
     condition: Array
     reflections: Array = field(init=False)
     zeros: Array = field(init=False)
-    root: Array = field(init=False)
-    gain: Array = field(init=False)
+    drive: Array = field(init=False)
     bounded: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        self.reflections, self.zeros, self.root, self.gain = self.engine.mixed(self.condition)
+        self.reflections, self.zeros, self.drive = self.engine.mixed(self.condition)
 
     def _heed(self, condition: Array) -> None:
         if np.array_equal(condition, self.condition):
             return
         self.condition = condition
-        self.reflections, self.zeros, self.root, self.gain = self.engine.mixed(condition)
+        self.reflections, self.zeros, self.drive = self.engine.mixed(condition)
 
     @property
     def n_to_begin(self) -> int:
@@ -62,31 +64,30 @@ class ArState:
         p, q = self.states.shape[0], self.past.shape[0]
         hand = condition[:, :2]
         self._heed(hand)
-        _, share = forecast(self.states, self.reflections)
-        loud = self.gain * np.sqrt(1 + np.square(self.zeros).sum(axis=0)) / share
-        self.states = self.root * loud * noise[:, :p].T
-        self.past = self.root * noise[:, p : p + q].T
+        self.states = self.drive * np.sqrt(1 + np.square(self.zeros).sum(axis=0)) * noise[:, :p].T
+        self.past = noise[:, p : p + q].T.copy()
         for z in noise[:, p + q :].T:
             self.push(self.forecast().excited(z), hand, z)
 
     def forecast(self) -> Forecast:
         """Return what lattice and past innovations foretell."""
-        sample, _ = forecast(self.states, self.reflections)
-        return Forecast(sample + self.gain * (self.zeros * self.past).sum(axis=0), self.gain * self.root)
+        sample, gain = forecast(self.states, self.reflections)
+        return Forecast(sample + self.drive * gain * (self.zeros * self.past).sum(axis=0), self.drive * gain)
 
     def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
         """Take in the samples that followed the last forecast; their innovations are those of the noise."""
         self.states, _ = push(self.states, self.reflections, sample)
-        self._remember(0 * sample if noise is None else self.root * noise)
+        self._remember(0 * sample if noise is None else noise)
         self._heed(condition[:, :2])
 
     def hear(self, sample: Array, condition: Array, complete: bool) -> None:
         """Take in recorded samples, whose innovations have to be found, once all p samples before are known."""
-        missed = complete * (sample - self.forecast().sample)
-        innovation = np.divide(missed, self.gain, out=np.zeros_like(missed), where=self.gain > 0)
-        largest = LARGEST_INNOVATION * self.root
+        expected = self.forecast()
+        assert expected.scale is not None
+        missed = complete * (sample - expected.sample)
+        innovation = np.divide(missed, expected.scale, out=np.zeros_like(missed), where=expected.scale > 0)
         self.states, _ = push(self.states, self.reflections, sample)
-        self._remember(np.clip(innovation, -largest, largest))
+        self._remember(np.clip(innovation, -LARGEST_INNOVATION, LARGEST_INNOVATION))
         self._heed(condition)
 
     def _remember(self, innovation: Array) -> None:
@@ -95,15 +96,18 @@ class ArState:
 
 
 class NumpyAr:
-    """Local models mixed by line spectral frequencies, variance and gain, and run as a lattice that cannot run away.
+    """Local models mixed by line spectral frequencies and by power, and run as a lattice that cannot run away.
 
     Between the three models around a hand their line spectral frequencies are mixed by barycentric weights; that is a stable
-    filter, but stable filters in turn need not be. So it is run as a normalised lattice, in which they are (`dsp.lattice`); under
-    a steady hand it is the same filter 1/A, but for poles nearer to the unit circle than 0.9997. The innovations are bounded, and
-    with them all that is heard: below G/√(1 − leak²), where G bounds gain · |1 + b₁ + …| over Π cᵢ.
+    filter, but stable filters in turn need not be. So it is run as a normalised lattice, in which they are (`dsp.lattice`);
+    under the hand of a model it is the very filter, gain (1 + b₁z⁻¹ + …) / A. What drives a normalised lattice is as loud as
+    what leaves it, whatever its colour: its power is what is mixed. No sample exceeds D N / √(1 − leak²), where D is the
+    largest drive of a model, and N the largest noise times 1 + Σ|b_k|.
 
-    Source: Culbertson, Unwin and Kuchenbecker, IEEE Trans. Haptics 7 (2014), [12] of the paper, as far as its abstract and the
-    public texture files tell: our re-implementation. Differs from it: the lattice, where a direct form keeps its samples.
+    Source: Culbertson, Unwin and Kuchenbecker, IEEE Trans. Haptics 7 (2014), [12] of the paper, as far as its abstract and
+    the public texture files tell: our re-implementation. Differs from it: the lattice, where a direct form keeps its samples;
+    and power, where the variance of innovations is mixed there: half-way from a loud noise to a soft tone that is louder than
+    both, by 18 dB from a recording in which a sensor dropped out.
     """
 
     def __init__(self, architecture: ArArchitecture, tensors: Mapping[str, NDArray[Any]]) -> None:
@@ -118,19 +122,16 @@ class NumpyAr:
         self._mean, self._sd = values["mean"], values["sd"]
         triangles = values["triangles"]
         if not (triangles == np.round(triangles)).all():
-            raise ValueError("a triangle of the mesh has a corner that is no whole number")
-        self._mesh = Mesh(values["points"], triangles.astype(np.int64), values["scale"])
-        gain = values.get("gain", np.ones(n))
-        self._table = np.concatenate(
-            [
-                values["lsf"],
-                values.get("ma_lsf", np.empty((n, 0))),
-                values["variance"][:, None],
-                gain[:, None],
-            ],
-            axis=1,
-        )
-        for name, angles in (("lsf", values["lsf"]), ("ma_lsf", values.get("ma_lsf", np.empty((n, 0))))):
+            raise ValueError("a triangle of the mesh has a corner that no model is at: it is no whole number")
+        scale, points = values["scale"], values["points"]
+        sizes = np.stack([scale, self._sd, *points, np.abs(self._mean)])
+        if not (sizes <= FURTHEST).all() or not (sizes >= 0).all() or not (sizes[:2] > 0).all():
+            raise ValueError(
+                "the local models stand at speeds or forces, or are scaled by some, that are of no hand"
+            )
+        self._mesh = Mesh(points, triangles.astype(np.int64), scale)
+        gain, zeros = values.get("gain", np.ones(n)), values.get("ma_lsf", np.empty((n, 0)))
+        for name, angles in (("lsf", values["lsf"]), ("ma_lsf", zeros)):
             edged = np.pad(angles, ((0, 0), (1, 1)), constant_values=((0, 0), (0.0, np.pi)))
             if angles.shape[1] and not (np.diff(edged, axis=1) > 0).all():
                 raise ValueError(
@@ -138,12 +139,17 @@ class NumpyAr:
                 )
         if not (values["variance"] >= 0).all() or not (gain >= 0).all():
             raise ValueError("a local model has a negative variance or gain")
+        reflections = reflections_of(polynomial_of(values["lsf"]))
+        drive = np.sqrt(values["variance"]) * gain / np.sqrt(1 - reflections * reflections).prod(axis=1)
+        if not (drive <= LOUDEST).all():
+            raise ValueError(f"a local model is louder than {LOUDEST:g} standard deviations")
+        self._table = np.concatenate([values["lsf"], zeros, drive[:, None] ** 2], axis=1)
 
-    def mixed(self, condition: Array) -> tuple[Array, Array, Array, Array]:
+    def mixed(self, condition: Array) -> tuple[Array, Array, Array]:
         """Return the model under a speed and force, scaled (b, 2).
 
         Returns:
-            Reflections (p, b); b₁ … b_q (q, b); the standard deviation of the innovations [scaled] and the gain, each (b,).
+            Reflections (p, b); b₁ … b_q (q, b); the standard deviation of what drives the lattice, scaled, (b,).
         """
         hand = np.maximum(condition * self._sd + self._mean, 0.0)
         chosen, weights = self._mesh.at(*hand.T)
@@ -151,7 +157,7 @@ class NumpyAr:
         p, q = self._p, self._q
         reflections = reflections_of(polynomial_of(found[:, :p])).T
         zeros = polynomial_of(found[:, p : p + q])[:, 1:].T
-        return reflections, zeros, np.sqrt(found[:, -2]), found[:, -1]
+        return reflections, zeros, np.sqrt(found[:, -1])
 
     def start(self, windows: Array) -> ArState:
         """Return the state of streams that have heard the given scaled windows, shape (s, m, 3)."""

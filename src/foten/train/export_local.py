@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.architecture import ArArchitecture, sizes
-from foten.dsp.lattice import polynomial, reflections_of
+from foten.dsp.lattice import LEAK
 from foten.dsp.lsf import polynomial_of
 from foten.dsp.noise import gaussian
 from foten.recording.scaling import Scaling
@@ -132,8 +132,12 @@ class _Filter:
     @staticmethod
     def of(tensors: dict[str, Array], i: int) -> _Filter:
         row = slice(i, i + 1)
-        # As near to the unit circle as the lattice's leak lets a pole be.
-        a = polynomial(reflections_of(polynomial_of(tensors["local.lsf"][row]))[0])
+        a = polynomial_of(tensors["local.lsf"][row])[0]
+        radius = float(np.abs(np.roots(a)).max())
+        if not radius < LEAK:
+            raise ValueError(
+                f"local model {i} has a pole {radius:.6f} from the middle, expected less than {LEAK}: it would ring for too long"
+            )
         zeros, gain = tensors.get("local.ma_lsf"), tensors.get("local.gain")
         b = np.ones(1) if zeros is None else polynomial_of(zeros[row])[0]
         root = float(np.sqrt(tensors["local.variance"][i]))

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import foten
-from foten.dsp.ar import burg
+from foten.dsp.ar import MAX_POLE, burg, stabilised
+from foten.dsp.lattice import polynomial
 from foten.dsp.lsf import line_spectral_frequencies, spread_out
 from foten.dsp.mesh import LEAST_AREA
 from foten.dsp.segmentation import MAX_ORDER, pieces_of
@@ -20,7 +21,7 @@ from foten.recording.split import Split, split_blocks
 from foten.recording.trace import Trace
 from foten.render.ar import NumpyAr
 from foten.render.engine import engine_for
-from foten.render.synthesizer import FADE_SPEED
+from foten.render.synthesizer import FADE_FORCE, FADE_SPEED
 from foten.texture_file import Texture
 from foten.train.card import card_of, recorded_peak
 from foten.train.export_local import LocalModels, export_local
@@ -31,12 +32,13 @@ Array = NDArray[np.float64]
 ORDERS = (4, 6, 8, 10, 12, 14, 16, 18, 20)  # tried for all models of a texture alike
 GRID_S, LONGEST_S = 0.05, 1.0  # between places that a cut is tried at; of a piece, over which a hand changes
 LEAST_SAMPLES = 100  # of a piece that is fitted
+LEAST_POWER = (
+    1e-6  # of a piece, as a share of that of the training blocks: a sensor that dropped out is no texture
+)
+LEAST_LEFT = 1e-9  # of a piece by its filter, as a share: one that hung, or a tone that somebody fed in
 SAME = 0.02  # standard deviations between models that are one
 _GRID = 50  # samples between places, at the least
-_EDGE_SPEEDS, _EDGE_FORCES = (
-    (0.0, 0.25, 0.5, 0.75, 1.0),
-    (0.5, 1.0),
-)  # of the highest, where silent models stand
+_SHARES = (0.0, 0.5, 1.0)  # of the way along the trained range, where models stand around it
 
 
 @dataclass(frozen=True)
@@ -68,12 +70,18 @@ def train_local(
     trace = preprocess(recording, preprocess_config)
     split = split_blocks(trace, split_method, split_seed)
     prepared = prepare(trace, split)
+    if trace.block < 2 * MAX_ORDER:
+        raise ValueError(
+            f"a block of {trace.block} samples is too short for filters of order {MAX_ORDER}, expected twice as many: "
+            "use a longer --block"
+        )
     on_stage("cutting the training blocks into pieces")
-    pieces = list(_pieces(prepared))
+    all_pieces = list(_pieces(prepared))
+    pieces = [piece for piece in all_pieces if _is_of_a_texture(piece[:, 0], prepared.scaling.sd[0])]
     if len(pieces) < 3:
         raise ValueError(
-            f"the training blocks hold {len(pieces)} pieces of {LEAST_SAMPLES} samples or more above {FADE_SPEED:g} mm/s, "
-            "expected 3 or more: record longer, or faster"
+            f"the training blocks hold {len(pieces)} pieces of {LEAST_SAMPLES} samples or more above {FADE_SPEED:g} mm/s and "
+            f"{FADE_FORCE:g} N that vibrate, expected 3 or more: record longer, faster or firmer"
         )
     card = card_of(recording, prepared, preprocess_config, texture_name, licence)
     card |= {"training": {"versions": {"foten": foten.__version__, "numpy": np.__version__}}}
@@ -90,6 +98,7 @@ def train_local(
         "validation_mae_scaled": errors[best],
         "validation_mae_scaled_by_order": {str(order): error for order, error in errors.items()},
         "n_pieces": len(pieces),
+        "n_pieces_left_out": len(all_pieces) - len(pieces),
         "recorded_peak_sd": recorded_peak(prepared),
     }
     models = fitted(pieces, prepared, best)
@@ -98,16 +107,18 @@ def train_local(
 
 
 def fitted(pieces: list[Array], prepared: Prepared, order: int) -> LocalModels:
-    """Return a model for each piece (n, 3) of acceleration [m/s²], speed [mm/s] and force [N], merged, with silent ones around.
+    """Return a model for each piece (n, 3) of acceleration [m/s²], speed [mm/s] and force [N], merged, and others around.
 
-    Labels are medians. Models nearer than `SAME` are merged. At rest and without force stand silent models with the angles of the
-    nearest, and one at the highest speed and force that is as loud as the nearest, so that the mesh covers the trained range.
+    Labels are medians. Models nearer than `SAME` are merged. Around the trained range stand models as loud as the nearest, and
+    silent ones at rest and without force, all with the angles of the nearest.
     """
     points, angles, variances, weights = [], [], [], []
     for piece in pieces:
         reflections, variance = burg(piece[:, 0] - piece[:, 0].mean(), order)
+        # Burg's poles may lie as near to the unit circle as a tone that never ends.
+        taps = stabilised(-polynomial(reflections, leak=1.0)[:0:-1], MAX_POLE)
         points.append(np.median(piece[:, 1:], axis=0))
-        angles.append(spread_out(line_spectral_frequencies(_polynomial(reflections))))
+        angles.append(spread_out(line_spectral_frequencies(np.append(1.0, -taps[::-1]))))
         variances.append(variance)
         weights.append(len(piece))
     scale = np.maximum(np.std(points, axis=0), 1e-3 * np.max(points, axis=0))
@@ -116,21 +127,38 @@ def fitted(pieces: list[Array], prepared: Prepared, order: int) -> LocalModels:
     share[of, np.arange(len(of))] = weights
     share /= share.sum(axis=1, keepdims=True)
     own = share @ np.array(points)
-    train = list(prepared.split.train)
-    top = np.array(
-        [prepared.trace.blocks(c)[train].max() for c in (prepared.trace.speed, prepared.trace.force)]
+    low, high = _trained_range(prepared)
+    loud = np.array(
+        [[low[0] + v * (high[0] - low[0]), low[1] + f * (high[1] - low[1])] for v in _SHARES for f in _SHARES]
     )
-    around = [(s * top[0], 0.0) for s in _EDGE_SPEEDS] + [(0.0, f * top[1]) for f in _EDGE_FORCES]
-    edge = np.array([*around, (float(top[0]), float(top[1]))])
+    silent = np.array([[v * high[0], 0.0] for v in _SHARES] + [[0.0, f * high[1]] for f in _SHARES[1:]])
+    edge = np.concatenate([loud[(loud == low).any(axis=1) | (loud == high).any(axis=1)], silent])
     nearest = np.square((edge[:, None] - own) / scale).sum(axis=2).argmin(axis=1)
     lsf, variance = share @ np.array(angles), share @ np.array(variances)
-    silent = np.array([0.0] * len(around) + [1.0])
     return _meshed(
         np.concatenate([own, edge]),
         np.concatenate([lsf, lsf[nearest]]),
-        np.concatenate([variance, silent * variance[nearest]]),
+        np.concatenate([variance, np.where((edge > 0).all(axis=1), variance[nearest], 0.0)]),
         scale,
     )
+
+
+def _trained_range(prepared: Prepared) -> tuple[Array, Array]:
+    """Return the lowest and the highest speed and force of the training blocks, where a rendering does not fade."""
+    train, trace = list(prepared.split.train), prepared.trace
+    known = [trace.blocks(channel)[train] for channel in (trace.speed, trace.force)]
+    least = np.array([FADE_SPEED, FADE_FORCE])
+    low, high = (np.maximum([end(channel) for channel in known], least) for end in (np.min, np.max))
+    return low, np.maximum(high, 1.01 * low)
+
+
+def _is_of_a_texture(x: Array, sd: float) -> bool:
+    """Return whether a piece vibrates, and not for ever the same."""
+    power = float(np.square(x - x.mean()).mean())
+    if power <= LEAST_POWER * sd * sd:
+        return False
+    _, left = burg(x - x.mean(), max(ORDERS))
+    return left > LEAST_LEFT * power
 
 
 def _pieces(prepared: Prepared) -> Iterator[Array]:
@@ -142,18 +170,11 @@ def _pieces(prepared: Prepared) -> Iterator[Array]:
     for run in np.split(train, np.flatnonzero(np.diff(train) > 1) + 1):
         samples = stacked[run[0] * trace.block : (run[-1] + 1) * trace.block]
         x = samples[:, 0] - prepared.scaling.mean[0]
-        cuts = pieces_of(x, MAX_ORDER, min(grid, len(x) // 2), max(longest, 2 * grid)).cuts
+        cuts = pieces_of(x, MAX_ORDER, min(grid, len(x) // 2), longest).cuts
         for piece in np.split(samples, cuts):
-            if len(piece) >= LEAST_SAMPLES and np.median(piece[:, 1]) >= FADE_SPEED:
+            speed, force = np.median(piece[:, 1:], axis=0)
+            if len(piece) >= LEAST_SAMPLES and speed >= FADE_SPEED and force >= FADE_FORCE:
                 yield piece
-
-
-def _polynomial(reflections: Array) -> Array:
-    """Return A of reflections without a leak, 1 first."""
-    a = np.ones(1)
-    for k in reflections:
-        a = np.append(a, 0.0) + k * np.append(a, 0.0)[::-1]
-    return a
 
 
 def _merged(points: Array, scale: Array) -> NDArray[np.int64]:
