@@ -117,7 +117,7 @@ def main() -> None:
         about = {"file": path.stem, "rate_hz": texture.rate_hz, "source_sha256": SOURCES}
         results.append({**about, "nats": found})
         gains = [f"{found[name] - found['Gaussian']:+.3f}" for name in list(KINDS)[1:]]
-        lines.append(f"| {name_of(about)} | {found['Gaussian']:.3f} | {' | '.join(gains)} |")
+        lines.append(f"| {name_of(about, '')} | {found['Gaussian']:.3f} | {' | '.join(gains)} |")
         print(f"{path.stem}: {found}", file=sys.stderr, flush=True)
     if arguments.save is not None:
         with whole_file(arguments.save) as part:

@@ -218,23 +218,30 @@ def run_again(arguments: argparse.Namespace) -> None:
         before = json.loads(path.read_text())
         if before["source_sha256"] == SOURCES:
             continue
-        found = execute(run, arguments.recordings, arguments.keep)
+        keep(path, execute(run, arguments.recordings, arguments.keep))
+
+
+def keep(path: Path, found: dict[str, Any]) -> None:
+    """Keep a result and, where it replaces one that an earlier state of the sources made of the same, whether it is equal."""
+    before = json.loads(path.read_text()) if path.exists() else found
+    of_one = before.get("texture_sha256") == found.get("texture_sha256") or path.parent == RESULTS
+    if before["source_sha256"] != SOURCES and of_one:
         differ = sorted(
             name
             for name in found.keys() | before.keys()
-            if name not in ("source_sha256", "training_seconds")
+            if name not in ("source_sha256", "training_seconds", "times_real_time")
             and json.dumps(found.get(name)) != json.dumps(before.get(name))
         )
-        print(
-            f"{run.name}: {'other ' + ', '.join(differ) if differ else 'equal'}", file=sys.stderr, flush=True
-        )
+        told = "other " + ", ".join(differ) if differ else "equal"
+        print(f"{path.stem}: {told}", file=sys.stderr, flush=True)
         made_again = _made_again()
         by_today = made_again.setdefault(SOURCES, {"equal": {}, "differ": {}})
-        by_today["differ" if differ else "equal"].setdefault(before["source_sha256"], []).append(run.name)
+        name = path.stem if path.parent == RESULTS else f"{path.parent.name}/{path.stem}"
+        by_today["differ" if differ else "equal"].setdefault(before["source_sha256"], []).append(name)
         with whole_file(SAME) as part:
             part.write_text(json.dumps(made_again, indent=1) + "\n")
-        with whole_file(path) as part:
-            part.write_text(json.dumps(found, indent=1) + "\n")
+    with whole_file(path) as part:
+        part.write_text(json.dumps(found, indent=1) + "\n")
 
 
 def run_all(arguments: argparse.Namespace) -> None:
@@ -549,7 +556,8 @@ def _other_aims() -> Iterator[str]:
         yield f"| samples cut in normal strokes | {of} | 0 | {hits} of {steps:,} {_mark(hits == 0)} | | |"
         forgets = worst["forgets_s"]
         told = f"{forgets:.1f} {_mark(True)}" if forgets is not None else f"never {_mark(False)}"
-        yield f"| windows of ±50 sd forgotten to 1 % [s] | {of} | | | ≤ 12 (3 at 10 kHz) | {told} ({name_of(worst)}) |"
+        told += f" ({name_of(worst, 'stability')})"
+        yield f"| windows of ±50 sd forgotten to 1 % [s] | {of} | | | ≤ 12 (3 at 10 kHz) | {told} |"
     if begun:
         of = f"{len(begun)} texture files"
         for title, figure in (
@@ -558,7 +566,7 @@ def _other_aims() -> Iterator[str]:
         ):
             worst = max(begun, key=figure)
             mean = float(np.mean([figure(found) for found in begun]))
-            each = f"{figure(worst):.2f} {_mark(figure(worst) <= 1)} ({name_of(worst)})"
+            each = f"{figure(worst):.2f} {_mark(figure(worst) <= 1)} ({name_of(worst, 'onset')})"
             yield f"| {title} | {of} | | {mean:.2f} | ≤ 1 | {each} |"
         clicks = [
             (found["click_share"] - found["settled_share"]) / found["click_standard_error"] for found in begun
@@ -568,7 +576,7 @@ def _other_aims() -> Iterator[str]:
         limit = NormalDist().inv_cdf(1 - 0.05 / len(begun))
         yield (
             f"| loud samples in the first 20 ms beyond settled sound's, in standard errors | {of} | | {np.mean(clicks):+.1f} | "
-            f"≤ {limit:.1f}, chance | {max(clicks):+.1f} {_mark(max(clicks) <= limit)} ({name_of(worst)}) |"
+            f"≤ {limit:.1f}, chance | {max(clicks):+.1f} {_mark(max(clicks) <= limit)} ({name_of(worst, 'onset')}) |"
         )
 
 
@@ -611,18 +619,18 @@ def _rows(groups: Groups, columns: Mapping[str, Figure | Share]) -> str:
     return "\n".join(lines)
 
 
-def name_of(found: dict[str, Any]) -> str:
-    """Return the texture's name of a result that `stability.py` or `onset.py` keeps, marked where other sources made it."""
+def name_of(found: dict[str, Any], kind: str) -> str:
+    """Return the texture's name of a result that is kept in the folder `kind`, marked where it may come out other today."""
     name = found["file"].split("-foten-plus-")
     split = f", split {name[1]}" if name[1:] and name[1] != "1" else ""
-    mark = "" if found["source_sha256"] == SOURCES else " †"
+    mark = "" if found["source_sha256"] in {SOURCES, *_vouched(kind)} else " †"
     texture = name[0].removesuffix(f"-{found['rate_hz']:g}")
     return f"{texture}{split}{mark}"
 
 
 def made_earlier(folder: Path) -> Iterator[str]:
     """Say what the mark of `name_of` is, where one is."""
-    if any(json.loads(path.read_text())["source_sha256"] != SOURCES for path in folder.glob("*.json")):
+    if any("†" in name_of(json.loads(path.read_text()), folder.name) for path in folder.glob("*.json")):
         yield "\n† made by an earlier state of the sources."
 
 
@@ -631,15 +639,26 @@ def _made_again() -> dict[str, dict[str, dict[str, list[str]]]]:
     return json.loads(SAME.read_text()) if SAME.exists() else {}
 
 
-def _vouched() -> dict[str, tuple[str, list[str]]]:
-    """Return the earlier states whose runs come out the same today: which state made which of their runs again."""
+def _vouched(kind: str = "") -> dict[str, tuple[str, list[str]]]:
+    """Return the earlier states whose results come out the same today: which state made which of them again.
+
+    Args:
+        kind: of the results: runs of this table, or the folder's name of others.
+    """
     found: dict[str, tuple[str, list[str]]] = {}
     waiting, made_again = [SOURCES], _made_again()
-    differ = {source for again in made_again.values() for source in again["differ"]}
+
+    def of_kind(names: list[str]) -> list[str]:
+        return [name for name in names if name.rpartition("/")[0] == kind]
+
+    differ = {
+        source for again in made_again.values() for source, names in again["differ"].items() if of_kind(names)
+    }
     while waiting:
         by = waiting.pop()
-        for source, names in made_again.get(by, {"equal": {}})["equal"].items():
-            if source not in differ and source not in found:
+        for source, all_names in made_again.get(by, {"equal": {}})["equal"].items():
+            names = of_kind(all_names)
+            if names and source not in differ and source not in found:
                 found[source] = (by, names)
                 waiting.append(source)
     return found

@@ -28,8 +28,7 @@ import numpy as np
 
 from foten.render.synthesizer import FADE_FORCE, FADE_SPEED
 from foten.texture_file import Texture, read_texture
-from foten.whole_file import whole_file
-from main_table import SOURCES, between, made_earlier, name_of
+from main_table import SOURCES, between, keep, made_earlier, name_of
 from streams import rendered
 
 WINDOW_MS = 40.0
@@ -127,7 +126,7 @@ def table(folder: Path) -> str:
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
     for path in sorted(folder.glob("*.json")):
         found = json.loads(path.read_text())
-        cells = [name_of(found), f"{found['rate_hz'] / 1000:g}"]
+        cells = [name_of(found, folder.name), f"{found['rate_hz'] / 1000:g}"]
         names = ("level_db", "level_abs_db", "spectrum_db")
         cells += [
             f"{a:+.2f} / {b:.2f} / {c:.2f}" for a, b, c in zip(*(found[name] for name in names), strict=True)
@@ -162,8 +161,7 @@ def main() -> None:
         found = {"file": path.stem, **judge(read_texture(path), arguments.strokes, arguments.streams)}
         if arguments.save is not None:
             arguments.save.mkdir(parents=True, exist_ok=True)
-            with whole_file(arguments.save / f"{path.stem}.json") as part:
-                part.write_text(json.dumps(found, indent=1) + "\n")
+            keep(arguments.save / f"{path.stem}.json", found)
         names = ("level_db", "level_abs_db", "spectrum_db")
         cells = [
             f"{a:+.2f}/{b:.2f}/{c:.2f}" for a, b, c in zip(*(found[name] for name in names), strict=True)

@@ -42,8 +42,7 @@ from foten.dsp.noise import LARGEST_SWELL
 from foten.render.closed_loop import ClosedLoop
 from foten.render.engine import ToneState, engine_for
 from foten.texture_file import Texture, read_texture
-from foten.whole_file import whole_file
-from main_table import SOURCES, between, heard_of, made_earlier, name_of
+from main_table import SOURCES, between, heard_of, keep, made_earlier, name_of
 from streams import rendered
 
 LARGEST_NOISE = 5.68  # standard deviations, of the counter-based generator
@@ -177,7 +176,7 @@ def table(folder: Path) -> str:
         found = json.loads(path.read_text())
         after, forgets = found["attack_after_db"], found["forgets_s"]
         cells = [
-            name_of(found),
+            name_of(found, folder.name),
             f"{found['rate_hz'] / 1000:g}",
             "heard" if found["network_heard"] else "",
             f"{found['recorded_peak_sd']:.1f}",
@@ -246,8 +245,7 @@ def main() -> None:
         failed |= not result["finite"] or result["n_saturated"] > 0
         if arguments.save is not None:
             arguments.save.mkdir(parents=True, exist_ok=True)
-            with whole_file(arguments.save / f"{path.stem}.json") as part:
-                part.write_text(json.dumps(result, indent=1) + "\n")
+            keep(arguments.save / f"{path.stem}.json", result)
         print(
             f"{result['file']:36s} max {result['max_sd']:6.2f} sd (recorded {result['recorded_peak_sd']:.2f}), "
             f"rms {result['rms_sd']:.2f} sd, {result['n_saturated']} saturated, rest {result['rest_m_s2']:g} m/s², "
