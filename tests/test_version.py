@@ -8,7 +8,7 @@ import tomllib
 from pathlib import Path
 
 import foten
-from foten.render import native
+from foten.render.native import _ABI, library
 
 ROOT = Path(__file__).parents[1]
 
@@ -25,7 +25,7 @@ def test_the_version_is_the_same_everywhere() -> None:
         tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"],
         json.loads((ROOT / "examples/unity/package.json").read_text())["version"],
         found("native/include/foten.h", r'^#define FOTEN_VERSION "(.+)"'),
-        native.library().foten_version().decode(),
+        library().foten_version().decode(),
         found("CMakeLists.txt", r"PROPERTIES VERSION (\S+) SOVERSION"),
         found("CITATION.cff", r"^version: (\S+)"),
     } == {foten.__version__}
@@ -34,9 +34,9 @@ def test_the_version_is_the_same_everywhere() -> None:
 def test_the_binary_interface_is_the_same_everywhere() -> None:
     assert {
         found("native/include/foten.h", r"^#define FOTEN_ABI (\d+)"),
-        str(native.library().foten_abi()),
-        str(native._ABI),
+        str(library().foten_abi()),
+        str(_ABI),
         found("CMakeLists.txt", r"SOVERSION (\d+)"),
         found("native/wasm/foten.mjs", r"^const ABI = (\d+)"),
         found("examples/unity/Runtime/Foten.cs", r"const int Abi = (\d+)"),
-    } == {str(native._ABI)}
+    } == {str(_ABI)}
