@@ -35,6 +35,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "studio": {"recording", "texture_file", "render", "study"},
 }
 MAY_IMPORT["train"] |= MAY_IMPORT["models"]  # it stands above the models and reads what they read
+MAY_IMPORT["train"].add("datasets")  # models that others have fitted are exported too
 for may in MAY_IMPORT.values():
     may.add("whole_file")  # it imports nothing itself
 MAY_IMPORT["whole_file"] = set()

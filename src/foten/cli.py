@@ -124,11 +124,18 @@ def import_(
     files: Annotated[
         list[Path],
         typer.Argument(
-            help="CSV, TSV, .xlsx, .npz, .mat (v5 to v7.3), .tdms, .wav, .h5.", show_default=False
+            help="CSV, TSV, .xlsx, .npz, .mat (v5 to v7.3), .tdms, .wav, .h5; or one .xml of linear models.",
+            show_default=False,
         ),
     ],
     output: Annotated[
-        Path, typer.Option("-o", "--output", help="The recording to write, .h5.", show_default=False)
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            help="The recording to write, .h5; of models a texture, .foten.",
+            show_default=False,
+        ),
     ],
     mapping: Annotated[
         list[str] | None,
@@ -184,7 +191,26 @@ def import_(
 
     foten import acc.wav rest.csv --map acceleration=acc.wav:0,speed=rest.csv:v,force=rest.csv:f
     --unit acceleration=*50 --rate 1000 -o denim.h5
+
+    foten import Models_Denim.xml -o denim.foten: a model file of the Penn Haptic Texture Toolkit becomes a texture.
     """
+    if any(file.suffix.lower() == ".xml" for file in files):
+        for_recordings = {
+            "map": mapping,
+            "unit": units,
+            "rate": rate,
+            "fill-gaps": fill_gaps,
+            "force-units": force_units,
+            "tool": tool,
+            "sensors": sensors,
+        }
+        given = [name for name, value in for_recordings.items() if value]
+        if given:
+            raise ValueError(
+                f"--{given[0]} is for recordings, and an .xml holds models with units and rate: leave it out"
+            )
+        _import_models(files, output, texture, notes, as_json)
+        return
     from foten.datasets.hdf5 import write_recording
     from foten.datasets.importing import ImportOptions, import_recording, parse_pairs, parse_rates
     from foten.recording.recording import UNITS
@@ -244,6 +270,50 @@ def import_(
     for line in recording.history:
         print(f"  {line}")
     print(f"wrote {output}; next: foten inspect {output}")
+
+
+def _import_models(files: list[Path], output: Path, texture: str, notes: str, as_json: bool) -> None:
+    import hashlib
+
+    from foten.datasets.hatt import read_models
+    from foten.texture_file import write_texture
+    from foten.train.imported import texture_of
+
+    if len(files) != 1:
+        raise ValueError(f"got {len(files)} files, expected one .xml of models by itself")
+    if output.suffix != ".foten":
+        raise ValueError(f"models are written as a texture file, .foten, got -o {output.name}")
+    _check_folders([output])
+    models = read_models(files[0])
+    digest = hashlib.sha256(files[0].read_bytes()).hexdigest()
+    imported, decisions = texture_of(models, digest, texture, notes=notes)
+    for decision in decisions:
+        _say(decision)
+    write_texture(imported, output)
+    card, sizes = imported.card, imported.card["sizes"]
+    if as_json:
+        _print_json(
+            {
+                "file": str(output),
+                "sha256": imported.sha256(),
+                "imported_sha256": digest,
+                "texture": card["texture"],
+                "rate_hz": card["rate_hz"],
+                "sizes": sizes,
+                "trained_range": card["trained_range"],
+                "notes": card["notes"],
+            }
+        )
+        return
+    ends = {channel: card["trained_range"][channel][1] for channel in ("speed", "force")}
+    print(
+        f"{card['texture'] or files[0].stem}: {sizes['n_models']} models of order {sizes['order']} at {card['rate_hz']:g} Hz, "
+        f"{sizes['ma']} zeros each, up to {ends['speed']:.0f} mm/s and {ends['force']:.1f} N"
+    )
+    print("the licence of the model file holds for the texture too: see its notice before you pass it on")
+    print(
+        f"wrote {output}; next: foten render {output} --speed 80 --force 0.8 --seconds 3 -o {output.stem}.wav"
+    )
 
 
 @app.command()
@@ -940,7 +1010,9 @@ def info(
         "acceleration": f"{texture.scaling.sd[0]:.4g} m/s² standard deviation",
         "delay": f"{card['delay_ms']:.1f} ms, of the {card['lowpass_hz']:g} Hz low-pass of speed and force",
         "excitation": "yes" if texture.has_excitation else "no",
-        "validation": f"{card['metrics']['validation_mae_scaled']:.4f} sd one-step",
+        "validation": f"{card['metrics']['validation_mae_scaled']:.4f} sd one-step"
+        if card["split"] is not None
+        else "none here: its models were imported",
         "licence": card["licence"] or "(not stated)",
         "sha256": texture.sha256(),
         "proof": "golden windows replayed",

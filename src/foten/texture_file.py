@@ -60,12 +60,12 @@ _CARD: Mapping[str, type | tuple[type, ...]] = {
     "licence": str,
     "recording_sha256": str,
     "preprocess": dict,
-    "split": dict,
+    "split": (dict, type(None)),
     "split_sha256": str,
     "training": dict,
     "metrics": dict,
 }
-"""What a card must hold, and of which JSON type."""
+"""What a card must hold, and of which JSON type; a texture that was not trained here has no split."""
 
 
 @dataclass(frozen=True)
@@ -202,9 +202,8 @@ def check_card(card: Any) -> None:
         if key not in card:
             raise ValueError(f"the card has no {key!r}")
         if not isinstance(card[key], kind) or isinstance(card[key], bool):
-            raise ValueError(
-                f"{key!r} in the card is {card[key]!r}, expected {getattr(kind, '__name__', 'a number')}"
-            )
+            expected = "a number" if kind == (int, float) else getattr(kind, "__name__", "dict or null")
+            raise ValueError(f"{key!r} in the card is {card[key]!r}, expected {expected}")
     architecture = architecture_from(card["model"], card["sizes"])
     if architecture.history != card["window"]:
         raise ValueError(f"the card has window {card['window']} and the network {architecture.history}")
@@ -224,14 +223,15 @@ def check_card(card: Any) -> None:
     Scaling(mean=tuple(scaling["mean"]), sd=tuple(scaling["sd"]))
     try:
         made = PreprocessConfig(**card["preprocess"])
-        Split.from_fields(card["split"])
+        if card["split"] is not None:
+            Split.from_fields(card["split"])
     except (TypeError, KeyError) as error:
         raise ValueError(f"the preprocessing or the split in the card is incomplete ({error})") from error
     if made.rate_hz != card["rate_hz"]:
         raise ValueError(
             f"the card has a rate of {card['rate_hz']} Hz and preprocessing to {made.rate_hz} Hz"
         )
-    if not _are_numbers([card["metrics"].get("validation_mae_scaled")], 1):
+    if card["split"] is not None and not _are_numbers([card["metrics"].get("validation_mae_scaled")], 1):
         raise ValueError("the card has no 'validation_mae_scaled' among its metrics")
 
 

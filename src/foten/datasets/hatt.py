@@ -1,0 +1,172 @@
+"""Model files of the Penn Haptic Texture Toolkit: linear models of one surface, each at a speed and a force, as XML.
+
+Source: the format as its public files have it (Culbertson, Lopez Delgado and Kuchenbecker, Haptics Symposium 2014): AR alone at
+10 kHz, or ARMA with a gain at 1 kHz; m/s², mm/s, N. The files' own notice allows non-profit research and no distribution: we read
+them and ship none.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as Xml
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LARGEST_FILE = 20_000_000  # bytes; the toolkit's have a tenth of a million
+MOST_MODELS = 1000
+UNITS = {"AccelUnits": "m/s^2", "SpeedUnits": "mm/s", "ForceUnits": "N"}
+
+
+@dataclass(frozen=True)
+class HattModels:
+    """What a model file holds; y[n] = −Σ a_k y[n−k] + gain · (e[n] + Σ b_k e[n−k]), e white, Gaussian.
+
+    Attributes:
+        material: its name.
+        rate_hz: of the models.
+        friction: coefficient μ of the surface; NaN where the file has none.
+        points: speed [mm/s] and force [N] of each model, shape (n, 2).
+        ar, ma: coefficients, 1 first, shapes (n, p + 1) and (n, q + 1); q is 0 where there are no zeros.
+        variance: of e [m²/s⁴], shape (n,).
+        gain: shape (n,); 1 where the file has none.
+        triangles: three models each, from 0, shape (t, 3).
+    """
+
+    material: str
+    rate_hz: float
+    friction: float
+    points: Array
+    ar: Array
+    ma: Array
+    variance: Array
+    gain: Array
+    triangles: NDArray[np.int64]
+
+
+def read_models(path: Path) -> HattModels:
+    """Return the models in a file.
+
+    Raises:
+        FileNotFoundError: there is none.
+        ValueError: it is not a model file, or what it holds does not fit together.
+    """
+    if not path.exists():
+        raise FileNotFoundError(f"no such file: {path}")
+    if path.stat().st_size > LARGEST_FILE:
+        raise ValueError(
+            f"{path.name} has {path.stat().st_size} bytes, expected a model file of at most {LARGEST_FILE}"
+        )
+    try:
+        root = Xml.fromstring(path.read_bytes())
+    except Xml.ParseError as error:
+        raise ValueError(f"{path.name}: this is not XML, or it is truncated ({error})") from error
+    try:
+        return _models(root)
+    except ValueError as error:
+        raise ValueError(f"{path.name}: {error}") from error
+
+
+def _models(root: Xml.Element) -> HattModels:
+    if root.tag == "tapSet":
+        raise ValueError("these are taps, expected the textures of a <modelSet>; taps are not rendered")
+    if root.tag != "modelSet":
+        raise ValueError(
+            f"the root is <{root.tag}>, expected <modelSet>: is it a model file of Penn's toolkit?"
+        )
+    for name, unit in UNITS.items():
+        given = root.findtext(name, unit).strip()
+        if given.replace("²", "^2") not in (unit, unit.replace("^", "")):
+            raise ValueError(f"<{name}> is {given!r}, expected {unit!r}")
+    models = root.findall("model")
+    if not 3 <= len(models) <= MOST_MODELS:
+        raise ValueError(
+            f"the file holds {len(models)} models, expected 3 to {MOST_MODELS}: is it truncated?"
+        )
+    stated = root.findtext("numMod")
+    if stated is not None and int(_one(stated, "numMod")) != len(models):
+        raise ValueError(
+            f"<numMod> says {stated.strip()} models and the file holds {len(models)}: is it truncated?"
+        )
+    ar = _same_length([_values(model, "ARcoeff") for model in models], "ARcoeff")
+    ma = [_values(model, "MAcoeff") if model.find("MAcoeff") is not None else np.ones(1) for model in models]
+    friction = root.findtext("mu")
+    found = HattModels(
+        material=(root.findtext("material") or "").strip(),
+        rate_hz=_one(root.findtext("SampleRate"), "SampleRate"),
+        friction=np.nan if friction is None else _one(friction, "mu"),
+        points=np.array(
+            [[_one(model.findtext(name), name) for name in ("speedMod", "forceMod")] for model in models]
+        ),
+        ar=ar,
+        ma=_same_length(ma, "MAcoeff"),
+        variance=np.array([_one(model.findtext("var"), "var") for model in models]),
+        gain=np.array(
+            [
+                _one(model.findtext("gain"), "gain") if model.find("gain") is not None else 1.0
+                for model in models
+            ]
+        ),
+        triangles=_triangles(root, len(models)),
+    )
+    if not found.rate_hz > 0:
+        raise ValueError(f"<SampleRate> is {found.rate_hz:g} Hz, expected a positive number")
+    for name, coefficients in (("ARcoeff", found.ar), ("MAcoeff", found.ma)):
+        if not np.abs(coefficients[:, 0] - 1).max() < 1e-6:
+            raise ValueError(f"<{name}> begins with {coefficients[0, 0]:g}, expected 1")
+    for name, values in (
+        ("speedMod or forceMod", found.points),
+        ("var", found.variance),
+        ("gain", found.gain),
+    ):
+        if not (values >= 0).all():
+            raise ValueError(f"<{name}> is negative in a model, expected 0 or more")
+    return found
+
+
+def _triangles(root: Xml.Element, n: int) -> NDArray[np.int64]:
+    corners = [_numbers(triangle, "tri") for triangle in root.findall("tri")]
+    if not corners:
+        raise ValueError("the file has no <tri>, expected triangles between the models")
+    triangles = _same_length(corners, "tri")
+    if triangles.shape[1] != 3 or not (triangles == np.round(triangles)).all():
+        raise ValueError("a <tri> is not three whole numbers")
+    if triangles.min() < 1 or triangles.max() > n:
+        raise ValueError(
+            f"a <tri> names models {triangles.min():g} to {triangles.max():g}, expected 1 to {n}"
+        )
+    return triangles.astype(np.int64) - 1
+
+
+def _values(model: Xml.Element, name: str) -> Array:
+    element = model.find(name)
+    if element is None:
+        raise ValueError(f"a model has no <{name}>")
+    return _numbers(element, name)
+
+
+def _numbers(element: Xml.Element, name: str) -> Array:
+    """Return the numbers of a list, in <value>s or with commas or blanks between them."""
+    values = [value.text or "" for value in element.iter("value")]
+    words = values or (element.text or "").replace(",", " ").split()
+    return np.array([_one(word, name) for word in words])
+
+
+def _one(text: str | None, name: str) -> float:
+    try:
+        value = float(text or "")
+    except ValueError:
+        raise ValueError(f"<{name}> is {(text or '').strip()[:30]!r}, expected a number") from None
+    if not np.isfinite(value):
+        raise ValueError(f"<{name}> is {value}, expected a finite number")
+    return value
+
+
+def _same_length(rows: list[Array], name: str) -> Array:
+    lengths = sorted({len(row) for row in rows})
+    if len(lengths) > 1 or lengths[0] == 0:
+        raise ValueError(f"<{name}> has {lengths[0]} to {lengths[-1]} numbers, expected as many in every one")
+    return np.stack(rows)
