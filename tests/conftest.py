@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 import torch
 
-from foten.architecture import ARCHITECTURES, ArArchitecture, Architecture, TenArchitecture
+from foten.architecture import (
+    ARCHITECTURES,
+    ArArchitecture,
+    Architecture,
+    GraphArchitecture,
+    TenArchitecture,
+)
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
@@ -73,11 +79,14 @@ def reflections_of(taps: np.ndarray) -> torch.Tensor:
     return torch.tensor([first / (1 + second), second])
 
 
-def untrained(key: str, architecture: TenArchitecture | None = None, seed: int = 0) -> Any:
+def untrained(
+    key: str, architecture: TenArchitecture | GraphArchitecture | None = None, seed: int = 0
+) -> Any:
     """Return a seeded network whose every tensor matters; foten-plus resonates near 120 Hz through its lattice."""
     import torch
 
     from foten.models import build
+    from foten.models.excited import Excited
 
     torch.manual_seed(seed)
     architecture = architecture or ARCHITECTURES[key]()
@@ -85,7 +94,11 @@ def untrained(key: str, architecture: TenArchitecture | None = None, seed: int =
     with torch.no_grad():
         for parameter in network.parameters():
             parameter += 0.1 * torch.randn_like(parameter)
-        if key == "foten-plus":
+        if architecture.excited and key != "foten-plus":
+            network = Excited(network, architecture)
+            network.excitation.swell.copy_(torch.tensor([0.98, 0.3]))
+            scales = [network.excitation]
+        elif key == "foten-plus":
             network.network.head_3.weight *= 0.1  # else the correction drowns the excitation
             scales = [network.excitation]
             network.excitation.swell.copy_(torch.tensor([0.98, 0.3]))
@@ -101,6 +114,7 @@ def untrained(key: str, architecture: TenArchitecture | None = None, seed: int =
                 network.tones.force_knots.copy_(torch.linspace(-1.0, 0.9, len(network.tones.force_knots)))
                 network.tones.values.copy_(torch.randn_like(network.tones.values))
                 network.tones.motion.copy_(torch.tensor([2 * np.pi / 2.5 / 1000, 0.03, 2e-3]))
+        if architecture.excited:
             for scale in scales:
                 scale.mean.copy_(torch.tensor(SCALING.mean[1:]))
                 scale.sd.copy_(torch.tensor(SCALING.sd[1:]))
@@ -143,7 +157,7 @@ def exported(key: str, architecture: Architecture | None = None, **card: Any) ->
         assert isinstance(architecture, ArArchitecture)
         return export_local(local_models(architecture), SCALING, {**CARD, **card})
     architecture = architecture or ARCHITECTURES[key]()
-    assert isinstance(architecture, TenArchitecture)
+    assert not isinstance(architecture, ArArchitecture)
     rng = np.random.default_rng(1)
     windows = rng.standard_normal((64, architecture.history, 3))
     warm_start = 0.5 * rng.standard_normal((architecture.history, 3))

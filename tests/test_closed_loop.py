@@ -6,7 +6,7 @@ from scipy.signal import lfilter
 
 from conftest import resonance
 from foten.render.closed_loop import ClosedLoop
-from foten.render.engine import WindowState
+from foten.render.window_state import WindowState
 
 
 @dataclass

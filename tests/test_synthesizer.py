@@ -12,8 +12,10 @@ from conftest import SCALING, SMALL, exported
 from foten.architecture import FotenPlusArchitecture
 from foten.recording.preprocess import PreprocessConfig
 from foten.render.closed_loop import ClosedLoop
-from foten.render.engine import NumpyFotenPlus, WindowState, engine_for
+from foten.render.engine import engine_for
+from foten.render.excitation import Excitation
 from foten.render.synthesizer import FADE_FORCE, FADE_SPEED, RenderStatistics, Synthesizer, prove
+from foten.render.window_state import WindowState
 from foten.texture_file import CLOSED_LOOP_TOLERANCE, Texture
 
 LOW, HIGH = (8.0, 0.3), (220.0, 2.5)  # the trained range of the fixtures
@@ -229,7 +231,7 @@ def test_a_stroke_begins_as_if_its_hand_had_always_been_there(
     """As loud, as spiky and of the same colour from the first sample on, over many streams, as half a second later."""
     network = FotenPlusArchitecture(**{**SMALL, "n_layers": 1, "network_heard": False, **sizes})
     given_texture = exported("foten-plus", network)
-    monkeypatch.setattr(NumpyFotenPlus, "tail", lambda _, condition: np.full(len(condition), 0.12))
+    monkeypatch.setattr(Excitation, "tail", lambda _, condition: np.full(len(condition), 0.12))
     monkeypatch.setattr("foten.render.synthesizer.prove", lambda *_: None)
     monkeypatch.setattr("foten.render.synthesizer._NOISE_BLOCK", 1)
     n_streams = 3000

@@ -49,7 +49,7 @@ extern "C" {
 #define FOTEN_VERSION "0.1.0"
 #define FOTEN_VERSION_MAJOR 0
 #define FOTEN_VERSION_MINOR 1
-#define FOTEN_ABI 1 /* of this header's structures and functions; foten_abi() has to be the same */
+#define FOTEN_ABI 2 /* of this header's structures and functions; foten_abi() has to be the same */
 
 typedef struct foten_model foten_model;
 typedef struct foten_state foten_state;
@@ -59,7 +59,8 @@ typedef enum {
     FOTEN_BAD_FILE = 1,     /* the bytes are no texture file, are damaged, or of another format version */
     FOTEN_BAD_ARGUMENT = 2, /* a speed, force, rate or pointer that cannot be */
     FOTEN_NO_MEMORY = 3,
-    FOTEN_NO_PROOF = 4 /* the processor does not reproduce the golden windows of the file */
+    FOTEN_NO_PROOF = 4,    /* the processor does not reproduce the golden windows of the file */
+    FOTEN_NO_PREDICTOR = 5 /* the file's model is run by something else: foten_model_load_with */
 } foten_status;
 
 /* The library's FOTEN_ABI and FOTEN_VERSION, and the instruction set that it uses here: "avx512", "avx2", "neon", "simd128" or "portable".
@@ -86,6 +87,14 @@ typedef struct {
  * NULL. On anything but FOTEN_OK, *model is NULL. Replays the golden windows: milliseconds for a file of `foten train`. */
 FOTEN_API foten_status foten_model_load(const void *bytes, size_t n_bytes, foten_model **model, char *why, size_t why_size);
 FOTEN_API void foten_model_free(foten_model *model);
+
+/* The same for networks that this library has no code for, those of the systems that foten is compared with: their files hold an ONNX graph,
+ * and whoever runs it gives the next sample of a window, `window` samples of acceleration, speed and force in turn, oldest first, all in the
+ * units of the network. It is asked for the golden windows while the file is loaded, and once a sample from the thread that renders, which is
+ * as real-time as it is; what is not finite counts as 0. Without one, such a file is FOTEN_NO_PREDICTOR; other files do not ask it. */
+typedef float (*foten_predictor)(void *user, const float *window);
+FOTEN_API foten_status foten_model_load_with(const void *bytes, size_t n_bytes, foten_predictor predictor, void *user, foten_model **model,
+                                             char *why, size_t why_size);
 FOTEN_API foten_info foten_model_info(const foten_model *model);
 
 typedef struct {

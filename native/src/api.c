@@ -133,12 +133,21 @@ done:
 }
 
 foten_status foten_model_load(const void *bytes, size_t n_bytes, foten_model **model, char *why, size_t why_size) {
+    return foten_model_load_with(bytes, n_bytes, NULL, NULL, model, why, why_size);
+}
+
+foten_status foten_model_load_with(const void *bytes, size_t n_bytes, foten_predictor predictor, void *user, foten_model **model, char *why,
+                                   size_t why_size) {
     texture_file file;
     if (!model) return FOTEN_BAD_ARGUMENT;
     *model = NULL;
     foten_status status = file_open(&file, bytes, n_bytes, why, why_size);
     foten_model *m = status == FOTEN_OK ? calloc(1, sizeof *m) : NULL;
     if (status == FOTEN_OK && !m) status = file_refuse(&file, FOTEN_NO_MEMORY, "no memory");
+    if (m) {
+        m->predictor = predictor;
+        m->predictor_user = user;
+    }
     if (m) status = model_read(m, &file, isa_here());
     if (m && status == FOTEN_OK) status = prove(m, &file);
     file_close(&file);

@@ -160,6 +160,10 @@ double *file_take(texture_file *file, const char *name, const size_t shape[4], a
     return out;
 }
 
+void file_leave(texture_file *file, const char *name) {
+    if (entry_of(file, name).begin) file->n_taken++;
+}
+
 int file_all_taken(texture_file *file, const char *model) {
     size_t n = file->n_entries;
     if (n == file->n_taken + 1) return 1; /* and the card */

@@ -42,6 +42,9 @@ double *file_take(texture_file *file, const char *name, const size_t shape[4], a
 /* The shape of a tensor, its dimensions counted; -1 where there is none. */
 int file_shape(const texture_file *file, const char *name, size_t shape[4]);
 
+/* Count a tensor as taken that somebody else reads, where there is one. */
+void file_leave(texture_file *file, const char *name);
+
 /* Whether every tensor was taken once; if not, a reason that names the model. */
 int file_all_taken(texture_file *file, const char *model);
 #endif

@@ -9,6 +9,7 @@ static const double LEAK = 0.9997;          /* of a state in a sample; as foten.
 static const double HEAVIEST_TAIL = 0.25;
 static const double LARGEST_SHOCK = 4, LARGEST_SWELL = 3, LARGEST_STRAY = 3;
 static const double MEAN_SIZE = 0.79788456080286541, SIZE_SD = 0.60281027498907660; /* of |z| */
+static const double LOUDEST_BEGUN = 50;       /* standard deviations, of a sample that a stream begins with, where nothing else bounds it */
 static const double LARGEST_INNOVATION = 100; /* standard deviations, of those found in a recorded window */
 enum { CANDIDATES = 32, SETTLED_AFTER = 256 };
 static const uint64_t TO_BEGIN = (uint64_t)1 << 63; /* the first of the noise numbers that streams begin with */
@@ -18,7 +19,8 @@ static const lattice *heard(const foten_model *m) { return m->n_tones ? &m->rest
 
 /* States of what is heard; numbers that the network sees, speed and force of the last sample included. */
 static int order_of(const foten_model *m) { return m->local ? m->local->order : m->plus ? heard(m)->order : 0; }
-static size_t numbers_seen(const foten_model *m) { return m->network ? (size_t)m->network->window * (size_t)m->network->n_inputs + 2 : 0; }
+static int window_of(const foten_model *m) { return m->network ? m->network->window : m->predictor ? m->history : 0; }
+static size_t numbers_seen(const foten_model *m) { return (size_t)window_of(m) * (size_t)m->n_inputs + (window_of(m) ? 2 : 0); }
 
 loop *loop_place(const foten_model *m, block *from) {
     loop *l = block_take(from, 1, sizeof *l);
@@ -61,7 +63,7 @@ void loop_copy(const foten_model *m, loop *to, const loop *from) {
         memcpy(to->past, from->past, (size_t)m->local->ma * sizeof *to->past);
         memcpy(to->local.zeros, from->local.zeros, (size_t)m->local->ma * sizeof *to->past);
     }
-    if (m->network) memcpy(to->seen, from->seen, numbers_seen(m) * sizeof *to->seen);
+    if (window_of(m)) memcpy(to->seen, from->seen, numbers_seen(m) * sizeof *to->seen);
 }
 
 hand hand_of(const foten_model *m, const double condition[2]) {
@@ -113,9 +115,9 @@ static void heed(const foten_model *m, loop *l, const hand *hand, int first) {
     int moved = first || hand->condition[0] != l->heeded.condition[0] || hand->condition[1] != l->heeded.condition[1];
     int turned = moved || hand->path != l->heeded.path;
     l->heeded = *hand;
-    if (moved) {
+    if (moved && m->excited) {
         double logs[2], powers[5], tail = m->tail_bias;
-        follow(heard(m), hand, l);
+        if (m->plus) follow(heard(m), hand, l);
         l->sigma = scale_at(&m->sigma, hand->condition, logs);
         powers_of(logs, powers);
         for (int k = 0; k < 5; k++) tail += m->tail[k] * powers[k];
@@ -166,15 +168,15 @@ static double behind(const lattice *of, const loop *l) { return of->level_drives
 
 /* Append a sample to what the network sees. */
 static void see(const foten_model *m, loop *l, double x, const double condition[2], double e) {
-    int n = m->network->n_inputs, window = m->network->window;
+    int n = m->n_inputs, window = window_of(m);
     memmove(l->seen, l->seen + n, (size_t)(window - 1) * (size_t)n * sizeof *l->seen);
     float *last = l->seen + (window - 1) * n;
     last[0] = (float)x;
-    if (n == 4) {
+    if (n > 2) {
         last[1] = (float)condition[0];
         last[2] = (float)condition[1];
     }
-    if (n > 1) last[n - 1] = (float)e;
+    if (n == 2 || n == 4) last[n - 1] = (float)e;
     l->seen[window * n] = (float)condition[0];
     l->seen[window * n + 1] = (float)condition[1];
 }
@@ -300,7 +302,7 @@ void loop_start(const foten_model *m, loop *l, const double *windows, int n, int
     l->swell = 0;
     if (!m->plus) {
         for (int t = 0; t < n; t++) see(m, l, windows[3 * t], windows + 3 * t + 1, 0);
-        l->heeded = last;
+        heed(m, l, &last, 1);
         return;
     }
     if (m->n_tones && !as_prediction) {
@@ -313,9 +315,16 @@ void loop_start(const foten_model *m, loop *l, const double *windows, int n, int
     }
 }
 
+/* What a network makes of what it sees; nothing, where somebody else's makes no number of it. */
+static double answer(const foten_model *m, loop *l) {
+    if (m->network) return m->isa->predict(m->network, l->seen, l->scratch);
+    double found = m->predictor(m->predictor_user, l->seen);
+    return isfinite(found) ? found : 0;
+}
+
 /* What the network adds, in units of the innovation. */
 static double correction(const foten_model *m, loop *l) {
-    double found = m->isa->predict(m->network, l->seen, l->scratch);
+    double found = answer(m, l);
     return m->correction_limit * tanh(found / m->correction_limit);
 }
 
@@ -327,13 +336,28 @@ double loop_forecast(const foten_model *m, loop *l, double *scale, int with_netw
         *scale = l->local.drive * l->gain;
         return foreseen(m->local->order, l) + *scale * coloured(m, l);
     }
-    if (!m->plus) return m->isa->predict(m->network, l->seen, l->scratch);
+    if (!m->plus) {
+        if (m->excited) *scale = swelling(m, l) * l->sigma;
+        return answer(m, l);
+    }
     const lattice *of = with_network ? &m->whole : heard(m);
     double sample = foreseen(of->order, l) * behind(of, l), unit = l->gain * l->level;
     if (with_network || m->network_heard) sample += unit * correction(m, l);
     if (m->n_tones && !with_network) sample += l->tone;
     *scale = unit * swelling(m, l) * l->sigma;
     return sample;
+}
+
+/* What noise excites, where a unit of it is worth `unit` in scaled acceleration; the swell wanders on. */
+static double shock_of(const foten_model *m, loop *l, double z, double unit) {
+    double size = swelling(m, l) * l->sigma, most = m->largest[1] / (unit * size);
+    if (most > m->largest[0]) most = m->largest[0];
+    double e = size * within(z * exp(0.5 * l->tail * z * z), most);
+    if (m->swell_sd > 0) {
+        double shock = fabs(z) < LARGEST_SHOCK ? fabs(z) : LARGEST_SHOCK, kept = m->swell_kept;
+        l->swell = within(kept * l->swell + sqrt(1 - kept * kept) * m->swell_sd * ((shock - MEAN_SIZE) / SIZE_SD), LARGEST_SWELL * m->swell_sd);
+    }
+    return e;
 }
 
 double loop_step(const foten_model *m, loop *l, const hand *hand, const double *noise, double limit, int *cut) {
@@ -345,24 +369,17 @@ double loop_step(const foten_model *m, loop *l, const hand *hand, const double *
         return played;
     }
     if (!m->plus) {
-        sample = m->isa->predict(m->network, l->seen, l->scratch);
+        sample = answer(m, l);
+        if (noise && m->excited) sample += shock_of(m, l, *noise, 1);
         double played = within(sample, limit);
         *cut = played != sample;
         see(m, l, played, hand->condition, 0);
-        l->heeded = *hand;
+        heed(m, l, hand, 0);
         return played;
     }
     const lattice *of = heard(m);
     double e = m->network_heard ? correction(m, l) : 0;
-    if (noise) {
-        double size = swelling(m, l) * l->sigma, z = *noise, most = m->largest[1] / (l->gain * l->level * size);
-        if (most > m->largest[0]) most = m->largest[0];
-        e += size * within(z * exp(0.5 * l->tail * z * z), most);
-        if (m->swell_sd > 0) {
-            double shock = fabs(z) < LARGEST_SHOCK ? fabs(z) : LARGEST_SHOCK, kept = m->swell_kept;
-            l->swell = within(kept * l->swell + sqrt(1 - kept * kept) * m->swell_sd * ((shock - MEAN_SIZE) / SIZE_SD), LARGEST_SWELL * m->swell_sd);
-        }
-    }
+    if (noise) e += shock_of(m, l, *noise, l->gain * l->level);
     sample = behind(of, l) * synthesise(of->order, l, drive(of, l) * e);
     if (m->n_tones) {
         sample += l->tone;
@@ -381,11 +398,29 @@ double loop_step(const foten_model *m, loop *l, const hand *hand, const double *
     return played;
 }
 
-void loop_begin(const foten_model *m, loop *l, const hand *hand, uint64_t seed, uint64_t stream) {
-    if (m->local) begin_local(m, l, hand, seed, stream);
-    if (!m->plus) return;
-    const lattice *of = heard(m);
+/* Play a window's length under the hand, whatever was there before. */
+static void begin_window(const foten_model *m, loop *l, const hand *hand, uint64_t seed, uint64_t stream) {
     uint64_t n = TO_BEGIN;
+    heed(m, l, hand, 1);
+    l->swell = m->swell_sd * within(noise_at(seed, stream, n++), LARGEST_SWELL);
+    for (int i = 0; i < window_of(m); i++) {
+        int cut;
+        double noise = noise_at(seed, stream, n++);
+        loop_step(m, l, hand, &noise, LOUDEST_BEGUN, &cut);
+    }
+}
+
+void loop_begin(const foten_model *m, loop *l, const hand *hand, uint64_t seed, uint64_t stream) {
+    if (m->local) {
+        begin_local(m, l, hand, seed, stream);
+        return;
+    }
+    uint64_t n = TO_BEGIN;
+    if (!m->plus) {
+        if (m->excited) begin_window(m, l, hand, seed, stream);
+        return;
+    }
+    const lattice *of = heard(m);
     heed(m, l, hand, 1);
     /* The mean square of z exp(h z^2 / 2) is (1 - 2h)^(-3/2). */
     double size = drive(of, l) * l->sigma * pow(1 - 2 * l->tail, -0.75);
@@ -398,8 +433,8 @@ void loop_begin(const foten_model *m, loop *l, const hand *hand, uint64_t seed, 
         heed(m, l, hand, 1);
         return;
     }
-    int window = m->network->window;
-    memset(l->seen, 0, (size_t)window * (size_t)m->network->n_inputs * sizeof *l->seen);
+    int window = window_of(m);
+    memset(l->seen, 0, (size_t)window * (size_t)m->n_inputs * sizeof *l->seen);
     for (int i = 0; i < window; i++) see(m, l, 0, hand->condition, 0);
     for (int i = 0; m->network_heard && i < window; i++) {
         int cut;

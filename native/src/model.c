@@ -13,17 +13,18 @@ static const double LARGEST_SATURATION = 1e4;     /* standard deviations */
 typedef struct {
     net_sizes net;
     int model, excitation_width, order, n_speed, n_force, n_tones, n_tone_speed, n_tone_force, rest_order, n_rest_speed, n_rest_force;
-    int level_drives, rest_level_drives, network_heard, hand; /* hand: 0 head, 1 tokens, 2 modulation */
+    int excitation, level_drives, rest_level_drives, network_heard, hand; /* hand: 0 head, 1 tokens, 2 modulation */
     int ma, n_models, n_triangles;
     double correction_limit;
 } sizes;
 
-enum { TEN = 1, FOTEN = 2, PLUS = 4, AR = 8, NETWORKS = TEN | FOTEN | PLUS };
+enum { TEN = 1, FOTEN = 2, PLUS = 4, AR = 8, GRAPH = 16, NETWORKS = TEN | FOTEN | PLUS };
 
 static const struct {
     const char *name;
     int bit, window; /* its usual one */
 } MODELS[] = {{"foten-plus", PLUS, 20}, {"foten", FOTEN, 20}, {"ten", TEN, 25}, {"ar", AR, 21}};
+static const char *const GRAPHS[] = {"ten-mfcc", "ten-wavelet", "foten-d", "fnn", "dstn", "hapinf", "ldhtd"};
 
 static const struct {
     const char *name;
@@ -31,13 +32,13 @@ static const struct {
     size_t at;
     int usual, least;
 } COUNTS[] = {
-    {"window", NETWORKS | AR, offsetof(sizes, net.window), 0, 2},
+    {"window", NETWORKS | AR | GRAPH, offsetof(sizes, net.window), 0, 2},
     {"d_model", NETWORKS, offsetof(sizes, net.d_model), 32, 1},
     {"n_heads", NETWORKS, offsetof(sizes, net.n_heads), 4, 1},
     {"n_layers", NETWORKS, offsetof(sizes, net.n_layers), 3, 1},
     {"d_feedforward", NETWORKS, offsetof(sizes, net.d_feedforward), 128, 1},
     {"spectral_width", FOTEN | PLUS, offsetof(sizes, net.spectral_width), 32, 1},
-    {"excitation_width", PLUS, offsetof(sizes, excitation_width), 16, 1},
+    {"excitation_width", NETWORKS | GRAPH, offsetof(sizes, excitation_width), 16, 1},
     {"order", PLUS | AR, offsetof(sizes, order), 20, 1},
     {"n_speed", PLUS, offsetof(sizes, n_speed), 1, 1},
     {"n_force", PLUS, offsetof(sizes, n_force), 1, 1},
@@ -60,6 +61,7 @@ static const struct {
 } SWITCHES[] = {
     {"pre_norm", NETWORKS, offsetof(sizes, net.pre_norm), 1},
     {"bin_embedding", FOTEN | PLUS, offsetof(sizes, net.bin_embedding), 0},
+    {"excitation", NETWORKS | GRAPH, offsetof(sizes, excitation), 0},
     {"network_heard", PLUS, offsetof(sizes, network_heard), 1},
     {"level_drives", PLUS, offsetof(sizes, level_drives), 0},
     {"rest_level_drives", PLUS, offsetof(sizes, rest_level_drives), 0},
@@ -85,7 +87,7 @@ static foten_status wrong_size(texture_file *file, const char *name) {
     return file_refuse(file, FOTEN_BAD_FILE, "'%s' among the sizes in the card is none that this library can run", name);
 }
 
-static foten_status read_sizes(texture_file *file, json from, sizes *s) {
+static foten_status read_sizes(texture_file *file, json from, int has_predictor, sizes *s) {
     json value;
     size_t n_known = 0;
     memset(s, 0, sizeof *s);
@@ -96,8 +98,12 @@ static foten_status read_sizes(texture_file *file, json from, sizes *s) {
             s->model = MODELS[i].bit;
             usual_window = MODELS[i].window;
         }
+    for (int i = 0; i < N(GRAPHS); i++)
+        if (json_is_string(model, GRAPHS[i])) s->model = GRAPH;
     if (!s->model)
         return file_refuse(file, FOTEN_BAD_FILE, "this library does not run the file's model, expected foten-plus, foten, ten or ar");
+    if (s->model == GRAPH && !has_predictor)
+        return file_refuse(file, FOTEN_NO_PREDICTOR, "the file's model is a graph that something else has to run, ONNX Runtime from Python for one: foten_model_load_with");
     int plus = s->model == PLUS;
     for (int i = 0; i < N(COUNTS); i++) {
         if (!(COUNTS[i].of & s->model)) continue;
@@ -149,6 +155,8 @@ static foten_status read_sizes(texture_file *file, json from, sizes *s) {
     n_known += value.begin != NULL;
     if (value.begin && (!json_number(value, &s->correction_limit) || !(s->correction_limit > 0 && s->correction_limit < 1e6)))
         return wrong_size(file, "correction_limit");
+    if (s->model == GRAPH) return s->net.window > LONGEST_WINDOW || !s->net.window ? wrong_size(file, "window") : FOTEN_OK;
+    if (s->model == PLUS) s->excitation = 1;
     if (json_count(from) != n_known)
         return file_refuse(file, FOTEN_BAD_FILE, "the card has a size that this library does not know; is the library older than the file?");
     net_sizes *n = &s->net;
@@ -292,6 +300,29 @@ static int read_lattice(foten_model *m, texture_file *file, const char *prefix, 
     return read_scale(m, file, level, width, &out->level);
 }
 
+static int read_excitation(foten_model *m, texture_file *file, const sizes *s) {
+    const double *found;
+    if (!read_scale(m, file, "excitation.", s->excitation_width, &m->sigma)) return 0;
+    if (!(found = take(m, file, "excitation.", "tail.weight", 1, 5))) return 0;
+    memcpy(m->tail, found, sizeof m->tail);
+    if (!(found = take(m, file, "excitation.", "tail.bias", 1, 0))) return 0;
+    m->tail_bias = *found;
+    if (!(found = take(m, file, "excitation.", "largest", 2, 0))) return 0;
+    memcpy(m->largest, found, sizeof m->largest);
+    if (!(m->largest[0] >= 0 && m->largest[1] >= 0)) {
+        file_refuse(file, FOTEN_BAD_FILE, "tensor 'excitation.largest' is negative");
+        return 0;
+    }
+    if (!(found = take(m, file, "excitation.", "swell", 2, 0))) return 0;
+    m->swell_kept = found[0];
+    m->swell_sd = found[1];
+    if (!(m->swell_kept >= 0 && m->swell_kept <= 1 && m->swell_sd >= 0)) {
+        file_refuse(file, FOTEN_BAD_FILE, "tensor 'excitation.swell' is out of range");
+        return 0;
+    }
+    return 1;
+}
+
 static int read_plus(foten_model *m, texture_file *file, const sizes *s) {
     const double *found;
     int width = s->excitation_width;
@@ -313,24 +344,6 @@ static int read_plus(foten_model *m, texture_file *file, const sizes *s) {
         }
         if (!read_lattice(m, file, "rest.", s->n_rest_speed, s->n_rest_force, s->rest_order, width, s->rest_level_drives, &m->rest)) return 0;
     }
-    if (!read_scale(m, file, "excitation.", width, &m->sigma)) return 0;
-    if (!(found = take(m, file, "excitation.", "tail.weight", 1, 5))) return 0;
-    memcpy(m->tail, found, sizeof m->tail);
-    if (!(found = take(m, file, "excitation.", "tail.bias", 1, 0))) return 0;
-    m->tail_bias = *found;
-    if (!(found = take(m, file, "excitation.", "largest", 2, 0))) return 0;
-    memcpy(m->largest, found, sizeof m->largest);
-    if (!(m->largest[0] >= 0 && m->largest[1] >= 0)) {
-        file_refuse(file, FOTEN_BAD_FILE, "tensor 'excitation.largest' is negative");
-        return 0;
-    }
-    if (!(found = take(m, file, "excitation.", "swell", 2, 0))) return 0;
-    m->swell_kept = found[0];
-    m->swell_sd = found[1];
-    if (!(m->swell_kept >= 0 && m->swell_kept <= 1 && m->swell_sd >= 0)) {
-        file_refuse(file, FOTEN_BAD_FILE, "tensor 'excitation.swell' is out of range");
-        return 0;
-    }
     return 1;
 }
 
@@ -341,17 +354,24 @@ foten_status model_read(foten_model *m, texture_file *file, const isa *isa) {
         return file_refuse(file, FOTEN_BAD_FILE, "the file has another format version than 1; update foten?");
     json from = json_member(file->card, "sizes");
     if (!from.begin || *from.begin != '{') return file_refuse(file, FOTEN_BAD_FILE, "the card has no 'sizes'");
-    foten_status status = read_sizes(file, from, &s);
+    foten_status status = read_sizes(file, from, m->predictor != NULL, &s);
     if (status == FOTEN_OK) status = read_card(m, file, &s);
     if (status != FOTEN_OK) return status;
     m->isa = isa;
     int plus = s.model == PLUS;
-    m->excited = plus || s.model == AR;
+    m->excited = s.excitation || s.model == AR;
     if (s.model == AR) {
         m->local = local_make(file, s.order, s.ma, s.n_models, s.n_triangles, &m->memory);
         return m->local ? FOTEN_OK : file_refuse(file, m->memory.failed ? FOTEN_NO_MEMORY : FOTEN_BAD_FILE, "no memory");
     }
     if (plus && !read_plus(m, file, &s)) return m->memory.failed ? FOTEN_NO_MEMORY : FOTEN_BAD_FILE;
+    if (s.excitation && !read_excitation(m, file, &s)) return m->memory.failed ? FOTEN_NO_MEMORY : FOTEN_BAD_FILE;
+    m->n_inputs = s.model == GRAPH ? 3 : s.net.n_inputs;
+    if (s.model == GRAPH) {
+        file_leave(file, "graph");
+        return FOTEN_OK;
+    }
+    m->predictor = NULL;
     m->network = net_make(file, plus ? "network." : "", &s.net, isa, &m->memory);
     if (!m->network) return file_refuse(file, m->memory.failed ? FOTEN_NO_MEMORY : FOTEN_BAD_FILE, "no memory");
     return FOTEN_OK;

@@ -39,6 +39,9 @@ struct foten_model {
 
     const isa *isa;
     net *network;              /* of foten, foten-plus and ten */
+    foten_predictor predictor; /* of a model that is run elsewhere, and what it is told of itself */
+    void *predictor_user;
+    int n_inputs;              /* numbers of each sample that either sees */
     const local_models *local; /* of ar */
     double correction_limit;
     int network_heard;
@@ -55,7 +58,7 @@ struct foten_model {
     loop *begin; /* after the warm start */
 };
 
-/* Read and check all of a texture file but the proof. */
+/* Read and check all of a texture file but the proof. The model may have a predictor, for networks that there is no code for here. */
 foten_status model_read(foten_model *model, texture_file *file, const isa *isa);
 
 /* A plane's values at a speed [mm/s] and a force [N]: `width` of them. */

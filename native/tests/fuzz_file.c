@@ -16,10 +16,17 @@ static void finite(const float *samples, size_t n) {
         if (!isfinite(samples[i])) abort();
 }
 
+/* Of a network that is run elsewhere: now and then what is no number. */
+static float answer(void *user, const float *window) {
+    (void)user;
+    float x = 0.9f * window[0] + 0.1f * window[1];
+    return x > 0.5f && x < 0.51f ? NAN : x;
+}
+
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t n) {
     foten_model *model;
     char why[200];
-    foten_status status = foten_model_load(data, n, &model, why, sizeof why);
+    foten_status status = foten_model_load_with(data, n, answer, NULL, &model, why, sizeof why);
     if ((status == FOTEN_OK) != (model != NULL)) abort();
     if (status != FOTEN_OK && !why[0]) abort();
     if (!model) return 0;

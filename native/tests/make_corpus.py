@@ -7,8 +7,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from conftest import exported
 from foten.architecture import ARCHITECTURES
+from foten.texture_file import Texture
 
 TINY = {
     "window": 3,
@@ -36,6 +39,19 @@ KINDS = {
         {**PLUS, "n_speed": 2, "n_force": 2, "level_drives": True, "hand": "modulation"},
     ),
     "plus-silent": ("foten-plus", {**PLUS, "network_heard": False, "hand": "head"}),
+    "ten-excited": (
+        "ten",
+        {
+            **{k: v for k, v in TINY.items() if k != "spectral_width"},
+            "excitation": True,
+            "excitation_width": 1,
+        },
+    ),
+    "graph": ("fnn", {"window": 24, "n_lags": 1, "first": 1, "second": 1}),
+    "graph-excited": (
+        "fnn",
+        {"window": 24, "n_lags": 1, "first": 1, "second": 1, "excitation": True, "excitation_width": 1},
+    ),
     "plus-tones": ("foten-plus", {**PLUS, "n_tones": 1, "n_tone_speed": 2, "rest_order": 3}),
 }
 
@@ -45,6 +61,8 @@ def main() -> None:
     folder.mkdir(exist_ok=True)
     for name, (key, sizes) in KINDS.items():
         texture = exported(key, ARCHITECTURES[key](**sizes))
+        if "graph" in texture.tensors:  # which the kernel does not read
+            texture = Texture(texture.card, {**texture.tensors, "graph": np.zeros(4, dtype=np.uint8)})
         (folder / f"{name}.foten").write_bytes(texture.to_bytes())
 
 

@@ -24,6 +24,8 @@ class TenArchitecture:
     d_feedforward: int = 128  # Sec. IV-c
     head: tuple[int, int] = (256, 64)  # dense layers before the output; Sec. IV-e
     pre_norm: bool = True  # False normalises after each sub-layer, as [17]
+    excitation: bool = False  # whether there is a random part, as that of foten-plus; the paper has none
+    excitation_width: int = 16  # hidden units of log σ over speed and force, and of log levels
 
     def __post_init__(self) -> None:
         least = {"window": 2, "d_model": 1, "n_heads": 1, "n_layers": 1, "d_feedforward": 1}
@@ -33,8 +35,8 @@ class TenArchitecture:
             raise ValueError(f"head is {self.head!r}, expected the widths of two layers")
         for width in self.head:
             _check_count("head", width, 1)
-        if self.d_model % self.n_heads:
-            raise ValueError(f"width {self.d_model} does not divide into {self.n_heads} heads")
+        _check_excitation(self.excitation, self.excitation_width)
+        _check_heads(self.d_model, self.n_heads)
         if not isinstance(self.pre_norm, bool):
             raise ValueError("pre_norm is true or false")
         object.__setattr__(self, "head", tuple(self.head))
@@ -43,6 +45,11 @@ class TenArchitecture:
     def history(self) -> int:
         """Return how many samples a prediction is given."""
         return self.window
+
+    @property
+    def in_graph(self) -> bool:
+        """Return whether a file holds the network as a graph for ONNX Runtime, and not as tensors for the kernel."""
+        return False
 
     @property
     def n_inputs(self) -> int:
@@ -57,7 +64,7 @@ class TenArchitecture:
     @property
     def excited(self) -> bool:
         """Return whether there is a random part."""
-        return False
+        return self.excitation
 
     @property
     def n_found(self) -> int:
@@ -127,8 +134,8 @@ class FotenPlusArchitecture(FotenArchitecture):
     # both branches find. One-step validation error re the head alone: tokens 0.960 on a simulated mesh, 1.001 on a towel, on
     # grass and on wood; modulation 0.983 on the mesh.
     hand: str = "tokens"
+    excitation: bool = True  # always
     network_heard: bool = True  # whether a rendering hears the network; one with tones never does
-    excitation_width: int = 16  # hidden units of log level and of log σ over speed and force
     order: int = 20  # p of the lattice, samples
     n_speed: int = 1  # its vertices over speed
     n_force: int = 1  # and over force
@@ -145,7 +152,9 @@ class FotenPlusArchitecture(FotenArchitecture):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("excitation_width", "order", "n_speed", "n_force"):
+        if not self.excitation:
+            raise ValueError("foten-plus always has an excitation")
+        for name in ("order", "n_speed", "n_force"):
             _check_count(name, getattr(self, name), 1)
         for name in ("n_tone_speed", "n_tone_force", "rest_order", "n_rest_speed", "n_rest_force"):
             _check_count(name, getattr(self, name), 1)
@@ -162,11 +171,6 @@ class FotenPlusArchitecture(FotenArchitecture):
     def history(self) -> int:
         """Return how many samples a prediction is given: a window of innovations, the lattice's order before it, and one."""
         return self.window + max(self.order, self.rest_order) + 1
-
-    @property
-    def excited(self) -> bool:
-        """Return whether there is a random part."""
-        return True
 
     @property
     def n_inputs(self) -> int:
@@ -206,12 +210,186 @@ class ArArchitecture:
         return self.window
 
     @property
+    def in_graph(self) -> bool:
+        """Return False: the kernel runs it."""
+        return False
+
+    @property
     def excited(self) -> bool:
         """Return whether there is a random part."""
         return True
 
 
-Architecture = TenArchitecture | ArArchitecture
+@dataclass(frozen=True)
+class TenMfccArchitecture(TenArchitecture):
+    """TEN with cepstral coefficients of the window in place of the Fourier branch, Table II: our reading of "TEN-MFCC"."""
+
+    window: int = 30  # m, samples; Table II
+    n_bands: int = 12  # of the triangular filters, spaced as mel are; the paper is silent
+    n_coefficients: int = 8  # kept of their cosine transform; the paper is silent
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_count("n_bands", self.n_bands, 2)
+        _check_count("n_coefficients", self.n_coefficients, 1)
+        if self.n_coefficients > self.n_bands:
+            raise ValueError(
+                f"n_coefficients is {self.n_coefficients}, expected at most n_bands, {self.n_bands}"
+            )
+
+    @property
+    def in_graph(self) -> bool:
+        """Return True."""
+        return True
+
+    @property
+    def n_found(self) -> int:
+        """Return how many numbers both branches give the head."""
+        return 2 * self.d_model
+
+
+@dataclass(frozen=True)
+class TenWaveletArchitecture(TenArchitecture):
+    """TEN with wavelet coefficients of the window in place of the Fourier branch, Table II: our reading of "TEN-Wavelet"."""
+
+    window: int = 30  # m, samples; Table II
+    n_levels: int = 3  # of Daubechies' wavelet with two vanishing moments; the paper is silent
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_count("n_levels", self.n_levels, 1)
+        if self.window < 2 ** (self.n_levels + 1):
+            raise ValueError(
+                f"window is {self.window}, expected {2 ** (self.n_levels + 1)} or more for {self.n_levels} levels"
+            )
+
+    @property
+    def in_graph(self) -> bool:
+        """Return True."""
+        return True
+
+    @property
+    def n_found(self) -> int:
+        """Return how many numbers both branches give the head."""
+        return 2 * self.d_model
+
+
+@dataclass(frozen=True)
+class FotenDArchitecture(FotenArchitecture):
+    """FoTEN with a decoder layer of one query token in place of the last token, FoTEN-D in Table II: our reading."""
+
+    @property
+    def in_graph(self) -> bool:
+        """Return True."""
+        return True
+
+
+@dataclass(frozen=True)
+class GraphArchitecture:
+    """A one-step network of another system, re-implemented; what its source does not state is our choice."""
+
+    window: int = 20  # m, samples
+    excitation: bool = (
+        False  # whether there is a random part, as that of foten-plus; none of the sources has one
+    )
+    excitation_width: int = 16  # hidden units of log σ over speed and force
+
+    def __post_init__(self) -> None:
+        _check_excitation(self.excitation, self.excitation_width)
+        for size in fields(self):
+            if size.type == "int":
+                _check_count(size.name, getattr(self, size.name), 2 if size.name == "window" else 1)
+
+    @property
+    def history(self) -> int:
+        """Return how many samples a prediction is given."""
+        return self.window
+
+    @property
+    def in_graph(self) -> bool:
+        """Return True: a file holds the network as a graph for ONNX Runtime."""
+        return True
+
+    @property
+    def excited(self) -> bool:
+        """Return whether there is a random part."""
+        return self.excitation
+
+
+@dataclass(frozen=True)
+class FnnArchitecture(GraphArchitecture):
+    """Band by band [13]: a small network for each of four bands."""
+
+    window: int = 144  # the longest lag, and the filters' memory before it
+    n_lags: int = 10  # of each band, 8, 4, 2 and 1 samples apart from the lowest band on
+    first: int = 20  # hidden units
+    second: int = 10
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.window < 8 * self.n_lags + 16:
+            raise ValueError(
+                f"window is {self.window}, expected {8 * self.n_lags + 16} or more for {self.n_lags} lags of 8 samples"
+            )
+
+
+@dataclass(frozen=True)
+class DstnArchitecture(GraphArchitecture):
+    """Deep spatio-temporal network [15]: convolutions, attention over channels and time, and recurrent layers."""
+
+    window: int = 40  # m, samples; Table III
+    channels: int = 64
+    squeezed: int = 8  # channels of the attention's bottleneck
+    recurrent: int = 64  # each way
+    dense: int = 64
+
+
+@dataclass(frozen=True)
+class HapinfArchitecture(GraphArchitecture):
+    """Encoder and decoder after Informer, the teacher of [20]; no source of it was found."""
+
+    window: int = 20  # m, samples
+    d_model: int = 64
+    n_heads: int = 4
+    n_layers: int = 2  # of the encoder; the decoder has one
+    d_feedforward: int = 256
+    n_start: int = 10  # samples that the decoder begins with
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_heads(self.d_model, self.n_heads)
+        if self.n_start > self.window:
+            raise ValueError(f"n_start is {self.n_start}, expected at most the window, {self.window}")
+
+
+@dataclass(frozen=True)
+class LdhtdArchitecture(GraphArchitecture):
+    """Recurrent encoder of speed and force, attending decoder of acceleration [20], distilled from `hapinf`."""
+
+    window: int = 20  # m, samples; Table III
+    recurrent: int = 32
+    d_model: int = 32
+    n_heads: int = 4
+    d_feedforward: int = 128
+    dense: int = 64
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_heads(self.d_model, self.n_heads)
+
+
+Architecture = TenArchitecture | ArArchitecture | GraphArchitecture
+
+
+def _check_excitation(excitation: object, width: object) -> None:
+    if not isinstance(excitation, bool):
+        raise ValueError(f"excitation is {excitation!r}, expected true or false")
+    _check_count("excitation_width", width, 1)
+
+
+def _check_heads(width: int, n_heads: int) -> None:
+    if width % n_heads:
+        raise ValueError(f"width {width} does not divide into {n_heads} heads")
 
 
 def _check_count(name: str, value: object, minimum: int) -> None:
@@ -225,7 +403,18 @@ NETWORKS: dict[str, type[TenArchitecture]] = {
     "foten": FotenArchitecture,
     "ten": TenArchitecture,
 }
-ARCHITECTURES: dict[str, type[Architecture]] = {**NETWORKS, "ar": ArArchitecture}
+"""What the kernel runs as networks."""
+GRAPHS: dict[str, type[TenArchitecture | GraphArchitecture]] = {
+    "ten-mfcc": TenMfccArchitecture,
+    "ten-wavelet": TenWaveletArchitecture,
+    "foten-d": FotenDArchitecture,
+    "fnn": FnnArchitecture,
+    "dstn": DstnArchitecture,
+    "hapinf": HapinfArchitecture,
+    "ldhtd": LdhtdArchitecture,
+}
+"""What ONNX Runtime runs."""
+ARCHITECTURES: dict[str, type[Architecture]] = {**NETWORKS, "ar": ArArchitecture, **GRAPHS}
 
 
 def architecture_from(key: str, sizes: Mapping[str, Any]) -> Architecture:
@@ -244,18 +433,30 @@ def architecture_from(key: str, sizes: Mapping[str, Any]) -> Architecture:
 
 
 def sizes(architecture: Architecture) -> dict[str, Any]:
-    """Return the sizes as plain JSON values."""
+    """Return the sizes as plain JSON values; nothing of an excitation where there is none, or always one."""
+    unsaid: set[str] = set()
+    if not architecture.excited:
+        unsaid = {"excitation", "excitation_width"}
+    elif isinstance(architecture, FotenPlusArchitecture):
+        unsaid = {"excitation"}
     return {
-        name: list(size) if isinstance(size, tuple) else size for name, size in asdict(architecture).items()
+        name: list(size) if isinstance(size, tuple) else size
+        for name, size in asdict(architecture).items()
+        if name not in unsaid
     }
 
 
 def multiply_adds(architecture: Architecture) -> int:
     """Return the multiplications and additions in pairs that a rendered sample costs, without those that change nothing.
 
+    Raises:
+        ValueError: it is run as a graph, whose card has them.
+
     Left out: all but one query of the last temporal layer, all but one sample of Eq. 9, and the magnitudes above half of the
     rate, which are those below it; and the network, where a rendering does not hear it.
     """
+    if isinstance(architecture, GraphArchitecture) or architecture.in_graph:
+        raise ValueError("what a graph costs is in its card, under metrics")
     if isinstance(architecture, ArArchitecture):
         p, q = architecture.order, architecture.ma
         # Mixed, multiplied out, stepped down to reflections, and run; a hand that keeps still costs the last alone.
@@ -275,6 +476,8 @@ def multiply_adds(architecture: Architecture) -> int:
         attended = 2 * n_asked * n_tokens * width + n_asked * width * width
         return projected + attended + 2 * n_asked * width * architecture.d_feedforward
 
+    if architecture.excited and not linear:
+        linear = 6 * architecture.excitation_width + 10
     temporal = m * architecture.n_inputs * d + (architecture.n_layers - 1) * layer(m, m, d) + layer(m, 1, d)
     spectral = 0
     if isinstance(architecture, FotenArchitecture):
@@ -293,7 +496,7 @@ def multiply_adds(architecture: Architecture) -> int:
 def tensor_shapes(architecture: Architecture) -> dict[str, tuple[int, ...]]:
     """Return the name and shape of every tensor of a network, as a texture file holds them.
 
-    Linear maps are (outputs, inputs), as in PyTorch.
+    Linear maps are (outputs, inputs), as in PyTorch. What is run as a graph has none but that.
     """
     if isinstance(architecture, ArArchitecture):
         n = architecture.n_models
@@ -302,21 +505,27 @@ def tensor_shapes(architecture: Architecture) -> dict[str, tuple[int, ...]]:
             shapes |= {"local.ma_lsf": (n, architecture.ma), "local.gain": (n,)}
         shapes |= {"local.triangles": (architecture.n_triangles, 3)}
         return shapes | {f"local.{part}": (2,) for part in ("scale", "mean", "sd")}
+    chance = _excitation(architecture.excitation_width) if architecture.excited else {}
+    if isinstance(architecture, GraphArchitecture) or architecture.in_graph:
+        return chance
     if isinstance(architecture, FotenPlusArchitecture):
         shapes = {f"network.{name}": shape for name, shape in _network_shapes(architecture).items()}
         width = architecture.excitation_width
-        shapes |= _lattice(
-            "lattice", architecture.n_speed, architecture.n_force, architecture.order, width
-        ) | _scale("excitation", width)
+        shapes |= chance
+        shapes |= _lattice("lattice", architecture.n_speed, architecture.n_force, architecture.order, width)
         if architecture.n_tones:
             n_speed, n_force = architecture.n_tone_speed, architecture.n_tone_force
             shapes |= {"tones.speed_knots": (n_speed,), "tones.force_knots": (n_force,)}
             shapes |= {"tones.values": (n_speed * n_force, 2 * architecture.n_tones), "tones.motion": (3,)}
             n_speed, n_force = architecture.n_rest_speed, architecture.n_rest_force
             shapes |= _lattice("rest", n_speed, n_force, architecture.rest_order, width)
-        shapes |= {"excitation.largest": (2,), "excitation.swell": (2,), **_linear("excitation.tail", 1, 5)}
         return shapes
-    return _network_shapes(architecture)
+    return _network_shapes(architecture) | chance
+
+
+def _excitation(width: int) -> dict[str, tuple[int, ...]]:
+    shapes = _scale("excitation", width) | _linear("excitation.tail", 1, 5)
+    return shapes | {"excitation.largest": (2,), "excitation.swell": (2,)}
 
 
 def _lattice(name: str, n_speed: int, n_force: int, order: int, width: int) -> dict[str, tuple[int, ...]]:

@@ -367,7 +367,8 @@ def train(
     model: Annotated[
         str,
         typer.Option(
-            help="foten-plus (ours), foten (the paper's), ten (it without its Fourier branch) or ar (piecewise AR)."
+            help="foten-plus (ours), foten (the paper's); its variants ten, ten-mfcc, ten-wavelet, foten-d; the systems it is "
+            "compared with, re-implemented: ar (piecewise AR), fnn, dstn, hapinf, ldhtd."
         ),
     ] = "foten-plus",
     recipe: Annotated[
@@ -379,7 +380,10 @@ def train(
     trim: Annotated[float | None, typer.Option(help="Discarded at both ends (ms). [2000]")] = None,
     block: Annotated[float | None, typer.Option(help="Unit of the split (ms). [2000]")] = None,
     window: Annotated[
-        int | None, typer.Option(help="m, samples that a prediction sees. [20; ten 25]")
+        int | None,
+        typer.Option(
+            help="m, samples that a prediction sees. [20; ten 25, ten-mfcc and ten-wavelet 30, dstn 40, fnn 144]"
+        ),
     ] = None,
     seed: Annotated[
         int, typer.Option(min=0, max=2**32 - 1, help="Of initial weights, order and dropout.")
@@ -396,6 +400,13 @@ def train(
     dropout: Annotated[
         float | None, typer.Option(help="Share of hidden values; the recipe's by default. [0; paper 0.2]")
     ] = None,
+    excitation: Annotated[
+        bool,
+        typer.Option(
+            "--excitation",
+            help="Give a network the random part of foten-plus, which always has it: without one its free run falls silent.",
+        ),
+    ] = False,
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -427,13 +438,13 @@ def train(
 ) -> None:
     """Learn a texture file from a recording. Ctrl-C keeps the best so far."""
 
-    from foten.architecture import ARCHITECTURES, TenArchitecture, architecture_from
+    from foten.architecture import ARCHITECTURES, ArArchitecture, architecture_from
     from foten.datasets.hdf5 import load_recording
     from foten.recording import felt
     from foten.recording.inspect import inspect_recording
     from foten.recording.preprocess import PreprocessConfig
     from foten.texture_file import write_texture
-    from foten.train.config import RECIPES
+    from foten.train.config import OWN_RECIPES, RECIPES
     from foten.train.local import train_local
     from foten.train.run import RunFolder, TrainingDisplay
     from foten.train.train import train_texture
@@ -454,9 +465,8 @@ def train(
         "dropout": dropout,
         "threads": threads,
     }
-    config = dataclasses.replace(
-        RECIPES[recipe], seed=seed, **{k: v for k, v in asked.items() if v is not None}
-    )
+    changed = OWN_RECIPES.get(model, {}) | {k: v for k, v in asked.items() if v is not None}
+    config = dataclasses.replace(RECIPES[recipe], seed=seed, **changed)
     # The paper trains with 25 Hz and renders with 20 Hz.
     cut: dict[str, Any] = {
         "rate_hz": rate,
@@ -467,7 +477,7 @@ def train(
     preprocess_config = PreprocessConfig(
         zero_phase=zero_phase, force_units=force_units, **{k: v for k, v in cut.items() if v is not None}
     )
-    own = _settings(settings or [])
+    own = _settings(settings or []) | ({"excitation": True} if excitation else {})
     recording = load_recording(recording_file)
     if model == "ar":
         of_networks = {**asked, "window": window, "set": settings, "run": run_folder}
@@ -475,6 +485,7 @@ def train(
             "resume": resume or None,
             "seed": seed or None,
             "recipe": recipe if recipe != "default" else None,
+            "excitation": excitation or None,
         }
         given = [name for name, value in of_networks.items() if value is not None]
         if given:
@@ -494,7 +505,7 @@ def train(
         _tell_trained(fitted.texture, fitted.trace, output, recording_file, as_json)
         return
     architecture = architecture_from(model, own if window is None else {"window": window, **own})
-    assert isinstance(architecture, TenArchitecture)
+    assert not isinstance(architecture, ArArchitecture)
     folder = RunFolder(run_folder or output.with_suffix(".run"))
     folder.open(
         {
@@ -996,14 +1007,17 @@ def info(
         _print_json({"sha256": texture.sha256(), **texture.card})
         return
     card = texture.card
-    n_parameters = sum(
-        t.size for name, t in texture.tensors.items() if not name.startswith(("golden.", "warm_start"))
-    )
+    own = {name: t for name, t in texture.tensors.items() if not name.startswith(("golden.", "warm_start"))}
+    if texture.architecture.in_graph:
+        cost, holds = card["metrics"]["multiply_adds"], f"{own['graph'].size:,} bytes for ONNX Runtime"
+    else:
+        cost = multiply_adds(texture.architecture)
+        holds = f"{sum(t.size for t in own.values())} numbers"
     rows = {
         "texture": card["texture"] or "(unnamed)",
-        "model": f"{card['model']}, {n_parameters} numbers, hears {card['window']} samples",
+        "model": f"{card['model']}, {holds}, hears {card['window']} samples",
         **_linear_part(texture),
-        "cost": f"{multiply_adds(texture.architecture):,} multiply-adds a rendered sample",
+        "cost": f"{cost:,} multiply-adds a rendered sample",
         "rate": f"{texture.rate_hz:g} Hz",
         "trained speed": "{:.4g} to {:.4g} mm/s".format(*texture.trained_range("speed")),
         "trained force": "{:.3g} to {:.3g} N".format(*texture.trained_range("force")),

@@ -9,6 +9,7 @@ Header metadata: ``{"foten": "<card as JSON>"}``. Never pickle. Beside the netwo
 ``golden.sigma``       (k,)          by how much a unit of excitation moves the next sample (where there is one)
 ``golden.condition``   (64, 2)       scaled speed and force of a closed loop from ``warm_start``
 ``golden.closed_loop`` (64,)         its scaled output in float64, with excitation of seed 0 (where there is one)
+``graph``              (k,)          bytes of an ONNX graph, of a model that ONNX Runtime runs, in place of the network's tensors
 =====================  ============  =======================================================================
 
 An engine that cannot reproduce them within `ONE_STEP_TOLERANCE` and `CLOSED_LOOP_TOLERANCE` refuses the file.
@@ -243,7 +244,10 @@ def _are_numbers(values: Any, n: int) -> bool:
 
 
 def _check_tensors(texture: Texture) -> None:
+    in_graph = texture.architecture.in_graph
     for name, tensor in texture.tensors.items():
+        if in_graph and name == "graph" and tensor.dtype == np.uint8 and tensor.ndim == 1:
+            continue
         if tensor.dtype not in (np.float32, np.float64):
             raise ValueError(f"tensor {name!r} is {tensor.dtype}, expected float32 or float64")
         if not np.isfinite(tensor).all():
@@ -264,6 +268,8 @@ def _check_tensors(texture: Texture) -> None:
     }
     if texture.has_excitation:
         shapes["golden.sigma"] = (n_golden,)
+    if in_graph:
+        shapes["graph"] = np.shape(texture.tensors.get("graph", ()))
     for name, shape in shapes.items():
         found = texture.tensors[name].shape if name in texture.tensors else None
         if found != shape:

@@ -15,8 +15,8 @@ from foten.recording.scaling import Scaling
 from foten.recording.trace import Trace
 from foten.recording.windows import windows
 from foten.render.closed_loop import ClosedLoop
-from foten.render.engine import WindowState
 from foten.render.synthesizer import Synthesizer
+from foten.render.window_state import WindowState
 from foten.texture_file import Texture
 
 Array = NDArray[np.float64]

@@ -5,13 +5,28 @@ from typing import Any
 
 from torch import nn
 
-from foten.architecture import TenArchitecture
+from foten.architecture import GraphArchitecture, TenArchitecture
+from foten.models.dstn import Dstn
+from foten.models.fnn import Fnn
 from foten.models.foten import Foten
 from foten.models.foten_plus import FotenPlus
+from foten.models.hapinf import Hapinf
+from foten.models.ldhtd import Ldhtd
 
-MODELS: dict[str, Callable[[Any], nn.Module]] = {"foten-plus": FotenPlus, "foten": Foten, "ten": Foten}
+MODELS: dict[str, Callable[[Any], nn.Module]] = {
+    "foten-plus": FotenPlus,
+    "foten": Foten,
+    "ten": Foten,
+    "ten-mfcc": Foten,
+    "ten-wavelet": Foten,
+    "foten-d": Foten,
+    "fnn": Fnn,
+    "dstn": Dstn,
+    "hapinf": Hapinf,
+    "ldhtd": Ldhtd,
+}
 
 
-def build(key: str, architecture: TenArchitecture) -> nn.Module:
+def build(key: str, architecture: TenArchitecture | GraphArchitecture) -> nn.Module:
     """Return a new network of the given key and sizes, drawn from PyTorch's current seed."""
     return MODELS[key](architecture)

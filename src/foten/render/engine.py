@@ -9,14 +9,18 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.architecture import HEAVIEST_TAIL, FotenArchitecture, FotenPlusArchitecture, TenArchitecture
+from foten.architecture import GRAPHS, FotenArchitecture, FotenPlusArchitecture, TenArchitecture
 from foten.dsp.lattice import analyse, check_reflections, forecast, push
 from foten.dsp.noise import Swell
 from foten.dsp.plane import Plane
 from foten.dsp.spectrum import WEAKEST_BIN, dft_matrices, last_sample_row, position_encoding
 from foten.dsp.tones import LARGEST_STRAY, fitted_phase, heard_of, tone
 from foten.render.ar import NumpyAr
-from foten.render.forecast import Engine, Forecast, Predictor, State
+from foten.render.excitation import Excitation, Scale
+from foten.render.forecast import Engine, Forecast, State
+from foten.render.graph import GraphEngine
+from foten.render.weights import Weights
+from foten.render.window_state import WindowState, begun, followed
 from foten.texture_file import Texture
 
 Array = NDArray[np.float64]
@@ -36,15 +40,21 @@ class NumpyNetwork:
     ) -> None:
         self.window = architecture.window
         self._architecture = architecture
-        self._w = _Weights(tensors, prefix)
+        self._w = Weights(tensors, prefix)
         self._positions = np.ascontiguousarray(position_encoding(self.window, architecture.d_model))
         self._spectral: _Spectral | None = None
         if isinstance(architecture, FotenArchitecture):
             self._spectral = _Spectral(architecture, self._w)
+        alone = not isinstance(architecture, FotenPlusArchitecture)
+        self.excitation = Excitation(tensors) if alone and architecture.excited else None
 
     def start(self, windows: Array) -> WindowState:
         """Return the state of streams that have heard the given scaled windows, shape (s, m, 3)."""
-        return WindowState(self, windows.copy())
+        return begun(self, windows)
+
+    def follow_heard(self, blocks: Array) -> Forecast:
+        """Return the forecast of every sample of recorded blocks, with its excitation: `ExcitedEngine`."""
+        return followed(self, blocks)
 
     def predict(self, windows: Array) -> Array:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
@@ -74,7 +84,7 @@ class NumpyNetwork:
 class _Spectral:
     """Magnitude and phase through an encoder layer each, and back to time (Eq. 6–9)."""
 
-    def __init__(self, architecture: FotenArchitecture, weights: _Weights) -> None:
+    def __init__(self, architecture: FotenArchitecture, weights: Weights) -> None:
         self._architecture = architecture
         self._w = weights
         m = architecture.window
@@ -112,7 +122,7 @@ class _Spectral:
 
 
 def _layer(
-    w: _Weights, name: str, architecture: TenArchitecture, tokens: NDArray[Any], last_only: bool = False
+    w: Weights, name: str, architecture: TenArchitecture, tokens: NDArray[Any], last_only: bool = False
 ) -> NDArray[Any]:
     """Return what an encoder layer makes of tokens (b, n, width), or of the last alone (Eq. 3–5)."""
     pre_norm = architecture.pre_norm
@@ -127,7 +137,7 @@ def _layer(
     return hidden if pre_norm else w.norm(f"{name}.norm_2", hidden)
 
 
-def _attended(w: _Weights, name: str, n_heads: int, normed: NDArray[Any], asked: slice) -> NDArray[Any]:
+def _attended(w: Weights, name: str, n_heads: int, normed: NDArray[Any], asked: slice) -> NDArray[Any]:
     b, _, width = normed.shape
     n_heads = n_heads if width % n_heads == 0 else 1
     projected = w.linear(f"{name}.attention_in", normed)
@@ -143,35 +153,6 @@ def _attended(w: _Weights, name: str, n_heads: int, normed: NDArray[Any], asked:
     scores = np.exp(scores - scores.max(axis=-1, keepdims=True))
     mixed = (scores @ value) / scores.sum(axis=-1, keepdims=True)
     return w.linear(f"{name}.attention_out", mixed.transpose(0, 2, 1, 3).reshape(b, -1, width))
-
-
-@dataclass
-class WindowState:
-    """Streams of a stateless predictor: the last m samples, shape (s, m, 3).
-
-    Attributes:
-        sigma: speed and force (s, 2) scaled → the excitation's scale (s,) scaled; None for none.
-    """
-
-    predictor: Predictor
-    windows: Array
-    sigma: Callable[[Array], Array] | None = None
-    bounded: ClassVar[bool] = False
-    n_to_begin: ClassVar[int] = 0
-
-    def begin(self, condition: Array, noise: Array) -> None:
-        """Change nothing: what such a stream might have heard is not known."""
-
-    def forecast(self) -> Forecast:
-        """Return the prediction from the windows."""
-        scale = None if self.sigma is None else self.sigma(self.windows[:, -1, 1:])
-        return Forecast(self.predictor.predict(self.windows), scale)
-
-    def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
-        """Move the windows on by a sample."""
-        self.windows[:, :-1] = self.windows[:, 1:]
-        self.windows[:, -1, 0] = sample
-        self.windows[:, -1, 1:] = condition[:, :2]
 
 
 @dataclass
@@ -350,10 +331,14 @@ class NumpyFotenPlus:
         self._m = architecture.window
         self._limit = architecture.correction_limit
         self._network = NumpyNetwork(architecture, tensors, "network.")
-        self._w = _Weights(tensors, "")
-        self._sigma = _Scale(tensors, "excitation.")
-        in_sigma, in_acceleration = self._w["excitation.largest"]
-        self.largest = float(in_sigma), float(in_acceleration)
+        self._w = Weights(tensors, "")
+        self._excitation = Excitation(tensors)
+        self.largest = self._excitation.largest
+        self.sigma, self.tail, self.excited = (
+            self._excitation.sigma,
+            self._excitation.tail,
+            self._excitation.forecast,
+        )
         self.lattice = self.rest = _Lattice(tensors, "lattice.", architecture.level_drives)
         self._tones: Plane | None = None
         if architecture.n_tones:
@@ -385,7 +370,11 @@ class NumpyFotenPlus:
         rest = windows[:, 1:, 0] - level * tone(coefficients, phase)
         states = [part[3] for part in self._analysed(self.rest, rest, before)]
         return ToneState(
-            self, np.concatenate(states, axis=1), windows[:, -1, 1:], phase[:, -1], self._swell(len(windows))
+            self,
+            np.concatenate(states, axis=1),
+            windows[:, -1, 1:],
+            phase[:, -1],
+            self._excitation.swell(len(windows)),
         )
 
     def _listening(self, windows: Array, corrected: bool) -> LatticeState:
@@ -393,7 +382,7 @@ class NumpyFotenPlus:
         x, e = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
         seen = np.concatenate([x[..., None], windows[:, 1:, 1:], e[..., None]], axis=2)[:, -self._m :]
         states = np.concatenate([part[3] for part in parts], axis=1)
-        return LatticeState(self, states, seen, self._swell(len(windows)), corrected)
+        return LatticeState(self, states, seen, self._excitation.swell(len(windows)), corrected)
 
     def drawn(self, lattice: _Lattice, condition: Array, noise: Array) -> Array:
         """Return states of streams that have been under one hand for long: speed and force (s, 2) scaled, normal (s, p) → (p, s).
@@ -408,10 +397,6 @@ class NumpyFotenPlus:
         # The mean square of z·exp(h z²/2) is (1 − 2h)^(−3/2).
         size = drive * self.sigma(condition) * (1 - 2 * self.tail(condition)) ** -0.75
         return size * noise.T
-
-    def _swell(self, n_streams: int) -> Swell:
-        kept, sd = self._w["excitation.swell"]
-        return Swell(float(kept), float(sd), np.zeros(n_streams))
 
     def _analysed(
         self, lattice: _Lattice, samples: Array, before: Array
@@ -488,19 +473,6 @@ class NumpyFotenPlus:
         """Return the same with the network or without, as a rendering hears it."""
         return self.follow(blocks, corrected=self.network_heard)
 
-    def excited(self, sample: Array, unit: Array, condition: Array) -> Forecast:
-        """Return a forecast with the excitation of a speed and force (b, 2): scaled samples and the innovation's unit (b,)."""
-        return Forecast(sample, unit * self.sigma(condition), self.tail(condition), self.largest)
-
-    def sigma(self, condition: Array) -> Array:
-        """Return the excitation's scale in units of the lattice's innovation: speed and force (b, 2) scaled → (b,)."""
-        return self._sigma(condition)
-
-    def tail(self, condition: Array) -> Array:
-        """Return h of the excitation's tails: speed and force (b, 2) scaled → (b,)."""
-        powers = _powers(self._sigma.logarithms(condition))
-        return HEAVIEST_TAIL / (1 + np.exp(-self._w.linear("excitation.tail", powers)[:, 0]))
-
     def turned(self, condition: Array) -> Array:
         """Return by how much the path turns the tones' phase in a sample [rad]: (b, 2 or 3), as `ClosedLoop` has it, → (b,)."""
         speed = condition[:, 2] if condition.shape[1] > 2 else self.lattice.physical(condition)[:, 0]
@@ -518,36 +490,16 @@ class NumpyFotenPlus:
         return self._limit * np.tanh(self._network.predict(seen) / self._limit)
 
 
-class _Scale:
-    """A standard deviation over speed and force (b, 2) scaled → (b,)."""
-
-    def __init__(self, tensors: Mapping[str, NDArray[Any]], prefix: str) -> None:
-        self._w = _Weights(tensors, prefix)
-
-    def __call__(self, condition: Array) -> Array:
-        logs = self.logarithms(condition)
-        hidden = np.tanh(self._w.linear("hidden", np.concatenate([condition, logs], axis=1)))
-        log_scale = self._w.linear("out", hidden) + _powers(logs) @ self._w["power_law.weight"].T
-        return np.minimum(np.exp(log_scale[:, 0]), self._w["highest"])
-
-    def logarithms(self, condition: Array) -> Array:
-        floor = self._w["floor"]
-        return np.log((self.physical(condition) + floor) / (self._w["mean"] + floor))
-
-    def physical(self, condition: Array) -> Array:
-        return np.maximum(condition * self._w["sd"] + self._w["mean"], 0.0)
-
-
 class _Lattice:
     """Level and reflections over speed and force."""
 
     def __init__(self, tensors: Mapping[str, NDArray[Any]], prefix: str, level_drives: bool) -> None:
-        weights = _Weights(tensors, prefix)
+        weights = Weights(tensors, prefix)
         check_reflections(weights["reflections"])
         self.level_drives = level_drives
         self.order = weights["reflections"].shape[1]
         self._plane = Plane(weights["speed_knots"], weights["force_knots"], weights["reflections"])
-        self._level = _Scale(tensors, f"{prefix}level.")
+        self._level = Scale(tensors, f"{prefix}level.")
 
     def level(self, condition: Array) -> Array:
         """Return the level of the vibration: speed and force (b, 2) scaled → standard deviation (b,) scaled."""
@@ -566,45 +518,12 @@ class _Lattice:
         return self._level.physical(condition)
 
 
-def _powers(logs: Array) -> Array:
-    x, y = logs.T
-    return np.stack([x, y, x * x, x * y, y * y], axis=1)
-
-
-class _Weights:
-    """The tensors under one prefix, in float64."""
-
-    def __init__(self, tensors: Mapping[str, NDArray[Any]], prefix: str) -> None:
-        self._tensors = {
-            name.removeprefix(prefix): np.asarray(tensor, dtype=np.float64)
-            for name, tensor in tensors.items()
-            if name.startswith(prefix)
-        }
-
-    def __getitem__(self, name: str) -> NDArray[Any]:
-        if name not in self._tensors:
-            raise ValueError(f"the texture file has no tensor {name!r}")
-        return self._tensors[name]
-
-    def linear(self, name: str, values: NDArray[Any]) -> NDArray[Any]:
-        weight, bias = self[f"{name}.weight"], self[f"{name}.bias"]
-        if values.shape[-1] == 1:
-            return values * weight[:, 0] + bias
-        # One large product is faster than NumPy's loop over a stack of small ones.
-        flat = values.reshape(-1, values.shape[-1]) @ weight.T + bias
-        return flat.reshape(*values.shape[:-1], -1)
-
-    def norm(self, name: str, values: NDArray[Any]) -> NDArray[Any]:
-        centred = values - values.mean(axis=-1, keepdims=True)
-        variance = np.square(centred).mean(axis=-1, keepdims=True)
-        return centred / np.sqrt(variance + 1e-5) * self[f"{name}.weight"] + self[f"{name}.bias"]
-
-
 ENGINES: dict[str, Callable[[Any, Mapping[str, NDArray[Any]]], Engine]] = {
     "foten-plus": NumpyFotenPlus,
     "foten": NumpyNetwork,
     "ten": NumpyNetwork,
     "ar": NumpyAr,
+    **dict.fromkeys(GRAPHS, GraphEngine),
 }
 """What runs each model of a texture file."""
 

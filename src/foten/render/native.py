@@ -108,11 +108,16 @@ class _Options(Structure):
 
 
 _FLOATS, _DOUBLES = POINTER(c_float), POINTER(c_double)
+_PREDICTOR = ctypes.CFUNCTYPE(c_float, c_void_p, POINTER(c_float))
 _SIGNATURES = {
     "foten_abi": (c_int, []),
     "foten_version": (c_char_p, []),
     "foten_isa": (c_char_p, []),
     "foten_model_load": (c_int, [c_void_p, c_size_t, POINTER(c_void_p), c_char_p, c_size_t]),
+    "foten_model_load_with": (
+        c_int,
+        [c_void_p, c_size_t, _PREDICTOR, c_void_p, POINTER(c_void_p), c_char_p, c_size_t],
+    ),
     "foten_model_free": (None, [c_void_p]),
     "foten_model_info": (_Info, [c_void_p]),
     "foten_state_new": (c_void_p, [c_void_p, POINTER(_Options)]),
@@ -195,6 +200,11 @@ class NativeTexture:
     def __init__(self, data: bytes) -> None:
         pointer, why = c_void_p(), ctypes.create_string_buffer(512)
         status = library().foten_model_load(data, len(data), byref(pointer), why, len(why))
+        if status == _NO_PREDICTOR:
+            self._asked = _asked(data)  # as long as the texture is
+            status = library().foten_model_load_with(
+                data, len(data), self._asked, None, byref(pointer), why, len(why)
+            )
         if status == _NO_MEMORY:
             raise MemoryError(why.value.decode(errors="replace"))
         if status != 0:
@@ -403,8 +413,23 @@ def _freed_with(owner: object, free: Callable[[c_void_p], None], pointer: c_void
     weakref.finalize(owner, free, pointer).atexit = False
 
 
-_ABI = 1  # FOTEN_ABI of the header that this follows
-_NO_MEMORY = 3
+def _asked(data: bytes) -> ctypes._FuncPointer:
+    """Return what the kernel asks for the next sample of a window, of a file whose model it has no code for."""
+    from foten.render.graph import GraphEngine
+    from foten.texture_file import texture_from_bytes
+
+    texture = texture_from_bytes(data)
+    engine = GraphEngine(texture.architecture, texture.tensors)
+    shape = (1, engine.window, 3)
+
+    def answer(_: int | None, window: ctypes._Pointer[c_float]) -> float:
+        return engine.answer(np.ctypeslib.as_array(window, shape))
+
+    return _PREDICTOR(answer)
+
+
+_ABI = 2  # FOTEN_ABI of the header that this follows
+_NO_MEMORY, _NO_PREDICTOR = 3, 5
 
 
 def _filled(array: NDArray[np.float32]) -> ctypes._Pointer[c_float]:

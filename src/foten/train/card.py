@@ -17,6 +17,11 @@ def recorded_peak(prepared: Prepared) -> float:
     return float(np.abs(prepared.samples[list(prepared.split.train), :, 0]).max())
 
 
+def saturation_of(prepared: Prepared) -> float:
+    """Return what samples are cut to, for safety only: well beyond what was recorded, in standard deviations."""
+    return max(12.0, 1.5 * recorded_peak(prepared))
+
+
 def card_of(
     recording: Recording,
     prepared: Prepared,
@@ -33,8 +38,7 @@ def card_of(
     return {
         "rate_hz": trace.rate_hz,
         "trained_range": {"speed": [low[0], high[0]], "force": [low[1], high[1]]},
-        # For safety only: well beyond what was recorded.
-        "saturation": max(12.0, 1.5 * recorded_peak(prepared)),
+        "saturation": saturation_of(prepared),
         "lowpass_hz": preprocess_config.render_lowpass_hz,
         "delay_ms": preprocess_config.delay_ms,
         "texture": texture_name or recording.texture,

@@ -15,11 +15,16 @@ from foten.dsp.distance import log_spectral_distance, scored_bins, segment_lengt
 from foten.dsp.lattice import polynomial
 from foten.dsp.level import frame_levels, frame_means
 from foten.dsp.noise import gaussian
+from foten.models.excited import Excited
 from foten.models.foten_plus import Excitation, FotenPlus, Scale
 from foten.recording.scaling import Scaling
 from foten.render.closed_loop import ClosedLoop
 from foten.render.engine import NumpyFotenPlus
+from foten.render.excitation import Excitation as NumpyExcitation
+from foten.render.forecast import State
 from foten.render.synthesizer import FADE_FORCE, FADE_SPEED
+from foten.render.window_state import begun
+from foten.train.card import saturation_of
 from foten.train.config import TrainConfig
 from foten.train.fit import Data
 from foten.train.prepared import Prepared
@@ -195,7 +200,7 @@ def gaussianised(u: torch.Tensor, h: torch.Tensor) -> torch.Tensor:
 
 
 def fit_excitation(
-    network: FotenPlus, residual: Array, random: Data, prepared: Prepared, config: TrainConfig
+    network: FotenPlus | Excited, residual: Array, random: Data, prepared: Prepared, config: TrainConfig
 ) -> tuple[list[float], float]:
     """Give a network its excitation: scale, tails, and level in the closed loop; nothing is left of one that it had.
 
@@ -229,7 +234,7 @@ def _sigma(excitation: Excitation, random: Data) -> Array:
         return excitation(condition).cpu().double().numpy()
 
 
-def fit_swell(network: FotenPlus, prepared: Prepared, seed: int) -> None:
+def fit_swell(network: FotenPlus | Excited, prepared: Prepared, seed: int) -> None:
     """Let the loudness swell by itself where the recording is spikier than the free run, as far as that is beyond chance.
 
     exp(4s²) is the ratio of their kurtoses over all training and validation blocks, its logarithm shrunk by how little it is
@@ -346,8 +351,8 @@ def _unevenness(blocks: Array, frame_ms: float, rate_hz: float) -> float:
 
 def _bound(excitation: Excitation, random: Data, residual: Array) -> None:
     """Let no excitation be larger than what was left to explain at the training indices, (n,), in σ and in acceleration."""
-    assert random.unit is not None
-    scale, unit = _sigma(excitation, random)[: len(residual)], random.unit[random.train]
+    scale = _sigma(excitation, random)[: len(residual)]
+    unit = 1.0 if random.unit is None else random.unit[random.train]
     largest = [float(np.abs(values).max()) for values in (residual / scale, residual * unit)]
     excitation.largest.copy_(torch.tensor(largest))
 
@@ -359,8 +364,35 @@ def engine_of(network: FotenPlus) -> NumpyFotenPlus:
     )
 
 
+class TorchEngine:
+    """A one-step network with an excitation that is not in a file yet, in float32."""
+
+    def __init__(self, network: Excited) -> None:
+        self.window = network.architecture.history
+        self.excitation = NumpyExcitation(
+            {f"excitation.{name}": t.cpu().numpy() for name, t in network.excitation.state_dict().items()}
+        )
+        self._network = network.network
+
+    def predict(self, windows: Array) -> Array:
+        """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
+        with torch.no_grad():
+            return self._network(torch.from_numpy(windows).float()).double().numpy()
+
+    def start(self, windows: Array) -> State:
+        """Return the state of streams that have heard the given scaled windows, shape (s, m, 3)."""
+        return begun(self, windows)
+
+
+def _loop(network: FotenPlus | Excited, prepared: Prepared, start: Array) -> ClosedLoop:
+    """Return streams that go on from scaled windows (s, m, 3); what nothing bounds, the saturator does."""
+    if isinstance(network, FotenPlus):
+        return ClosedLoop(engine_of(network).start(start))
+    return ClosedLoop(TorchEngine(network).start(start), saturation_of(prepared))
+
+
 def _free_runs(
-    network: FotenPlus, prepared: Prepared, blocks: tuple[int, ...], seed: int, first_stream: int
+    network: FotenPlus | Excited, prepared: Prepared, blocks: tuple[int, ...], seed: int, first_stream: int
 ) -> tuple[Array, Array]:
     """Return recorded blocks and free runs under their speed and force, scaled: (n_blocks, n), (N_HEARD, n_blocks, n).
 
@@ -374,12 +406,12 @@ def _free_runs(
     settled = max(m, round(0.2 * block))
     start, condition = (np.tile(part, (N_HEARD, 1, 1)) for part in (by_block[:, :m], by_block[:, m:, 1:]))
     noise = np.stack([gaussian(seed, first_stream + k, 0, block - m) for k in range(len(start))])
-    rendered = ClosedLoop(engine_of(network).start(start)).run(condition, noise)[:, settled - m :]
+    rendered = _loop(network, prepared, start).run(condition, noise)[:, settled - m :]
     return by_block[:, settled:, 0], rendered.reshape(N_HEARD, len(blocks), -1)
 
 
 def free_run_distance(
-    network: FotenPlus, prepared: Prepared, blocks: tuple[int, ...], seed: int
+    network: FotenPlus | Excited, prepared: Prepared, blocks: tuple[int, ...], seed: int
 ) -> tuple[float, float]:
     """Return how far the free run is from recorded blocks, on noise of its own: log-spectral distance and level error [dB]."""
     trace = prepared.trace
@@ -395,15 +427,15 @@ def free_run_distance(
     )
 
 
-def _rung(network: FotenPlus, power: Array) -> Array:
+def _rung(network: FotenPlus | Excited, power: Array) -> Array:
     """Return the power that leaves the excited lattice, for that which drives it at each sample, (n_blocks, n, any).
 
     Where the level scales what leaves the lattice, what rang before is levelled with the sample that it rings into, and nothing
     carries over. Where it drives it, power rings on as the square of the impulse response does, that of the mean reflections.
     """
-    lattice = network.excited
-    if not lattice.level_drives:
+    if isinstance(network, Excited) or not network.excited.level_drives:
         return power
+    lattice = network.excited
     k = lattice.reflections.mean(dim=0).numpy()
     n = power.shape[1]
     answer = np.square(lfilter([1.0], polynomial(k), np.eye(1, n)[0]))
@@ -413,7 +445,7 @@ def _rung(network: FotenPlus, power: Array) -> Array:
 
 
 def settle_level(
-    network: FotenPlus, prepared: Prepared, trained: NDArray[np.int64], seed: int
+    network: FotenPlus | Excited, prepared: Prepared, trained: NDArray[np.int64], seed: int
 ) -> list[float]:
     """Adjust σ until the closed loop is as loud as the recording, at every speed and force.
 
@@ -443,7 +475,7 @@ def settle_level(
     within = torch.from_numpy(prepared.samples.reshape(-1, 3)[trained - 1, 1:]).float()
     errors = []
     for _ in range(N_SETTLING):
-        loop = ClosedLoop(engine_of(network).start(by_block[:, :m]))
+        loop = _loop(network, prepared, by_block[:, :m])
         rendered = loop.run(by_block[:, m:, 1:], noise)[:, settled - m :]
         error = (frame_levels(rendered, rate, reference) - level).ravel()
         louder, doubt = _louder(rendered, recorded)

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import copy
+import io
 import math
+import warnings
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import nn
+from torch.utils.flop_counter import FlopCounterMode
 
-from foten.architecture import TenArchitecture, sizes
+from foten.architecture import GraphArchitecture, TenArchitecture, sizes
 from foten.dsp.noise import Swell, gaussian
+from foten.models.excited import Excited
 from foten.models.foten_plus import FotenPlus
 from foten.recording.scaling import Scaling
 from foten.render.engine import engine_for
+from foten.render.graph import GRAPH, INPUT, OUTPUT
 from foten.render.synthesizer import prove
 from foten.texture_file import FORMAT_VERSION, Texture, texture_from_bytes
 
@@ -28,7 +33,7 @@ class TorchPredictor:
     def __init__(self, network: nn.Module, window: int) -> None:
         self.window = window
         self._network = copy.deepcopy(network).cpu().double().eval()
-        self.excited = isinstance(network, FotenPlus)
+        self.excited = isinstance(network, FotenPlus | Excited)
 
     def predict(self, windows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
@@ -38,8 +43,12 @@ class TorchPredictor:
     def scale(self, windows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return by how much a unit of excitation moves the next samples: windows (b, m, 3) scaled → (b,) scaled."""
         with torch.no_grad():
-            heard = self._network.start(torch.from_numpy(np.ascontiguousarray(windows)))
-            return self._network.forecast(heard)[1].numpy() * self._swell().factor()
+            given = torch.from_numpy(np.ascontiguousarray(windows))
+            if isinstance(self._network, Excited):
+                unit = self._network.excitation(given[:, -1, 1:])
+            else:
+                unit = self._network.forecast(self._network.start(given))[1]
+            return unit.numpy() * self._swell().factor()
 
     def _swell(self) -> Swell:
         kept, sd = (float(value) for value in self._network.excitation.swell)
@@ -62,12 +71,18 @@ class TorchPredictor:
         out = np.empty(len(condition))
         window = start[None].astype(np.float64)
         with torch.no_grad():
-            heard = self._network.start(torch.from_numpy(window)) if self.excited else None
+            by_window = not isinstance(self._network, FotenPlus)
+            heard = None if by_window else self._network.start(torch.from_numpy(window))
             before = window[0, -1, 1:]
             swell = self._swell() if self.excited else None
             for n, row in enumerate(condition):
                 if heard is None or swell is None:
                     out[n] = self.predict(window)[0]
+                    if swell is not None:
+                        loud = float(self._network.excitation(torch.from_numpy(window[:, -1, 1:]))[0])
+                        loud *= float(swell.factor()[0])
+                        out[n] += loud * self._heavy(noise[n], window[0, -1, 1:], loud)
+                        swell.push(noise[n : n + 1])
                     window = np.concatenate([window[:, 1:], [[[out[n], *row]]]], axis=1)
                     continue
                 sample, scale = self._network.forecast(heard)
@@ -82,7 +97,7 @@ class TorchPredictor:
 def export(
     network: nn.Module,
     key: str,
-    architecture: TenArchitecture,
+    architecture: TenArchitecture | GraphArchitecture,
     scaling: Scaling,
     windows: NDArray[np.float64],
     warm_start: NDArray[np.float64],
@@ -101,7 +116,16 @@ def export(
     Raises:
         ValueError: the engine does not reproduce the network.
     """
-    tensors = {name: tensor.detach().cpu().numpy().copy() for name, tensor in network.state_dict().items()}
+    alone = network.network if isinstance(network, Excited) else network
+    tensors: dict[str, NDArray[Any]] = {}
+    if architecture.in_graph:
+        tensors[GRAPH] = graph_of(alone, architecture.history)
+        cost = _multiply_adds(alone, architecture.history)
+        card = {**card, "metrics": {**card["metrics"], "multiply_adds": cost}}
+    else:
+        tensors = _tensors_of(alone)
+    if isinstance(network, Excited):
+        tensors |= {f"excitation.{name}": t for name, t in _tensors_of(network.excitation).items()}
     # The reference reads the same rounded tensors that the file holds.
     predictor = TorchPredictor(network, architecture.history)
     picked = windows[np.linspace(0, len(windows) - 1, _N_GOLDEN).astype(int)]
@@ -132,3 +156,34 @@ def export(
     texture = texture_from_bytes(texture.to_bytes())
     prove(texture, engine_for(texture))
     return texture
+
+
+def _tensors_of(module: nn.Module) -> dict[str, NDArray[Any]]:
+    return {name: tensor.detach().cpu().numpy().copy() for name, tensor in module.state_dict().items()}
+
+
+def graph_of(network: nn.Module, m: int) -> NDArray[np.uint8]:
+    """Return a network as the bytes of an ONNX graph, windows (b, m, 3) → (b,), float32."""
+    file = io.BytesIO()
+    network = copy.deepcopy(network).cpu().float().eval()
+    with warnings.catch_warnings():
+        # The exporter by tracing: the other takes fifteen seconds for what this does in half a one, and needs two packages more.
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            network,
+            (torch.zeros(2, m, 3),),
+            file,
+            dynamo=False,
+            opset_version=17,
+            input_names=[INPUT],
+            output_names=[OUTPUT],
+            dynamic_axes={INPUT: {0: "b"}, OUTPUT: {0: "b"}},
+        )
+    return np.frombuffer(file.getvalue(), dtype=np.uint8)
+
+
+def _multiply_adds(network: nn.Module, m: int) -> int:
+    """Return what a sample costs in multiplications and additions in pairs."""
+    with torch.no_grad(), FlopCounterMode(display=False) as counter:
+        copy.deepcopy(network).cpu().float().eval().requires_grad_(False)(torch.zeros(1, m, 3))
+    return int(counter.get_total_flops()) // 2

@@ -14,9 +14,10 @@ import torch
 from numpy.typing import NDArray
 
 import foten
-from foten.architecture import FotenPlusArchitecture, TenArchitecture
+from foten.architecture import FotenPlusArchitecture, GraphArchitecture, HapinfArchitecture, TenArchitecture
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
 from foten.models import build
+from foten.models.excited import Excited
 from foten.models.foten_plus import FotenPlus
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
@@ -28,7 +29,7 @@ from foten.render.synthesizer import FADE_FORCE, FADE_SPEED
 from foten.texture_file import Texture
 from foten.train.card import card_of, recorded_peak
 from foten.train.config import WARM_START, TrainConfig
-from foten.train.excitation import engine_of, fit_excitation, free_run_distance
+from foten.train.excitation import TorchEngine, engine_of, fit_excitation, free_run_distance
 from foten.train.export import export
 from foten.train.fit import Data, Epoch, Progress, fit, pick_device, predict, reproducible
 from foten.train.linear_part import LinearPart, fit_linear_parts
@@ -57,7 +58,7 @@ class Trained:
 def train_texture(
     recording: Recording,
     key: str,
-    architecture: TenArchitecture,
+    architecture: TenArchitecture | GraphArchitecture,
     config: TrainConfig,
     preprocess_config: PreprocessConfig | None = None,
     split_method: str = "regrouped",
@@ -101,8 +102,14 @@ def train_texture(
             random = data if part.phase is None else _innovations(network, prepared, part.phase)
             trained = network.network.to(pick_device())
         else:
+            if key == "ldhtd":
+                data = _taught(data, architecture.window, config, on_stage)
             trained = network = build(key, architecture).to(pick_device())
         progress = fit(trained, data, config, on_epoch, checkpoint, resume)
+        if architecture.excited and not isinstance(network, FotenPlus):
+            on_stage("fitting the excitation and settling its level in the closed loop")
+            network = Excited(network, architecture)
+            level_errors, tail_gain, played, likelihood = _excited(network, data, prepared, config)
         lattice_mae = progress.epochs[0].validation_mae if isinstance(network, FotenPlus) else None
         if isinstance(network, FotenPlus):
             on_stage("fitting the excitation and settling its level in the closed loop")
@@ -156,6 +163,40 @@ def train_texture(
         some = windows(samples, ends[:: max(1, len(ends) // 4096)], architecture.history)
         texture = export(network, key, architecture, prepared.scaling, some, warm_start, card)
     return Trained(texture, trace, split, progress, lattice_mae)
+
+
+def _excited(
+    network: Excited, data: Data, prepared: Prepared, config: TrainConfig
+) -> tuple[list[float], float, tuple[float, float], float | None]:
+    """Give a one-step network its excitation, that of foten-plus.
+
+    Returns:
+        What `fit_excitation` returns; the free run's log-spectral distance and level error on the validation blocks [dB]; the
+        mean negative log-likelihood there, where a rendering does not fade [nat].
+    """
+    both, n = np.concatenate([data.train, data.validation]), data.validation
+    residual = data.samples[both, 0] - predict(network.network, data, both)
+    level_errors, tail_gain = fit_excitation(network, residual, data, prepared, config)
+    played = free_run_distance(network, prepared, prepared.split.validation, config.seed)
+    missed, trace = residual[len(data.train) :], prepared.trace
+    heard = (trace.speed[n] >= FADE_SPEED) & (trace.force[n] >= FADE_FORCE)
+    expected = TorchEngine(network).excitation.forecast(0 * missed, np.ones(len(n)), data.samples[n - 1, 1:3])
+    _, nats = excitation_fit(expected, missed)
+    return level_errors, tail_gain, played, float(nats[heard].mean()) if heard.any() else None
+
+
+def _taught(data: Data, m: int, config: TrainConfig, on_stage: Callable[[str], None]) -> Data:
+    """Return data whose targets in training lie half-way to what a teacher predicts, those of validation as they were.
+
+    The mean of the squared errors against the recording and against the teacher, 0.5 (y − s)² + 0.5 (t − s)², differs from the
+    squared error against their mean by what s has no part in.
+    """
+    on_stage("training the teacher, hapinf")
+    teacher = build("hapinf", HapinfArchitecture(window=m, n_start=min(10, m))).to(pick_device())
+    fit(teacher, data, config)
+    target = data.samples[:, 0].copy()
+    target[data.train] = 0.5 * (target[data.train] + predict(teacher, data, data.train))
+    return replace(data, target=target)
 
 
 def _settled(

@@ -1,0 +1,80 @@
+"""Networks as graphs, run by ONNX Runtime: what the kernel has no code for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.architecture import Architecture
+from foten.render.excitation import Excitation
+from foten.render.forecast import Forecast
+from foten.render.window_state import WindowState, begun, followed
+
+Array = NDArray[np.float64]
+
+GRAPH = "graph"  # the tensor that holds one, as bytes
+INPUT, OUTPUT = "windows", "next"
+_AT_ONCE = 4096  # windows
+
+
+class GraphEngine:
+    """A one-step network in ONNX Runtime, on one thread, in float32.
+
+    Raises:
+        ValueError: onnxruntime is not installed, or the graph is damaged or another one than windows (b, m, 3) → (b,).
+    """
+
+    def __init__(self, architecture: Architecture, tensors: Mapping[str, NDArray[Any]]) -> None:
+        self.window = architecture.history
+        self.excitation = Excitation(tensors) if architecture.excited else None
+        self._session = _session(tensors[GRAPH].tobytes())
+        inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
+        named = [(one.name, one.type) for one in (*inputs, *outputs)]
+        if named != [(INPUT, "tensor(float)"), (OUTPUT, "tensor(float)")] or inputs[0].shape[1:] != [
+            self.window,
+            3,
+        ]:
+            raise ValueError(
+                f"the graph takes {[(one.name, one.shape) for one in inputs]}, expected windows (b, {self.window}, 3)"
+            )
+
+    def predict(self, windows: Array) -> Array:
+        """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
+        given = windows.astype(np.float32)
+        pieces = [
+            self._session.run([OUTPUT], {INPUT: given[i : i + _AT_ONCE]})[0]
+            for i in range(0, len(given), _AT_ONCE)
+        ]
+        return np.concatenate(pieces).astype(np.float64) if pieces else np.empty(0)
+
+    def start(self, windows: Array) -> WindowState:
+        """Return the state of streams that have heard the given scaled windows, shape (s, m, 3)."""
+        return begun(self, windows)
+
+    def follow_heard(self, blocks: Array) -> Forecast:
+        """Return the forecast of every sample of recorded blocks, with its excitation: `ExcitedEngine`."""
+        return followed(self, blocks)
+
+    def answer(self, window: NDArray[np.float32]) -> float:
+        """Return the next sample: a window (1, m, 3) scaled → scaled, without copies."""
+        return float(self._session.run([OUTPUT], {INPUT: window})[0][0])
+
+
+def _session(graph: bytes) -> Any:
+    try:
+        import onnxruntime
+    except ImportError as error:
+        raise ValueError(
+            "this texture's model runs in ONNX Runtime, which is not installed: pip install 'foten[onnx]'"
+        ) from error
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4  # what is wrong is said by the error
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    try:
+        return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # of onnxruntime, whose errors have no common base but this
+        raise ValueError(f"the texture's graph is damaged: {str(error).splitlines()[0][:200]}") from error

@@ -1,0 +1,168 @@
+"""What every model keeps: a tiny trace makes a file that loads without PyTorch, is judged, renders, and refuses what is bad."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from conftest import architecture_with
+from foten.architecture import ARCHITECTURES, GRAPHS
+from foten.datasets.hdf5 import write_recording
+from foten.datasets.simulate import simulate
+from foten.recording.preprocess import PreprocessConfig
+from foten.recording.recording import Recording
+from foten.render.native import NativeTexture
+from foten.render.renderer import Renderer
+from foten.render.synthesizer import Synthesizer
+from foten.texture_file import CLOSED_LOOP_TOLERANCE, Texture, texture_from_bytes, write_texture
+from foten.train.config import OWN_RECIPES, TrainConfig
+from foten.train.local import train_local
+from foten.train.train import train_texture
+
+SMALL = {
+    **{"d_model": 8, "n_heads": 2, "n_layers": 1, "d_feedforward": 16, "head": (16, 8), "spectral_width": 8},
+    **{"channels": 8, "squeezed": 2, "recurrent": 8, "dense": 8, "first": 8, "second": 4, "n_lags": 3},
+    **{"window": 40, "excitation": True},
+}
+SHORT = PreprocessConfig(trim_ms=0, block_ms=500)
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return simulate("linear-twin", 8.0)
+
+
+@pytest.fixture(scope="module")
+def textures(recording: Recording) -> dict[str, Texture]:
+    """Return every model, trained for an epoch."""
+    found = {}
+    for key in ARCHITECTURES:
+        if key == "ar":
+            found[key] = train_local(recording, SHORT).texture
+            continue
+        config = TrainConfig(
+            epochs=1, batch=512, threads=1, max_order=8, tones=False, **OWN_RECIPES.get(key, {})
+        )
+        architecture = architecture_with(key, SMALL)
+        found[key] = train_texture(recording, key, architecture, config, SHORT).texture
+    return found
+
+
+def test_each_loads_without_pytorch_is_judged_and_renders(
+    textures: dict[str, Texture], recording: Recording, tmp_path: Path
+) -> None:
+    write_recording(recording, tmp_path / "recording.h5")
+    for key, texture in textures.items():
+        write_texture(texture, tmp_path / f"{key}.foten")
+    program = """
+import json, sys
+from pathlib import Path
+
+class NoTorch:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] == "torch":
+            raise ImportError("blocked", name="torch")
+
+sys.meta_path.insert(0, NoTorch())
+import numpy as np
+from foten.datasets.hdf5 import load_recording
+from foten.evaluate.evaluate import evaluate
+from foten.render.renderer import Renderer
+from foten.texture_file import read_texture
+folder, found = Path(sys.argv[1]), {}
+recording = load_recording(folder / "recording.h5")
+for path in sorted(folder.glob("*.foten")):
+    document = evaluate(read_texture(path), recording).document
+    out = Renderer(path, rate=8000, seed=1).render(speed_mm_s=80.0, force_n=0.8, n=8000)
+    found[path.stem] = {
+        "one_step": document["one_step"]["mae_scaled"], "nll": document["one_step"]["nll"],
+        "free_run": document["free_run"]["lsd_db"], "zero": document["references"]["zero"]["mae_scaled"],
+        "finite": bool(np.isfinite(out).all()), "peak": float(np.abs(out).max()), "sd": float(out.std()),
+    }
+print(json.dumps(found))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program, str(tmp_path)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert set(found) == set(ARCHITECTURES)
+    for key, of in found.items():
+        texture = textures[key]
+        bound = texture.card["saturation"] * texture.scaling.sd[0]
+        assert of["finite"], key
+        assert 0.02 * texture.scaling.sd[0] < of["sd"], key
+        # The change of rate lets a cut wave overshoot a little.
+        assert of["peak"] < 1.3 * bound, key
+        assert of["one_step"] < 1.2 * of["zero"], key
+        assert np.isfinite([of["nll"], of["free_run"]]).all(), key
+
+
+@pytest.mark.parametrize("key", ARCHITECTURES)
+def test_the_kernel_renders_what_numpy_renders(textures: dict[str, Texture], key: str) -> None:
+    """Seam: ONNX Runtime called from the kernel's loop, beside it in NumPy's.
+
+    The kernel takes speeds in float32, and what is begun with is the loop's own output: ten times a proof's tolerance.
+    """
+    texture = textures[key]
+    speed, force = np.linspace(20, 160, 64), np.linspace(0.4, 1.5, 64)
+    expected = Synthesizer(texture, seed=5).render(speed, force)
+    found = Renderer(texture, seed=5).render(speed, force)
+    scale = texture.scaling.sd[0] * np.maximum(1.0, np.abs(expected / texture.scaling.sd[0]))
+    assert (np.abs(found - expected) / scale).max() < 10 * CLOSED_LOOP_TOLERANCE
+    assert np.abs(expected).max() > 0
+
+
+@pytest.mark.parametrize("key", ARCHITECTURES)
+def test_blocks_of_any_size_give_the_same_bytes(textures: dict[str, Texture], key: str) -> None:
+    whole, pieces = (Renderer(textures[key], rate=3000, seed=2) for _ in range(2))
+    expected = whole.render(speed_mm_s=70.0, force_n=1.0, n=300)
+    found = [pieces.render(speed_mm_s=70.0, force_n=1.0, n=n) for n in (1, 7, 100, 192)]
+    np.testing.assert_array_equal(np.concatenate(found), expected)
+    whole.reset()
+    np.testing.assert_array_equal(whole.render(speed_mm_s=70.0, force_n=1.0, n=300), expected)
+
+
+@pytest.mark.parametrize("key", ARCHITECTURES)
+def test_what_is_bad_is_refused(textures: dict[str, Texture], key: str) -> None:
+    data = textures[key].to_bytes()
+    renderer = Renderer(data)
+    with pytest.raises(ValueError, match="a speed is negative, NaN or infinite"):
+        renderer.render(speed_mm_s=np.nan, force_n=1.0, n=10)
+    assert np.isfinite(renderer.render(speed_mm_s=0.0, force_n=0.0, n=100)).all()
+    for damaged in (data[: len(data) // 2], data[:8] + b"{" + data[9:100]):
+        with pytest.raises(ValueError, match=r"truncated|not a texture file|damaged|not JSON"):
+            NativeTexture(damaged)
+        with pytest.raises(ValueError, match=r"truncated|not a texture file|damaged|not JSON"):
+            texture_from_bytes(damaged)
+
+
+@pytest.mark.parametrize("key", GRAPHS)
+def test_a_damaged_graph_is_refused_in_one_line(textures: dict[str, Texture], key: str) -> None:
+    texture = textures[key]
+    for graph in (texture.tensors["graph"][:-200], np.zeros(10, dtype=np.uint8)):
+        data = Texture(texture.card, {**texture.tensors, "graph": graph}).to_bytes()
+        with pytest.raises(ValueError, match="the texture's graph is damaged") as error:
+            NativeTexture(data)
+        assert "\n" not in str(error.value)
+
+
+def test_a_graph_of_other_weights_fails_its_proof(textures: dict[str, Texture]) -> None:
+    golden = textures["fnn"].tensors["golden.one_step"] + 1e-3
+    data = Texture(textures["fnn"].card, {**textures["fnn"].tensors, "golden.one_step": golden}).to_bytes()
+    with pytest.raises(ValueError, match="fails its own proof: one step"):
+        NativeTexture(data)
+
+
+def test_without_onnx_runtime_one_line_says_so(
+    textures: dict[str, Texture], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(ValueError, match=r"pip install 'foten\[onnx\]'"):
+        Renderer(textures["dstn"])
+    assert Renderer(textures["foten"]).render(speed_mm_s=80.0, force_n=1.0, n=10).size == 10
