@@ -39,6 +39,8 @@ _EXTRAS = {
     "nptdms": "data",
     "pymatreader": "data",
     "torch": "train",
+    "ray": "sweep",
+    "onnx": "onnx",
 }
 """Which extra installs a package that may be missing."""
 
@@ -988,6 +990,91 @@ def doctor(as_json: JsonOption = False) -> None:
             print(f"{mark} {check.name:14s}{check.found}")
     if any(check.fine is False for check in found):
         raise typer.Exit(1)
+
+
+@app.command()
+def sweep(
+    experiment_file: Annotated[
+        str,
+        typer.Argument(
+            metavar="FILE.toml",
+            help="Which methods learn which textures; or one of ours: table-1, table-1-small, table-2, figure-5.",
+        ),
+    ],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of the results, one file a run.")
+    ],
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Runs at a time on this machine, a thread each. [its cores]")
+    ] = None,
+    address: Annotated[
+        str | None, typer.Option(help="Of a Ray cluster; auto for the one that this machine is part of.")
+    ] = None,
+    gpus_per_run: Annotated[
+        float,
+        typer.Option(min=0.0, max=8.0, help="Share of a GPU that each run takes: 0.25 lets four share one."),
+    ] = 0.0,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="List the runs and stop.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Train and judge every method of an experiment on every texture and split; goes on where it stopped."""
+    from foten.experiments.experiment import find_experiment, read_experiment
+
+    experiment = read_experiment(find_experiment(experiment_file))
+    runs = experiment.runs()
+    if dry_run:
+        for run in runs:
+            print(f"{run.method}, {run.texture}, split {run.split_seed}")
+        _say(f"{len(runs)} runs")
+        return
+    if output.exists() and not output.is_dir():
+        raise ValueError(f"-o {output} is a file, expected a folder")
+    from foten.experiments import sweep as sweeping
+
+    def on_progress(progress: sweeping.Progress) -> None:
+        run, n = progress.last, progress.n_done + progress.n_failed
+        ended = f"failed: {progress.why}" if progress.why else f"{progress.seconds:.0f} s"
+        left = f", about {progress.left_s / 60:.0f} min left" if progress.n_left else ""
+        _say(f"{n}/{n + progress.n_left} {run.method}, {run.texture}, split {run.split_seed}: {ended}{left}")
+
+    n_done, n_failed = sweeping.sweep(experiment, output, workers, address, gpus_per_run, on_progress, _say)
+    if as_json:
+        _print_json({"output": str(output), "n_runs": len(runs), "n_done": n_done, "n_failed": n_failed})
+    else:
+        print(f"{len(runs)} runs, {n_done} now, {n_failed} failed; next: foten tables {output}")
+    if n_failed:
+        raise typer.Exit(1)
+
+
+@app.command()
+def tables(
+    results: Annotated[Path, typer.Argument(metavar="DIR", help="Results of foten sweep.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Write each table as .md, .csv and .tex."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Set the results of a sweep beside references and beside the paper's figures."""
+    from foten.experiments.tables import FIGURES, FORMATS, findings, read_results, table, written
+
+    if not results.is_dir():
+        raise ValueError(f"there is no folder {results}")
+    found = read_results(results)
+    cells = {name: table(found, name) for name in FIGURES}
+    if output is not None:
+        if output.exists() and not output.is_dir():
+            raise ValueError(f"-o {output} is a file, expected a folder")
+        output.mkdir(parents=True, exist_ok=True)
+        for name, one in cells.items():
+            for form in FORMATS:
+                with whole_file(output / f"{name}.{form}") as part:
+                    part.write_text(written(one, form), encoding="utf-8")
+    said = list(findings(found))
+    if as_json:
+        _print_json({"tables": cells, "findings": said})
+        return
+    print("\n".join([*(written(one, "md") for one in cells.values()), *said]))
 
 
 @app.command()

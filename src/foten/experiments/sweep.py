@@ -1,0 +1,211 @@
+"""Every run of an experiment, on one machine or a cluster: Ray spreads them, this process keeps what comes back.
+
+A result is one file named by the hash of all that it depends on, written by the process that sweeps, whole or not at all: a sweep
+goes on where it stopped, may be started twice, and survives a worker or a node, whose runs Ray starts elsewhere. A recording
+goes to each node once, through Ray's object store.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import foten
+from foten.architecture import ArArchitecture, architecture_from
+from foten.datasets.hdf5 import load_recording
+from foten.datasets.simulate import simulate
+from foten.evaluate.evaluate import evaluate
+from foten.experiments.experiment import Experiment, Run
+from foten.experiments.truth import truth_for
+from foten.recording.preprocess import PreprocessConfig
+from foten.recording.recording import Recording
+from foten.texture_file import Texture
+from foten.train.config import TrainConfig
+from foten.whole_file import whole_file
+
+RETRIES = 3  # of a run whose worker or node is lost
+THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a sweep is.
+
+    Attributes:
+        n_done, n_failed, n_left: runs; those of earlier sweeps are not counted.
+        last: the run that ended, its seconds, and why it failed, "" where it did not.
+        left_s: that the rest takes at this pace [s].
+    """
+
+    n_done: int
+    n_failed: int
+    n_left: int
+    last: Run
+    seconds: float
+    why: str
+    left_s: float
+
+
+def recording_of(run: Run) -> Recording:
+    """Return what a run learns from."""
+    if run.seconds is None:
+        return load_recording(Path(run.texture))
+    return simulate(run.texture, run.seconds, seed=run.split_seed)
+
+
+def execute(run: Run, recording: Recording) -> dict[str, Any]:
+    """Return the result of one run: what was trained, its figures on the test blocks, and how long both took."""
+    started = time.perf_counter()
+    texture = _trained(run, recording)
+    trained = time.perf_counter()
+    document = evaluate(texture, recording, truth_for(recording, texture)).document
+    metrics = texture.card["metrics"]
+    return {
+        "run": asdict(run),
+        "foten": foten.__version__,
+        "versions": texture.card["training"]["versions"],
+        "recording_sha256": document["recording_sha256"],
+        "seconds": {"training": trained - started, "evaluation": time.perf_counter() - trained},
+        "n_epochs": metrics.get("n_epochs"),
+        "validation_mae_scaled": metrics["validation_mae_scaled"],
+        "file_bytes": len(texture.to_bytes()),
+        "evaluation": document,
+    }
+
+
+def _trained(run: Run, recording: Recording) -> Texture:
+    preprocess = PreprocessConfig(**run.preprocess)
+    if run.model == "ar":
+        from foten.train.local import train_local
+
+        return train_local(recording, preprocess, split_seed=run.split_seed).texture
+    from foten.train.train import train_texture
+
+    architecture = architecture_from(run.model, run.sizes)
+    assert not isinstance(architecture, ArArchitecture)
+    config = TrainConfig(**run.train)
+    trained = train_texture(recording, run.model, architecture, config, preprocess, split_seed=run.split_seed)
+    if trained.progress.interrupted:
+        raise KeyboardInterrupt
+    return trained.texture
+
+
+def sweep(
+    experiment: Experiment,
+    results: Path,
+    workers: int | None = None,
+    address: str | None = None,
+    gpus_per_run: float = 0.0,
+    on_progress: Callable[[Progress], None] = lambda progress: None,
+    say: Callable[[str], None] = lambda text: None,
+) -> tuple[int, int]:
+    """Execute the runs of an experiment that have no result yet, and keep one file each.
+
+    Args:
+        experiment: what to run.
+        results: folder of the result files.
+        workers: runs at a time on this machine; one a core by default. Each has one thread.
+        address: of a Ray cluster, "auto" for the one that this machine is part of; None starts Ray here.
+        gpus_per_run: share of a GPU that each run takes.
+        on_progress: called after each run.
+        say: called with what goes on.
+
+    Returns:
+        How many runs were done, and how many failed.
+
+    Raises:
+        ValueError: a setting does not fit, or there is no such cluster.
+    """
+    import ray
+
+    runs = experiment.runs()
+    results.mkdir(parents=True, exist_ok=True)
+    recordings: dict[Any, tuple[str, Recording]] = {}
+    waiting = []
+    for index, run in enumerate(runs):
+        if run.source not in recordings:
+            recording = recording_of(run)
+            recordings[run.source] = recording.sha256(), recording
+        path = results / f"{run.name(recordings[run.source][0], foten.__version__)}.json"
+        if not path.exists():
+            waiting.append((index, run, path))
+    say(f"{len(runs)} runs, {len(runs) - len(waiting)} of them done before")
+    if not waiting:
+        return 0, 0
+    _start_ray(workers, address)
+    try:
+        needed = {run.source for _, run, _ in waiting}
+        kept = {source: ray.put(recordings[source][1]) for source in needed}
+        recordings.clear()
+        task = ray.remote(num_cpus=1, num_gpus=gpus_per_run, max_retries=RETRIES)(_guarded)
+        pending = {
+            task.remote(asdict(run), kept[run.source]): (index, run, path) for index, run, path in waiting
+        }
+        return _collected(pending, on_progress)
+    finally:
+        ray.shutdown()
+
+
+def _start_ray(workers: int | None, address: str | None) -> None:
+    import ray
+
+    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "error"}
+    environment = {"env_vars": THREADS}
+    try:
+        if address is None:
+            ray.init(
+                address="local",
+                num_cpus=workers or os.cpu_count(),
+                include_dashboard=False,
+                runtime_env=environment,
+                **quiet,
+            )
+        else:
+            ray.init(address=address, runtime_env=environment, **quiet)
+    except (ConnectionError, RuntimeError) as error:
+        raise ValueError(
+            f"no Ray cluster answers at {address}: was it started with 'ray start --head', and is RAY_AUTH_TOKEN its token? "
+            f"({str(error).splitlines()[0]})"
+        ) from error
+
+
+def _guarded(run: Mapping[str, Any], recording: Recording) -> dict[str, Any]:
+    """Return a run's result, or why there is none: an error of ours would be the same on another worker."""
+    try:
+        return execute(Run(**run), recording)
+    except (ValueError, ArithmeticError, MemoryError) as error:
+        return {"failed": f"{type(error).__name__}: {error}"}
+
+
+def _collected(
+    pending: dict[Any, tuple[int, Run, Path]], on_progress: Callable[[Progress], None]
+) -> tuple[int, int]:
+    import ray
+
+    started = time.perf_counter()
+    n_done = n_failed = 0
+    while pending:
+        (ready, *_), _ = ray.wait(list(pending), num_returns=1)
+        index, run, path = pending.pop(ready)
+        try:
+            result = ray.get(ready)
+            why = str(result.get("failed", ""))
+        except ray.exceptions.RayError as error:
+            result, why = {}, f"lost {RETRIES + 1} times: {str(error).splitlines()[0]}"
+        if why:
+            n_failed += 1
+        else:
+            with whole_file(path) as part:
+                part.write_text(
+                    json.dumps({"index": index, **result}, indent=1, sort_keys=True, allow_nan=False) + "\n"
+                )
+            n_done += 1
+        seconds = sum(result["seconds"].values()) if "seconds" in result else 0.0
+        pace = (time.perf_counter() - started) / (n_done + n_failed)
+        on_progress(Progress(n_done, n_failed, len(pending), run, seconds, why, pace * len(pending)))
+    return n_done, n_failed

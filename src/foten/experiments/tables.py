@@ -1,0 +1,247 @@
+"""Result files to tables: methods by textures, beside the references and the paper's own figures, none typed by hand."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.experiments.paper import PAPER
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A number in the result files.
+
+    Attributes:
+        name: in headings, with its unit.
+        path: where it lies in `evaluation`.
+        reported: the attribute of `paper.Reported` that it stands beside, and by what that is multiplied; None for none.
+        better: 1 where more is better, −1 where less is.
+    """
+
+    name: str
+    path: str
+    reported: tuple[str, float] | None
+    better: int
+
+
+FIGURES = {
+    "mae": Figure("one-step MAE [sd]", "one_step.mae_scaled", ("mae", 1.0), -1),
+    "gfc": Figure("one-step GFC [%]", "one_step.gfc", ("gfc", 1.0), 1),
+    "lsd": Figure("free-run log-spectral distance [dB]", "free_run.lsd_db", None, -1),
+    "level": Figure("free-run level error [dB]", "free_run.level_error_db", None, -1),
+}
+PERCENT = {"gfc"}
+REFERENCES = {
+    "zero": "references.zero",
+    "persistence": "references.persistence",
+    "AR(20)": "references.ar",
+    "AR(20) by speed and force": "references.ar_scheduled",
+    "best AR": "references.ar_best",
+    "least possible": "references.bound",
+}
+FREE_RUN_REFERENCES = {"AR(20) with white noise": "free_run_ar", "ceiling": "ceiling"}
+FORMATS = ("md", "csv", "tex")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method or reference over textures.
+
+    Attributes:
+        name: of it.
+        model: key, "" for a reference.
+        values: by texture, one for each split, NaN where there is none.
+    """
+
+    name: str
+    model: str
+    values: Mapping[str, Array]
+
+    def means(self, textures: Sequence[str]) -> Array:
+        """Return the mean over splits for each texture, NaN where there is none."""
+        return np.array(
+            [self.values[t].mean() if len(self.values.get(t, ())) else math.nan for t in textures]
+        )
+
+
+def read_results(folder: Path) -> list[dict[str, Any]]:
+    """Return the results in a folder, in the order of their experiment.
+
+    Raises:
+        ValueError: there is none, or a file is no result.
+    """
+    found = []
+    for path in sorted(folder.glob("*.json")):
+        try:
+            result = json.loads(path.read_text())
+            result["run"]["method"], result["evaluation"]["one_step"]
+        except (json.JSONDecodeError, KeyError, TypeError) as error:
+            raise ValueError(f"{path.name} is no result of foten sweep") from error
+        found.append(result)
+    if not found:
+        raise ValueError(f"there is no result of foten sweep in {folder}")
+    return sorted(found, key=lambda result: result.get("index", 0))
+
+
+def rows_of(results: Sequence[Mapping[str, Any]], figure: str) -> tuple[list[str], list[Row]]:
+    """Return the textures, and a row for each reference and each method, references first."""
+    textures = list(dict.fromkeys(one["run"]["texture"] for one in results))
+    methods = {one["run"]["method"]: one["run"]["model"] for one in results}
+    head, _, key = FIGURES[figure].path.rpartition(".")
+    factor = 100.0 if figure in PERCENT else 1.0
+
+    def row(name: str, model: str, where: str, of: Sequence[Mapping[str, Any]]) -> Row:
+        by_texture: dict[str, list[float]] = {}
+        for one in of:
+            value = _at(one["evaluation"], f"{where}.{key}")
+            if value is not None:
+                by_texture.setdefault(one["run"]["texture"], []).append(factor * value)
+        return Row(name, model, {texture: np.array(values) for texture, values in by_texture.items()})
+
+    # A reference is the same whatever was trained beside it: once for each recording, split and preprocessing.
+    distinct = {
+        (one["recording_sha256"], one["run"]["split_seed"], json.dumps(one["run"]["preprocess"])): one
+        for one in results
+    }
+    references = FREE_RUN_REFERENCES if head == "free_run" else REFERENCES
+    rows = [row(name, "", where, list(distinct.values())) for name, where in references.items()]
+    for name, model in methods.items():
+        of_method = [one for one in results if one["run"]["method"] == name]
+        found = row(name, model, head, of_method)
+        if not found.values and head == "free_run":
+            found = row(f"{name}, without excitation", model, "free_run_deterministic", of_method)
+        rows.append(found)
+    return textures, [one for one in rows if one.values]
+
+
+def _at(document: Mapping[str, Any], path: str) -> float | None:
+    found: Any = document
+    for key in path.split("."):
+        found = found.get(key) if isinstance(found, Mapping) else None
+    return found
+
+
+def holm(p: Sequence[float]) -> list[float]:
+    """Return p-values corrected for that several were asked for, after Holm (1979), in the order given."""
+    order = np.argsort(p, kind="stable")
+    corrected, worst = [0.0] * len(p), 0.0
+    for rank, i in enumerate(order):
+        worst = max(worst, min(1.0, (len(p) - rank) * p[i]))
+        corrected[i] = worst
+    return corrected
+
+
+def compared(rows: Sequence[Row], textures: Sequence[str], better: int) -> tuple[str, dict[str, float]]:
+    """Return the best method on the mean of the textures, and for each other one how likely it is to differ by chance.
+
+    Wilcoxon's signed-rank test over the textures (means of splits), two-sided, Holm-corrected; empty with fewer than six
+    textures, of which no p below 0.05 can come.
+    """
+    from scipy.stats import wilcoxon
+
+    methods = [row for row in rows if row.model and np.isfinite(row.means(textures)).all()]
+    if not methods:
+        return "", {}
+    best = max(methods, key=lambda row: better * float(row.means(textures).mean()))
+    others = [row for row in methods if row is not best]
+    if len(textures) < 6 or not others:
+        return best.name, {}
+    differences = [row.means(textures) - best.means(textures) for row in others]
+    p = [float(wilcoxon(one).pvalue) if one.any() else 1.0 for one in differences]
+    return best.name, dict(zip((row.name for row in others), holm(p), strict=True))
+
+
+def table(results: Sequence[Mapping[str, Any]], figure: str) -> list[list[str]]:
+    """Return a table of one figure: its heading, then a row for each reference and method."""
+    of = FIGURES[figure]
+    textures, rows = rows_of(results, figure)
+    _, p = compared(rows, textures, of.better)
+    n_splits = max(len(values) for row in rows for values in row.values.values())
+    spread = f"mean ± sd of {n_splits} splits" if n_splits > 1 else "one split"
+    reported = of.reported is not None and any(row.model in PAPER for row in rows)
+    heading = [f"{of.name}, {spread}", *(Path(t).stem for t in textures), "mean"]
+    heading += ["p"] if p else []
+    heading += ["paper's mean"] if reported else []
+    cells = [heading]
+    for row in rows:
+        means = row.means(textures)
+        whole = f"{means.mean():.3f}" if np.isfinite(means).all() else "–"
+        line = [row.name, *(_cell(row.values.get(texture)) for texture in textures), whole]
+        if p:
+            line.append(f"{p[row.name]:.3f}" if row.name in p else "")
+        if reported and of.reported is not None:
+            attribute, scale = of.reported
+            value = getattr(PAPER[row.model], attribute) if row.model in PAPER else None
+            line.append("" if value is None else f"{scale * value:g}")
+        cells.append(line)
+    return cells
+
+
+def _cell(values: Array | None) -> str:
+    if values is None or not len(values):
+        return "–"
+    if len(values) == 1:
+        return f"{values[0]:.3f}"
+    return f"{values.mean():.3f} ± {values.std(ddof=1):.3f}"
+
+
+def written(cells: Sequence[Sequence[str]], form: str) -> str:
+    """Return a table as Markdown, CSV or LaTeX."""
+    if form == "csv":
+        out = io.StringIO()
+        csv.writer(out, lineterminator="\n").writerows(cells)
+        return out.getvalue()
+    if form == "md":
+        lines = [f"| {' | '.join(row)} |" for row in cells]
+        return "\n".join([lines[0], "|" + "---|" * len(cells[0]), *lines[1:]]) + "\n"
+    rows = [" & ".join(_escaped(cell) for cell in row) + r" \\" for row in cells]
+    columns = "l" + "r" * (len(cells[0]) - 1)
+    body = "\n".join([rows[0], r"\midrule", *rows[1:]])
+    return f"\\begin{{tabular}}{{{columns}}}\n\\toprule\n{body}\n\\bottomrule\n\\end{{tabular}}\n"
+
+
+def _escaped(cell: str) -> str:
+    for character in ("&", "%", "_", "#"):
+        cell = cell.replace(character, "\\" + character)
+    return cell.replace("±", r"$\pm$").replace("–", "--")
+
+
+def findings(results: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Say which method is best in each figure, how far from a linear predictor, and whether the paper's order is found."""
+    for name, of in FIGURES.items():
+        textures, rows = rows_of(results, name)
+        best, p = compared(rows, textures, of.better)
+        if not best:
+            continue
+        chance = [other for other, value in p.items() if value >= 0.05]
+        said = f"{of.name}: {best} is best on the mean"
+        if p:
+            said += (
+                f"; the difference may be chance for {', '.join(chance)}"
+                if chance
+                else "; all others differ (p < 0.05)"
+            )
+        yield said + "."
+    textures, rows = rows_of(results, "mae")
+    ours = {row.model: float(row.means(textures).mean()) for row in rows if row.model in PAPER}
+    known = {model: PAPER[model].mae for model in ours}
+    if len(ours) > 1 and all(math.isfinite(value) for value in ours.values()):
+        here = sorted(ours, key=lambda model: ours[model])
+        there = sorted(known, key=lambda model: known[model] or math.inf)
+        same = "the same order" if here == there else "another order"
+        yield (
+            f"By one-step error, best first: {', '.join(here)} here; {', '.join(there)} in the paper, whose regime and unit "
+            f"are not stated: {same}."
+        )

@@ -1,0 +1,206 @@
+"""Sweeps: a file says what is run, every run once, and what comes back becomes tables."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import false_discovery_control
+
+from foten.cli import _status
+from foten.experiments.experiment import find_experiment, read_experiment
+from foten.experiments.paper import PAPER
+from foten.experiments.tables import Row, compared, findings, holm, read_results, rows_of, table, written
+
+TINY = """
+title = "Two methods"
+seconds = 8
+textures = ["linear-cloth", "linear-twin"]
+methods = [{model = "fnn", name = "FNN [13]"}, {model = "fnn", name = "excited", sizes = {excitation = true}}]
+[train]
+epochs = 1
+[preprocess]
+trim_ms = 0
+block_ms = 1000
+"""
+
+
+def experiment(folder: Path, text: str = TINY) -> Path:
+    path = folder / "experiment.toml"
+    path.write_text(text)
+    return path
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the results of a sweep by the command, Ray in a process of its own."""
+    folder = tmp_path_factory.mktemp("sweep")
+    program = "from foten.cli import main; main()"
+    command = [sys.executable, "-c", program, "sweep", str(experiment(folder)), "-o", str(folder / "results")]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "RAY_DEDUP_LOGS": "0"}
+    for found in ((4, 0), (0, 0)):  # the second time nothing is left to do
+        done = subprocess.run(
+            [*command, "--workers", "2", "--json"],
+            capture_output=True,
+            text=True,
+            env=environment,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        document = json.loads(done.stdout)
+        assert (document["n_done"], document["n_failed"]) == found
+        if found[0]:
+            assert "4/4" in done.stderr
+            assert "min left" in done.stderr
+    return folder / "results"
+
+
+def test_every_run_is_one_file_named_by_what_it_depends_on(swept: Path) -> None:
+    results = read_results(swept)
+    assert len(results) == 4
+    assert [one["run"]["method"] for one in results] == ["FNN [13]", "excited"] * 2
+    assert all(one["run"]["train"]["epochs"] == 1 for one in results)
+    assert all(one["run"]["train"]["loss"] == "mse" for one in results)  # the model's own recipe
+    assert not list(swept.glob("*.part*"))
+    same = read_experiment(experiment(swept.parent)).runs()
+    names = {run.name(one["recording_sha256"], one["foten"]) for run, one in zip(same, results, strict=True)}
+    assert names == {path.stem for path in swept.glob("*.json")}
+
+
+def test_a_table_has_references_methods_and_the_papers_figure(swept: Path) -> None:
+    results = read_results(swept)
+    cells = table(results, "mae")
+    assert cells[0] == ["one-step MAE [sd], one split", "linear-cloth", "linear-twin", "mean", "paper's mean"]
+    rows = {row[0]: row[1:] for row in cells[1:]}
+    assert list(rows)[:2] == ["zero", "persistence"]
+    assert rows["FNN [13]"][-1] == str(PAPER["fnn"].mae)
+    found = [
+        one["evaluation"]["one_step"]["mae_scaled"] for one in results if one["run"]["method"] == "FNN [13]"
+    ]
+    assert rows["FNN [13]"][:3] == [f"{found[0]:.3f}", f"{found[1]:.3f}", f"{np.mean(found):.3f}"]
+    assert float(rows["least possible"][0]) < float(rows["best AR"][0]) < float(rows["zero"][0])
+    free = [row[0] for row in table(results, "lsd")]
+    assert free[1:] == ["AR(20) with white noise", "ceiling", "FNN [13], without excitation", "excited"]
+    assert any("best on the mean" in line for line in findings(results))
+
+
+def test_tables_are_written_in_three_forms(
+    swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _status(["tables", str(swept), "-o", str(tmp_path / "tables")]) == 0
+    assert "| FNN [13] |" in capsys.readouterr().out
+    assert sorted(path.name for path in (tmp_path / "tables").iterdir()) == sorted(
+        f"{name}.{form}" for name in ("mae", "gfc", "lsd", "level") for form in ("md", "csv", "tex")
+    )
+    latex = (tmp_path / "tables" / "gfc.tex").read_text()
+    assert r"GFC [\%]" in latex
+    assert latex.count(r"\\") == len((tmp_path / "tables" / "gfc.csv").read_text().splitlines())
+
+
+def test_special_characters_are_latexs() -> None:
+    assert (
+        written([["a_b & 5 %", "1.0 ± 0.1"], ["–", ""]], "tex").splitlines()[2]
+        == r"a\_b \& 5 \% & 1.0 $\pm$ 0.1 \\"
+    )
+
+
+def test_holm_is_at_least_as_strict_as_the_false_discovery_rate_and_never_above_bonferroni() -> None:
+    """By hand for three; beside SciPy's Benjamini–Hochberg, which is always more lenient."""
+    assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
+    p = np.random.default_rng(0).uniform(size=9).tolist()
+    found = np.array(holm(p))
+    assert (found >= false_discovery_control(p) - 1e-12).all()
+    assert (found <= np.minimum(1, 9 * np.array(p)) + 1e-12).all()
+
+
+def test_what_is_never_better_differs_and_what_is_the_same_does_not() -> None:
+    textures = [f"T{i}" for i in range(12)]
+    rng = np.random.default_rng(1)
+    base = rng.uniform(0.2, 0.6, 12)
+    values = {"best": base, "same": base + rng.normal(0, 0.01, 12) + 0.001, "worse": base + 0.1}
+    rows = [Row(name, "m", dict(zip(textures, v[:, None], strict=True))) for name, v in values.items()]
+    best, p = compared(rows, textures, -1)
+    assert best == "best"
+    assert p["worse"] < 0.01
+    assert p["same"] > 0.05
+    assert compared(rows, textures[:5], -1)[1] == {}
+
+
+@pytest.mark.parametrize("name", ["table-1", "table-1-small", "table-2", "figure-5"])
+def test_ours_are_read_and_are_as_large_as_the_papers(name: str) -> None:
+    n = {"table-1": 12 * 6 * 3, "table-1-small": 12 * 7, "table-2": 12 * 5 * 3, "figure-5": 216}
+    runs = read_experiment(find_experiment(name)).runs()
+    assert len(runs) == n[name]
+    paper = [run for run in runs if run.model == "foten" and name in ("table-1", "table-2")]
+    assert all(
+        (run.train["batch"], run.train["epochs"], run.train["learning_rate"]) == (16, 100, 1e-3)
+        for run in paper
+    )
+    windows = {run.sizes["window"] for run in runs if run.model == "foten"}
+    assert windows == ({5, 10, 15, 20, 25, 30} if name == "figure-5" else {20})
+
+
+def test_a_grid_crosses_sizes_and_training(tmp_path: Path) -> None:
+    text = TINY.replace("[train]", '[grid]\nwindow = [120, 144]\nloss = ["mse", "mae"]\n[train]')
+    runs = read_experiment(experiment(tmp_path, text)).runs()
+    assert len(runs) == 16
+    assert {(run.sizes["window"], run.train["loss"]) for run in runs} == {
+        (m, loss) for m in (120, 144) for loss in ("mse", "mae")
+    }
+    assert runs[0].method == "FNN [13] window 120, loss mse"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "match"),
+    [
+        ("seconds = 8", "seconds = ", "this is not TOML"),
+        ("seconds = 8", "second = 8", "unknown key 'second' in the file, expected one of title"),
+        ("seconds = 8", "seconds = 0", "seconds is 0, expected 1 to 3600"),
+        ('"linear-twin"', '"silk"', "unknown texture 'silk'"),
+        ('"linear-twin"', '"silk.h5"', "there is no recording silk.h5 beside the file"),
+        ('name = "excited"', 'name = "FNN [13]"', "two methods have the same name"),
+        ('"fnn", name = "e', '"fn", name = "e', "unknown model 'fn'"),
+        ("excitation = true", "excited = true", "method 'excited': fnn has no size 'excited'"),
+        ("epochs = 1", "epoch = 1", "unexpected keyword argument 'epoch'"),
+        ("epochs = 1", "epochs = -1", "epochs is -1, expected 0 or more"),
+        ("block_ms = 1000", "block = 1000", "unexpected keyword argument 'block'"),
+        ("[train]", "split_seeds = [1.5]\n[train]", "split_seeds is"),
+        ("[train]", "[grid]\nloss = 'mse'\n[train]", "'loss' in the grid is 'mse', expected a list"),
+    ],
+)
+def test_what_is_wrong_in_a_file_is_said_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, match: str
+) -> None:
+    assert old in TINY
+    path = experiment(tmp_path, TINY.replace(old, new, 1))
+    assert _status(["sweep", str(path), "-o", str(tmp_path / "results"), "--dry-run"]) == 2
+    told = capsys.readouterr().err.strip()
+    assert match in told
+    assert "\n" not in told
+    assert not (tmp_path / "results").exists()
+
+
+def test_runs_are_listed_without_running(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert _status(["sweep", str(experiment(tmp_path)), "-o", str(tmp_path / "results"), "--dry-run"]) == 0
+    assert capsys.readouterr().out.splitlines()[0] == "FNN [13], linear-cloth, split 1"
+    assert _status(["sweep", "no-such", "-o", str(tmp_path / "results")]) == 2
+    assert "table-1-small" in capsys.readouterr().err
+
+
+def test_a_folder_without_results_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert _status(["tables", str(tmp_path)]) == 2
+    assert "there is no result of foten sweep" in capsys.readouterr().err
+    (tmp_path / "x.json").write_text("{}")
+    assert _status(["tables", str(tmp_path)]) == 2
+    assert "x.json is no result" in capsys.readouterr().err
+
+
+def test_references_are_counted_once_for_each_split(swept: Path) -> None:
+    _, rows = rows_of(read_results(swept), "mae")
+    zero = next(row for row in rows if row.name == "zero")
+    assert all(len(values) == 1 for values in zero.values.values())
