@@ -14,6 +14,7 @@ from scipy.stats import false_discovery_control
 
 from foten.cli import _status
 from foten.experiments.experiment import find_experiment, read_experiment
+from foten.experiments.figures import figures
 from foten.experiments.paper import PAPER
 from foten.experiments.tables import Row, compared, findings, holm, read_results, rows_of, table, written
 
@@ -100,6 +101,31 @@ def test_tables_are_written_in_three_forms(
     latex = (tmp_path / "tables" / "gfc.tex").read_text()
     assert r"GFC [\%]" in latex
     assert latex.count(r"\\") == len((tmp_path / "tables" / "gfc.csv").read_text().splitlines())
+
+
+def test_figures_are_drawn_from_the_results(
+    swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _status(["figures", str(swept), "-o", str(tmp_path / "figures")]) == 0
+    names = ["figure-4", "figure-6", "figure-7"]  # no grid, no Fig. 5
+    made = [Path(line) for line in capsys.readouterr().out.splitlines()]
+    assert [path.name for path in made] == [f"{name}.{form}" for name in names for form in ("png", "pdf")]
+    assert all(path.stat().st_size > 5000 for path in made)
+    signals = read_results(swept)[1]["signals"]
+    assert len(signals["recorded"]) == len(signals["free_run"]) == 400
+    assert 0.2 < np.std(signals["free_run"]) / np.std(signals["recorded"]) < 5
+
+
+def test_windows_and_losses_are_drawn_where_there_is_a_grid(swept: Path) -> None:
+    results = read_results(swept)
+    assert "figure-5" not in dict(figures(results))
+    other = {
+        **results[0],
+        "run": {**results[0]["run"], "train": {**results[0]["run"]["train"], "loss": "mae"}},
+    }
+    drawn = dict(figures([*results, other]))["figure-5"]
+    legend = drawn.axes[0].get_legend()
+    assert [text.get_text() for text in legend.get_texts()] == ["mae", "mse"]
 
 
 def test_special_characters_are_latexs() -> None:

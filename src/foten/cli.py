@@ -1078,6 +1078,37 @@ def tables(
 
 
 @app.command()
+def figures(
+    results: Annotated[Path, typer.Argument(metavar="DIR", help="Results of foten sweep.")],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Write each figure there, .png and .pdf.")
+    ],
+    as_json: JsonOption = False,
+) -> None:
+    """Draw the paper's figures from the results of a sweep: split, windows and losses, waveforms, spectra."""
+    from foten.experiments.figures import figures as drawn
+    from foten.experiments.tables import read_results
+
+    if not results.is_dir():
+        raise ValueError(f"there is no folder {results}")
+    found = read_results(results)
+    if output.exists() and not output.is_dir():
+        raise ValueError(f"-o {output} is a file, expected a folder")
+    output.mkdir(parents=True, exist_ok=True)
+    made = []
+    for name, figure in drawn(found):
+        for form in ("png", "pdf"):
+            path = output / f"{name}.{form}"
+            with whole_file(path) as part:
+                figure.savefig(part, format=form, dpi=140)
+            made.append(str(path))
+    if as_json:
+        _print_json({"figures": made})
+    else:
+        print("\n".join(made))
+
+
+@app.command()
 def info(
     texture_file: Annotated[Path, typer.Argument(metavar="T.foten", help="A texture file.")],
     as_json: JsonOption = False,

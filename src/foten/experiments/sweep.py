@@ -19,7 +19,9 @@ import foten
 from foten.architecture import ArArchitecture, architecture_from
 from foten.datasets.hdf5 import load_recording
 from foten.datasets.simulate import simulate
-from foten.evaluate.evaluate import evaluate
+from foten.evaluate.evaluate import Judgement, evaluate
+from foten.evaluate.figures import N_WAVEFORM, densities, scored_channels, shown_run, typical_block
+from foten.evaluate.free_run import scored
 from foten.experiments.experiment import Experiment, Run
 from foten.experiments.truth import truth_for
 from foten.recording.preprocess import PreprocessConfig
@@ -63,8 +65,8 @@ def execute(run: Run, recording: Recording) -> dict[str, Any]:
     started = time.perf_counter()
     texture = _trained(run, recording)
     trained = time.perf_counter()
-    document = evaluate(texture, recording, truth_for(recording, texture)).document
-    metrics = texture.card["metrics"]
+    judgement = evaluate(texture, recording, truth_for(recording, texture))
+    document, metrics = judgement.document, texture.card["metrics"]
     return {
         "run": asdict(run),
         "foten": foten.__version__,
@@ -75,7 +77,28 @@ def execute(run: Run, recording: Recording) -> dict[str, Any]:
         "validation_mae_scaled": metrics["validation_mae_scaled"],
         "file_bytes": len(texture.to_bytes()),
         "evaluation": document,
+        "signals": _signals(judgement),
     }
+
+
+def _signals(judgement: Judgement) -> dict[str, Any] | None:
+    """Return what pictures are drawn from: 400 samples of a typical test block, and spectra of all of them."""
+    shown = shown_run(judgement)
+    if shown is None:
+        return None
+    block, part = typical_block(judgement), scored(judgement.trace.block)
+    frequencies, density = densities(judgement)
+    return {
+        "recorded": _rounded(scored_channels(judgement)[0][block, :N_WAVEFORM]),
+        "free_run": _rounded(judgement.synthesized[shown][0, block, part][:N_WAVEFORM]),
+        "frequencies_hz": _rounded(frequencies),
+        "density": {"recorded": _rounded(density["recorded"]), "free_run": _rounded(density[shown])},
+    }
+
+
+def _rounded(values: Any) -> list[float]:
+    """Return numbers as a picture needs them, five digits each."""
+    return [float(f"{value:.5g}") for value in values]
 
 
 def _trained(run: Run, recording: Recording) -> Texture:

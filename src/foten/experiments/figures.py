@@ -1,0 +1,191 @@
+"""Result files to the paper's figures: the split, windows and losses, waveforms, spectra."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from foten.experiments.experiment import Run
+from foten.experiments.sweep import recording_of
+from foten.recording.preprocess import PreprocessConfig, preprocess
+from foten.recording.split import split_blocks
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Results = Sequence[Mapping[str, Any]]
+
+# Told apart with any colour vision.
+COLOURS = ("#2b83cf", "#e08a1e", "#1a9c72", "#b77ab0", "#c2452d", "#7a6a10", "#4f4fb5", "#6d6d6d")
+PARTS = {"train": "#8fd3e8", "validation": "#f3e28a", "test": "#f0a3a0"}
+
+
+def figures(results: Results) -> Iterator[tuple[str, Figure]]:
+    """Return each figure that the results have the numbers for, and its name."""
+    yield "figure-4", split(results[0])
+    cells = [one for one in results if _of_grid(one) is not None]
+    if len({_of_grid(one) for one in cells}) > 1:
+        yield "figure-5", windows_and_losses(cells)
+    with_signals = [one for one in results if one.get("signals")]
+    if with_signals:
+        yield "figure-6", waveforms(with_signals)
+        yield "figure-7", spectra(with_signals)
+
+
+def split(result: Mapping[str, Any]) -> Figure:
+    """Return a recording's acceleration, speed and force over the blocks of its split, as Fig. 4."""
+    run = Run(**result["run"])
+    trace = preprocess(recording_of(run), PreprocessConfig(**run.preprocess))
+    parts = split_blocks(trace, seed=run.split_seed)
+    figure, panels = _figure(10.0, 5.0, nrows=3, sharex=True)
+    times = np.arange(trace.n_blocks * trace.block) / trace.rate_hz
+    rows = (
+        ("acceleration [m/s²]", trace.acceleration),
+        ("speed [mm/s]", trace.speed),
+        ("force [N]", trace.force),
+    )
+    length = trace.block / trace.rate_hz
+    for axes, (label, values) in zip(panels, rows, strict=True):
+        for name, colour in PARTS.items():
+            for block in getattr(parts, name):
+                axes.axvspan(block * length, (block + 1) * length, color=colour, linewidth=0)
+        axes.plot(times, values, color="#222222", linewidth=0.4)
+        axes.set_ylabel(label)
+    panels[-1].set(xlabel="time [s]", xlim=(0, times[-1]))
+    from matplotlib.patches import Patch
+
+    panels[0].legend(
+        handles=[Patch(color=colour, label=name) for name, colour in PARTS.items()],
+        loc="lower right",
+        bbox_to_anchor=(1, 1),
+        ncols=3,
+        frameon=False,
+    )
+    panels[0].set_title(f"{_name(run.texture)}, split {run.split_seed}", loc="left")
+    return figure
+
+
+def _of_grid(result: Mapping[str, Any]) -> tuple[int, str] | None:
+    """Return the window and the loss of a network's run."""
+    sizes, train = result["run"]["sizes"], result["run"]["train"]
+    if "window" not in sizes or "loss" not in train:
+        return None
+    return int(sizes["window"]), str(train["loss"])
+
+
+def windows_and_losses(results: Results) -> Figure:
+    """Return one-step errors by window and loss, a panel for each texture, as Fig. 5.
+
+    Solid on the test blocks, hollow on the validation blocks, on which to choose.
+    """
+    textures = list(dict.fromkeys(one["run"]["texture"] for one in results))
+    losses = sorted({cell[1] for cell in map(_of_grid, results) if cell is not None})
+    figure, panels = _grid_of(len(textures), 2.6, 2.1)
+    for axes, texture in zip(panels, textures, strict=True):
+        for loss, colour in zip(losses, COLOURS, strict=False):
+            points: dict[int, list[tuple[float, float]]] = {}
+            for one in results:
+                cell = _of_grid(one)
+                if one["run"]["texture"] == texture and cell is not None and cell[1] == loss:
+                    test = one["evaluation"]["one_step"]["mae_scaled"]
+                    points.setdefault(cell[0], []).append((test, one["validation_mae_scaled"]))
+            windows = sorted(points)
+            means = np.array([np.mean(points[window], axis=0) for window in windows])
+            axes.plot(windows, means[:, 0], "o-", ms=3, lw=1, color=colour, label=loss)
+            axes.plot(windows, means[:, 1], "o", ms=4, mfc="none", color=colour)
+        axes.set_title(_name(texture), fontsize=9, loc="left")
+    panels[0].legend(fontsize=8, frameon=False)
+    figure.supxlabel("window [samples]", fontsize=9)
+    figure.supylabel("one-step MAE [sd]: test ●, validation ○", fontsize=9)
+    return figure
+
+
+def waveforms(results: Results) -> Figure:
+    """Return 400 samples of a test block of each texture, recorded and by each method on its own output, as Fig. 6.
+
+    Two strokes over one surface differ as waveforms: what should be alike is how loud, how rough and how spiky they are.
+    """
+    textures, methods = _first_split(results)
+    figure, panels = _grid_of(len(textures), 3.4, 1.1 + 0.45 * len(methods))
+    for axes, (texture, by_method) in zip(panels, textures.items(), strict=True):
+        recorded = np.array(next(iter(by_method.values()))["signals"]["recorded"])
+        step = 2.2 * float(np.abs(recorded).max())
+        times = 1000 * np.arange(len(recorded)) / next(iter(by_method.values()))["evaluation"]["rate_hz"]
+        axes.plot(times, recorded, color="#222222", lw=0.7)
+        for k, (method, one) in enumerate(by_method.items()):
+            run = np.clip(np.array(one["signals"]["free_run"]), -0.5 * step, 0.5 * step)
+            axes.plot(
+                times, run - (k + 1) * step, color=COLOURS[methods.index(method) % len(COLOURS)], lw=0.7
+            )
+        axes.set_yticks([-k * step for k in range(len(by_method) + 1)], ["recorded", *by_method], fontsize=7)
+        axes.set_title(_name(texture), fontsize=9, loc="left")
+    figure.supxlabel("time [ms]", fontsize=9)
+    return figure
+
+
+def spectra(results: Results) -> Figure:
+    """Return power spectra of the test blocks of each texture, recorded and of each method's free run, as Fig. 7."""
+    textures, methods = _first_split(results)
+    figure, panels = _grid_of(len(textures), 3.0, 2.2)
+    for axes, (texture, by_method) in zip(panels, textures.items(), strict=True):
+        first = next(iter(by_method.values()))["signals"]
+        recorded = 10 * np.log10(np.maximum(first["density"]["recorded"], 1e-30))
+        for method, one in by_method.items():
+            signals = one["signals"]
+            density = 10 * np.log10(np.maximum(signals["density"]["free_run"], 1e-30))
+            axes.plot(
+                signals["frequencies_hz"],
+                density,
+                color=COLOURS[methods.index(method) % len(COLOURS)],
+                lw=1,
+                label=method,
+            )
+        axes.plot(first["frequencies_hz"], recorded, color="#222222", lw=1.2, label="recorded")
+        axes.set_ylim(recorded.min() - 15, recorded.max() + 8)
+        axes.set_title(_name(texture), fontsize=9, loc="left")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(
+        handles, labels, loc="outside lower center", ncols=min(4, len(labels)), frameon=False, fontsize=8
+    )
+    figure.supxlabel("frequency [Hz]", fontsize=9)
+    figure.supylabel("power density [dB re 1 (m/s²)²/Hz]", fontsize=9)
+    return figure
+
+
+def _first_split(results: Results) -> tuple[dict[str, dict[str, Mapping[str, Any]]], list[str]]:
+    """Return the results of the first split by texture and method, and the methods."""
+    textures: dict[str, dict[str, Mapping[str, Any]]] = {}
+    for one in results:
+        run = one["run"]
+        textures.setdefault(run["texture"], {}).setdefault(run["method"], one)
+    return textures, list(dict.fromkeys(one["run"]["method"] for one in results))
+
+
+def _name(texture: str) -> str:
+    return Path(texture).stem
+
+
+def _figure(width: float, height: float, **options: Any) -> tuple[Figure, Any]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    panels = figure.subplots(**options)
+    for axes in np.ravel(panels):
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.tick_params(labelsize=8)
+    return figure, panels
+
+
+def _grid_of(n: int, width: float, height: float) -> tuple[Figure, list[Any]]:
+    """Return a figure of n panels, three or four beside each other."""
+    columns = min(n, 3 if n <= 9 else 4)
+    rows = -(-n // columns)
+    width = max(width, 6.0 / columns)
+    figure, panels = _figure(width * columns, height * rows + 0.6, nrows=rows, ncols=columns, squeeze=False)
+    flat = list(panels.ravel())
+    for axes in flat[n:]:
+        axes.set_visible(False)
+    return figure, flat[:n]
