@@ -8,14 +8,17 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import onnx
 import pytest
 
 from conftest import architecture_with
 from foten.architecture import ARCHITECTURES, GRAPHS
+from foten.cli import _status
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
+from foten.render.graph import GraphEngine
 from foten.render.native import NativeTexture
 from foten.render.renderer import Renderer
 from foten.render.synthesizer import Synthesizer
@@ -107,14 +110,14 @@ print(json.dumps(found))
 def test_the_kernel_renders_what_numpy_renders(textures: dict[str, Texture], key: str) -> None:
     """Seam: ONNX Runtime called from the kernel's loop, beside it in NumPy's.
 
-    The kernel takes speeds in float32, and what is begun with is the loop's own output: ten times a proof's tolerance.
+    The kernel takes speeds in float32, and what is begun with is the loop's own output: twice a proof's tolerance.
     """
     texture = textures[key]
     speed, force = np.linspace(20, 160, 64), np.linspace(0.4, 1.5, 64)
     expected = Synthesizer(texture, seed=5).render(speed, force)
     found = Renderer(texture, seed=5).render(speed, force)
     scale = texture.scaling.sd[0] * np.maximum(1.0, np.abs(expected / texture.scaling.sd[0]))
-    assert (np.abs(found - expected) / scale).max() < 10 * CLOSED_LOOP_TOLERANCE
+    assert (np.abs(found - expected) / scale).max() < 2 * CLOSED_LOOP_TOLERANCE
     assert np.abs(expected).max() > 0
 
 
@@ -157,6 +160,49 @@ def test_a_graph_of_other_weights_fails_its_proof(textures: dict[str, Texture]) 
     data = Texture(textures["fnn"].card, {**textures["fnn"].tensors, "golden.one_step": golden}).to_bytes()
     with pytest.raises(ValueError, match="fails its own proof: one step"):
         NativeTexture(data)
+
+
+def test_a_graph_that_is_none_of_ours_is_not_run(textures: dict[str, Texture]) -> None:
+    """A loop of 2⁶² rounds would be run by whoever opens the file."""
+    texture = textures["fnn"]
+    model = onnx.load_from_string(texture.tensors["graph"].tobytes())
+    model.graph.node.append(onnx.helper.make_node("Loop", ["", ""], ["never"]))
+    graph = np.frombuffer(model.SerializeToString(), dtype=np.uint8)
+    data = Texture(texture.card, {**texture.tensors, "graph": graph}).to_bytes()
+    with pytest.raises(ValueError, match="foreign operator Loop, and is not run"):
+        NativeTexture(data)
+
+
+def test_what_goes_wrong_while_the_kernel_asks_is_raised(
+    textures: dict[str, Texture], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python delivers Ctrl-C inside the callback, where it would be printed and lost."""
+    renderer = Renderer(textures["dstn"])
+    asked = 0
+
+    def interrupted(engine: object, window: object) -> float:
+        nonlocal asked
+        asked += 1
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(GraphEngine, "answer", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        renderer.render(speed_mm_s=80.0, force_n=1.0, n=10_000)
+    assert asked == 1
+    monkeypatch.undo()
+    renderer.reset()
+    assert np.isfinite(renderer.render(speed_mm_s=80.0, force_n=1.0, n=10)).all()
+
+
+@pytest.mark.parametrize("key", ARCHITECTURES)
+def test_what_is_in_a_file_is_told(
+    textures: dict[str, Texture], key: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_texture(textures[key], tmp_path / "t.foten")
+    assert _status(["info", str(tmp_path / "t.foten")]) == 0
+    told = capsys.readouterr().out
+    assert "multiply-adds" in told
+    assert key in told
 
 
 def test_without_onnx_runtime_one_line_says_so(

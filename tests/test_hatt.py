@@ -91,6 +91,7 @@ def test_the_command_makes_a_texture_that_renders_and_is_judged(
     assert document["sizes"]["n_models"] == 5
     assert "friction is 0.3" in document["notes"]
     texture = read_texture(out)
+    assert "no distribution" in texture.card["licence"]
     assert texture.card["split"] is None
     assert texture.trained_range("speed") == (0.0, 200.0)
     assert Renderer(out, rate=1000).render(speed_mm_s=0.0, force_n=1.0, n=500).max() == 0.0
@@ -149,6 +150,18 @@ def test_options_of_recordings_are_refused(tmp_path: Path, capsys: pytest.Captur
     assert "--rate is for recordings" in capsys.readouterr().err
     assert _status(["import", source, "-o", str(tmp_path / "m.h5")]) == 2
     assert ".foten" in capsys.readouterr().err
+
+
+def test_zeros_outside_the_circle_keep_their_spectrum(tmp_path: Path) -> None:
+    """A zero at radius r outside and one at 1/r with r times the gain have one spectrum."""
+    models = read_models(written(tmp_path / "m.xml"))
+    models.ma[:] = np.convolve([1.0, 1.6], [1.0, 0.3])
+    texture, _ = texture_of(models, "0" * 64)
+    e = np.sqrt(models.variance[4]) * np.random.default_rng(0).standard_normal(60_000)
+    expected = lfilter(models.gain[4] * models.ma[4], models.ar[4], e)
+    played = Renderer(texture, seed=1).render(speed_mm_s=90.0, force_n=1.0, n=60_000)
+    (_, p), (_, q) = (welch(x, 1000, nperseg=256) for x in (played, expected))
+    np.testing.assert_allclose(10 * np.log10(p[2:-2] / q[2:-2]), 0, atol=1.0)
 
 
 def test_a_filter_that_would_ring_for_ever_is_pulled_in_and_said(tmp_path: Path) -> None:

@@ -20,7 +20,8 @@ from foten.models.excited import Excited
 from foten.models.features import MfccBranch, WaveletBranch, cosine_transform, mel_bands, wavelet_transform
 from foten.models.fnn import EDGES, lagged_bands
 from foten.train.config import OWN_RECIPES, RECIPES, TrainConfig
-from foten.train.fit import Data
+from foten.train.export import _multiply_adds
+from foten.train.fit import Data, Progress
 from foten.train.train import _taught
 
 
@@ -148,3 +149,31 @@ def test_an_excited_network_predicts_as_it_did() -> None:
     chance, tones = excited.rendered_power(torch.zeros(2, 2))
     torch.testing.assert_close(chance, excited.excitation(torch.zeros(2, 2)).double() ** 2)
     assert not tones.any()
+
+
+def test_recurrent_layers_are_counted() -> None:
+    """By hand: four gates over input and state for each sample, both ways, and a product for each of the last layer's inputs."""
+
+    class Small(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.layer = torch.nn.LSTM(3, 8, batch_first=True, bidirectional=True)
+            self.out = torch.nn.Linear(16, 1)
+
+        def forward(self, windows: torch.Tensor) -> torch.Tensor:
+            return self.out(self.layer(windows)[0][:, -1])[:, 0]
+
+    assert _multiply_adds(Small(), 40) == 40 * 2 * 4 * 8 * (3 + 8) + 16
+
+
+@pytest.mark.parametrize("change", [{"batch": 2.5}, {"delta": float("inf")}, {"epochs": True}, {"seed": "1"}])
+def test_a_setting_that_is_no_such_number_is_refused(change: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=f"{next(iter(change))} is .*, expected a (whole|finite) number"):
+        TrainConfig(**change)  # type: ignore[arg-type]
+
+
+def test_an_interrupted_teacher_ends_the_training(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("foten.train.train.fit", lambda *_: Progress(interrupted=True))
+    data = Data(np.zeros((100, 3)), np.arange(20, 60), np.arange(60, 100), 20)
+    with pytest.raises(KeyboardInterrupt):
+        _taught(data, 20, TrainConfig(), lambda stage: None)

@@ -90,8 +90,9 @@ FOTEN_API void foten_model_free(foten_model *model);
 
 /* The same for networks that this library has no code for, those of the systems that foten is compared with: their files hold an ONNX graph,
  * and whoever runs it gives the next sample of a window, `window` samples of acceleration, speed and force in turn, oldest first, all in the
- * units of the network. It is asked for the golden windows while the file is loaded, and once a sample from the thread that renders, which is
- * as real-time as it is; what is not finite counts as 0. Without one, such a file is FOTEN_NO_PREDICTOR; other files do not ask it. */
+ * units of the network. It is asked for the golden windows while the file is loaded, and once a sample from each thread that renders, from
+ * several at once where several do; it and `user` have to outlive the model. Such a rendering is as real-time as its predictor is, which may
+ * allocate or wait. What is not finite counts as 0. Without one, such a file is FOTEN_NO_PREDICTOR; other files do not ask it. */
 typedef float (*foten_predictor)(void *user, const float *window);
 FOTEN_API foten_status foten_model_load_with(const void *bytes, size_t n_bytes, foten_predictor predictor, void *user, foten_model **model,
                                              char *why, size_t why_size);

@@ -401,7 +401,12 @@ double loop_step(const foten_model *m, loop *l, const hand *hand, const double *
 /* Play a window's length under the hand, whatever was there before. */
 static void begin_window(const foten_model *m, loop *l, const hand *hand, uint64_t seed, uint64_t stream) {
     uint64_t n = TO_BEGIN;
+    float *last = l->seen + (window_of(m) - 1) * m->n_inputs, *after = last + m->n_inputs;
     heed(m, l, hand, 1);
+    for (int i = 0; i < 2; i++) {
+        after[i] = (float)hand->condition[i];
+        if (m->n_inputs > 2) last[1 + i] = after[i];
+    }
     l->swell = m->swell_sd * within(noise_at(seed, stream, n++), LARGEST_SWELL);
     for (int i = 0; i < window_of(m); i++) {
         int cut;

@@ -358,6 +358,7 @@ foten_status model_read(foten_model *m, texture_file *file, const isa *isa) {
     if (status == FOTEN_OK) status = read_card(m, file, &s);
     if (status != FOTEN_OK) return status;
     m->isa = isa;
+    if (s.model != GRAPH) m->predictor = NULL;
     int plus = s.model == PLUS;
     m->excited = s.excitation || s.model == AR;
     if (s.model == AR) {
@@ -371,7 +372,6 @@ foten_status model_read(foten_model *m, texture_file *file, const isa *isa) {
         file_leave(file, "graph");
         return FOTEN_OK;
     }
-    m->predictor = NULL;
     m->network = net_make(file, plus ? "network." : "", &s.net, isa, &m->memory);
     if (!m->network) return file_refuse(file, m->memory.failed ? FOTEN_NO_MEMORY : FOTEN_BAD_FILE, "no memory");
     return FOTEN_OK;

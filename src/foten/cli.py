@@ -41,6 +41,7 @@ _EXTRAS = {
     "torch": "train",
     "ray": "sweep",
     "onnx": "onnx",
+    "onnxruntime": "onnx",
 }
 """Which extra installs a package that may be missing."""
 
@@ -1023,6 +1024,9 @@ def sweep(
     experiment = read_experiment(find_experiment(experiment_file))
     runs = experiment.runs()
     if dry_run:
+        if as_json:
+            _print_json([dataclasses.asdict(run) for run in runs])
+            return
         for run in runs:
             print(f"{run.method}, {run.texture}, split {run.split_seed}")
         _say(f"{len(runs)} runs")
@@ -1056,7 +1060,7 @@ def tables(
     as_json: JsonOption = False,
 ) -> None:
     """Set the results of a sweep beside references and beside the paper's figures."""
-    from foten.experiments.tables import FIGURES, FORMATS, findings, read_results, table, written
+    from foten.experiments.tables import FIGURES, FORMATS, findings, read_results, table, title_of, written
 
     if not results.is_dir():
         raise ValueError(f"there is no folder {results}")
@@ -1070,10 +1074,14 @@ def tables(
             for form in FORMATS:
                 with whole_file(output / f"{name}.{form}") as part:
                     part.write_text(written(one, form), encoding="utf-8")
-    said = list(findings(found))
+    title, said = title_of(found), list(findings(found))
+    if output is not None:
+        with whole_file(output / "findings.md") as part:
+            part.write_text("\n\n".join([f"# {title}", *said]) + "\n", encoding="utf-8")
     if as_json:
-        _print_json({"tables": cells, "findings": said})
+        _print_json({"title": title, "tables": cells, "findings": said})
         return
+    print(f"{title}\n")
     print("\n".join([*(written(one, "md") for one in cells.values()), *said]))
 
 
@@ -1161,7 +1169,7 @@ def _linear_part(texture: Texture) -> dict[str, str]:
         return {
             "models": f"{sizes['n_models']} of order {sizes['order']}{zeros}, in {sizes['n_triangles']} triangles"
         }
-    if not texture.has_excitation:
+    if texture.card["model"] != "foten-plus":
         return {}
     vertices = sizes["n_speed"] * sizes["n_force"]
     over = "for all speeds and forces" if vertices == 1 else f"over {vertices} speeds and forces"

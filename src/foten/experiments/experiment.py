@@ -103,14 +103,21 @@ class Experiment:
             ValueError: a setting is unknown or out of range; the message names the method.
         """
         found = [
-            self._resolved(texture, method, split_seed, dict(zip(self.grid, values, strict=True)))
+            self._resolved(texture, method, split_seed, dict(zip(self.grid, values, strict=False)))
             for texture in self.textures
             for split_seed in self.split_seeds
             for method in self.methods
-            for values in itertools.product(*self.grid.values())
+            for values in (itertools.product(*self.grid.values()) if method.model != "ar" else [()])
         ]
-        by_value = {json.dumps(asdict(run), sort_keys=True): run for run in found}
-        return list(by_value.values())
+        names: dict[str, str] = {}
+        for run in found:
+            values = json.dumps({k: v for k, v in asdict(run).items() if k != "method"}, sort_keys=True)
+            if values in names:
+                raise ValueError(
+                    f"{names[values]!r} and {run.method!r} are the same run: leave one of them out"
+                )
+            names[values] = run.method
+        return found
 
     def _resolved(self, texture: str, method: Method, split_seed: int, cell: Mapping[str, Any]) -> Run:
         name = method.name or method.model
@@ -120,19 +127,22 @@ class Experiment:
         try:
             preprocess = PreprocessConfig(**self.preprocess)
             if method.model == "ar":
+                if method.sizes or method.train or method.recipe:
+                    raise ValueError("'ar' is fitted without a recipe and finds its sizes: leave them out")
                 architecture, train = None, {}
             else:
                 architecture = architecture_from(method.model, own_sizes)
                 assert not isinstance(architecture, ArArchitecture)
+                given = {**self.train, **method.train, **changed}
+                if "recipe" in given:
+                    raise ValueError("'recipe' stands beside [train], not in it")
                 config = replace(
                     RECIPES[method.recipe or self.recipe],
                     **{
                         "threads": 1,
                         "seed": split_seed,
                         **OWN_RECIPES.get(method.model, {}),
-                        **self.train,
-                        **method.train,
-                        **changed,
+                        **given,
                     },
                 )
                 train = asdict(config)
@@ -191,10 +201,24 @@ def _experiment(found: dict[str, Any], folder: Path) -> Experiment:
     for name in ("title", "textures", "methods"):
         if not found.get(name):
             raise ValueError(f"there is no {name!r}, expected title, textures and methods")
+    for name in ("title", "note", "recipe"):
+        if not isinstance(found.get(name, ""), str):
+            raise ValueError(f"{name!r} is {found[name]!r}, expected a text")
+    for name in ("textures", "methods"):
+        if not isinstance(found[name], list):
+            raise ValueError(f"{name!r} is {found[name]!r}, expected a list")
     methods = []
     for one in found["methods"]:
         one = {"model": one} if isinstance(one, str) else one
+        if not isinstance(one, dict):
+            raise ValueError(f"a method is {one!r}, expected a model's name or a table")
         _check_keys(one, Method, "a method")
+        for name in ("model", "name", "recipe"):
+            if not isinstance(one.get(name, ""), str):
+                raise ValueError(f"{name!r} of a method is {one[name]!r}, expected a text")
+        for name in ("train", "sizes"):
+            if not isinstance(one.get(name, {}), dict):
+                raise ValueError(f"{name!r} of a method is {one[name]!r}, expected a table")
         if one.get("model") not in ARCHITECTURES:
             raise ValueError(
                 f"unknown model {one.get('model')!r}, expected one of {', '.join(ARCHITECTURES)}"
@@ -208,6 +232,9 @@ def _experiment(found: dict[str, Any], folder: Path) -> Experiment:
     if found.get("recipe", "default") not in RECIPES:
         raise ValueError(f"unknown recipe {found['recipe']!r}, expected one of {', '.join(RECIPES)}")
     textures = [_texture(one, folder) for one in found["textures"]]
+    stems = [Path(one).stem for one in textures]
+    if len(set(stems)) < len(stems):
+        raise ValueError("two textures have the same name, which tables could not tell apart")
     for name in ("train", "grid", "preprocess"):
         if not isinstance(found.get(name, {}), dict):
             raise ValueError(f"{name!r} is {found[name]!r}, expected a table, [{name}]")

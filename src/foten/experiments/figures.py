@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from foten.experiments.experiment import Run
 from foten.experiments.sweep import recording_of
+from foten.experiments.tables import name_of
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.split import split_blocks
 
@@ -165,7 +165,7 @@ def _first_split(results: Results) -> tuple[dict[str, dict[str, Mapping[str, Any
 
 
 def _name(texture: str) -> str:
-    return Path(texture).stem
+    return name_of(texture)
 
 
 def _figure(width: float, height: float, **options: Any) -> tuple[Figure, Any]:

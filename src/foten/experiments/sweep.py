@@ -146,6 +146,10 @@ def sweep(
     """
     import ray
 
+    if address is not None and workers is not None:
+        raise ValueError(
+            "--workers is of this machine: a cluster at --address has as many as its nodes have cores"
+        )
     runs = experiment.runs()
     results.mkdir(parents=True, exist_ok=True)
     recordings: dict[Any, tuple[str, Recording]] = {}
@@ -160,8 +164,10 @@ def sweep(
     say(f"{len(runs)} runs, {len(runs) - len(waiting)} of them done before")
     if not waiting:
         return 0, 0
-    _start_ray(workers, address)
+    _start_ray(workers, address, gpus_per_run)
     try:
+        if gpus_per_run > ray.cluster_resources().get("GPU", 0):
+            raise ValueError(f"--gpus-per-run is {gpus_per_run:g}, and Ray finds no such GPU")
         needed = {run.source for _, run, _ in waiting}
         kept = {source: ray.put(recordings[source][1]) for source in needed}
         recordings.clear()
@@ -169,16 +175,18 @@ def sweep(
         pending = {
             task.remote(asdict(run), kept[run.source]): (index, run, path) for index, run, path in waiting
         }
-        return _collected(pending, on_progress)
+        return _collected(experiment, pending, on_progress)
     finally:
         ray.shutdown()
 
 
-def _start_ray(workers: int | None, address: str | None) -> None:
+def _start_ray(workers: int | None, address: str | None, gpus_per_run: float) -> None:
     import ray
 
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "error"}
-    environment = {"env_vars": THREADS}
+    # What asks for no GPU sees none: else all workers would be on the first one at once.
+    unseen = {} if gpus_per_run > 0 else {"CUDA_VISIBLE_DEVICES": ""}
+    environment = {"env_vars": {**THREADS, **unseen}}
     try:
         if address is None:
             ray.init(
@@ -191,6 +199,8 @@ def _start_ray(workers: int | None, address: str | None) -> None:
         else:
             ray.init(address=address, runtime_env=environment, **quiet)
     except (ConnectionError, RuntimeError) as error:
+        if address is None:
+            raise ValueError(f"Ray does not start here: {str(error).splitlines()[0]}") from error
         raise ValueError(
             f"no Ray cluster answers at {address}: was it started with 'ray start --head', and is RAY_AUTH_TOKEN its token? "
             f"({str(error).splitlines()[0]})"
@@ -201,12 +211,15 @@ def _guarded(run: Mapping[str, Any], recording: Recording) -> dict[str, Any]:
     """Return a run's result, or why there is none: an error of ours would be the same on another worker."""
     try:
         return execute(Run(**run), recording)
-    except (ValueError, ArithmeticError, MemoryError) as error:
-        return {"failed": f"{type(error).__name__}: {error}"}
+    except Exception as error:  # is told beside the run, of which the others are independent
+        said = str(error).splitlines() or [""]
+        return {"failed": f"{type(error).__name__}: {said[0]}"}
 
 
 def _collected(
-    pending: dict[Any, tuple[int, Run, Path]], on_progress: Callable[[Progress], None]
+    experiment: Experiment,
+    pending: dict[Any, tuple[int, Run, Path]],
+    on_progress: Callable[[Progress], None],
 ) -> tuple[int, int]:
     import ray
 
@@ -223,10 +236,9 @@ def _collected(
         if why:
             n_failed += 1
         else:
+            about = {"index": index, "experiment": {"title": experiment.title, "note": experiment.note}}
             with whole_file(path) as part:
-                part.write_text(
-                    json.dumps({"index": index, **result}, indent=1, sort_keys=True, allow_nan=False) + "\n"
-                )
+                part.write_text(json.dumps({**about, **result}, indent=1, sort_keys=True) + "\n")
             n_done += 1
         seconds = sum(result["seconds"].values()) if "seconds" in result else 0.0
         pace = (time.perf_counter() - started) / (n_done + n_failed)

@@ -80,24 +80,43 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
     """Return the results in a folder, in the order of their experiment.
 
     Raises:
-        ValueError: there is none, or a file is no result.
+        ValueError: there is none, a file is no result, two are of one method on one texture and split, or two recordings have
+            one name.
     """
-    found = []
+    found: list[dict[str, Any]] = []
+    seen: dict[tuple[str, str, int], str] = {}
+    digests: dict[str, str] = {}
     for path in sorted(folder.glob("*.json")):
         try:
             result = json.loads(path.read_text())
             result["run"]["method"], result["evaluation"]["one_step"]
         except (json.JSONDecodeError, KeyError, TypeError) as error:
             raise ValueError(f"{path.name} is no result of foten sweep") from error
+        run = result["run"]
+        cell = (run["method"], name_of(run["texture"]), run["split_seed"])
+        if cell in seen:
+            raise ValueError(
+                f"{seen[cell]} and {path.name} are both of {cell[0]} on {cell[1]}, split {cell[2]}: are results of other "
+                "settings or of an earlier version left in the folder? Move one away"
+            )
+        seen[cell] = path.name
+        recorded = run["seconds"] is None
+        if recorded and digests.setdefault(cell[1], result["recording_sha256"]) != result["recording_sha256"]:
+            raise ValueError(f"two recordings are called {cell[1]}, which a table cannot tell apart")
         found.append(result)
     if not found:
         raise ValueError(f"there is no result of foten sweep in {folder}")
     return sorted(found, key=lambda result: result.get("index", 0))
 
 
+def name_of(texture: str) -> str:
+    """Return what a texture is called, wherever its recording lies."""
+    return Path(texture).stem
+
+
 def rows_of(results: Sequence[Mapping[str, Any]], figure: str) -> tuple[list[str], list[Row]]:
     """Return the textures, and a row for each reference and each method, references first."""
-    textures = list(dict.fromkeys(one["run"]["texture"] for one in results))
+    textures = list(dict.fromkeys(name_of(one["run"]["texture"]) for one in results))
     methods = {one["run"]["method"]: one["run"]["model"] for one in results}
     head, _, key = FIGURES[figure].path.rpartition(".")
     factor = 100.0 if figure in PERCENT else 1.0
@@ -107,7 +126,7 @@ def rows_of(results: Sequence[Mapping[str, Any]], figure: str) -> tuple[list[str
         for one in of:
             value = _at(one["evaluation"], f"{where}.{key}")
             if value is not None:
-                by_texture.setdefault(one["run"]["texture"], []).append(factor * value)
+                by_texture.setdefault(name_of(one["run"]["texture"]), []).append(factor * value)
         return Row(name, model, {texture: np.array(values) for texture, values in by_texture.items()})
 
     # A reference is the same whatever was trained beside it: once for each recording, split and preprocessing.
@@ -143,15 +162,23 @@ def holm(p: Sequence[float]) -> list[float]:
     return corrected
 
 
+def complete(rows: Sequence[Row], textures: Sequence[str]) -> list[Row]:
+    """Return the methods that have as many splits of each texture as any has."""
+    methods = [row for row in rows if row.model]
+    most = {texture: max(len(row.values.get(texture, ())) for row in methods) for texture in textures}
+    return [row for row in methods if all(len(row.values.get(t, ())) == most[t] > 0 for t in textures)]
+
+
 def compared(rows: Sequence[Row], textures: Sequence[str], better: int) -> tuple[str, dict[str, float]]:
     """Return the best method on the mean of the textures, and for each other one how likely it is to differ by chance.
 
+    Methods that have not every split of every texture are left out: another split of a simulated texture is another recording.
     Wilcoxon's signed-rank test over the textures (means of splits), two-sided, Holm-corrected; empty with fewer than six
     textures, of which no p below 0.05 can come.
     """
     from scipy.stats import wilcoxon
 
-    methods = [row for row in rows if row.model and np.isfinite(row.means(textures)).all()]
+    methods = complete(rows, textures)
     if not methods:
         return "", {}
     best = max(methods, key=lambda row: better * float(row.means(textures).mean()))
@@ -170,31 +197,39 @@ def table(results: Sequence[Mapping[str, Any]], figure: str) -> list[list[str]]:
     _, p = compared(rows, textures, of.better)
     n_splits = max(len(values) for row in rows for values in row.values.values())
     spread = f"mean ± sd of {n_splits} splits" if n_splits > 1 else "one split"
-    reported = of.reported is not None and any(row.model in PAPER for row in rows)
-    heading = [f"{of.name}, {spread}", *(Path(t).stem for t in textures), "mean"]
+    once = _once(rows)
+    reported = of.reported is not None and bool(once)
+    heading = [f"{of.name}, {spread}", *textures, "mean"]
     heading += ["p"] if p else []
     heading += ["paper's mean"] if reported else []
     cells = [heading]
     for row in rows:
         means = row.means(textures)
         whole = f"{means.mean():.3f}" if np.isfinite(means).all() else "–"
-        line = [row.name, *(_cell(row.values.get(texture)) for texture in textures), whole]
+        line = [row.name, *(_cell(row.values.get(texture), n_splits) for texture in textures), whole]
         if p:
             line.append(f"{p[row.name]:.3f}" if row.name in p else "")
         if reported and of.reported is not None:
             attribute, scale = of.reported
-            value = getattr(PAPER[row.model], attribute) if row.model in PAPER else None
+            value = getattr(PAPER[row.model], attribute) if row.model in once else None
             line.append("" if value is None else f"{scale * value:g}")
         cells.append(line)
     return cells
 
 
-def _cell(values: Array | None) -> str:
+def _once(rows: Sequence[Row]) -> set[str]:
+    """Return the models that the paper has a figure of and that have one row: of several settings none is the paper's."""
+    models = [row.model for row in rows]
+    return {model for model in models if model in PAPER and models.count(model) == 1}
+
+
+def _cell(values: Array | None, n_splits: int) -> str:
     if values is None or not len(values):
         return "–"
+    fewer = f" ({len(values)} of {n_splits})" if len(values) < n_splits else ""
     if len(values) == 1:
-        return f"{values[0]:.3f}"
-    return f"{values.mean():.3f} ± {values.std(ddof=1):.3f}"
+        return f"{values[0]:.3f}{fewer}"
+    return f"{values.mean():.3f} ± {values.std(ddof=1):.3f}{fewer}"
 
 
 def written(cells: Sequence[Sequence[str]], form: str) -> str:
@@ -218,10 +253,28 @@ def _escaped(cell: str) -> str:
     return cell.replace("±", r"$\pm$").replace("–", "--")
 
 
+def _experiments(results: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
+    """Return titles and notes of the experiments that the results are of."""
+    found = {json.dumps(one.get("experiment", {"title": "", "note": ""}), sort_keys=True) for one in results}
+    return [json.loads(one) for one in sorted(found)]
+
+
+def title_of(results: Sequence[Mapping[str, Any]]) -> str:
+    """Return what the results are of."""
+    return "; ".join(about["title"] for about in _experiments(results) if about["title"])
+
+
 def findings(results: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """Say which method is best in each figure, how far from a linear predictor, and whether the paper's order is found."""
+    """Say what was reduced, which method is best in each figure, and whether the paper's order is found."""
+    yield from dict.fromkeys(about["note"] for about in _experiments(results) if about["note"])
+    versions = {json.dumps([one["foten"], one["versions"]], sort_keys=True) for one in results}
+    if len(versions) > 1:
+        yield "The results were made with several versions of foten or of what it is built on: run them again with one."
     for name, of in FIGURES.items():
         textures, rows = rows_of(results, name)
+        lacking = [row.name for row in rows if row.model and row not in complete(rows, textures)]
+        if lacking:
+            yield f"{of.name}: not compared, for want of textures or splits: {', '.join(lacking)}."
         best, p = compared(rows, textures, of.better)
         if not best:
             continue
@@ -235,7 +288,10 @@ def findings(results: Sequence[Mapping[str, Any]]) -> Iterator[str]:
             )
         yield said + "."
     textures, rows = rows_of(results, "mae")
-    ours = {row.model: float(row.means(textures).mean()) for row in rows if row.model in PAPER}
+    once = _once(rows)
+    ours = {
+        row.model: float(row.means(textures).mean()) for row in complete(rows, textures) if row.model in once
+    }
     known = {model: PAPER[model].mae for model in ours}
     if len(ours) > 1 and all(math.isfinite(value) for value in ours.values()):
         here = sorted(ours, key=lambda model: ours[model])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -18,6 +19,12 @@ Array = NDArray[np.float64]
 GRAPH = "graph"  # the tensor that holds one, as bytes
 INPUT, OUTPUT = "windows", "next"
 _AT_ONCE = 4096  # windows
+# What our networks are made of. A file is not trusted: nothing that repeats, branches, reads other files or is somebody's own.
+_OPERATORS = re.compile(
+    "Add|And|Atan|Cast|Concat|Constant|ConstantOfShape|Conv|Cos|Div|Einsum|Equal|Flatten|Gather|Gemm|Greater|Identity|LSTM|"
+    "LayerNormalization|Less|Log|MatMul|Mul|Pow|ReduceMean|ReduceSum|Relu|Reshape|Shape|Sigmoid|Sin|Slice|Softmax|Sqrt|Squeeze|"
+    "Sub|Tanh|Transpose|Unsqueeze|Where"
+)
 
 
 class GraphEngine:
@@ -65,11 +72,24 @@ class GraphEngine:
 
 def _session(graph: bytes) -> Any:
     try:
+        import onnx
         import onnxruntime
     except ImportError as error:
         raise ValueError(
             "this texture's model runs in ONNX Runtime, which is not installed: pip install 'foten[onnx]'"
         ) from error
+    try:
+        model = onnx.load_from_string(graph)
+    except Exception as error:  # protobuf's, whichever of its implementations is installed
+        raise ValueError("the texture's graph is damaged: it is no ONNX") from error
+    foreign = {
+        node.op_type for node in model.graph.node if node.domain or not _OPERATORS.fullmatch(node.op_type)
+    }
+    if foreign or model.functions or any(one.data_location for one in model.graph.initializer):
+        what = f"operator {min(foreign)}" if foreign else "part"
+        raise ValueError(
+            f"the texture's graph has a foreign {what}, and is not run: none of foten's networks has it"
+        )
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4  # what is wrong is said by the error

@@ -200,11 +200,13 @@ class NativeTexture:
     def __init__(self, data: bytes) -> None:
         pointer, why = c_void_p(), ctypes.create_string_buffer(512)
         status = library().foten_model_load(data, len(data), byref(pointer), why, len(why))
+        self._failed: list[BaseException] = []
         if status == _NO_PREDICTOR:
-            self._asked = _asked(data)  # as long as the texture is
+            self._asked = _asked(data, self._failed)  # as long as the texture is
             status = library().foten_model_load_with(
                 data, len(data), self._asked, None, byref(pointer), why, len(why)
             )
+            self.raise_failed()
         if status == _NO_MEMORY:
             raise MemoryError(why.value.decode(errors="replace"))
         if status != 0:
@@ -225,6 +227,11 @@ class NativeTexture:
             told.state_bytes,
         )
         _freed_with(self, library().foten_model_free, pointer)
+
+    def raise_failed(self) -> None:
+        """Raise what went wrong while the kernel asked Python for a sample: an interrupt, or an error of the runtime."""
+        if self._failed:
+            raise self._failed.pop()
 
 
 class NativeState:
@@ -323,6 +330,7 @@ class NativeState:
             raise ValueError("the windows to start from hold NaN or infinity")
         drawn = None if noise is None else noise.ctypes.data_as(_DOUBLES)
         library().foten_run_scaled(self._pointer, hands, drawn, limit, len(out), filled)
+        self._texture.raise_failed()
 
     def set_hand(self, speed: float, force: float) -> None:
         """Tell where the hand is [mm/s, N], from any thread; what is negative is 0, what is not finite left out; both count."""
@@ -331,10 +339,12 @@ class NativeState:
     def render(self, out: NDArray[np.float32]) -> None:
         """Fill an array with acceleration [m/s²] at the state's rate, under the hand that was last set."""
         library().foten_render(self._pointer, _filled(out), out.size)
+        self._texture.raise_failed()
 
     def render_stylus(self, stylus: NativeStylus, out: NDArray[np.float32]) -> None:
         """Fill an array with acceleration [m/s²] at the state's rate, under the hand of a stylus."""
         library().foten_render_stylus(self._pointer, stylus.pointer, _filled(out), out.size)
+        self._texture.raise_failed()
 
     def render_stroke(self, speed: NDArray[np.floating], force: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return the acceleration [m/s²] at the state's rate for a stroke at the texture's own rate [mm/s, N], shapes (n,)."""
@@ -344,6 +354,7 @@ class NativeState:
         out = np.empty(library().foten_rendered(self._pointer, speed.size), dtype=np.float32)
         told, pressed, filled = (array.ctypes.data_as(_FLOATS) for array in (speed, force, out))
         n = library().foten_render_stroke(self._pointer, told, pressed, speed.size, filled)
+        self._texture.raise_failed()
         return out[:n]
 
 
@@ -413,8 +424,12 @@ def _freed_with(owner: object, free: Callable[[c_void_p], None], pointer: c_void
     weakref.finalize(owner, free, pointer).atexit = False
 
 
-def _asked(data: bytes) -> ctypes._FuncPointer:
-    """Return what the kernel asks for the next sample of a window, of a file whose model it has no code for."""
+def _asked(data: bytes, failed: list[BaseException]) -> ctypes._FuncPointer:
+    """Return what the kernel asks for the next sample of a window, of a file whose model it has no code for.
+
+    An exception cannot pass through the kernel: it is put aside, the kernel is answered at once from then on, and whoever
+    called it raises it. That includes Ctrl-C, which Python delivers in here.
+    """
     from foten.render.graph import GraphEngine
     from foten.texture_file import texture_from_bytes
 
@@ -423,7 +438,13 @@ def _asked(data: bytes) -> ctypes._FuncPointer:
     shape = (1, engine.window, 3)
 
     def answer(_: int | None, window: ctypes._Pointer[c_float]) -> float:
-        return engine.answer(np.ctypeslib.as_array(window, shape))
+        if failed:
+            return np.nan
+        try:
+            return engine.answer(np.ctypeslib.as_array(window, shape))
+        except BaseException as error:  # which would be printed and lost
+            failed.append(error)
+            return np.nan
 
     return _PREDICTOR(answer)
 

@@ -20,7 +20,8 @@ class Renderer:
         block = renderer.render(speed_mm_s=80.0, force_n=0.8, n=480)
 
     It runs in the kernel, without Python's lock and without allocation after construction but for the arrays that it returns, and
-    gives the same bytes for the same seed and hand whatever the sizes of the blocks.
+    gives the same bytes for the same seed and hand whatever the sizes of the blocks. Of a model that ONNX Runtime runs
+    (docs/compared.md) each sample takes the lock and allocates.
 
     Args:
         texture: a texture file, its bytes, or a texture in memory.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -46,6 +47,13 @@ class TrainConfig:
             raise ValueError(f"loss is {self.loss!r}, expected one of {', '.join(LOSSES)}")
         if self.schedule not in ("one_cycle", "constant"):
             raise ValueError(f"schedule is {self.schedule!r}, expected 'one_cycle' or 'constant'")
+        for name in ("epochs", "batch", "patience", "threads", "max_order", "seed"):
+            if type(getattr(self, name)) is not int:
+                raise ValueError(f"{name} is {getattr(self, name)!r}, expected a whole number")
+        for name in ("learning_rate", "weight_decay", "clip_norm", "dropout", "average", "delta"):
+            value = getattr(self, name)
+            if type(value) not in (int, float) or not math.isfinite(value):
+                raise ValueError(f"{name} is {value!r}, expected a finite number")
         for name in ("batch", "patience", "threads", "max_order"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected 1 or more")

@@ -23,13 +23,19 @@ _LEAST_SD = np.array([1.0, 0.01])  # mm/s and N; models all at one force still h
 _SETTLING = 4096  # samples of an impulse response that a level is told from
 
 
+LICENCE = (
+    "as of the model file; Penn's toolkit: non-profit research, no distribution, see the notice in the file"
+)
+
+
 def texture_of(
-    models: HattModels, digest: str, name: str = "", licence: str = "", notes: str = ""
+    models: HattModels, digest: str, name: str = "", licence: str = LICENCE, notes: str = ""
 ) -> tuple[Texture, list[str]]:
     """Return models of a file as a texture, and what was decided on the way.
 
-    A pole that would ring for seconds, or grow, is pulled in, with the others of its model, and so are zeros. The recording
-    behind the file is not known: there is no split, and a recording is judged as another's, on all of its blocks.
+    A pole that would ring for seconds, or grow, is pulled in, with the others of its model. Zeros outside the unit circle are
+    reflected into it, which leaves the spectrum as it was. The recording behind the file is not known: there is no split, and a
+    recording is judged as another's, on all of its blocks.
 
     Args:
         models: from `read_models`.
@@ -47,7 +53,10 @@ def texture_of(
             raise ValueError(
                 f"the {what} order is {coefficients.shape[1] - 1}, expected at most {HIGHEST_LOCAL_ORDER}"
             )
-    ar, ma = (np.array([_pulled_in(row) for row in rows]) for rows in (models.ar, models.ma))
+    reflected = [_reflected(row) for row in models.ma]
+    gain = models.gain * np.array([size for _, size in reflected])
+    ar = np.array([_pulled_in(row) for row in models.ar])
+    ma = np.array([_pulled_in(row) for row, _ in reflected])
     for what, before, after in (
         ("pole", models.ar, ar),
         ("zero", models.ma, ma),
@@ -60,7 +69,7 @@ def texture_of(
     scale = np.maximum(models.points.std(axis=0), _LEAST_SD)
     lsf = spread_out(np.array([line_spectral_frequencies(row) for row in ar]))
     ma_lsf = spread_out(np.array([line_spectral_frequencies(row) for row in ma]))
-    level = np.array([_level(*row) for row in zip(ar, ma, models.variance, models.gain, strict=True)])
+    level = np.array([_level(*row) for row in zip(ar, ma, models.variance, gain, strict=True)])
     heard = level[level > 0]
     if not heard.size:
         raise ValueError("every model is silent, expected a variance and a gain above 0")
@@ -79,7 +88,7 @@ def texture_of(
         triangles.reshape(models.triangles.shape),
         scale,
         ma_lsf[used],
-        models.gain[used],
+        gain[used],
     )
     preprocess = PreprocessConfig(rate_hz=models.rate_hz)
     zeros = f"ARMA({ar.shape[1] - 1}, {ma_lsf.shape[1]})" if ma_lsf.shape[1] else f"AR({ar.shape[1] - 1})"
@@ -103,6 +112,16 @@ def texture_of(
         "metrics": {"imported_sha256": digest},
     }
     return export_local(local, scaling, card), decisions
+
+
+def _reflected(polynomial: Array) -> tuple[Array, float]:
+    """Return a polynomial, 1 first, with its zeros reflected into the unit circle, and the gain that keeps its spectrum."""
+    zeros = np.roots(polynomial)
+    outside = np.abs(zeros) > 1
+    if not outside.any():
+        return polynomial, 1.0
+    inside = np.where(outside, 1 / np.conj(np.where(outside, zeros, 1.0)), zeros)
+    return np.real(np.poly(inside)), float(np.abs(zeros[outside]).prod())
 
 
 def _pulled_in(polynomial: Array) -> Array:

@@ -75,6 +75,9 @@ def train_texture(
     Raises:
         ValueError: the recording does not fit the configuration; the message names the option.
     """
+    if architecture.in_graph:  # what is missing is said before training, not after
+        import onnx  # noqa: F401
+        import onnxruntime  # noqa: F401
     preprocess_config = preprocess_config or PreprocessConfig()
     trace = preprocess(recording, preprocess_config)
     split = split_blocks(trace, split_method, split_seed)
@@ -193,7 +196,8 @@ def _taught(data: Data, m: int, config: TrainConfig, on_stage: Callable[[str], N
     """
     on_stage("training the teacher, hapinf")
     teacher = build("hapinf", HapinfArchitecture(window=m, n_start=min(10, m))).to(pick_device())
-    fit(teacher, data, config)
+    if fit(teacher, data, config).interrupted:
+        raise KeyboardInterrupt  # of a student that is half taught nothing is kept
     target = data.samples[:, 0].copy()
     target[data.train] = 0.5 * (target[data.train] + predict(teacher, data, data.train))
     return replace(data, target=target)
