@@ -639,13 +639,14 @@ def _made_again() -> dict[str, dict[str, dict[str, list[str]]]]:
     return json.loads(SAME.read_text()) if SAME.exists() else {}
 
 
-def _vouched(kind: str = "") -> dict[str, tuple[str, list[str]]]:
-    """Return the earlier states whose results come out the same today: which state made which of them again.
+def _vouched(kind: str = "") -> dict[str, tuple[str, list[str], bool]]:
+    """Return the states whose results come out the same today: by which other that is known, of which runs, and whether the
+    other made them again, or they those of the other.
 
     Args:
         kind: of the results: runs of this table, or the folder's name of others.
     """
-    found: dict[str, tuple[str, list[str]]] = {}
+    found: dict[str, tuple[str, list[str], bool]] = {}
     waiting, made_again = [SOURCES], _made_again()
 
     def of_kind(names: list[str]) -> list[str]:
@@ -656,12 +657,23 @@ def _vouched(kind: str = "") -> dict[str, tuple[str, list[str]]]:
     }
     while waiting:
         by = waiting.pop()
-        for source, all_names in made_again.get(by, {"equal": {}})["equal"].items():
-            names = of_kind(all_names)
-            if names and source not in differ and source not in found:
-                found[source] = (by, names)
-                waiting.append(source)
+        pairs = [
+            (other, source, of_kind(names), other == by)
+            for other, again in made_again.items()
+            for source, names in again["equal"].items()
+            if by in (other, source)
+        ]
+        for other, source, names, again in pairs:
+            new = source if again else other
+            if names and new not in {SOURCES, *differ, *found}:
+                found[new] = (by, names, again)
+                waiting.append(new)
     return found
+
+
+def alike() -> dict[str, str]:
+    """Return for each state whose results come out the same today the digest of today's."""
+    return dict.fromkeys([SOURCES, *_vouched()], SOURCES)
 
 
 def _told(states: dict[str, list[str]], where: str = "") -> Iterator[str]:
@@ -675,10 +687,15 @@ def _told(states: dict[str, list[str]], where: str = "") -> Iterator[str]:
     if known:
         told = []
         for source in known:
-            by, names = vouched[source]
+            by, names, again = vouched[source]
             who = "today's" if by == SOURCES else f"{by[:8]}"
+            of = (
+                f"of which {who} made {len(names)} again"
+                if again
+                else f"which made {len(names)} of {who} again"
+            )
             told.append(
-                f"{len(states[source])} by {source[:8]}, of which {who} made {len(names)} again"
+                f"{len(states[source])} by {source[:8]}, {of}"
                 + ("" if where else f" ({', '.join(sorted(names))})")
             )
         yield (
