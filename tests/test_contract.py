@@ -16,8 +16,10 @@ from foten.architecture import ARCHITECTURES, GRAPHS
 from foten.cli import _status
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
+from foten.evaluate.evaluate import evaluate, to_text
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
+from foten.render.bench import INSTRUCTION_SETS, time_all
 from foten.render.graph import GraphEngine
 from foten.render.native import NativeTexture
 from foten.render.renderer import Renderer
@@ -203,6 +205,30 @@ def test_what_is_in_a_file_is_told(
     told = capsys.readouterr().out
     assert "multiply-adds" in told
     assert key in told
+
+
+@pytest.mark.parametrize("key", ["ar", "fnn"])
+def test_a_judgement_tells_the_model_from_the_references(
+    textures: dict[str, Texture], recording: Recording, key: str
+) -> None:
+    """There is a reference "ar" beside a model "ar": each has a line with its own error."""
+    document = evaluate(textures[key], recording).document
+    lines = to_text(document).splitlines()
+    for name, row in ((f"{key}, this texture", document["one_step"]), ("ar ", document["references"]["ar"])):
+        (line,) = (one for one in lines if one.startswith(name))
+        assert f"{row['mae_scaled']:.4f}"[:5] in line
+    assert document["one_step"]["mae_scaled"] != document["references"]["ar"]["mae_scaled"]
+
+
+def test_a_graph_is_timed_once_and_called_by_what_runs_it(
+    textures: dict[str, Texture], tmp_path: Path
+) -> None:
+    """The kernel's instruction sets say nothing of a model that ONNX Runtime runs."""
+    for key, names in (("fnn", {"onnxruntime"}), ("ten", {*INSTRUCTION_SETS})):
+        write_texture(textures[key], tmp_path / f"{key}.foten")
+        found = time_all(tmp_path / f"{key}.foten", 50)
+        assert {one.isa for one in found} <= names
+        assert found
 
 
 def test_without_onnx_runtime_one_line_says_so(

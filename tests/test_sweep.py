@@ -169,6 +169,16 @@ def test_what_is_not_complete_is_said_and_not_compared(swept: Path) -> None:
     assert "paper's mean" in table([one for one in results if one["run"]["method"] == "FNN [13]"], "mae")[0]
 
 
+def test_versions_that_differ_are_said_and_packages_that_lack_are_not(swept: Path) -> None:
+    """`ar` needs no PyTorch and names no version of it: that is no difference."""
+    results = read_results(swept)
+    without = json.loads(json.dumps(results))
+    del without[0]["versions"]["torch"]
+    assert not any("several versions" in line for line in findings(without))
+    without[1]["versions"]["numpy"] = "0.1"
+    assert any("several versions, of numpy 0.1, " in line for line in findings(without))
+
+
 def test_holm_is_at_least_as_strict_as_the_false_discovery_rate_and_never_above_bonferroni() -> None:
     """By hand for three; beside SciPy's Benjamini–Hochberg, which is always more lenient."""
     assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])

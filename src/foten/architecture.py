@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
-from typing import Any
+from typing import Any, ClassVar
 
 HIGHEST_LOCAL_ORDER = 40  # beyond it line spectral frequencies no longer give the filter in float64
 HEAVIEST_TAIL = 0.25  # of h in z·exp(h z²/2), the excitation's tails; beyond it there is no fourth moment
@@ -26,6 +26,8 @@ class TenArchitecture:
     pre_norm: bool = True  # False normalises after each sub-layer, as [17]
     excitation: bool = False  # whether there is a random part, as that of foten-plus; the paper has none
     excitation_width: int = 16  # hidden units of log σ over speed and force, and of log levels
+    in_graph: ClassVar[bool] = False  # whether a file holds it as a graph for ONNX Runtime
+    n_branches: ClassVar[int] = 1  # each of which gives the head d_model numbers
 
     def __post_init__(self) -> None:
         least = {"window": 2, "d_model": 1, "n_heads": 1, "n_layers": 1, "d_feedforward": 1}
@@ -47,11 +49,6 @@ class TenArchitecture:
         return self.window
 
     @property
-    def in_graph(self) -> bool:
-        """Return whether a file holds the network as a graph for ONNX Runtime, and not as tensors for the kernel."""
-        return False
-
-    @property
     def n_inputs(self) -> int:
         """Return how many numbers of each sample the temporal branch sees: its acceleration."""
         return 1
@@ -69,7 +66,7 @@ class TenArchitecture:
     @property
     def n_found(self) -> int:
         """Return how many numbers the branches give the head."""
-        return self.d_model
+        return self.n_branches * self.d_model
 
 
 @dataclass(frozen=True)
@@ -87,6 +84,7 @@ class FotenArchitecture(TenArchitecture):
     phase_input: str = "angle"  # or "cos_sin"
     magnitude_input: str = "linear"  # or "log", log(1 + M)
     bins: str = "all"  # or "half": 0 … m/2 with a Hermitian inverse, so that a_spec is real by itself
+    n_branches: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -107,11 +105,6 @@ class FotenArchitecture(TenArchitecture):
             raise ValueError("phase_input 'cos_sin' has two numbers a bin and needs a spectral_width above 1")
         if not isinstance(self.bin_embedding, bool):
             raise ValueError("bin_embedding is true or false")
-
-    @property
-    def n_found(self) -> int:
-        """Return how many numbers both branches give the head."""
-        return 2 * self.d_model
 
     @property
     def n_bins(self) -> int:
@@ -195,6 +188,7 @@ class ArArchitecture:
     n_models: int = 3
     n_triangles: int = 1
     window: int = 21  # samples that a prediction is given; at least p + 1, and more to find the innovations before zeros
+    in_graph: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         for name, least in {"order": 1, "ma": 0, "n_models": 3, "n_triangles": 1}.items():
@@ -210,11 +204,6 @@ class ArArchitecture:
         return self.window
 
     @property
-    def in_graph(self) -> bool:
-        """Return False: the kernel runs it."""
-        return False
-
-    @property
     def excited(self) -> bool:
         """Return whether there is a random part."""
         return True
@@ -227,6 +216,8 @@ class TenMfccArchitecture(TenArchitecture):
     window: int = 30  # m, samples; Table II
     n_bands: int = 12  # of the triangular filters, spaced as mel are; the paper is silent
     n_coefficients: int = 8  # kept of their cosine transform; the paper is silent
+    in_graph: ClassVar[bool] = True
+    n_branches: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -237,16 +228,6 @@ class TenMfccArchitecture(TenArchitecture):
                 f"n_coefficients is {self.n_coefficients}, expected at most n_bands, {self.n_bands}"
             )
 
-    @property
-    def in_graph(self) -> bool:
-        """Return True."""
-        return True
-
-    @property
-    def n_found(self) -> int:
-        """Return how many numbers both branches give the head."""
-        return 2 * self.d_model
-
 
 @dataclass(frozen=True)
 class TenWaveletArchitecture(TenArchitecture):
@@ -254,6 +235,8 @@ class TenWaveletArchitecture(TenArchitecture):
 
     window: int = 30  # m, samples; Table II
     n_levels: int = 3  # of Daubechies' wavelet with two vanishing moments; the paper is silent
+    in_graph: ClassVar[bool] = True
+    n_branches: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -263,25 +246,12 @@ class TenWaveletArchitecture(TenArchitecture):
                 f"window is {self.window}, expected {2 ** (self.n_levels + 1)} or more for {self.n_levels} levels"
             )
 
-    @property
-    def in_graph(self) -> bool:
-        """Return True."""
-        return True
-
-    @property
-    def n_found(self) -> int:
-        """Return how many numbers both branches give the head."""
-        return 2 * self.d_model
-
 
 @dataclass(frozen=True)
 class FotenDArchitecture(FotenArchitecture):
     """FoTEN with a decoder layer of one query token in place of the last token, FoTEN-D in Table II: our reading."""
 
-    @property
-    def in_graph(self) -> bool:
-        """Return True."""
-        return True
+    in_graph: ClassVar[bool] = True
 
 
 @dataclass(frozen=True)
@@ -293,6 +263,7 @@ class GraphArchitecture:
         False  # whether there is a random part, as that of foten-plus; none of the sources has one
     )
     excitation_width: int = 16  # hidden units of log σ over speed and force
+    in_graph: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         _check_excitation(self.excitation, self.excitation_width)
@@ -304,11 +275,6 @@ class GraphArchitecture:
     def history(self) -> int:
         """Return how many samples a prediction is given."""
         return self.window
-
-    @property
-    def in_graph(self) -> bool:
-        """Return True: a file holds the network as a graph for ONNX Runtime."""
-        return True
 
     @property
     def excited(self) -> bool:

@@ -294,10 +294,11 @@ def to_text(document: Mapping[str, Any]) -> str:
         f"{document['texture'] or 'texture'}, {document['model']} at {document['rate_hz']:g} Hz; split {document['split']}, "
         f"{document['n_blocks']} blocks of {document['block']} samples",
         "",
-        f"{'one-step error':22s}{'scaled':>10}{'m/s²':>10}{'GFC':>10}",
+        f"{'one-step error':26s}{'scaled':>10}{'m/s²':>10}{'GFC':>10}",
     ]
-    rows = {document["model"]: document["one_step"], **document["references"]}
-    lines += [f"{name:22s}" + "".join(cell(row[key]) for key in ONE_STEP_KEYS) for name, row in rows.items()]
+    # "ar" is a reference's name and a model's.
+    rows = [(f"{document['model']}, this texture", document["one_step"]), *document["references"].items()]
+    lines += [f"{name:26s}" + "".join(cell(row[key]) for key in ONE_STEP_KEYS) for name, row in rows]
     heads = ("LSD dB", "long dB", "GFC raw", "Welch", "bias dB", "error dB", "corr", "kurtosis", "max sd")
     lines += ["", f"{'free run':22s}" + "".join(f"{head:>10}" for head in heads)]
     names = ("free_run", "free_run_deterministic", "free_run_ar", "ceiling")

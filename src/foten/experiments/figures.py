@@ -148,7 +148,7 @@ def spectra(results: Results) -> Figure:
         axes.set_title(_name(texture), fontsize=9, loc="left")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(
-        handles, labels, loc="outside lower center", ncols=min(4, len(labels)), frameon=False, fontsize=8
+        handles, labels, loc="outside upper center", ncols=min(4, len(labels)), frameon=False, fontsize=8
     )
     figure.supxlabel("frequency [Hz]", fontsize=9)
     figure.supylabel("power density [dB re 1 (m/s²)²/Hz]", fontsize=9)

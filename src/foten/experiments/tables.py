@@ -26,19 +26,19 @@ class Figure:
     Attributes:
         name: in headings, with its unit.
         path: where it lies in `evaluation`.
-        reported: the attribute of `paper.Reported` that it stands beside, and by what that is multiplied; None for none.
+        reported: the attribute of `paper.Reported` that it stands beside, and how many digits of that are printed; None for none.
         better: 1 where more is better, −1 where less is.
     """
 
     name: str
     path: str
-    reported: tuple[str, float] | None
+    reported: tuple[str, int] | None
     better: int
 
 
 FIGURES = {
-    "mae": Figure("one-step MAE [sd]", "one_step.mae_scaled", ("mae", 1.0), -1),
-    "gfc": Figure("one-step GFC [%]", "one_step.gfc", ("gfc", 1.0), 1),
+    "mae": Figure("one-step MAE [sd]", "one_step.mae_scaled", ("mae", 3), -1),
+    "gfc": Figure("one-step GFC [%]", "one_step.gfc", ("gfc", 2), 1),
     "lsd": Figure("free-run log-spectral distance [dB]", "free_run.lsd_db", None, -1),
     "level": Figure("free-run level error [dB]", "free_run.level_error_db", None, -1),
 }
@@ -210,9 +210,9 @@ def table(results: Sequence[Mapping[str, Any]], figure: str) -> list[list[str]]:
         if p:
             line.append(f"{p[row.name]:.3f}" if row.name in p else "")
         if reported and of.reported is not None:
-            attribute, scale = of.reported
+            attribute, digits = of.reported
             value = getattr(PAPER[row.model], attribute) if row.model in once else None
-            line.append("" if value is None else f"{scale * value:g}")
+            line.append("" if value is None else f"{value:.{digits}f}")
         cells.append(line)
     return cells
 
@@ -267,9 +267,15 @@ def title_of(results: Sequence[Mapping[str, Any]]) -> str:
 def findings(results: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """Say what was reduced, which method is best in each figure, and whether the paper's order is found."""
     yield from dict.fromkeys(about["note"] for about in _experiments(results) if about["note"])
-    versions = {json.dumps([one["foten"], one["versions"]], sort_keys=True) for one in results}
-    if len(versions) > 1:
-        yield "The results were made with several versions of foten or of what it is built on: run them again with one."
+    versions: dict[str, set[str]] = {}
+    for one in results:
+        for package, version in {"foten": one["foten"], **one["versions"]}.items():
+            versions.setdefault(package, set()).add(version)
+    several = [
+        f"{package} {', '.join(sorted(found))}" for package, found in versions.items() if len(found) > 1
+    ]
+    if several:
+        yield f"The results were made with several versions, of {'; '.join(several)}: run them again with one."
     for name, of in FIGURES.items():
         textures, rows = rows_of(results, name)
         lacking = [row.name for row in rows if row.model and row not in complete(rows, textures)]

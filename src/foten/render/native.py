@@ -201,6 +201,7 @@ class NativeTexture:
         pointer, why = c_void_p(), ctypes.create_string_buffer(512)
         status = library().foten_model_load(data, len(data), byref(pointer), why, len(why))
         self._failed: list[BaseException] = []
+        self._asked: ctypes._FuncPointer | None = None
         if status == _NO_PREDICTOR:
             self._asked = _asked(data, self._failed)  # as long as the texture is
             status = library().foten_model_load_with(
@@ -227,6 +228,11 @@ class NativeTexture:
             told.state_bytes,
         )
         _freed_with(self, library().foten_model_free, pointer)
+
+    @property
+    def asks(self) -> bool:
+        """Return whether the kernel asks ONNX Runtime for each sample."""
+        return self._asked is not None
 
     def raise_failed(self) -> None:
         """Raise what went wrong while the kernel asked Python for a sample: an interrupt, or an error of the runtime."""
