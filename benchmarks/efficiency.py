@@ -2,10 +2,11 @@
 
     python benchmarks/efficiency.py [--models dstn,ldhtd,…] [--steps 1000] [--seconds 56] [--save FILE] [--page FILE]
 
-A step is one window at a time on one thread: eager PyTorch, as the paper measured its own in Keras, ONNX Runtime, and the kernel
-where it runs the model. An epoch is one of the paper's recipe (batches of 16) and one of ours (of 128) over the training blocks
-of a simulated recording as long as the paper's, one thread each. Networks are untrained: their costs are the same. All in one
-run; ratios are what to read, since machines differ. A GPU is measured where there is one.
+A step is a sample, one window at a time on one thread (of ldhtd-hop a twentieth of what a window costs): eager PyTorch, as the
+paper measured its own in Keras, ONNX Runtime, and the kernel where it runs the model. An epoch is one of the paper's recipe (batches
+of 16) and one of ours (of 128) over the training blocks of a simulated recording as long as the paper's, one thread each. Networks
+are untrained: their costs are the same. All in one run; ratios are what to read, since machines differ. A GPU is measured where
+there is one.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ from foten.architecture import ARCHITECTURES, GRAPHS, NETWORKS
 from foten.datasets.simulate import simulate
 from foten.experiments.paper import PAPER
 from foten.models import build
+from foten.models.dftnet import Dftnet
+from foten.models.gan import Gan
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.scaling import fit_scaling
 from foten.recording.split import split_blocks
@@ -37,15 +40,30 @@ from foten.recording.windows import targets
 from foten.render.graph import GRAPH, GraphEngine
 from foten.render.native import NativeState, NativeTexture
 from foten.texture_file import Texture
+from foten.train.adversarial import STEPS, fit_adversarial
 from foten.train.card import card_of
 from foten.train.config import OWN_RECIPES, RECIPES
 from foten.train.export import export, graph_of
 from foten.train.fit import Data, fit, reproducible
-from foten.train.prepared import prepare
+from foten.train.goals import ahead, spectra
+from foten.train.prepared import Prepared, prepare
 from foten.whole_file import whole_file
 from main_table import between
 
-MODELS = ("dstn", "ldhtd", "hapinf", "fnn", "ten", "ten-mfcc", "ten-wavelet", "foten", "foten-d")
+MODELS = (
+    "dstn",
+    "ldhtd",
+    "ldhtd-hop",
+    "gan",
+    "dftnet",
+    "hapinf",
+    "fnn",
+    "ten",
+    "ten-mfcc",
+    "ten-wavelet",
+    "foten",
+    "foten-d",
+)
 WARM = 50  # steps that are not counted
 
 
@@ -75,20 +93,32 @@ def steps(key: str, n: int, texture: Texture | None) -> dict[str, float]:
         if torch.cuda.is_available():
             network, given = network.cuda(), window.cuda()
             found["gpu"] = p50_us(lambda: network(given).item(), n)
-    found["onnxruntime"] = p50_us(lambda: engine.answer(array), n)
+    out = np.empty(architecture.n_ahead, np.float32)
+    found["onnxruntime"] = p50_us(lambda: engine.answer(array, out), n)
+    found = {name: of / architecture.n_ahead for name, of in found.items()}
     if texture is not None:
-        state, out = NativeState(NativeTexture(texture.to_bytes()), excitation=False), np.empty(1, np.float32)
+        state, out = NativeState(NativeTexture(texture.to_bytes()), excitation=False), out[:1]
         state.set_hand(80.0, 0.8)
         found["kernel"] = p50_us(lambda: state.render(out), n)
     return found
 
 
-def epoch_s(key: str, data: Data, recipe: str) -> float:
-    """Return how long one epoch takes, validation included [s]."""
-    config = dataclasses.replace(RECIPES[recipe], **{**OWN_RECIPES.get(key, {}), "epochs": 1, "threads": 1})
+def epoch_s(key: str, data: Data, prepared: Prepared, recipe: str) -> float:
+    """Return how long one epoch takes, validation included [s]; of the GAN, as many spectrograms as others have windows."""
+    own = {**OWN_RECIPES.get(key, {}), "epochs": 1, "threads": 1, "batch": RECIPES[recipe].batch}
+    config = dataclasses.replace(RECIPES[recipe], **own)
+    architecture = ARCHITECTURES[key]()
     with reproducible():
         torch.manual_seed(0)
-        return fit(build(key, ARCHITECTURES[key]()), data, config).epochs[-1].seconds
+        network = build(key, architecture)
+        if isinstance(network, Gan):
+            line = fit_adversarial(network, architecture.window, prepared, config).epochs[-1]
+            return line.seconds * len(data.train) / (STEPS * config.batch)
+        if isinstance(network, Dftnet):
+            network, data = network.spectrum, spectra(data, prepared)
+        elif architecture.n_ahead > 1:
+            data = ahead(data, prepared, architecture.n_ahead)
+        return fit(network, data, config).epochs[-1].seconds
 
 
 def measure(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -127,7 +157,7 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
         found[key] = {
             "window": m,
             "step_us": steps(key, arguments.steps, texture),
-            "epoch_s": {recipe: epoch_s(key, data, recipe) for recipe in ("paper", "default")},
+            "epoch_s": {recipe: epoch_s(key, data, prepared, recipe) for recipe in ("paper", "default")},
         }
         print(key, json.dumps(found[key]), flush=True)
     return {

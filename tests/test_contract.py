@@ -21,7 +21,7 @@ from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.render.bench import INSTRUCTION_SETS, time_all
 from foten.render.graph import GraphEngine
-from foten.render.native import NativeTexture
+from foten.render.native import NativeState, NativeTexture
 from foten.render.renderer import Renderer
 from foten.render.synthesizer import Synthesizer
 from foten.texture_file import CLOSED_LOOP_TOLERANCE, Texture, texture_from_bytes, write_texture
@@ -50,10 +50,10 @@ def textures(recording: Recording) -> dict[str, Texture]:
         if key == "ar":
             found[key] = train_local(recording, SHORT).texture
             continue
-        config = TrainConfig(
-            epochs=1, batch=512, threads=1, max_order=8, tones=False, **OWN_RECIPES.get(key, {})
-        )
-        architecture = architecture_with(key, SMALL)
+        short = {"epochs": 1, "batch": 512, "threads": 1, "max_order": 8, "tones": False}
+        config = TrainConfig(**(OWN_RECIPES.get(key, {}) | short | ({"batch": 8} if key == "gan" else {})))
+        own = {"window": 42, "frame": 16, "stride": 1} if key == "gan" else SMALL
+        architecture = architecture_with(key, own)
         found[key] = train_texture(recording, key, architecture, config, SHORT).texture
     return found
 
@@ -104,8 +104,13 @@ print(json.dumps(found))
         assert 0.02 * texture.scaling.sd[0] < of["sd"], key
         # The change of rate lets a cut wave overshoot a little.
         assert of["peak"] < 1.3 * bound, key
-        assert of["one_step"] < 1.2 * of["zero"], key
-        assert np.isfinite([of["nll"], of["free_run"]]).all(), key
+        assert np.isfinite(of["free_run"]), key
+        if ARCHITECTURES[key].of_noise:  # it foretells no sample
+            assert of["one_step"] is None, key
+            assert of["nll"] is None, key
+        else:
+            assert of["one_step"] < 1.2 * of["zero"], key
+            assert np.isfinite(of["nll"]), key
 
 
 @pytest.mark.parametrize("key", ARCHITECTURES)
@@ -182,7 +187,7 @@ def test_what_goes_wrong_while_the_kernel_asks_is_raised(
     renderer = Renderer(textures["dstn"])
     asked = 0
 
-    def interrupted(engine: object, window: object) -> float:
+    def interrupted(engine: object, window: object, out: object) -> None:
         nonlocal asked
         asked += 1
         raise KeyboardInterrupt
@@ -238,3 +243,46 @@ def test_without_onnx_runtime_one_line_says_so(
     with pytest.raises(ValueError, match=r"pip install 'foten\[onnx\]'"):
         Renderer(textures["dstn"])
     assert Renderer(textures["foten"]).render(speed_mm_s=80.0, force_n=1.0, n=10).size == 10
+
+
+@pytest.mark.parametrize("key", [key for key, of in GRAPHS.items() if of.of_noise])
+def test_what_is_made_of_noise_goes_on_from_a_recorded_hand_alone(
+    textures: dict[str, Texture], key: str
+) -> None:
+    """Whatever was recorded; in the kernel as in NumPy. Without chance there is silence."""
+    texture = textures[key]
+    m, rng = texture.window, np.random.default_rng(3)
+    speed, force = np.linspace(20, 160, 64), np.linspace(0.4, 1.5, 64)
+    found = []
+    for acceleration in (np.zeros(m), rng.standard_normal(m)):
+        window = np.stack([acceleration, np.full(m, 90.0), np.full(m, 1.1)], axis=1)
+        synthesizer = Synthesizer(texture, seed=7)
+        synthesizer.reset(texture.scaling.scale(window)[None])
+        state = NativeState(NativeTexture(texture.to_bytes()), seed=7)
+        state.start(*window.T)
+        found += [synthesizer.render(speed, force), state.render_stroke(speed, force)]
+    for other in found[1:]:
+        np.testing.assert_allclose(other, found[0], atol=2 * CLOSED_LOOP_TOLERANCE * texture.scaling.sd[0])
+    # Not as a rendering without a window begins, whose hand was always there.
+    assert np.abs(Synthesizer(texture, seed=7).render(speed, force) - found[0]).max() > 1e-3
+    mean = texture.scaling.mean[0]
+    for excitation in (Synthesizer(texture, excitation=False), Renderer(texture, excitation=False)):
+        np.testing.assert_allclose(excitation.render(speed, force), mean, atol=1e-6)
+
+
+def test_a_network_that_hops_is_asked_once_a_hop(
+    textures: dict[str, Texture], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hop = textures["ldhtd-hop"].architecture.n_ahead
+    assert hop == 20
+    renderer, answer, asked = Renderer(textures["ldhtd-hop"], excitation=False), GraphEngine.answer, 0
+
+    def counted(engine: GraphEngine, window: np.ndarray, out: np.ndarray) -> None:
+        nonlocal asked
+        asked += 1
+        assert out.shape == (hop,)
+        answer(engine, window, out)
+
+    monkeypatch.setattr(GraphEngine, "answer", counted)
+    renderer.render(speed_mm_s=80.0, force_n=1.0, n=5 * hop + 1)
+    assert asked == 6

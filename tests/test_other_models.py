@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -10,7 +12,9 @@ from scipy.signal import welch
 
 from foten.architecture import (
     GRAPHS,
+    DftnetArchitecture,
     FnnArchitecture,
+    GanArchitecture,
     TenMfccArchitecture,
     TenWaveletArchitecture,
     architecture_from,
@@ -19,10 +23,16 @@ from foten.models import build
 from foten.models.excited import Excited
 from foten.models.features import MfccBranch, WaveletBranch, cosine_transform, mel_bands, wavelet_transform
 from foten.models.fnn import EDGES, lagged_bands
+from foten.models.gan import Gan
+from foten.models.noise_filter import NoiseFilter, log_magnitudes
+from foten.recording.split import Split
+from foten.recording.trace import Trace
+from foten.train.adversarial import fit_adversarial
 from foten.train.config import OWN_RECIPES, RECIPES, TrainConfig
 from foten.train.export import _multiply_adds
-from foten.train.fit import Data, Progress
-from foten.train.train import _taught
+from foten.train.fit import Data, Epoch, Progress, fit
+from foten.train.goals import ahead, spectra, taught
+from foten.train.prepared import Prepared, prepare
 
 
 def test_bands_add_up_to_the_vibration() -> None:
@@ -98,7 +108,8 @@ def test_every_window_is_predicted_by_itself(key: str) -> None:
 def test_a_size_that_cannot_be_is_refused(key: str) -> None:
     with pytest.raises(ValueError, match="window is 1"):
         architecture_from(key, {"window": 1})
-    with pytest.raises(ValueError, match="excitation is 1"):
+    what = "has no size 'excitation'" if GRAPHS[key].of_noise else "excitation is 1"
+    with pytest.raises(ValueError, match=what):
         architecture_from(key, {"excitation": 1})
     with pytest.raises(ValueError, match="has no size 'colour'"):
         architecture_from(key, {"colour": 3})
@@ -114,6 +125,11 @@ def test_a_size_that_cannot_be_is_refused(key: str) -> None:
         ("ten-mfcc", {"n_coefficients": 20}, "at most n_bands"),
         ("ten-wavelet", {"window": 12}, "expected 16 or more"),
         ("dstn", {"channels": 0}, "channels is 0"),
+        ("ldhtd-hop", {"hop": 201}, "at most the window"),
+        ("ldhtd-hop", {"n_heads": 7}, "does not divide"),
+        ("dftnet", {"n_told": 101}, "expected 101 or more"),
+        ("gan", {"frame": 32}, "expected 240"),
+        ("gan", {"frame": 4}, "frame is 4"),
     ],
 )
 def test_what_does_not_fit_is_refused(key: str, sizes: dict[str, int], match: str) -> None:
@@ -125,11 +141,11 @@ def test_the_student_is_taught_half_by_its_teacher() -> None:
     rng = np.random.default_rng(5)
     samples = rng.standard_normal((400, 3))
     data = Data(samples, np.arange(20, 300), np.arange(320, 400), 20)
-    taught = _taught(data, 20, TrainConfig(epochs=1, batch=64, threads=1, loss="mse"), lambda stage: None)
-    assert taught.target is not None
-    np.testing.assert_array_equal(taught.target[data.validation], samples[data.validation, 0])
+    found = taught(data, 20, TrainConfig(epochs=1, batch=64, threads=1, loss="mse"), lambda stage: None)
+    assert found.target is not None
+    np.testing.assert_array_equal(found.target[data.validation], samples[data.validation, 0])
     # A teacher that knows next to nothing of white noise predicts about zero, so the targets are about half.
-    half = taught.target[data.train] / samples[data.train, 0]
+    half = found.target[data.train] / samples[data.train, 0]
     assert abs(np.median(half) - 0.5) < 0.1
 
 
@@ -173,7 +189,153 @@ def test_a_setting_that_is_no_such_number_is_refused(change: dict[str, object]) 
 
 
 def test_an_interrupted_teacher_ends_the_training(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("foten.train.train.fit", lambda *_: Progress(interrupted=True))
+    monkeypatch.setattr("foten.train.goals.fit", lambda *_: Progress(interrupted=True))
     data = Data(np.zeros((100, 3)), np.arange(20, 60), np.arange(60, 100), 20)
     with pytest.raises(KeyboardInterrupt):
-        _taught(data, 20, TrainConfig(), lambda stage: None)
+        taught(data, 20, TrainConfig(), lambda stage: None)
+
+
+@pytest.mark.parametrize("n", [15, 16, 64])
+def test_filtered_noise_has_the_logarithms_that_are_asked_for(n: int) -> None:
+    """White noise and those of a smooth spectrum: means over 40,000 frames, at both ends as between.
+
+    At zero and at half of the rate a spectrum has no imaginary part, and the mean logarithm of a smooth one lies log 2 / 2 lower.
+    """
+    torch.manual_seed(3)
+    bins = torch.arange(n // 2 + 1, dtype=torch.float64)
+    # A filter with three taps, which a Hann window hardly blurs.
+    asked = 0.3 * torch.cos(2 * torch.pi * bins / n) - 0.3
+    asked[(bins == 0) | (2 * bins == n)] -= 0.5 * np.log(2)
+    noise = torch.randn(40_000, 2 * n - 1, dtype=torch.float64)
+    found = log_magnitudes(NoiseFilter(n).double()(noise.unfold(1, n, 1), asked)).mean(0)
+    # The last bin of an odd frame lies half of one below half of the rate, and is a little of either kind.
+    kept = slice(None) if n % 2 == 0 else slice(-1)
+    torch.testing.assert_close(found[kept], asked[kept], rtol=0, atol=0.03)
+
+
+def test_a_generator_plays_sample_by_sample_what_it_was_judged_by() -> None:
+    """A spectrum that stands still for a stride: its first sample is that of the rendering, the others nearly."""
+    torch.manual_seed(4)
+    architecture = GanArchitecture()
+    network, m = build("gan", architecture).double(), architecture.window
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter += 0.05 * torch.randn_like(parameter)
+        noise = torch.randn(2, m + 40, 1, dtype=torch.float64)
+        hand = torch.linspace(-1, 1, m + 40, dtype=torch.float64)[None, :, None].expand(2, -1, 2)
+        windows = torch.cat([noise, hand], dim=2)
+        at_once = network.played(windows)
+        one_by_one = torch.stack([network(windows[:, i : i + m]) for i in range(40)], dim=1)
+    assert at_once.shape == one_by_one.shape
+    torch.testing.assert_close(at_once[:, ::8], one_by_one[:, ::8])
+    assert (at_once - one_by_one).abs().mean() < 0.1 * one_by_one.abs().mean()
+    assert (at_once != one_by_one).any()
+
+
+def test_targets_of_several_samples_lie_in_one_block() -> None:
+    prepared = prepared_trace(n_blocks=5, block=200)
+    data = Data(prepared.samples.reshape(-1, 3), *prepared.targets(20), 20)
+    told = ahead(data, prepared, 7)
+    assert told.target is not None
+    for n in (told.train, told.validation):
+        assert (n % 200 + 7 <= 200).all()
+        np.testing.assert_array_equal(told.target[n[3]], data.samples[n[3] : n[3] + 7, 0])
+    assert len(told.train) == len(data.train) - 6 * len(prepared.split.train)
+
+
+def test_targets_of_spectra_are_frames_around_a_sample() -> None:
+    prepared = prepared_trace(n_blocks=5, block=200)
+    data = Data(prepared.samples.reshape(-1, 3), *prepared.targets(40), 40)
+    told = spectra(data, prepared)
+    assert told.target is not None
+    assert 0 < len(told.train) < len(data.train)
+    for n in (told.train, told.validation):
+        assert (n % 200 + 20 <= 200).all()
+        around = torch.from_numpy(data.samples[n[1] - 20 : n[1] + 20, 0])
+        np.testing.assert_allclose(told.target[n[1]], log_magnitudes(around), atol=1e-5)
+
+
+def test_spectra_follow_the_hand() -> None:
+    """Noise as loud as the hand is fast: the model of spectra is, on a trace that it was not trained on."""
+    prepared = prepared_trace(n_blocks=40, block=200)
+    data = Data(prepared.samples.reshape(-1, 3), *prepared.targets(40), 40)
+    torch.manual_seed(0)
+    network = build("dftnet", DftnetArchitecture(window=40, n_told=4, first=16, second=16, third=16))
+    before = network.spectrum(torch.zeros(1, 40, 3)).detach()
+    fit(
+        network.spectrum,
+        spectra(data, prepared),
+        TrainConfig(epochs=60, patience=60, batch=32, threads=1, loss="mse", learning_rate=3e-3),
+    )
+    hand = torch.zeros(2, 40, 3)
+    hand[0, :, 1], hand[1, :, 1] = -1.0, 1.0
+    with torch.no_grad():
+        slow, fast = network.spectrum(hand)
+    assert not torch.equal(before[0], slow)
+    # Speeds of one standard deviation below and above the mean, as loud as these are fast.
+    mean, sd = prepared.scaling.mean[1], prepared.scaling.sd[1]
+    assert float((fast - slow)[2:-2].mean()) == pytest.approx(np.log((mean + sd) / (mean - sd)), abs=0.25)
+
+
+def small_gan() -> Gan:
+    torch.manual_seed(1)
+    return Gan(GanArchitecture(window=42, frame=16, stride=1, channels=4))
+
+
+def test_an_adversarial_training_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    prepared = prepared_trace(n_blocks=5, block=200)
+    config = TrainConfig(epochs=4, batch=4, threads=1, learning_rate=1e-3)
+    whole = small_gan()
+    torch.manual_seed(2)
+    expected = fit_adversarial(whole, 42, prepared, config)
+    stopped = small_gan()
+    torch.manual_seed(2)
+
+    def stop(line: Epoch) -> None:
+        if line.epoch == 2:
+            raise KeyboardInterrupt
+
+    first = fit_adversarial(stopped, 42, prepared, config, stop, tmp_path / "checkpoint.pt")
+    assert first.interrupted
+    resumed = small_gan()
+    torch.manual_seed(5)
+    found = fit_adversarial(resumed, 42, prepared, config, checkpoint=tmp_path / "checkpoint.pt", resume=True)
+    assert [line.validation_loss for line in found.epochs] == [
+        line.validation_loss for line in expected.epochs
+    ]
+    for name, tensor in whole.state_dict().items():
+        assert torch.equal(tensor, resumed.state_dict()[name]), name
+    assert expected.epochs[-1].validation_loss != expected.epochs[0].validation_loss
+
+
+def test_an_adversarial_training_that_is_stopped_at_once_keeps_nothing() -> None:
+    def stop(line: Epoch) -> None:
+        raise KeyboardInterrupt
+
+    prepared = prepared_trace(n_blocks=5, block=200)
+    progress = fit_adversarial(small_gan(), 42, prepared, TrainConfig(epochs=1, batch=4, threads=1), stop)
+    assert progress.interrupted
+    assert [line.epoch for line in progress.epochs] == [0]
+
+
+def test_blocks_too_short_for_spectrograms_are_refused() -> None:
+    prepared = prepared_trace(n_blocks=5, block=60)
+    with pytest.raises(ValueError, match="expected 65 or more: use a longer --block"):
+        fit_adversarial(small_gan(), 42, prepared, TrainConfig(epochs=1, threads=1))
+
+
+def prepared_trace(n_blocks: int, block: int) -> Prepared:
+    """Return white noise as loud as a hand is fast, which moves by chance from block to block."""
+    rng = np.random.default_rng(6)
+    speed = np.repeat(rng.uniform(40, 200, n_blocks), block)
+    trace = Trace(
+        acceleration=0.01 * speed * rng.standard_normal(speed.size),
+        speed=speed,
+        force=np.full(speed.size, 1.0) + rng.uniform(0, 0.1, speed.size),
+        rate_hz=1000.0,
+        block=block,
+    )
+    split = Split(
+        tuple(range(n_blocks - 2)), (n_blocks - 2,), (n_blocks - 1,), n_blocks, block, "regrouped", 0
+    )
+    return prepare(trace, split)

@@ -49,7 +49,7 @@ extern "C" {
 #define FOTEN_VERSION "0.1.0"
 #define FOTEN_VERSION_MAJOR 0
 #define FOTEN_VERSION_MINOR 1
-#define FOTEN_ABI 2 /* of this header's structures and functions; foten_abi() has to be the same */
+#define FOTEN_ABI 3 /* of this header's structures and functions; foten_abi() has to be the same */
 
 typedef struct foten_model foten_model;
 typedef struct foten_state foten_state;
@@ -89,11 +89,13 @@ FOTEN_API foten_status foten_model_load(const void *bytes, size_t n_bytes, foten
 FOTEN_API void foten_model_free(foten_model *model);
 
 /* The same for networks that this library has no code for, those of the systems that foten is compared with: their files hold an ONNX graph,
- * and whoever runs it gives the next sample of a window, `window` samples of acceleration, speed and force in turn, oldest first, all in the
- * units of the network. It is asked for the golden windows while the file is loaded, and once a sample from each thread that renders, from
- * several at once where several do; it and `user` have to outlive the model. Such a rendering is as real-time as its predictor is, which may
- * allocate or wait. What is not finite counts as 0. Without one, such a file is FOTEN_NO_PREDICTOR; other files do not ask it. */
-typedef float (*foten_predictor)(void *user, const float *window);
+ * and whoever runs it gives what comes after a window, `window` samples of acceleration, speed and force in turn, oldest first, all in the
+ * units of the network: the next sample, or as many as the card's `sizes` name in `hop`. In the place of the acceleration, "dftnet" and "gan"
+ * are given the noise numbers of these samples. It is asked for the golden windows while the file is loaded, and once a hop from each thread
+ * that renders, from several at once where several do; it and `user` have to outlive the model. Such a rendering is as real-time as its
+ * predictor is, which may allocate or wait. What is not finite counts as 0. Without one, such a file is FOTEN_NO_PREDICTOR; other files do not
+ * ask it. */
+typedef void (*foten_predictor)(void *user, const float *window, float *next);
 FOTEN_API foten_status foten_model_load_with(const void *bytes, size_t n_bytes, foten_predictor predictor, void *user, foten_model **model,
                                              char *why, size_t why_size);
 FOTEN_API foten_info foten_model_info(const foten_model *model);
@@ -115,7 +117,8 @@ FOTEN_API void foten_state_free(foten_state *state);
  * network is heard, the first sample takes as many of its steps as its window is long. */
 FOTEN_API void foten_reset(foten_state *state, uint64_t seed);
 
-/* Go on from a recorded window instead: foten_info.window samples of acceleration, speed and force, all finite. */
+/* Go on from a recorded window instead: foten_info.window samples of acceleration, speed and force, all finite. A model of noise goes on from
+ * its hand alone. */
 FOTEN_API foten_status foten_start(foten_state *state, const float *acceleration, const float *speed_mm_s, const float *force_n);
 
 /* The loop by itself, as training and tests want it: in the units of the network (the card's scaling), in double, with noise that is given, and

@@ -60,6 +60,8 @@ static size_t replayed(size_t n) {
 #endif
 }
 
+static int random_part(const foten_model *m) { return m->excited || m->of_noise; }
+
 /* What is proven, of what was trained, at most how far from it; 0 and a reason where it is not. */
 static int proven(texture_file *file, const char *what, const double *found, const double *expected, size_t n, double tolerance) {
     double worst = 0;
@@ -124,7 +126,7 @@ static foten_status prove(foten_model *m, texture_file *file) {
         int cut;
         hand hand = hand_of(m, conditions + 2 * i);
         double noise = noise_at(0, 0, i);
-        found[i] = loop_step(m, l, &hand, m->excited ? &noise : NULL, INFINITY, &cut);
+        found[i] = loop_step(m, l, &hand, random_part(m) ? &noise : NULL, INFINITY, &cut);
     }
     if (proven(file, "64 closed-loop steps", found, closed, GOLDEN_STEPS, CLOSED_LOOP_TOLERANCE)) status = FOTEN_OK;
 done:
@@ -182,7 +184,7 @@ static size_t state_bytes(const foten_model *model, double rate) {
 }
 
 foten_info foten_model_info(const foten_model *m) {
-    foten_info info = {m->name, m->texture, m->rate_hz, m->history, m->excited, {m->low[0], m->high[0]}, {m->low[1], m->high[1]}, m->sd[0],
+    foten_info info = {m->name, m->texture, m->rate_hz, m->history, random_part(m), {m->low[0], m->high[0]}, {m->low[1], m->high[1]}, m->sd[0],
                        m->lowpass_hz, state_bytes(m, m->rate_hz)};
     return info;
 }
@@ -258,6 +260,8 @@ foten_status foten_start(foten_state *s, const float *acceleration, const float 
     }
     if (finite) {
         loop_start(m, s->loop, windows, m->history, 0);
+        for (int t = 0; m->of_noise && t < m->history; t++) s->loop->seen[t * m->n_inputs] = 0;
+        if (!s->deterministic) loop_listen(m, s->loop, s->seed, s->stream);
         s->fresh = 0;
     }
     return finite ? FOTEN_OK : FOTEN_BAD_ARGUMENT;
@@ -330,8 +334,9 @@ static double sample_of(foten_state *s, const double condition[2]) {
         if (!s->deterministic) loop_begin(m, s->loop, &hand, s->seed, s->stream);
         s->fresh = 0;
     }
-    double noise = s->deterministic || !m->excited ? 0 : noise_at(s->seed, s->stream, n);
-    double vibration = loop_step(m, s->loop, &hand, s->deterministic || !m->excited ? NULL : &noise, m->saturation, &cut);
+    int by_chance = !s->deterministic && random_part(m);
+    double noise = by_chance ? noise_at(s->seed, s->stream, n) : 0;
+    double vibration = loop_step(m, s->loop, &hand, by_chance ? &noise : NULL, m->saturation, &cut);
     s->last[0] = condition[0];
     s->last[1] = condition[1];
     count(s, N, 1);

@@ -33,9 +33,10 @@ loop *loop_place(const foten_model *m, block *from) {
     double *coming = block_take(from, zeros, sizeof *coming), *past = block_take(from, zeros, sizeof *past);
     float *seen = block_take(from, seen_numbers, sizeof *seen);
     float *scratch = block_take(from, m->network ? m->network->scratch : 0, sizeof *scratch);
+    float *ahead = block_take(from, m->predictor ? (size_t)m->hop : 0, sizeof *ahead);
     if (!from->base) return NULL;
     *l = (loop){.states = states, .reflections = reflections, .cosines = cosines, .coefficients = coefficients, .seen = seen, .scratch = scratch,
-                .past = past};
+                .past = past, .coming = ahead};
     l->local = (local_mixture){.reflections = reflections, .zeros = coming};
     return l;
 }
@@ -50,6 +51,7 @@ void loop_copy(const foten_model *m, loop *to, const loop *from) {
     to->coefficients = kept.coefficients;
     to->seen = kept.seen;
     to->scratch = kept.scratch;
+    to->coming = kept.coming;
     to->past = kept.past;
     to->local.reflections = kept.local.reflections;
     to->local.zeros = kept.local.zeros;
@@ -64,6 +66,7 @@ void loop_copy(const foten_model *m, loop *to, const loop *from) {
         memcpy(to->local.zeros, from->local.zeros, (size_t)m->local->ma * sizeof *to->past);
     }
     if (window_of(m)) memcpy(to->seen, from->seen, numbers_seen(m) * sizeof *to->seen);
+    if (from->n_coming) memcpy(to->coming, from->coming, (size_t)m->hop * sizeof *to->coming);
 }
 
 hand hand_of(const foten_model *m, const double condition[2]) {
@@ -300,6 +303,7 @@ void loop_start(const foten_model *m, loop *l, const double *windows, int n, int
     hand last = hand_of(m, windows + 3 * n - 2);
     memset(l->seen, 0, numbers_seen(m) * sizeof *l->seen);
     l->swell = 0;
+    l->n_coming = 0;
     if (!m->plus) {
         for (int t = 0; t < n; t++) see(m, l, windows[3 * t], windows + 3 * t + 1, 0);
         heed(m, l, &last, 1);
@@ -318,7 +322,11 @@ void loop_start(const foten_model *m, loop *l, const double *windows, int n, int
 /* What a network makes of what it sees; nothing, where somebody else's makes no number of it. */
 static double answer(const foten_model *m, loop *l) {
     if (m->network) return m->isa->predict(m->network, l->seen, l->scratch);
-    double found = m->predictor(m->predictor_user, l->seen);
+    if (!l->n_coming) {
+        m->predictor(m->predictor_user, l->seen, l->coming);
+        l->n_coming = m->hop;
+    }
+    double found = l->coming[m->hop - l->n_coming];
     return isfinite(found) ? found : 0;
 }
 
@@ -373,7 +381,8 @@ double loop_step(const foten_model *m, loop *l, const hand *hand, const double *
         if (noise && m->excited) sample += shock_of(m, l, *noise, 1);
         double played = within(sample, limit);
         *cut = played != sample;
-        see(m, l, played, hand->condition, 0);
+        l->n_coming -= l->n_coming > 0;
+        see(m, l, !m->of_noise ? played : noise ? *noise : 0, hand->condition, 0);
         heed(m, l, hand, 0);
         return played;
     }
@@ -415,6 +424,10 @@ static void begin_window(const foten_model *m, loop *l, const hand *hand, uint64
     }
 }
 
+void loop_listen(const foten_model *m, loop *l, uint64_t seed, uint64_t stream) {
+    for (int i = 0; m->of_noise && i < window_of(m); i++) l->seen[i * m->n_inputs] = (float)noise_at(seed, stream, TO_BEGIN + (uint64_t)i);
+}
+
 void loop_begin(const foten_model *m, loop *l, const hand *hand, uint64_t seed, uint64_t stream) {
     if (m->local) {
         begin_local(m, l, hand, seed, stream);
@@ -423,6 +436,8 @@ void loop_begin(const foten_model *m, loop *l, const hand *hand, uint64_t seed, 
     uint64_t n = TO_BEGIN;
     if (!m->plus) {
         if (m->excited) begin_window(m, l, hand, seed, stream);
+        for (int i = 0; m->of_noise && i < window_of(m); i++) see(m, l, 0, hand->condition, 0);
+        loop_listen(m, l, seed, stream);
         return;
     }
     const lattice *of = heard(m);

@@ -16,6 +16,8 @@ struct loop {
     double *coefficients; /* of the tones, as they are for the next sample */
     float *seen;          /* what the network sees: samples of n_inputs numbers, and speed and force of the last */
     float *scratch;
+    float *coming;        /* that a predictor gave, and how many of them are still to come */
+    int n_coming;
     hand heeded;          /* what the next sample goes by, the hand of the one before */
     double level, sigma, tail, gain;
     double swell;
@@ -38,6 +40,9 @@ void loop_begin(const foten_model *model, loop *l, const hand *hand, uint64_t se
 
 /* The next sample without excitation, and by how much a unit of it moves the sample (0 where there is none). */
 double loop_forecast(const foten_model *model, loop *l, double *scale, int with_network);
+
+/* Let a model of noise have heard a stream's, whatever it was started with; nothing for others. */
+void loop_listen(const foten_model *model, loop *l, uint64_t seed, uint64_t stream);
 
 /* The next sample, with its noise or without (NULL), cut to +-limit, under the hand that goes with it. */
 double loop_step(const foten_model *model, loop *l, const hand *hand, const double *noise, double limit, int *cut);

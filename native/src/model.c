@@ -14,7 +14,7 @@ typedef struct {
     net_sizes net;
     int model, excitation_width, order, n_speed, n_force, n_tones, n_tone_speed, n_tone_force, rest_order, n_rest_speed, n_rest_force;
     int excitation, level_drives, rest_level_drives, network_heard, hand; /* hand: 0 head, 1 tokens, 2 modulation */
-    int ma, n_models, n_triangles;
+    int ma, n_models, n_triangles, hop, of_noise;
     double correction_limit;
 } sizes;
 
@@ -24,7 +24,10 @@ static const struct {
     const char *name;
     int bit, window; /* its usual one */
 } MODELS[] = {{"foten-plus", PLUS, 20}, {"foten", FOTEN, 20}, {"ten", TEN, 25}, {"ar", AR, 21}};
-static const char *const GRAPHS[] = {"ten-mfcc", "ten-wavelet", "foten-d", "fnn", "dstn", "hapinf", "ldhtd"};
+static const struct {
+    const char *name;
+    int of_noise;
+} GRAPHS[] = {{"ten-mfcc", 0}, {"ten-wavelet", 0}, {"foten-d", 0}, {"fnn", 0}, {"dstn", 0}, {"hapinf", 0}, {"ldhtd", 0}, {"ldhtd-hop", 0}, {"dftnet", 1}, {"gan", 1}};
 
 static const struct {
     const char *name;
@@ -51,6 +54,7 @@ static const struct {
     {"ma", AR, offsetof(sizes, ma), 0, 0},
     {"n_models", AR, offsetof(sizes, n_models), 3, 3},
     {"n_triangles", AR, offsetof(sizes, n_triangles), 1, 1},
+    {"hop", GRAPH, offsetof(sizes, hop), 1, 1},
 };
 
 static const struct {
@@ -99,7 +103,10 @@ static foten_status read_sizes(texture_file *file, json from, int has_predictor,
             usual_window = MODELS[i].window;
         }
     for (int i = 0; i < N(GRAPHS); i++)
-        if (json_is_string(model, GRAPHS[i])) s->model = GRAPH;
+        if (json_is_string(model, GRAPHS[i].name)) {
+            s->model = GRAPH;
+            s->of_noise = GRAPHS[i].of_noise;
+        }
     if (!s->model)
         return file_refuse(file, FOTEN_BAD_FILE, "this library does not run the file's model, expected foten-plus, foten, ten or ar");
     if (s->model == GRAPH && !has_predictor)
@@ -155,7 +162,11 @@ static foten_status read_sizes(texture_file *file, json from, int has_predictor,
     n_known += value.begin != NULL;
     if (value.begin && (!json_number(value, &s->correction_limit) || !(s->correction_limit > 0 && s->correction_limit < 1e6)))
         return wrong_size(file, "correction_limit");
-    if (s->model == GRAPH) return s->net.window > LONGEST_WINDOW || !s->net.window ? wrong_size(file, "window") : FOTEN_OK;
+    if (s->model == GRAPH) {
+        if (s->net.window > LONGEST_WINDOW || !s->net.window) return wrong_size(file, "window");
+        if (s->of_noise && s->excitation) return wrong_size(file, "excitation");
+        return s->hop > LONGEST_WINDOW ? wrong_size(file, "hop") : FOTEN_OK;
+    }
     if (s->model == PLUS) s->excitation = 1;
     if (json_count(from) != n_known)
         return file_refuse(file, FOTEN_BAD_FILE, "the card has a size that this library does not know; is the library older than the file?");
@@ -368,6 +379,8 @@ foten_status model_read(foten_model *m, texture_file *file, const isa *isa) {
     if (plus && !read_plus(m, file, &s)) return m->memory.failed ? FOTEN_NO_MEMORY : FOTEN_BAD_FILE;
     if (s.excitation && !read_excitation(m, file, &s)) return m->memory.failed ? FOTEN_NO_MEMORY : FOTEN_BAD_FILE;
     m->n_inputs = s.model == GRAPH ? 3 : s.net.n_inputs;
+    m->of_noise = s.of_noise;
+    m->hop = s.model == GRAPH ? s.hop : 0;
     if (s.model == GRAPH) {
         file_leave(file, "graph");
         return FOTEN_OK;

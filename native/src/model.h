@@ -34,13 +34,14 @@ typedef struct loop loop;
 struct foten_model {
     arena memory;
     char *name, *texture;
-    int excited, history; /* whether there is a random part; samples in the windows of the file */
+    int excited, history; /* whether there is a random part with a scale of its own; samples in the windows of the file */
     double rate_hz, lowpass_hz, saturation, mean[3], sd[3], low[2], high[2], exponents[2];
 
     const isa *isa;
     net *network;              /* of foten, foten-plus and ten */
     foten_predictor predictor; /* of a model that is run elsewhere, and what it is told of itself */
     void *predictor_user;
+    int of_noise, hop;         /* whether it sees noise in the place of acceleration; samples that it gives at once */
     int n_inputs;              /* numbers of each sample that either sees */
     const local_models *local; /* of ar */
     double correction_limit;

@@ -27,6 +27,7 @@ class TenArchitecture:
     excitation: bool = False  # whether there is a random part, as that of foten-plus; the paper has none
     excitation_width: int = 16  # hidden units of log σ over speed and force, and of log levels
     in_graph: ClassVar[bool] = False  # whether a file holds it as a graph for ONNX Runtime
+    of_noise: ClassVar[bool] = False  # whether it is given noise in the place of acceleration
     n_branches: ClassVar[int] = 1  # each of which gives the head d_model numbers
 
     def __post_init__(self) -> None:
@@ -62,6 +63,11 @@ class TenArchitecture:
     def excited(self) -> bool:
         """Return whether there is a random part."""
         return self.excitation
+
+    @property
+    def n_ahead(self) -> int:
+        """Return how many samples a window gives."""
+        return 1
 
     @property
     def n_found(self) -> int:
@@ -189,6 +195,7 @@ class ArArchitecture:
     n_triangles: int = 1
     window: int = 21  # samples that a prediction is given; at least p + 1, and more to find the innovations before zeros
     in_graph: ClassVar[bool] = False
+    of_noise: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         for name, least in {"order": 1, "ma": 0, "n_models": 3, "n_triangles": 1}.items():
@@ -256,17 +263,13 @@ class FotenDArchitecture(FotenArchitecture):
 
 @dataclass(frozen=True)
 class GraphArchitecture:
-    """A one-step network of another system, re-implemented; what its source does not state is our choice."""
+    """A network of another system, re-implemented; what its source does not state is our choice."""
 
     window: int = 20  # m, samples
-    excitation: bool = (
-        False  # whether there is a random part, as that of foten-plus; none of the sources has one
-    )
-    excitation_width: int = 16  # hidden units of log σ over speed and force
     in_graph: ClassVar[bool] = True
+    of_noise: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        _check_excitation(self.excitation, self.excitation_width)
         for size in fields(self):
             if size.type == "int":
                 _check_count(size.name, getattr(self, size.name), 2 if size.name == "window" else 1)
@@ -278,12 +281,36 @@ class GraphArchitecture:
 
     @property
     def excited(self) -> bool:
+        """Return whether there is a random part as that of foten-plus."""
+        return False
+
+    @property
+    def n_ahead(self) -> int:
+        """Return how many samples a window gives."""
+        return 1
+
+
+@dataclass(frozen=True)
+class PredictorArchitecture(GraphArchitecture):
+    """One that predicts what comes after recorded samples."""
+
+    excitation: bool = (
+        False  # whether there is a random part, as that of foten-plus; none of the sources has one
+    )
+    excitation_width: int = 16  # hidden units of log σ over speed and force
+
+    def __post_init__(self) -> None:
+        _check_excitation(self.excitation, self.excitation_width)
+        super().__post_init__()
+
+    @property
+    def excited(self) -> bool:
         """Return whether there is a random part."""
         return self.excitation
 
 
 @dataclass(frozen=True)
-class FnnArchitecture(GraphArchitecture):
+class FnnArchitecture(PredictorArchitecture):
     """Band by band [13]: a small network for each of four bands."""
 
     window: int = 144  # the longest lag, and the filters' memory before it
@@ -300,7 +327,7 @@ class FnnArchitecture(GraphArchitecture):
 
 
 @dataclass(frozen=True)
-class DstnArchitecture(GraphArchitecture):
+class DstnArchitecture(PredictorArchitecture):
     """Deep spatio-temporal network [15]: convolutions, attention over channels and time, and recurrent layers."""
 
     window: int = 40  # m, samples; Table III
@@ -311,7 +338,7 @@ class DstnArchitecture(GraphArchitecture):
 
 
 @dataclass(frozen=True)
-class HapinfArchitecture(GraphArchitecture):
+class HapinfArchitecture(PredictorArchitecture):
     """Encoder and decoder after Informer, the teacher of [20]; no source of it was found."""
 
     window: int = 20  # m, samples
@@ -329,7 +356,7 @@ class HapinfArchitecture(GraphArchitecture):
 
 
 @dataclass(frozen=True)
-class LdhtdArchitecture(GraphArchitecture):
+class LdhtdArchitecture(PredictorArchitecture):
     """Recurrent encoder of speed and force, attending decoder of acceleration [20], distilled from `hapinf`."""
 
     window: int = 20  # m, samples; Table III
@@ -342,6 +369,70 @@ class LdhtdArchitecture(GraphArchitecture):
     def __post_init__(self) -> None:
         super().__post_init__()
         _check_heads(self.d_model, self.n_heads)
+
+
+@dataclass(frozen=True)
+class LdhtdHopArchitecture(PredictorArchitecture):
+    """What the authors of [20] published as code, without its images: a hop of samples at once from 200 before it."""
+
+    window: int = 200  # samples of acceleration
+    hop: int = 20  # samples of what is predicted, and of the hand that it goes by
+    recurrent: int = 20
+    found: int = 64  # of the hand
+    d_model: int = 128
+    n_heads: int = 4
+    d_feedforward: int = 128
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_heads(self.d_model, self.n_heads)
+        if self.hop > self.window:
+            raise ValueError(f"hop is {self.hop}, expected at most the window, {self.window}")
+
+    @property
+    def n_ahead(self) -> int:
+        """Return how many samples a window gives."""
+        return self.hop
+
+
+@dataclass(frozen=True)
+class DftnetArchitecture(GraphArchitecture):
+    """Spectra of short frames from what the hand did [14], given back as filtered noise."""
+
+    window: int = 100  # samples of a frame, and of the hand before it
+    n_told: int = 10  # speeds and forces that it is told of these
+    first: int = 256  # hidden units
+    second: int = 256
+    third: int = 128
+    of_noise: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.window < max(8, self.n_told):
+            raise ValueError(
+                f"window is {self.window}, expected {max(8, self.n_told)} or more for {self.n_told} speeds and forces"
+            )
+
+
+@dataclass(frozen=True)
+class GanArchitecture(GraphArchitecture):
+    """A generator of spectra from noise, speed and force [34], given back as filtered noise."""
+
+    window: int = 272  # samples: 27 frames, which three layers look at
+    frame: int = 64  # samples
+    stride: int = 8  # samples from one frame to the next
+    channels: int = 48
+    of_noise: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.frame < 8:
+            raise ValueError(f"frame is {self.frame}, expected 8 or more")
+        if self.window != 26 * self.stride + self.frame:
+            raise ValueError(
+                f"window is {self.window}, expected {26 * self.stride + self.frame}: 27 frames of {self.frame} samples, "
+                f"{self.stride} apart"
+            )
 
 
 Architecture = TenArchitecture | ArArchitecture | GraphArchitecture
@@ -378,6 +469,9 @@ GRAPHS: dict[str, type[TenArchitecture | GraphArchitecture]] = {
     "dstn": DstnArchitecture,
     "hapinf": HapinfArchitecture,
     "ldhtd": LdhtdArchitecture,
+    "ldhtd-hop": LdhtdHopArchitecture,
+    "dftnet": DftnetArchitecture,
+    "gan": GanArchitecture,
 }
 """What ONNX Runtime runs."""
 ARCHITECTURES: dict[str, type[Architecture]] = {**NETWORKS, "ar": ArArchitecture, **GRAPHS}
@@ -471,7 +565,9 @@ def tensor_shapes(architecture: Architecture) -> dict[str, tuple[int, ...]]:
             shapes |= {"local.ma_lsf": (n, architecture.ma), "local.gain": (n,)}
         shapes |= {"local.triangles": (architecture.n_triangles, 3)}
         return shapes | {f"local.{part}": (2,) for part in ("scale", "mean", "sd")}
-    chance = _excitation(architecture.excitation_width) if architecture.excited else {}
+    chance: dict[str, tuple[int, ...]] = {}
+    if isinstance(architecture, TenArchitecture | PredictorArchitecture) and architecture.excited:
+        chance = _excitation(architecture.excitation_width)
     if isinstance(architecture, GraphArchitecture) or architecture.in_graph:
         return chance
     if isinstance(architecture, FotenPlusArchitecture):

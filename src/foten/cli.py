@@ -19,6 +19,8 @@ from typer.exceptions import Abort, TyperException
 from foten.whole_file import whole_file
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from foten.recording.trace import Trace
     from foten.render.stroke import Stroke
     from foten.texture_file import Texture
@@ -371,7 +373,7 @@ def train(
         str,
         typer.Option(
             help="foten-plus (ours), foten (the paper's); its variants ten, ten-mfcc, ten-wavelet, foten-d; the systems it is "
-            "compared with, re-implemented: ar (piecewise AR), fnn, dstn, hapinf, ldhtd."
+            "compared with, re-implemented: ar (piecewise AR), fnn, dstn, hapinf, ldhtd, ldhtd-hop, dftnet, gan."
         ),
     ] = "foten-plus",
     recipe: Annotated[
@@ -507,6 +509,16 @@ def train(
         write_texture(fitted.texture, output)
         _tell_trained(fitted.texture, fitted.trace, output, recording_file, as_json)
         return
+    if excitation and ARCHITECTURES[model].of_noise:
+        raise ValueError(
+            f"--excitation is for models that predict samples, and {model} is made of chance: leave it out"
+        )
+    if model == "gan":
+        unused = [name for name in ("loss", "delta", "dropout") if asked[name] is not None]
+        if unused:
+            raise ValueError(
+                f"--{unused[0]} is nothing to --model gan, whose loss is what judges it: leave it out"
+            )
     architecture = architecture_from(model, own if window is None else {"window": window, **own})
     assert not isinstance(architecture, ArArchitecture)
     folder = RunFolder(run_folder or output.with_suffix(".run"))
@@ -524,7 +536,7 @@ def train(
     )
     inspection = inspect_recording(recording)
     problems, shares = inspection.problems, inspection.carried
-    with TrainingDisplay(config.epochs) as display:
+    with TrainingDisplay(config.epochs, "nat" if architecture.of_noise else "sd") as display:
 
         def on_epoch(line: Any) -> None:
             # Only once the recording was taken: a refusal is one line.
@@ -597,6 +609,8 @@ def _tell_trained(
         )
         return
     told = [f"one-step validation error {metrics['validation_mae_scaled']:.4f} sd"]
+    if metrics.get("validation_spectrum_db") is not None:
+        told = [f"spectra of the validation blocks missed by {metrics['validation_spectrum_db']:.2f} dB"]
     if card["model"] == "ar":
         sizes = card["sizes"]
         told[0] += f", order {sizes['order']}"
@@ -1150,15 +1164,22 @@ def info(
         "acceleration": f"{texture.scaling.sd[0]:.4g} m/s² standard deviation",
         "delay": f"{card['delay_ms']:.1f} ms, of the {card['lowpass_hz']:g} Hz low-pass of speed and force",
         "excitation": "yes" if texture.has_excitation else "no",
-        "validation": f"{card['metrics']['validation_mae_scaled']:.4f} sd one-step"
-        if card["split"] is not None
-        else "none here: its models were imported",
+        "validation": _validated(card),
         "licence": card["licence"] or "(not stated)",
         "sha256": texture.sha256(),
         "proof": "golden windows replayed",
     }
     for name, value in rows.items():
         print(f"{name:14s}{value}")
+
+
+def _validated(card: Mapping[str, Any]) -> str:
+    """Return what `info` says of the validation blocks."""
+    if card["split"] is None:
+        return "none here: its models were imported"
+    if card["metrics"].get("validation_spectrum_db") is not None:
+        return f"spectra missed by {card['metrics']['validation_spectrum_db']:.2f} dB"
+    return f"{card['metrics']['validation_mae_scaled']:.4f} sd one-step"
 
 
 def _linear_part(texture: Texture) -> dict[str, str]:

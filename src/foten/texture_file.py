@@ -104,8 +104,8 @@ class Texture:
 
     @property
     def has_excitation(self) -> bool:
-        """Return whether the file carries σ(speed, force)."""
-        return self.architecture.excited
+        """Return whether there is a random part."""
+        return self.architecture.excited or self.architecture.of_noise
 
     def trained_range(self, channel: str) -> tuple[float, float]:
         """Return the lowest and highest trained `speed` [mm/s] or `force` [N]."""
@@ -266,7 +266,7 @@ def _check_tensors(texture: Texture) -> None:
         "golden.condition": (64, 2),
         "golden.closed_loop": (64,),
     }
-    if texture.has_excitation:
+    if texture.architecture.excited:
         shapes["golden.sigma"] = (n_golden,)
     if in_graph:
         shapes["graph"] = np.shape(texture.tensors.get("graph", ()))

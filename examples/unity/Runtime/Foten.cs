@@ -134,7 +134,7 @@ namespace Foten
             public UIntPtr state_bytes;
         }
 
-        internal const int Abi = 2; // FOTEN_ABI of the header that this follows
+        internal const int Abi = 3; // FOTEN_ABI of the header that this follows
 
         [DllImport(Library)] internal static extern int foten_abi();
         [DllImport(Library)] internal static extern int foten_model_load(byte[] bytes, UIntPtr n, out IntPtr model, byte[] why, UIntPtr whySize);

@@ -187,8 +187,12 @@ def _one_step(
     def score(predictor: Any) -> dict[str, Any]:
         return one_step(predictor, samples, n, scaling)
 
-    result = score(engine)
-    if texture.has_excitation:
+    result: dict[str, Any] = dict(empty)
+    if texture.architecture.of_noise:
+        reasons["one_step"] = f"{texture.card['model']} foretells spectra, and no sample"
+    else:
+        result = score(engine)
+    if texture.architecture.excited:
         heard = (trace.speed[n] >= FADE_SPEED) & (trace.force[n] >= FADE_FORCE)
         scores = excitation_scores(engine, samples, n, heard)
         if scores["nll"] is None:

@@ -91,6 +91,8 @@ def windows_and_losses(results: Results) -> Figure:
                 cell = _of_grid(one)
                 if one["run"]["texture"] == texture and cell is not None and cell[1] == loss:
                     test = one["evaluation"]["one_step"]["mae_scaled"]
+                    if test is None:
+                        continue
                     points.setdefault(cell[0], []).append((test, one["validation_mae_scaled"]))
             windows = sorted(points)
             means = np.array([np.mean(points[window], axis=0) for window in windows])

@@ -142,7 +142,7 @@ def rows_of(results: Sequence[Mapping[str, Any]], figure: str) -> tuple[list[str
         if not found.values and head == "free_run":
             found = row(f"{name}, without excitation", model, "free_run_deterministic", of_method)
         rows.append(found)
-    return textures, [one for one in rows if one.values]
+    return textures, [one for one in rows if one.values or one.model]
 
 
 def _at(document: Mapping[str, Any], path: str) -> float | None:
@@ -278,7 +278,11 @@ def findings(results: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         yield f"The results were made with several versions, of {'; '.join(several)}: run them again with one."
     for name, of in FIGURES.items():
         textures, rows = rows_of(results, name)
-        lacking = [row.name for row in rows if row.model and row not in complete(rows, textures)]
+        methods = [row for row in rows if row.model]
+        without = [row.name for row in methods if not row.values]
+        if without:
+            yield f"{of.name}: there is none of {', '.join(without)}."
+        lacking = [row.name for row in methods if row.values and row not in complete(rows, textures)]
         if lacking:
             yield f"{of.name}: not compared, for want of textures or splits: {', '.join(lacking)}."
         best, p = compared(rows, textures, of.better)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from foten.architecture import GraphArchitecture, TenArchitecture
+from foten.architecture import PredictorArchitecture, TenArchitecture
 from foten.models.foten_plus import Excitation
 
 
@@ -16,14 +16,14 @@ class Excited(nn.Module):
     given back as chance.
     """
 
-    def __init__(self, network: nn.Module, architecture: TenArchitecture | GraphArchitecture) -> None:
+    def __init__(self, network: nn.Module, architecture: TenArchitecture | PredictorArchitecture) -> None:
         super().__init__()
         self.architecture = architecture
         self.network = network
         self.excitation = Excitation(architecture.excitation_width).requires_grad_(False)
 
     def forward(self, windows: Tensor) -> Tensor:
-        """Return the next samples without excitation: windows (b, m, 3) scaled → (b,) scaled."""
+        """Return the next samples without excitation: windows (b, m, 3) scaled → (b,) or (b, n_ahead) scaled."""
         return self.network(windows)
 
     def rendered_power(self, condition: Tensor) -> tuple[Tensor, Tensor]:

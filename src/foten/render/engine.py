@@ -18,7 +18,7 @@ from foten.dsp.tones import LARGEST_STRAY, fitted_phase, heard_of, tone
 from foten.render.ar import NumpyAr
 from foten.render.excitation import Excitation, Scale
 from foten.render.forecast import Engine, Forecast, State
-from foten.render.graph import GraphEngine
+from foten.render.graph import GraphEngine, NoiseEngine
 from foten.render.weights import Weights
 from foten.render.window_state import WindowState, begun, followed
 from foten.texture_file import Texture
@@ -523,7 +523,7 @@ ENGINES: dict[str, Callable[[Any, Mapping[str, NDArray[Any]]], Engine]] = {
     "foten": NumpyNetwork,
     "ten": NumpyNetwork,
     "ar": NumpyAr,
-    **dict.fromkeys(GRAPHS, GraphEngine),
+    **{key: NoiseEngine if of.of_noise else GraphEngine for key, of in GRAPHS.items()},
 }
 """What runs each model of a texture file."""
 

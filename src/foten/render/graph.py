@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.architecture import Architecture
+from foten.architecture import ArArchitecture, Architecture
 from foten.render.excitation import Excitation
 from foten.render.forecast import Forecast
-from foten.render.window_state import WindowState, begun, followed
+from foten.render.window_state import NoiseState, WindowState, begun, followed
 
 Array = NDArray[np.float64]
 
@@ -21,21 +21,24 @@ INPUT, OUTPUT = "windows", "next"
 _AT_ONCE = 4096  # windows
 # What our networks are made of. A file is not trusted: nothing that repeats, branches, reads other files or is somebody's own.
 _OPERATORS = re.compile(
-    "Add|And|Atan|Cast|Concat|Constant|ConstantOfShape|Conv|Cos|Div|Einsum|Equal|Flatten|Gather|Gemm|Greater|Identity|LSTM|"
+    "Add|And|Atan|Cast|Concat|Constant|ConstantOfShape|Conv|Cos|Div|Einsum|Equal|Exp|Flatten|Gather|Gemm|Greater|Identity|LSTM|"
     "LayerNormalization|Less|Log|MatMul|Mul|Pow|ReduceMean|ReduceSum|Relu|Reshape|Shape|Sigmoid|Sin|Slice|Softmax|Sqrt|Squeeze|"
     "Sub|Tanh|Transpose|Unsqueeze|Where"
 )
 
 
 class GraphEngine:
-    """A one-step network in ONNX Runtime, on one thread, in float32.
+    """A network in ONNX Runtime, on one thread, in float32.
 
     Raises:
-        ValueError: onnxruntime is not installed, or the graph is damaged or another one than windows (b, m, 3) → (b,).
+        ValueError: onnxruntime is not installed, or the graph is damaged or another one than windows (b, m, 3) → (b,), or
+            (b, n_ahead) of a model that predicts more than a sample at once.
     """
 
     def __init__(self, architecture: Architecture, tensors: Mapping[str, NDArray[Any]]) -> None:
         self.window = architecture.history
+        assert not isinstance(architecture, ArArchitecture)
+        self.n_ahead = architecture.n_ahead
         self.excitation = Excitation(tensors) if architecture.excited else None
         self._session = _session(tensors[GRAPH].tobytes())
         inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
@@ -50,12 +53,16 @@ class GraphEngine:
 
     def predict(self, windows: Array) -> Array:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
+        return self.ahead(windows)[:, 0]
+
+    def ahead(self, windows: Array) -> Array:
+        """Return what the network says of the samples to come: windows (b, m, 3) scaled → (b, n_ahead) scaled."""
         given = windows.astype(np.float32)
         pieces = [
-            self._session.run([OUTPUT], {INPUT: given[i : i + _AT_ONCE]})[0]
+            self._session.run([OUTPUT], {INPUT: given[i : i + _AT_ONCE]})[0].reshape(-1, self.n_ahead)
             for i in range(0, len(given), _AT_ONCE)
         ]
-        return np.concatenate(pieces).astype(np.float64) if pieces else np.empty(0)
+        return np.concatenate(pieces).astype(np.float64) if pieces else np.empty((0, self.n_ahead))
 
     def start(self, windows: Array) -> WindowState:
         """Return the state of streams that have heard the given scaled windows, shape (s, m, 3)."""
@@ -65,9 +72,17 @@ class GraphEngine:
         """Return the forecast of every sample of recorded blocks, with its excitation: `ExcitedEngine`."""
         return followed(self, blocks)
 
-    def answer(self, window: NDArray[np.float32]) -> float:
-        """Return the next sample: a window (1, m, 3) scaled → scaled, without copies."""
-        return float(self._session.run([OUTPUT], {INPUT: window})[0][0])
+    def answer(self, window: NDArray[np.float32], out: NDArray[np.float32]) -> None:
+        """Fill in the samples to come, (n_ahead,) scaled, of a window (1, m, 3) scaled."""
+        out[:] = self._session.run([OUTPUT], {INPUT: window})[0].ravel()
+
+
+class NoiseEngine(GraphEngine):
+    """A network that turns noise into samples; its windows hold what was drawn in the place of acceleration."""
+
+    def start(self, windows: Array) -> NoiseState:  # type: ignore[override]
+        """Return the state of streams that drew what the given windows hold, shape (s, m, 3)."""
+        return NoiseState(self, windows.copy())
 
 
 def _session(graph: bytes) -> Any:

@@ -108,7 +108,7 @@ class _Options(Structure):
 
 
 _FLOATS, _DOUBLES = POINTER(c_float), POINTER(c_double)
-_PREDICTOR = ctypes.CFUNCTYPE(c_float, c_void_p, POINTER(c_float))
+_PREDICTOR = ctypes.CFUNCTYPE(None, c_void_p, POINTER(c_float), POINTER(c_float))
 _SIGNATURES = {
     "foten_abi": (c_int, []),
     "foten_version": (c_char_p, []),
@@ -431,7 +431,7 @@ def _freed_with(owner: object, free: Callable[[c_void_p], None], pointer: c_void
 
 
 def _asked(data: bytes, failed: list[BaseException]) -> ctypes._FuncPointer:
-    """Return what the kernel asks for the next sample of a window, of a file whose model it has no code for.
+    """Return what the kernel asks for the samples after a window, of a file whose model it has no code for.
 
     An exception cannot pass through the kernel: it is put aside, the kernel is answered at once from then on, and whoever
     called it raises it. That includes Ctrl-C, which Python delivers in here.
@@ -440,22 +440,23 @@ def _asked(data: bytes, failed: list[BaseException]) -> ctypes._FuncPointer:
     from foten.texture_file import texture_from_bytes
 
     texture = texture_from_bytes(data)
-    engine = GraphEngine(texture.architecture, texture.tensors)
+    engine = GraphEngine(texture.architecture, texture.tensors)  # its answers, whatever its windows stand for
     shape = (1, engine.window, 3)
 
-    def answer(_: int | None, window: ctypes._Pointer[c_float]) -> float:
+    def answer(_: int | None, window: ctypes._Pointer[c_float], following: ctypes._Pointer[c_float]) -> None:
+        out = np.ctypeslib.as_array(following, (engine.n_ahead,))
+        out[:] = np.nan
         if failed:
-            return np.nan
+            return
         try:
-            return engine.answer(np.ctypeslib.as_array(window, shape))
+            engine.answer(np.ctypeslib.as_array(window, shape), out)
         except BaseException as error:  # which would be printed and lost
             failed.append(error)
-            return np.nan
 
     return _PREDICTOR(answer)
 
 
-_ABI = 2  # FOTEN_ABI of the header that this follows
+_ABI = 3  # FOTEN_ABI of the header that this follows
 _NO_MEMORY, _NO_PREDICTOR = 3, 5
 
 

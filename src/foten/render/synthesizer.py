@@ -11,6 +11,7 @@ from foten.dsp.noise import gaussian
 from foten.render.closed_loop import ClosedLoop
 from foten.render.engine import engine_for
 from foten.render.forecast import Engine
+from foten.render.window_state import NoiseState
 from foten.texture_file import CLOSED_LOOP_TOLERANCE, ONE_STEP_TOLERANCE, Texture
 
 Array = NDArray[np.float64]
@@ -90,15 +91,19 @@ class Synthesizer:
 
         With excitation a stroke begins as if its first hand had been there for long (`State.begin`), the chance of which is in
         the noise numbers from 2⁶³ on. Without, or where a model knows only what it heard, it goes on from the warm start, as it
-        does from given windows, without a change.
+        does from given windows, without a change; a model of noise knows their hand alone.
         """
-        self._fresh = windows is None and self.excitation
+        given = windows is not None
+        self._fresh = not given and self.excitation
         if windows is None:
             windows = self.texture.tensors["warm_start"][None]
         if not np.isfinite(windows).all():
             raise ValueError("the windows to start from hold NaN or infinity")
         start = np.broadcast_to(windows, (self.n_streams, self.texture.window, 3)).astype(np.float64)
-        self._loop = ClosedLoop(self._engine.start(start), float(self.texture.card["saturation"]))
+        state = self._engine.start(start)
+        if isinstance(state, NoiseState) and given:
+            state.listen(self._numbers(_TO_BEGIN, state.n_to_begin) * self.excitation)
+        self._loop = ClosedLoop(state, float(self.texture.card["saturation"]))
         self._position = 0
         self._noise = np.empty((self.n_streams, 0))
         self.statistics = RenderStatistics()

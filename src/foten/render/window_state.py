@@ -29,6 +29,7 @@ class WindowState:
         sigma: speed and force (s, 2) scaled → the scale of white noise (s,) scaled; None for none.
         excitation: of a texture, None for none.
         swell: how much louder than usual the streams are, where there is an excitation.
+        coming: what the predictor said of the samples to come and did not take back since, shape (s, any).
     """
 
     predictor: Predictor
@@ -36,6 +37,7 @@ class WindowState:
     sigma: Callable[[Array], Array] | None = None
     excitation: Excitation | None = None
     swell: Swell | None = None
+    coming: Array | None = None
     bounded: ClassVar[bool] = False
 
     @property
@@ -50,12 +52,18 @@ class WindowState:
         hand = condition[:, :2]
         self.swell.draw(noise[:, 0])
         self.windows[:, -1, 1:] = hand
+        self.coming = None
         for z in noise[:, 1:].T:
             self.push(np.clip(self.forecast().excited(z), -LOUDEST_BEGUN, LOUDEST_BEGUN), hand, z)
 
     def forecast(self) -> Forecast:
         """Return the prediction from the windows."""
-        sample, hand = self.predictor.predict(self.windows), self.windows[:, -1, 1:]
+        if self.coming is None:
+            ahead = getattr(self.predictor, "ahead", None)
+            self.coming = (
+                self.predictor.predict(self.windows)[:, None] if ahead is None else ahead(self.windows)
+            )
+        sample, hand = self.coming[:, 0], self.windows[:, -1, 1:]
         if self.excitation is not None and self.swell is not None:
             return self.excitation.forecast(sample, self.swell.factor(), hand)
         return Forecast(sample, None if self.sigma is None else self.sigma(hand))
@@ -64,8 +72,43 @@ class WindowState:
         """Move the windows on by a sample."""
         if self.swell is not None:
             self.swell.push(noise)
+        if self.coming is not None:
+            self.coming = self.coming[:, 1:] if self.coming.shape[1] > 1 else None
         self.windows[:, :-1] = self.windows[:, 1:]
         self.windows[:, -1, 0] = sample
+        self.windows[:, -1, 1:] = condition[:, :2]
+
+
+@dataclass
+class NoiseState:
+    """Streams of a model of noise: what they drew, and the hand, of the last m samples, shape (s, m, 3)."""
+
+    predictor: Predictor
+    windows: Array
+    bounded: ClassVar[bool] = True
+
+    @property
+    def n_to_begin(self) -> int:
+        """Return a number for each sample of a window."""
+        return self.windows.shape[1]
+
+    def begin(self, condition: Array, noise: Array) -> None:
+        """Let the streams have heard noise under a hand."""
+        self.windows[..., 1:] = condition[:, None, :2]
+        self.listen(noise)
+
+    def listen(self, noise: Array) -> None:
+        """Let the streams have heard noise (s, m), under the hand that they know."""
+        self.windows[..., 0] = noise
+
+    def forecast(self) -> Forecast:
+        """Return the next samples: chance is in what was drawn before."""
+        return Forecast(self.predictor.predict(self.windows))
+
+    def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
+        """Move the windows on by a number of noise, none for no chance."""
+        self.windows[:, :-1] = self.windows[:, 1:]
+        self.windows[:, -1, 0] = 0.0 if noise is None else noise
         self.windows[:, -1, 1:] = condition[:, :2]
 
 

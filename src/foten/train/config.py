@@ -90,5 +90,9 @@ OWN_RECIPES: dict[str, dict[str, Any]] = {
     "dstn": {"loss": "mse"},
     "hapinf": {"loss": "mse"},
     "ldhtd": {"loss": "mse"},
+    "ldhtd-hop": {"loss": "mse"},
+    "dftnet": {"loss": "mse"},
+    # Its epochs are of 50 steps, not of all windows.
+    "gan": {"epochs": 60, "patience": 60, "batch": 64, "learning_rate": 2e-4},
 }
 """What a model changes of a recipe: losses of Sec. VI-d for TEN's variants, and for the others, where nothing is stated, ours."""

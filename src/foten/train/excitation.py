@@ -376,8 +376,13 @@ class TorchEngine:
 
     def predict(self, windows: Array) -> Array:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
+        return self.ahead(windows)[:, 0]
+
+    def ahead(self, windows: Array) -> Array:
+        """Return what the network says of the samples to come: windows (b, m, 3) scaled → (b, n_ahead) scaled."""
         with torch.no_grad():
-            return self._network(torch.from_numpy(windows).float()).double().numpy()
+            found = self._network(torch.from_numpy(windows).float())
+        return found.double().reshape(len(windows), -1).numpy()
 
     def start(self, windows: Array) -> State:
         """Return the state of streams that have heard the given scaled windows, shape (s, m, 3)."""

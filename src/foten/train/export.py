@@ -30,15 +30,20 @@ _N_GOLDEN = 32
 class TorchPredictor:
     """A network as a predictor in float64: the reference that every engine is held to."""
 
-    def __init__(self, network: nn.Module, window: int) -> None:
-        self.window = window
+    def __init__(self, network: nn.Module, window: int, of_noise: bool = False) -> None:
+        self.window, self._of_noise = window, of_noise
         self._network = copy.deepcopy(network).cpu().double().eval()
         self.excited = isinstance(network, FotenPlus | Excited)
 
     def predict(self, windows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
+        return self.ahead(windows)[:, 0]
+
+    def ahead(self, windows: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return what the network says of the samples to come: windows (b, m, 3) scaled → (b, n_ahead) scaled."""
         with torch.no_grad():
-            return self._network(torch.from_numpy(np.ascontiguousarray(windows))).numpy()
+            found = self._network(torch.from_numpy(np.ascontiguousarray(windows)))
+        return found.reshape(len(windows), -1).numpy()
 
     def scale(self, windows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return by how much a unit of excitation moves the next samples: windows (b, m, 3) scaled → (b,) scaled."""
@@ -75,15 +80,18 @@ class TorchPredictor:
             heard = None if by_window else self._network.start(torch.from_numpy(window))
             before = window[0, -1, 1:]
             swell = self._swell() if self.excited else None
+            coming: list[float] = []
             for n, row in enumerate(condition):
                 if heard is None or swell is None:
-                    out[n] = self.predict(window)[0]
+                    coming = coming or self.ahead(window)[0].tolist()
+                    out[n] = coming.pop(0)
                     if swell is not None:
                         loud = float(self._network.excitation(torch.from_numpy(window[:, -1, 1:]))[0])
                         loud *= float(swell.factor()[0])
                         out[n] += loud * self._heavy(noise[n], window[0, -1, 1:], loud)
                         swell.push(noise[n : n + 1])
-                    window = np.concatenate([window[:, 1:], [[[out[n], *row]]]], axis=1)
+                    seen = noise[n] if self._of_noise else out[n]
+                    window = np.concatenate([window[:, 1:], [[[seen, *row]]]], axis=1)
                     continue
                 sample, scale = self._network.forecast(heard)
                 loud = float(scale[0]) * float(swell.factor()[0])
@@ -120,19 +128,21 @@ def export(
     tensors: dict[str, NDArray[Any]] = {}
     if architecture.in_graph:
         tensors[GRAPH] = graph_of(alone, architecture.history)
-        cost = _multiply_adds(alone, architecture.history)
+        cost = _multiply_adds(alone, architecture.history) // architecture.n_ahead
         card = {**card, "metrics": {**card["metrics"], "multiply_adds": cost}}
     else:
         tensors = _tensors_of(alone)
     if isinstance(network, Excited):
         tensors |= {f"excitation.{name}": t for name, t in _tensors_of(network.excitation).items()}
     # The reference reads the same rounded tensors that the file holds.
-    predictor = TorchPredictor(network, architecture.history)
+    predictor = TorchPredictor(network, architecture.history, architecture.of_noise)
     picked = windows[np.linspace(0, len(windows) - 1, _N_GOLDEN).astype(int)]
     # Windows at rest and far outside the recording, where a wrong engine shows first.
     golden = np.concatenate([picked, np.zeros_like(picked[:1]), 4 * picked[:1]])
     condition = np.repeat(warm_start[-1:, 1:], 64, axis=0)
     condition[32:] = picked[0, -1, 1:]
+    if architecture.of_noise:  # without chance it is silent from the first sample on
+        warm_start = warm_start * [0.0, 1.0, 1.0]
     tensors["warm_start"] = warm_start
     tensors["golden.windows"] = golden
     tensors["golden.one_step"] = predictor.predict(golden)
@@ -163,7 +173,7 @@ def _tensors_of(module: nn.Module) -> dict[str, NDArray[Any]]:
 
 
 def graph_of(network: nn.Module, m: int) -> NDArray[np.uint8]:
-    """Return a network as the bytes of an ONNX graph, windows (b, m, 3) → (b,), float32."""
+    """Return a network as the bytes of an ONNX graph, windows (b, m, 3) → (b,) or (b, n_ahead), float32."""
     file = io.BytesIO()
     network = copy.deepcopy(network).cpu().float().eval()
     with warnings.catch_warnings():

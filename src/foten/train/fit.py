@@ -7,12 +7,12 @@ import math
 import os
 import pickle
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -33,7 +33,7 @@ class Data:
         samples: what windows are cut from: scaled acceleration, speed, force, shape (n, 3), and what else a network sees.
         train, validation: indices to predict.
         window: m.
-        target: what is to be predicted, shape (n,); None for the acceleration.
+        target: what is to be predicted, shape (n,), or (n, k) of a network that gives k numbers; None for the acceleration.
         unit: what one of the target is worth in scaled acceleration, shape (n,); None for one.
     """
 
@@ -41,7 +41,7 @@ class Data:
     train: NDArray[np.int64]
     validation: NDArray[np.int64]
     window: int
-    target: NDArray[np.float64] | None = None
+    target: NDArray[np.floating] | None = None
     unit: NDArray[np.float64] | None = None
 
 
@@ -50,7 +50,8 @@ class Epoch:
     """One line of the log; epoch 0 is the network before training.
 
     Losses are one-step, of the target's errors (foten-plus: in units of the lattice's innovation, so that a slow light stroke is
-    predicted as carefully as a fast hard one); `validation_mae` is of scaled acceleration.
+    predicted as carefully as a fast hard one); `validation_mae` is of scaled acceleration, or of what else is the target: log
+    magnitudes [nat] where a model foretells spectra.
     """
 
     epoch: int
@@ -143,9 +144,15 @@ def fit(
     scheduler = torch.optim.lr_scheduler.LambdaLR(optimiser, _schedule(config, steps * max(1, config.epochs)))
     criterion = loss_of(config)
     averaged = [parameter.detach().clone() for parameter in trained] if config.average > 0 else []
+    parts = {
+        "network": network,
+        "optimiser": optimiser,
+        "scheduler": scheduler,
+        "averaged": nn.ParameterList(averaged).requires_grad_(False),
+    }
     progress = Progress()
     if checkpoint is not None and resume:
-        progress = _resume(checkpoint, config, network, optimiser, scheduler, averaged)
+        progress = load_progress(checkpoint, config, parts)
         for line in progress.epochs:
             on_epoch(line)
 
@@ -217,7 +224,7 @@ def fit(
             if not math.isfinite(progress.epochs[-1].train_loss):
                 raise ValueError("the training loss is not finite; is the acceleration full of outliers?")
             if checkpoint is not None:
-                _save(checkpoint, config, network, optimiser, scheduler, averaged, progress)
+                save_progress(checkpoint, config, parts, progress)
     except KeyboardInterrupt:
         progress.interrupted = True
     finally:
@@ -232,7 +239,7 @@ def fit(
 
 
 def predict(network: nn.Module, data: Data, n: NDArray[np.int64], batch: int = 4096) -> NDArray[np.float64]:
-    """Return a network's one-step predictions at the indices n, shape (k,), scaled."""
+    """Return a network's predictions of the samples n, shape (k,), scaled: of several at once the first."""
     device = next(network.parameters()).device
     network.eval()
     samples = torch.from_numpy(data.samples).to(device, torch.float32)
@@ -241,7 +248,7 @@ def predict(network: nn.Module, data: Data, n: NDArray[np.int64], batch: int = 4
             network(samples[torch.from_numpy(window_indices(piece, data.window)).to(device)]).cpu()
             for piece in np.array_split(n, max(1, math.ceil(len(n) / batch)))
         ]
-    return torch.cat(pieces).double().numpy()
+    return torch.cat(pieces).double().reshape(len(n), -1)[:, 0].numpy()
 
 
 def write_log(path: Path, epochs: list[Epoch]) -> None:
@@ -278,27 +285,26 @@ def _validate(
         for batch in validation.split(2048):
             predicted = network(windows(batch))
             loss += float(criterion(predicted, goal[batch])) * len(batch)
-            mae += float((unit[batch] * (predicted - goal[batch])).abs().sum())
+            missed = (predicted - goal[batch]).abs().reshape(len(batch), -1).mean(1)
+            mae += float((unit[batch].abs() * missed).sum())
     return loss / len(validation), mae / len(validation)
 
 
-def _save(
-    path: Path,
-    config: TrainConfig,
-    network: nn.Module,
-    optimiser: Any,
-    scheduler: Any,
-    averaged: list[Tensor],
-    progress: Progress,
-) -> None:
+class Stateful(Protocol):
+    """What a checkpoint keeps: a network, an optimiser, a schedule."""
+
+    def state_dict(self) -> dict[str, Any]: ...
+
+    def load_state_dict(self, state: dict[str, Any], /) -> Any: ...
+
+
+def save_progress(path: Path, config: TrainConfig, parts: Mapping[str, Stateful], progress: Progress) -> None:
+    """Write a checkpoint: the state of every part, and the log."""
     with whole_file(path) as part:
         torch.save(
             {
                 "config": asdict(config),
-                "network": network.state_dict(),
-                "optimiser": optimiser.state_dict(),
-                "scheduler": scheduler.state_dict(),
-                "averaged": averaged,
+                "parts": {name: one.state_dict() for name, one in parts.items()},
                 "epochs": [asdict(epoch) for epoch in progress.epochs],
                 "best_loss": progress.best_loss,
                 "best_state": progress.best_state,
@@ -307,14 +313,12 @@ def _save(
         )
 
 
-def _resume(
-    path: Path,
-    config: TrainConfig,
-    network: nn.Module,
-    optimiser: Any,
-    scheduler: Any,
-    averaged: list[Tensor],
-) -> Progress:
+def load_progress(path: Path, config: TrainConfig, parts: Mapping[str, Stateful]) -> Progress:
+    """Return the log of a checkpoint, and put every part into its state.
+
+    Raises:
+        ValueError: it is damaged, or was written under another configuration.
+    """
     try:
         saved = torch.load(path, weights_only=True, map_location="cpu")
     except (pickle.UnpicklingError, RuntimeError, EOFError, OSError) as error:
@@ -323,10 +327,7 @@ def _resume(
         ) from error
     if saved["config"] != asdict(config):
         raise ValueError(f"{path.name} was written by a run with other settings; resume with the same ones")
-    network.load_state_dict(saved["network"])
-    optimiser.load_state_dict(saved["optimiser"])
-    scheduler.load_state_dict(saved["scheduler"])
-    for kept, tensor in zip(averaged, saved["averaged"], strict=True):
-        kept.copy_(tensor)
+    for name, one in parts.items():
+        one.load_state_dict(saved["parts"][name])
     epochs = [Epoch(**line) for line in saved["epochs"]]
     return Progress(epochs, saved["best_loss"], saved["best_state"])

@@ -78,7 +78,7 @@ class RunFolder:
         """Write the whole log, the split and the curves; the checkpoint goes unless the run was interrupted."""
         write_log(self.path / "log.csv", trained.progress.epochs)
         trained.split.save(self.path / "split.json")
-        _draw_curves(self.path / "curves.png", trained.progress.epochs, trained.lattice_mae)
+        _draw_curves(self.path / "curves.png", trained)
         if not trained.progress.interrupted:
             self.checkpoint.unlink(missing_ok=True)
         if self._events is not None:
@@ -94,9 +94,11 @@ def _tensorboard(path: Path) -> Any:
     return SummaryWriter(str(path))
 
 
-def _draw_curves(path: Path, epochs: list[Epoch], lattice_mae: float | None) -> None:
+def _draw_curves(path: Path, trained: Trained) -> None:
     from matplotlib.figure import Figure
 
+    epochs, lattice_mae = trained.progress.epochs, trained.lattice_mae
+    of_spectra = trained.texture.architecture.of_noise
     figure = Figure(figsize=(8, 4), layout="constrained")
     loss, error = figure.subplots(1, 2)
     numbers = [line.epoch for line in epochs]
@@ -104,7 +106,7 @@ def _draw_curves(path: Path, epochs: list[Epoch], lattice_mae: float | None) -> 
     loss.plot(
         numbers, [line.validation_loss for line in epochs], "s-", ms=3, color="#D55E00", label="validation"
     )
-    loss.set(xlabel="epoch", ylabel="one-step loss, weighted")
+    loss.set(xlabel="epoch", ylabel="loss of spectra" if of_spectra else "one-step loss, weighted")
     known = [value for line in epochs for value in (line.train_loss, line.validation_loss) if value > 0]
     # Within a factor of three a logarithmic axis has no ticks to read.
     if max(known) > 3 * min(known):
@@ -114,7 +116,8 @@ def _draw_curves(path: Path, epochs: list[Epoch], lattice_mae: float | None) -> 
     )
     if lattice_mae is not None:
         error.axhline(lattice_mae, ls="--", color="#009E73", label="without the network")
-    error.set(xlabel="epoch", ylabel="one-step validation error, scaled")
+    what = "validation error of spectra [nat]" if of_spectra else "one-step validation error, scaled"
+    error.set(xlabel="epoch", ylabel=what)
     for axes in (loss, error):
         axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, frameon=False)
         axes.xaxis.get_major_locator().set_params(integer=True)
@@ -125,8 +128,9 @@ def _draw_curves(path: Path, epochs: list[Epoch], lattice_mae: float | None) -> 
 class TrainingDisplay:
     """A live table of the training on stderr: on a terminal the last lines, elsewhere one line an epoch."""
 
-    def __init__(self, epochs: int) -> None:
+    def __init__(self, epochs: int, unit: str = "sd") -> None:
         self._epochs = epochs
+        self._unit = unit
         self._console = Console(stderr=True)
         self._live = Live(console=self._console, auto_refresh=False, transient=False)
         self._lines: list[Epoch] = []
@@ -160,7 +164,7 @@ class TrainingDisplay:
         train = "        " if math.isnan(line.train_loss) else f"{line.train_loss:.6f}"
         self._refresh(
             f"epoch {line.epoch:3d}/{self._epochs}  loss {train} {line.validation_loss:.6f}  "
-            f"error {line.validation_mae:.4f} sd  {line.seconds:5.1f} s{'  best' if line.best else ''}"
+            f"error {line.validation_mae:.4f} {self._unit}  {line.seconds:5.1f} s{'  best' if line.best else ''}"
         )
 
     def _refresh(self, plain: str) -> None:
@@ -172,7 +176,7 @@ class TrainingDisplay:
             title=f"{self._stage}, {time.perf_counter() - self._started:.0f} s",
             title_justify="left",
         )
-        for column in ("epoch", "training loss", "validation loss", "error [sd]", "seconds", ""):
+        for column in ("epoch", "training loss", "validation loss", f"error [{self._unit}]", "seconds", ""):
             table.add_column(column, justify="right")
         best = [line for line in self._lines if line.best][-1:]
         shown = self._lines[-8:]

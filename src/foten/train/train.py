@@ -14,11 +14,18 @@ import torch
 from numpy.typing import NDArray
 
 import foten
-from foten.architecture import FotenPlusArchitecture, GraphArchitecture, HapinfArchitecture, TenArchitecture
+from foten.architecture import (
+    FotenPlusArchitecture,
+    GraphArchitecture,
+    PredictorArchitecture,
+    TenArchitecture,
+)
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
 from foten.models import build
+from foten.models.dftnet import Dftnet
 from foten.models.excited import Excited
 from foten.models.foten_plus import FotenPlus
+from foten.models.gan import Gan
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
 from foten.recording.split import Split, split_blocks
@@ -27,11 +34,13 @@ from foten.recording.windows import targets, windows
 from foten.render.forecast import Forecast, excitation_fit
 from foten.render.synthesizer import FADE_FORCE, FADE_SPEED
 from foten.texture_file import Texture
+from foten.train.adversarial import fit_adversarial
 from foten.train.card import card_of, recorded_peak
 from foten.train.config import WARM_START, TrainConfig
 from foten.train.excitation import TorchEngine, engine_of, fit_excitation, free_run_distance
 from foten.train.export import export
 from foten.train.fit import Data, Epoch, Progress, fit, pick_device, predict, reproducible
+from foten.train.goals import ahead, spectra, taught
 from foten.train.linear_part import LinearPart, fit_linear_parts
 from foten.train.prepared import Prepared, prepare
 
@@ -41,6 +50,7 @@ NETWORK_IS_NEARER = 0.98  # times the free run's distance without it
 TONES_MAY_PAINT = 1.05  # times the log-spectral distance without them, on the validation blocks
 WARM_START_NEAR = 100  # of so many training windows one is near enough to begin from
 WARM_START_RINGS_MS = 20.0  # the end of a window, which is heard in what comes after
+NAT_DB = 20 / math.log(10)
 
 
 @dataclass(frozen=True)
@@ -106,11 +116,21 @@ def train_texture(
             trained = network.network.to(pick_device())
         else:
             if key == "ldhtd":
-                data = _taught(data, architecture.window, config, on_stage)
+                data = taught(data, architecture.window, config, on_stage)
             trained = network = build(key, architecture).to(pick_device())
-        progress = fit(trained, data, config, on_epoch, checkpoint, resume)
+        if isinstance(network, Gan):
+            trained = network = network.cpu()
+            progress = fit_adversarial(network, m, prepared, config, on_epoch, checkpoint, resume)
+        else:
+            told = data
+            if isinstance(network, Dftnet):
+                trained, told = network.spectrum, spectra(data, prepared)
+            elif architecture.n_ahead > 1:
+                told = ahead(data, prepared, architecture.n_ahead)
+            progress = fit(trained, told, config, on_epoch, checkpoint, resume)
         if architecture.excited and not isinstance(network, FotenPlus):
             on_stage("fitting the excitation and settling its level in the closed loop")
+            assert isinstance(architecture, TenArchitecture | PredictorArchitecture)
             network = Excited(network, architecture)
             level_errors, tail_gain, played, likelihood = _excited(network, data, prepared, config)
         lattice_mae = progress.epochs[0].validation_mae if isinstance(network, FotenPlus) else None
@@ -147,7 +167,8 @@ def train_texture(
             },
             "metrics": {
                 "validation_loss": best.validation_loss,
-                "validation_mae_scaled": best.validation_mae,
+                "validation_mae_scaled": _of_silence(data) if architecture.of_noise else best.validation_mae,
+                "validation_spectrum_db": NAT_DB * best.validation_mae if architecture.of_noise else None,
                 "validation_mae_scaled_lattice": lattice_mae,
                 "linear_part": linear,
                 "validation_nll": likelihood,
@@ -188,19 +209,9 @@ def _excited(
     return level_errors, tail_gain, played, float(nats[heard].mean()) if heard.any() else None
 
 
-def _taught(data: Data, m: int, config: TrainConfig, on_stage: Callable[[str], None]) -> Data:
-    """Return data whose targets in training lie half-way to what a teacher predicts, those of validation as they were.
-
-    The mean of the squared errors against the recording and against the teacher, 0.5 (y − s)² + 0.5 (t − s)², differs from the
-    squared error against their mean by what s has no part in.
-    """
-    on_stage("training the teacher, hapinf")
-    teacher = build("hapinf", HapinfArchitecture(window=m, n_start=min(10, m))).to(pick_device())
-    if fit(teacher, data, config).interrupted:
-        raise KeyboardInterrupt  # of a student that is half taught nothing is kept
-    target = data.samples[:, 0].copy()
-    target[data.train] = 0.5 * (target[data.train] + predict(teacher, data, data.train))
-    return replace(data, target=target)
+def _of_silence(data: Data) -> float:
+    """Return the one-step validation error of a model whose expectation is zero, scaled."""
+    return float(np.abs(data.samples[data.validation, 0]).mean())
 
 
 def _settled(

@@ -1,0 +1,54 @@
+"""White noise through a spectrum: how a model that foretells spectra alone is heard."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+FAINTEST = 1e-4  # of |X|, scaled; below it a logarithm is of the sensor
+_LIMIT = 10.0  # of log |X|, scaled
+
+
+def hann(n: int) -> Tensor:
+    """Return the periodic window, shape (n,), float64."""
+    return 0.5 - 0.5 * torch.cos(2 * math.pi * torch.arange(n, dtype=torch.float64) / n)
+
+
+def log_magnitudes(frames: Tensor) -> Tensor:
+    """Return log |X| of frames under a Hann window: (..., n) scaled → (..., n // 2 + 1)."""
+    window = hann(frames.shape[-1]).to(frames)
+    return torch.fft.rfft(frames * window).abs().clamp(min=FAINTEST).log()
+
+
+class NoiseFilter(nn.Module):
+    """Noise through the filter whose output has, on the mean, the log magnitudes that are asked for under a Hann window.
+
+    The magnitudes of Gaussian noise under a window scatter: the mean of their logarithms lies γ/2 below that of their mean square
+    (γ is Euler's constant), at zero and at half of the rate, where there is no imaginary part, (γ + log 2)/2. What is added here
+    is that, so that a model of logarithms is not 2.5 dB too soft. The filter has as many taps as the frame has samples, and no
+    phase. Equal to overlapping frames of these magnitudes and random phases, one begun at every sample.
+
+    Args:
+        n: samples of a frame.
+    """
+
+    def __init__(self, n: int) -> None:
+        super().__init__()
+        bins = np.arange(n // 2 + 1)
+        alone = (bins == 0) | (2 * bins == n)
+        turns = np.outer(np.arange(n) - n // 2, bins) / n
+        cosines = np.where(alone, 1.0, 2.0) * np.cos(2 * np.pi * turns) / n
+        scatter = 0.5 * (np.euler_gamma + np.where(alone, np.log(2.0), 0.0))
+        power = float(np.square(hann(n).numpy()).sum())
+        self.register_buffer("cosines", torch.from_numpy(cosines).float(), persistent=False)
+        self.register_buffer(
+            "offset", torch.from_numpy(scatter - 0.5 * np.log(power)).float(), persistent=False
+        )
+
+    def forward(self, noise: Tensor, logs: Tensor) -> Tensor:
+        """Return a sample of each frame of noise: (..., n), its log |X| (..., n // 2 + 1) → (...)."""
+        magnitudes = torch.exp(_LIMIT * torch.tanh(logs / _LIMIT) + self.offset.to(logs.dtype))
+        return ((noise @ self.cosines.to(noise.dtype)) * magnitudes).sum(-1)

@@ -1,0 +1,196 @@
+"""Training of a generator against what judges it: spectrograms made under a hand, beside recorded ones under the same."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.optim import Adam
+
+from foten.models.gan import Discriminator, Gan
+from foten.models.noise_filter import log_magnitudes
+from foten.train.config import TrainConfig
+from foten.train.fit import Epoch, Progress, Stateful, load_progress, save_progress
+from foten.train.prepared import Prepared
+
+FRAMES = 56  # of a spectrogram; Table III
+STEPS = 50  # in an epoch
+MEAN_WEIGHT = 10.0  # of how far mean spectra are apart, beside what the discriminator says
+_LEAST_FRAMES = 8
+_N_HEARD = 4  # draws of noise for each validation spectrogram
+
+
+class _Both:
+    """Two optimisers as one, for a checkpoint."""
+
+    def __init__(self, generator: nn.Module, discriminator: nn.Module, rate: float) -> None:
+        self.of = [
+            Adam(network.parameters(), lr=rate, betas=(0.5, 0.9)) for network in (generator, discriminator)
+        ]
+
+    def state_dict(self) -> dict[str, Any]:
+        return {"of": [one.state_dict() for one in self.of]}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        for one, saved in zip(self.of, state["of"], strict=True):
+            one.load_state_dict(saved)
+
+
+class _Crops:
+    """Recorded spectrograms of some blocks, and the hand that the same length of noise goes with."""
+
+    def __init__(self, network: Gan, m: int, prepared: Prepared, blocks: tuple[int, ...]) -> None:
+        frame, stride, block = network.frame, network.stride, prepared.trace.block
+        self.m, self.stride = m, stride
+        self.n_frames = min(FRAMES, (block - m - frame) // stride + 1)
+        if self.n_frames < _LEAST_FRAMES:
+            least = m + frame + (_LEAST_FRAMES - 1) * stride
+            raise ValueError(
+                f"a block of {block} samples is too short for spectrograms of {_LEAST_FRAMES} frames after {m} samples, expected "
+                f"{least} or more: use a longer --block"
+            )
+        self.length = frame + (self.n_frames - 1) * stride  # samples of a spectrogram
+        samples = torch.from_numpy(prepared.samples[list(blocks)]).float()
+        # Frames end where the first of their strides begins, as what is made does.
+        self._logs = log_magnitudes(samples[:, m:, 0].unfold(1, frame, 1))
+        self._hand = samples[:, :, 1:]
+        self.n_blocks, self.last = len(blocks), block - m - self.length  # where a crop may begin, after m
+
+    def spectrograms(self, block: Tensor, begin: Tensor) -> Tensor:
+        """Return log |X| of crops, (b, frames, bins)."""
+        frames = begin[:, None] + self.stride * torch.arange(self.n_frames)
+        return self._logs[block[:, None], frames]
+
+    def windows(self, block: Tensor, begin: Tensor, noise: Tensor) -> Tensor:
+        """Return noise (b, m + length) with the hand of crops, (b, m + length, 3)."""
+        samples = begin[:, None] + torch.arange(self.m + self.length)
+        return torch.cat([noise[:, :, None], self._hand[block[:, None], samples]], dim=2)
+
+    def hands(self, block: Tensor, begin: Tensor) -> Tensor:
+        """Return the speed and force at the end of each frame, (b, frames, 2)."""
+        frames = begin[:, None] + self.m + self.length - 1 - self.stride * torch.arange(self.n_frames).flip(0)
+        return self._hand[block[:, None], frames]
+
+    def tiles(self) -> tuple[Tensor, Tensor]:
+        """Return the block and the beginning of crops that cover all blocks without overlap."""
+        begins = torch.arange(0, self.last + 1, self.length)
+        return torch.arange(self.n_blocks).repeat_interleave(len(begins)), begins.repeat(self.n_blocks)
+
+
+def made(network: Gan, windows: Tensor, n_frames: int) -> Tensor:
+    """Return log |X| of what a generator plays, (b, frames, bins), under windows (b, m + length, 3)."""
+    played = network.played(windows)
+    return log_magnitudes(played.unfold(1, network.frame, network.stride)[:, :n_frames])
+
+
+def fit_adversarial(
+    network: Gan,
+    m: int,
+    prepared: Prepared,
+    config: TrainConfig,
+    on_epoch: Callable[[Epoch], None] = lambda epoch: None,
+    checkpoint: Path | None = None,
+    resume: bool = False,
+) -> Progress:
+    """Train a generator in place, on the CPU, and leave it where mean spectra of the validation blocks are nearest.
+
+    The discriminator is told spectrograms of what is rendered, and the speed and force of their frames (hinge loss); the
+    generator is told besides how far the mean over the frames is from that of the recorded spectrogram under the same hand.
+    An epoch is `STEPS` steps; its losses are means of absolute differences of mean log magnitudes [nat], as `validation_mae`
+    is. Ctrl-C ends the loop and keeps the best so far; before there is one, it goes on to the caller.
+
+    Differs from `fit`: losses, dropout, weight decay, schedule and threads of the configuration are not used.
+    """
+    train, validation = (
+        _Crops(network, m, prepared, blocks) for blocks in (prepared.split.train, prepared.split.validation)
+    )
+    judge = Discriminator()
+    tiles = train.tiles()
+    recorded = train.spectrograms(*tiles).flatten(0, 1)
+    middle, spread = recorded.mean(0), recorded.std(0).clamp(min=1e-3)
+    with torch.no_grad():
+        network.out.weight *= 0.1
+        network.out.bias.copy_(middle)
+    both = _Both(network, judge, config.learning_rate)
+    progress = Progress()
+    parts: dict[str, Stateful] = {"network": network, "discriminator": judge, "optimiser": both}
+    if checkpoint is not None and resume:
+        progress = load_progress(checkpoint, config, parts)
+        for line in progress.epochs:
+            on_epoch(line)
+
+    def drawn(crops: _Crops, n: int, generator: torch.Generator) -> Tensor:
+        return torch.randn(n, m + crops.length, generator=generator)
+
+    def apart(a: Tensor, b: Tensor) -> Tensor:
+        return (a.mean(1) - b.mean(1)).abs().mean()
+
+    def step(generator: torch.Generator) -> float:
+        n = config.batch
+        block = torch.randint(train.n_blocks, (n,), generator=generator)
+        begin = torch.randint(train.last + 1, (n,), generator=generator)
+        real, hands = train.spectrograms(block, begin), train.hands(block, begin)
+        fake = made(network, train.windows(block, begin, drawn(train, n, generator)), train.n_frames)
+
+        def judged(spectrograms: Tensor) -> Tensor:
+            return judge((spectrograms - middle) / spread, hands)
+
+        of_network, of_judge = both.of
+        loss = torch.relu(1 - judged(real)).mean() + torch.relu(1 + judged(fake.detach())).mean()
+        of_judge.zero_grad()
+        loss.backward()
+        of_judge.step()
+        distance = apart(fake, real)
+        of_network.zero_grad()
+        (MEAN_WEIGHT * distance - judged(fake).mean()).backward()
+        of_network.step()
+        return float(distance.detach())
+
+    def finish(epoch: int, train_loss: float, started: float) -> None:
+        network.eval()
+        block, begin = (index.repeat(_N_HEARD) for index in validation.tiles())
+        noise = drawn(validation, len(block), torch.Generator().manual_seed(config.seed))
+        with torch.no_grad():
+            fake = made(network, validation.windows(block, begin, noise), validation.n_frames)
+            real = validation.spectrograms(block, begin)
+            # Over the draws of noise, whose scatter is none of the generator's.
+            means = [s.mean(1).reshape(_N_HEARD, -1, s.shape[2]).mean(0) for s in (fake, real)]
+            found = float((means[0] - means[1]).abs().mean())
+        best = found < progress.best_loss
+        if best:
+            progress.best_loss = found
+            progress.best_state = {name: t.detach().clone() for name, t in network.state_dict().items()}
+        line = Epoch(epoch, train_loss, found, found, time.perf_counter() - started, best)
+        progress.epochs.append(line)
+        on_epoch(line)
+
+    try:
+        if not progress.epochs:
+            finish(0, math.nan, time.perf_counter())
+        for epoch in range(len(progress.epochs), config.epochs + 1):
+            best_epoch = max(line.epoch for line in progress.epochs if line.best)
+            if epoch - 1 - best_epoch >= config.patience:
+                break
+            started = time.perf_counter()
+            # Seeded by the epoch, so that a resumed run sees the same crops and noise.
+            generator = torch.Generator().manual_seed(config.seed * 100_003 + epoch)
+            network.train()
+            losses = [step(generator) for _ in range(STEPS)]
+            finish(epoch, float(np.mean(losses)), started)
+            if checkpoint is not None:
+                save_progress(checkpoint, config, parts, progress)
+    except KeyboardInterrupt:
+        progress.interrupted = True
+    if not progress.best_state:
+        if progress.interrupted:
+            raise KeyboardInterrupt
+        raise ValueError("the validation loss is not finite; is the acceleration full of outliers?")
+    network.load_state_dict(progress.best_state)
+    network.eval()
+    return progress
