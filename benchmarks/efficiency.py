@@ -3,10 +3,10 @@
     python benchmarks/efficiency.py [--models dstn,ldhtd,…] [--steps 1000] [--seconds 56] [--save FILE] [--page FILE]
 
 A step is a sample, one window at a time on one thread (of ldhtd-hop a twentieth of what a window costs): eager PyTorch, as the
-paper measured its own in Keras, ONNX Runtime, and the kernel where it runs the model. An epoch is one of the paper's recipe (batches
-of 16) and one of ours (of 128) over the training blocks of a simulated recording as long as the paper's, one thread each. Networks
-are untrained: their costs are the same. All in one run; ratios are what to read, since machines differ. A GPU is measured where
-there is one.
+paper measured its own in Keras, ONNX Runtime, and the kernel where it runs the model. An epoch is one of the paper's recipe
+(batches of 16) and one of ours (of 128) over the training blocks of a simulated recording as long as the paper's, one thread
+each. Networks are untrained: their costs are the same. All in one run; ratios are what to read, since machines differ. A GPU is
+measured where there is one.
 """
 
 from __future__ import annotations

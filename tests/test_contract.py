@@ -85,7 +85,7 @@ for path in sorted(folder.glob("*.foten")):
     document = evaluate(read_texture(path), recording).document
     out = Renderer(path, rate=8000, seed=1).render(speed_mm_s=80.0, force_n=0.8, n=8000)
     found[path.stem] = {
-        "one_step": document["one_step"]["mae_scaled"], "nll": document["one_step"]["nll"],
+        "one_step": document["one_step"]["mae_scaled"], "nll": document["one_step"].get("nll"),
         "free_run": document["free_run"]["lsd_db"], "zero": document["references"]["zero"]["mae_scaled"],
         "finite": bool(np.isfinite(out).all()), "peak": float(np.abs(out).max()), "sd": float(out.std()),
     }

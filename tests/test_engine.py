@@ -145,9 +145,9 @@ def test_bins_that_hold_only_rounding_have_no_phase(texture: Texture) -> None:
 
 
 def test_a_model_without_an_engine_is_named(plain_texture: Texture) -> None:
-    unknown = dataclasses.replace(plain_texture, card={**plain_texture.card, "model": "gan"})
+    unknown = dataclasses.replace(plain_texture, card={**plain_texture.card, "model": "wavenet"})
     with pytest.raises(
-        ValueError, match="no engine runs model 'gan', expected one of foten-plus, foten, ten, ar"
+        ValueError, match="no engine runs model 'wavenet', expected one of foten-plus, foten, ten, ar"
     ):
         engine_for(unknown)
 

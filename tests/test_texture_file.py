@@ -163,7 +163,7 @@ def test_every_key_of_the_card_is_needed_and_has_its_type(texture: Texture) -> N
     [
         ({"format_version": 2}, "format version 2, expected 1; update foten"),
         ({"format_version": None}, "format version None"),
-        ({"model": "gan"}, "unknown model 'gan', expected one of foten-plus, foten, ten, ar"),
+        ({"model": "wavenet"}, "unknown model 'wavenet', expected one of foten-plus, foten, ten, ar"),
         ({"window": 21}, "window 21 and the network 27"),
         ({"sizes": {"width": 3}}, "foten-plus has no size 'width', expected one of window, d_model"),
         ({"sizes": {"window": 1}}, "window is 1"),

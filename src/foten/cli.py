@@ -610,7 +610,7 @@ def _tell_trained(
         return
     told = [f"one-step validation error {metrics['validation_mae_scaled']:.4f} sd"]
     if metrics.get("validation_spectrum_db") is not None:
-        told = [f"spectra of the validation blocks missed by {metrics['validation_spectrum_db']:.2f} dB"]
+        told = [f"validation blocks: {_missed(card)}"]
     if card["model"] == "ar":
         sizes = card["sizes"]
         told[0] += f", order {sizes['order']}"
@@ -1178,8 +1178,16 @@ def _validated(card: Mapping[str, Any]) -> str:
     if card["split"] is None:
         return "none here: its models were imported"
     if card["metrics"].get("validation_spectrum_db") is not None:
-        return f"spectra missed by {card['metrics']['validation_spectrum_db']:.2f} dB"
+        return _missed(card)
     return f"{card['metrics']['validation_mae_scaled']:.4f} sd one-step"
+
+
+def _missed(card: Mapping[str, Any]) -> str:
+    """Return what the validation blocks say of a model of spectra."""
+    found = f"{card['metrics']['validation_spectrum_db']:.2f} dB"
+    if card["model"] == "gan":
+        return f"mean spectra of half a second missed by {found}"
+    return f"spectra of single frames missed by {found}, of which chance alone is 4.3"
 
 
 def _linear_part(texture: Texture) -> dict[str, str]:
