@@ -8,7 +8,7 @@ THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 # A file's tests stay together, for what they share.
 PYTEST := $(THREADS) $(BIN)/python -m pytest -q --numprocesses auto --maxprocesses 4 --dist loadfile
 
-.PHONY: demo test check slow wasm wasm-check web clean
+.PHONY: demo test check slow paper-small wasm wasm-check web clean
 
 # An editable install takes Python from here, and the kernel from when it was built.
 $(VENV)/.installed: pyproject.toml constraints.txt CMakeLists.txt $(wildcard native/src/* native/include/*)
@@ -24,6 +24,15 @@ test: $(VENV)/.installed
 
 slow: $(VENV)/.installed
 	$(PYTEST) -m slow
+
+# Every table and figure of the paper, reduced as each says, in half an hour on two cores: build/paper. It goes on where it stopped.
+SMALL := table-1 table-2 figure-5 figure-5-delta
+paper-small: $(VENV)/.installed
+	for name in $(SMALL); do \
+	  $(THREADS) $(BIN)/foten sweep paper-small-$$name -o build/paper/results/$$name \
+	  && $(BIN)/foten tables build/paper/results/$$name -o build/paper/$$name \
+	  && $(BIN)/foten figures build/paper/results/$$name -o build/paper/$$name || exit 1; done
+	$(THREADS) $(BIN)/python benchmarks/efficiency.py --seconds 12 --steps 300 --save build/paper/results/table-3.json > build/paper/table-3.md
 
 check: $(VENV)/.installed
 	$(BIN)/ruff format --check .

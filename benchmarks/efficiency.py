@@ -16,6 +16,7 @@ import dataclasses
 import json
 import os
 import platform
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -159,7 +160,7 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
             "step_us": steps(key, arguments.steps, texture),
             "epoch_s": {recipe: epoch_s(key, data, prepared, recipe) for recipe in ("paper", "default")},
         }
-        print(key, json.dumps(found[key]), flush=True)
+        print(key, json.dumps(found[key]), file=sys.stderr, flush=True)
     return {
         "machine": f"{platform.machine()}, {os.cpu_count()} cores",
         "n_train_windows": len(data.train),

@@ -129,11 +129,29 @@ def test_figures_are_drawn_from_the_results(
 
 def test_windows_and_losses_are_drawn_where_there_is_a_grid(swept: Path) -> None:
     results = read_results(swept)
-    assert "figure-5" not in dict(figures(results))
-    other = json.loads(json.dumps(results[0]))
+    assert not [name for name, _ in figures(results) if "figure-5" in name]
+    other = copy.deepcopy(results[0])
     other["run"]["train"]["loss"] = "mae"
-    drawn = dict(figures([results[0], other]))["figure-5"]
+    drawn = dict(figures([results[0], other]))["figure-5-fnn"]
     assert [text.get_text() for text in drawn.axes[0].get_legend().get_texts()] == ["mae", "mse"]
+    # Another model with another window is no grid.
+    other["run"]["model"] = "dstn"
+    assert not [name for name, _ in figures([results[0], other]) if "figure-5" in name]
+
+
+def test_thresholds_are_drawn_over_each_textures_mean(swept: Path) -> None:
+    results = [one for one in copy.deepcopy(read_results(swept)) if one["run"]["method"] == "FNN [13]"]
+    others = copy.deepcopy(results)
+    for one in (*results, *others):
+        one["run"]["train"]["loss"] = "huber"
+    for one in others:
+        one["run"]["train"]["delta"] = 0.4
+        one["evaluation"]["one_step"]["mae_scaled"] *= 3
+    drawn = dict(figures([*results, *others]))["figure-5-fnn-delta"]
+    mean = drawn.axes[0].get_lines()[-1]
+    np.testing.assert_allclose(mean.get_xdata(), [0.4, 1.6])
+    np.testing.assert_allclose(mean.get_ydata(), [1.5, 0.5])
+    np.testing.assert_allclose(drawn.axes[1].get_lines()[-1].get_ydata(), 1)
 
 
 def test_special_characters_are_latexs() -> None:
@@ -219,9 +237,10 @@ def test_what_is_never_better_differs_and_what_is_the_same_does_not() -> None:
     assert compared(rows, textures[:5], -1)[1] == {}
 
 
-@pytest.mark.parametrize("name", ["table-1", "table-1-small", "table-2", "figure-5"])
+@pytest.mark.parametrize("name", ["table-1", "table-1-small", "table-2", "figure-5", "figure-5-delta"])
 def test_ours_are_read_and_are_as_large_as_the_papers(name: str) -> None:
     n = {"table-1": 12 * 7 * 3, "table-1-small": 12 * 8, "table-2": 12 * 5 * 3, "figure-5": 216}
+    n |= {"figure-5-delta": 12 * 6}
     runs = read_experiment(find_experiment(name)).runs()
     assert len(runs) == n[name]
     paper = [run for run in runs if run.model == "foten" and name in ("table-1", "table-2")]

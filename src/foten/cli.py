@@ -1013,7 +1013,8 @@ def sweep(
         str,
         typer.Argument(
             metavar="FILE.toml",
-            help="Which methods learn which textures; or one of ours: table-1, table-1-small, table-2, figure-5.",
+            help="Which methods learn which textures; or one of ours: table-1, table-2, figure-5, figure-5-delta; reduced: "
+            "table-1-small, and for a glance paper-small-table-1, -table-2, -figure-5, -figure-5-delta.",
         ),
     ],
     output: Annotated[

@@ -1,4 +1,4 @@
-"""Result files to the paper's figures: the split, windows and losses, waveforms, spectra."""
+"""Result files to the paper's figures: the split, windows, losses and thresholds, waveforms, spectra."""
 
 from __future__ import annotations
 
@@ -26,9 +26,14 @@ PARTS = {"train": "#8fd3e8", "validation": "#f3e28a", "test": "#f0a3a0"}
 def figures(results: Results) -> Iterator[tuple[str, Figure]]:
     """Return each figure that the results have the numbers for, and its name."""
     yield "figure-4", split(results[0])
-    cells = [one for one in results if _of_grid(one) is not None]
-    if len({_of_grid(one) for one in cells}) > 1:
-        yield "figure-5", windows_and_losses(cells)
+    # Of one model: beside another one, a window of its own says nothing of windows.
+    for model in dict.fromkeys(one["run"]["model"] for one in results):
+        own = [one for one in results if one["run"]["model"] == model and _of_grid(one) is not None]
+        if len({_of_grid(one) for one in own}) > 1:
+            yield f"figure-5-{model}", windows_and_losses(own)
+        huber = [one for one in own if one["run"]["train"]["loss"] == "huber"]
+        if len({one["run"]["train"]["delta"] for one in huber}) > 1:
+            yield f"figure-5-{model}-delta", thresholds(huber)
     with_signals = [one for one in results if one.get("signals")]
     if with_signals:
         yield "figure-6", waveforms(with_signals)
@@ -69,9 +74,9 @@ def split(result: Mapping[str, Any]) -> Figure:
 
 
 def _of_grid(result: Mapping[str, Any]) -> tuple[int, str] | None:
-    """Return the window and the loss of a network's run."""
+    """Return the window and the loss of a network's run; None of what predicts no sample, or has neither."""
     sizes, train = result["run"]["sizes"], result["run"]["train"]
-    if "window" not in sizes or "loss" not in train:
+    if "window" not in sizes or "loss" not in train or result["evaluation"]["one_step"]["mae_scaled"] is None:
         return None
     return int(sizes["window"]), str(train["loss"])
 
@@ -91,8 +96,6 @@ def windows_and_losses(results: Results) -> Figure:
                 cell = _of_grid(one)
                 if one["run"]["texture"] == texture and cell is not None and cell[1] == loss:
                     test = one["evaluation"]["one_step"]["mae_scaled"]
-                    if test is None:
-                        continue
                     points.setdefault(cell[0], []).append((test, one["validation_mae_scaled"]))
             windows = sorted(points)
             means = np.array([np.mean(points[window], axis=0) for window in windows])
@@ -102,6 +105,45 @@ def windows_and_losses(results: Results) -> Figure:
     panels[0].legend(fontsize=8, frameon=False)
     figure.supxlabel("window [samples]", fontsize=9)
     figure.supylabel("one-step MAE [sd]: test ●, validation ○", fontsize=9)
+    return figure
+
+
+def thresholds(results: Results) -> Figure:
+    """Return one-step errors by the threshold of the Huber loss, a line for each texture over its mean, and the mean of all.
+
+    On the test blocks, and below on the validation blocks, on which to choose.
+    """
+    figure, panels = _figure(6.5, 5.5, nrows=2, sharex=True)
+    textures = list(dict.fromkeys(one["run"]["texture"] for one in results))
+    deltas = sorted({one["run"]["train"]["delta"] for one in results})
+    for axes, name, error in (
+        (panels[0], "test", lambda one: one["evaluation"]["one_step"]["mae_scaled"]),
+        (panels[1], "validation", lambda one: one["validation_mae_scaled"]),
+    ):
+        lines = np.full((len(textures), len(deltas)), np.nan)
+        for i, texture in enumerate(textures):
+            for k, delta in enumerate(deltas):
+                of = [
+                    error(one)
+                    for one in results
+                    if (one["run"]["texture"], one["run"]["train"]["delta"]) == (texture, delta)
+                ]
+                lines[i, k] = np.mean(of) if of else np.nan
+        lines /= np.nanmean(lines, axis=1, keepdims=True)
+        for line in lines:
+            axes.plot(deltas, line, "-", lw=0.7, color="#9a9a9a")
+        axes.plot(
+            deltas,
+            np.nanmean(lines, axis=0),
+            "o-",
+            lw=1.6,
+            ms=4,
+            color=COLOURS[0],
+            label="mean of the textures",
+        )
+        axes.set_ylabel(f"{name}: MAE ÷ the texture's mean", fontsize=9)
+    panels[0].legend(fontsize=8, frameon=False)
+    panels[1].set_xlabel("δ of the Huber loss [sd]", fontsize=9)
     return figure
 
 
