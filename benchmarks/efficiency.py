@@ -113,8 +113,9 @@ def epoch_s(key: str, data: Data, prepared: Prepared, recipe: str) -> float:
         torch.manual_seed(0)
         network = build(key, architecture)
         if isinstance(network, Gan):
-            line = fit_adversarial(network, architecture.window, prepared, config).epochs[-1]
-            return line.seconds * len(data.train) / (STEPS * config.batch)
+            before, line = fit_adversarial(network, architecture.window, prepared, config).epochs
+            # Epoch 0 is a validation and no more.
+            return before.seconds + (line.seconds - before.seconds) * len(data.train) / (STEPS * config.batch)
         if isinstance(network, Dftnet):
             network, data = network.spectrum, spectra(data, prepared)
         elif architecture.n_ahead > 1:

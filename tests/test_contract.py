@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -53,7 +54,8 @@ def textures(recording: Recording) -> dict[str, Texture]:
         short = {"epochs": 1, "batch": 512, "threads": 1, "max_order": 8, "tones": False}
         config = TrainConfig(**(OWN_RECIPES.get(key, {}) | short | ({"batch": 8} if key == "gan" else {})))
         own = {"window": 42, "frame": 16, "stride": 1} if key == "gan" else SMALL
-        architecture = architecture_with(key, own)
+        # Of a hop that does not end with the window that a stream begins by.
+        architecture = architecture_with(key, own | ({"window": 50} if key == "ldhtd-hop" else {}))
         found[key] = train_texture(recording, key, architecture, config, SHORT).texture
     return found
 
@@ -162,6 +164,34 @@ def test_a_damaged_graph_is_refused_in_one_line(textures: dict[str, Texture], ke
         assert "\n" not in str(error.value)
 
 
+def test_a_graph_of_another_width_is_refused(textures: dict[str, Texture]) -> None:
+    """Twenty samples where the card speaks of ten, or of one."""
+    texture = textures["ldhtd-hop"]
+    excited = {"window": 50, "excitation": True}
+    for key, sizes in (("ldhtd-hop", {**texture.card["sizes"], "hop": 10}), ("ldhtd", excited)):
+        card = {**texture.card, "model": key, "sizes": sizes}
+        with pytest.raises(ValueError, match=r"the graph gives \(2, 20\) of two windows, expected"):
+            NativeTexture(Texture(card, texture.tensors).to_bytes())
+
+
+@pytest.mark.parametrize(
+    "written", ["", r'"h\u006fp": 400', '"hop": 0', '"hop": 400', '"hop": 2.5', '"hop": 19']
+)
+def test_the_kernel_and_python_agree_on_a_hop(textures: dict[str, Texture], written: str) -> None:
+    """Both read the card; if they read another number, Python would write where the kernel has no room."""
+    data = textures["ldhtd-hop"].to_bytes()
+    n = int.from_bytes(data[:8], "little")
+    header = data[8 : 8 + n].rstrip(b" ")
+    # In the header's own text, as somebody might who means harm.
+    (place,) = re.finditer(rb'(, ?)?\\"hop\\": ?20(, ?)?', header)
+    before, after = place[1] or b"", place[2] or b""
+    text = before + json.dumps(written)[1:-1].encode() + after if written else before or after
+    header = header[: place.start()] + text + header[place.end() :]
+    header += b" " * (-len(header) % 8)
+    with pytest.raises(ValueError, match=r"hop|samples at once|of two windows"):
+        NativeTexture(len(header).to_bytes(8, "little") + header + data[8 + n :])
+
+
 def test_a_graph_of_other_weights_fails_its_proof(textures: dict[str, Texture]) -> None:
     golden = textures["fnn"].tensors["golden.one_step"] + 1e-3
     data = Texture(textures["fnn"].card, {**textures["fnn"].tensors, "golden.one_step": golden}).to_bytes()
@@ -180,11 +210,12 @@ def test_a_graph_that_is_none_of_ours_is_not_run(textures: dict[str, Texture]) -
         NativeTexture(data)
 
 
+@pytest.mark.parametrize("key", ["dstn", "ldhtd-hop"])
 def test_what_goes_wrong_while_the_kernel_asks_is_raised(
-    textures: dict[str, Texture], monkeypatch: pytest.MonkeyPatch
+    textures: dict[str, Texture], monkeypatch: pytest.MonkeyPatch, key: str
 ) -> None:
     """Python delivers Ctrl-C inside the callback, where it would be printed and lost."""
-    renderer = Renderer(textures["dstn"])
+    renderer = Renderer(textures[key], excitation=False)
     asked = 0
 
     def interrupted(engine: object, window: object, out: object) -> None:
@@ -197,6 +228,9 @@ def test_what_goes_wrong_while_the_kernel_asks_is_raised(
         renderer.render(speed_mm_s=80.0, force_n=1.0, n=10_000)
     assert asked == 1
     monkeypatch.undo()
+    # One sample was silence; those of the rest of a hop are asked for again.
+    mean = np.float32(textures[key].scaling.mean[0])
+    assert (renderer.render(speed_mm_s=80.0, force_n=1.0, n=10) != mean).all()
     renderer.reset()
     assert np.isfinite(renderer.render(speed_mm_s=80.0, force_n=1.0, n=10)).all()
 

@@ -128,7 +128,7 @@ def test_nothing_is_allocated_while_rendering(build: Path) -> None:
 @needs_cmake
 def test_damaged_files_do_no_harm(sanitized: Path) -> None:
     """Mutants of each kind of file under AddressSanitizer and UndefinedBehaviorSanitizer; both end the program with a report."""
-    assert len(CORPUS) == 13
+    assert len(CORPUS) == 15
     ran(
         sanitized / "fuzz_file",
         str(MUTATIONS),

@@ -27,10 +27,11 @@ from foten.models.gan import Gan
 from foten.models.noise_filter import NoiseFilter, log_magnitudes
 from foten.recording.split import Split
 from foten.recording.trace import Trace
+from foten.train import adversarial
 from foten.train.adversarial import fit_adversarial
-from foten.train.config import OWN_RECIPES, RECIPES, TrainConfig
+from foten.train.config import OWN_RECIPES, RECIPES, TrainConfig, check_used
 from foten.train.export import _multiply_adds
-from foten.train.fit import Data, Epoch, Progress, fit
+from foten.train.fit import Data, Epoch, Progress, fit, load_progress
 from foten.train.goals import ahead, spectra, taught
 from foten.train.prepared import Prepared, prepare
 
@@ -130,6 +131,10 @@ def test_a_size_that_cannot_be_is_refused(key: str) -> None:
         ("dftnet", {"n_told": 101}, "expected 101 or more"),
         ("gan", {"frame": 32}, "expected 240"),
         ("gan", {"frame": 4}, "frame is 4"),
+        ("gan", {"frame": 66, "window": 274}, "a multiple of stride, 8"),
+        ("dftnet", {"window": 5000}, "at most 4096 samples"),
+        ("ldhtd", {"window": 5000}, "at most 4096 samples"),
+        ("foten", {"window": 513}, "at most 512 samples"),
     ],
 )
 def test_what_does_not_fit_is_refused(key: str, sizes: dict[str, int], match: str) -> None:
@@ -195,16 +200,18 @@ def test_an_interrupted_teacher_ends_the_training(monkeypatch: pytest.MonkeyPatc
         taught(data, 20, TrainConfig(), lambda stage: None)
 
 
+@pytest.mark.parametrize("level", [-4.0, 0.0, 3.5])
 @pytest.mark.parametrize("n", [15, 16, 64])
-def test_filtered_noise_has_the_logarithms_that_are_asked_for(n: int) -> None:
+def test_filtered_noise_has_the_logarithms_that_are_asked_for(n: int, level: float) -> None:
     """White noise and those of a smooth spectrum: means over 40,000 frames, at both ends as between.
 
-    At zero and at half of the rate a spectrum has no imaginary part, and the mean logarithm of a smooth one lies log 2 / 2 lower.
+    However loud. At zero and at half of the rate a spectrum has no imaginary part, and the mean logarithm of a smooth one lies
+    log 2 / 2 lower.
     """
     torch.manual_seed(3)
     bins = torch.arange(n // 2 + 1, dtype=torch.float64)
     # A filter with three taps, which a Hann window hardly blurs.
-    asked = 0.3 * torch.cos(2 * torch.pi * bins / n) - 0.3
+    asked = 0.3 * torch.cos(2 * torch.pi * bins / n) + level
     asked[(bins == 0) | (2 * bins == n)] -= 0.5 * np.log(2)
     noise = torch.randn(40_000, 2 * n - 1, dtype=torch.float64)
     found = log_magnitudes(NoiseFilter(n).double()(noise.unfold(1, n, 1), asked)).mean(0)
@@ -308,14 +315,47 @@ def test_an_adversarial_training_goes_on_where_it_stopped(tmp_path: Path) -> Non
     assert expected.epochs[-1].validation_loss != expected.epochs[0].validation_loss
 
 
-def test_an_adversarial_training_that_is_stopped_at_once_keeps_nothing() -> None:
-    def stop(line: Epoch) -> None:
+def test_an_adversarial_training_that_is_stopped_keeps_what_there_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """After epoch 0 the untrained network; before there is any, Ctrl-C goes on to the caller."""
+
+    def stop(*_: object) -> None:
         raise KeyboardInterrupt
 
     prepared = prepared_trace(n_blocks=5, block=200)
-    progress = fit_adversarial(small_gan(), 42, prepared, TrainConfig(epochs=1, batch=4, threads=1), stop)
+    config = TrainConfig(epochs=1, batch=4, threads=1)
+    progress = fit_adversarial(small_gan(), 42, prepared, config, stop)
     assert progress.interrupted
     assert [line.epoch for line in progress.epochs] == [0]
+    monkeypatch.setattr("foten.train.adversarial.made", stop)
+    with pytest.raises(KeyboardInterrupt):
+        fit_adversarial(small_gan(), 42, prepared, config)
+
+
+def test_an_adversarial_training_that_is_lost_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    prepared, made_before = prepared_trace(n_blocks=5, block=200), adversarial.made
+
+    def lost(network: Gan, windows: torch.Tensor, n_frames: int) -> torch.Tensor:
+        return made_before(network, windows, n_frames) * (np.nan if network.training else 1.0)
+
+    monkeypatch.setattr("foten.train.adversarial.made", lost)
+    with pytest.raises(ValueError, match="the training loss is not finite"):
+        fit_adversarial(small_gan(), 42, prepared, TrainConfig(epochs=5, batch=4, threads=1))
+
+
+def test_a_checkpoint_of_another_version_is_named(tmp_path: Path) -> None:
+    config, path = TrainConfig(epochs=1, batch=4, threads=1), tmp_path / "checkpoint.pt"
+    torch.save({"config": vars(config), "network": {}}, path)
+    with pytest.raises(ValueError, match=r"checkpoint\.pt is of another version of foten"):
+        load_progress(path, config, {"network": small_gan()})
+
+
+def test_settings_that_a_model_does_not_heed_are_refused() -> None:
+    check_used("foten", ["loss", "dropout"])
+    check_used("gan", ["epochs", "batch", "learning_rate"])
+    with pytest.raises(ValueError, match="clip-norm is nothing to gan"):
+        check_used("gan", ["epochs", "clip_norm"])
 
 
 def test_blocks_too_short_for_spectrograms_are_refused() -> None:

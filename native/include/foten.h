@@ -81,6 +81,7 @@ typedef struct {
     double acceleration_sd;      /* m/s2, of the recording */
     double lowpass_hz;           /* that the speed and force of the recording went through */
     size_t state_bytes;          /* that a state at the texture's own rate asks for */
+    int hop;                     /* samples that a predictor is asked for at once; 0 where none is asked */
 } foten_info;
 
 /* Check a texture file in memory and make it ready; the bytes may be freed afterwards. `why` gets one line for people, and may be
@@ -90,12 +91,12 @@ FOTEN_API void foten_model_free(foten_model *model);
 
 /* The same for networks that this library has no code for, those of the systems that foten is compared with: their files hold an ONNX graph,
  * and whoever runs it gives what comes after a window, `window` samples of acceleration, speed and force in turn, oldest first, all in the
- * units of the network: the next sample, or as many as the card's `sizes` name in `hop`. In the place of the acceleration, "dftnet" and "gan"
- * are given the noise numbers of these samples. It is asked for the golden windows while the file is loaded, and once a hop from each thread
- * that renders, from several at once where several do; it and `user` have to outlive the model. Such a rendering is as real-time as its
- * predictor is, which may allocate or wait. What is not finite counts as 0. Without one, such a file is FOTEN_NO_PREDICTOR; other files do not
- * ask it. */
-typedef void (*foten_predictor)(void *user, const float *window, float *next);
+ * units of the network: `n_next` samples, foten_info.hop of the file. In the place of the acceleration, "dftnet" and "gan" are given the
+ * noise numbers of these samples. It is asked for the golden windows while the file is loaded, and once a hop from each thread that renders,
+ * from several at once where several do; it and `user` have to outlive the model. Such a rendering is as real-time as its predictor is, which
+ * may allocate or wait. What is not finite counts as 0, and ends the hop. Without a predictor, such a file is FOTEN_NO_PREDICTOR; other files
+ * do not ask one. */
+typedef void (*foten_predictor)(void *user, const float *window, float *next, int n_next);
 FOTEN_API foten_status foten_model_load_with(const void *bytes, size_t n_bytes, foten_predictor predictor, void *user, foten_model **model,
                                              char *why, size_t why_size);
 FOTEN_API foten_info foten_model_info(const foten_model *model);

@@ -185,7 +185,7 @@ static size_t state_bytes(const foten_model *model, double rate) {
 
 foten_info foten_model_info(const foten_model *m) {
     foten_info info = {m->name, m->texture, m->rate_hz, m->history, random_part(m), {m->low[0], m->high[0]}, {m->low[1], m->high[1]}, m->sd[0],
-                       m->lowpass_hz, state_bytes(m, m->rate_hz)};
+                       m->lowpass_hz, state_bytes(m, m->rate_hz), m->hop};
     return info;
 }
 

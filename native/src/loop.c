@@ -323,11 +323,13 @@ void loop_start(const foten_model *m, loop *l, const double *windows, int n, int
 static double answer(const foten_model *m, loop *l) {
     if (m->network) return m->isa->predict(m->network, l->seen, l->scratch);
     if (!l->n_coming) {
-        m->predictor(m->predictor_user, l->seen, l->coming);
+        m->predictor(m->predictor_user, l->seen, l->coming, m->hop);
         l->n_coming = m->hop;
     }
     double found = l->coming[m->hop - l->n_coming];
-    return isfinite(found) ? found : 0;
+    if (isfinite(found)) return found;
+    l->n_coming = 1;
+    return 0;
 }
 
 /* What the network adds, in units of the innovation. */

@@ -5,7 +5,7 @@
 #include <stdio.h>
 #include <string.h>
 
-enum { LARGEST_SIZE = 65536, LONGEST_WINDOW = 512, MOST_LAYERS = 64 };
+enum { LARGEST_SIZE = 65536, LONGEST_WINDOW = 512, LONGEST_GIVEN = 4096, MOST_LAYERS = 64 }; /* given to a predictor */
 static const double LARGEST[3] = {1e5, 1e5, 1e4}; /* m/s2, mm/s and N that a card may speak of */
 static const double LARGEST_SATURATION = 1e4;     /* standard deviations */
 
@@ -14,7 +14,7 @@ typedef struct {
     net_sizes net;
     int model, excitation_width, order, n_speed, n_force, n_tones, n_tone_speed, n_tone_force, rest_order, n_rest_speed, n_rest_force;
     int excitation, level_drives, rest_level_drives, network_heard, hand; /* hand: 0 head, 1 tokens, 2 modulation */
-    int ma, n_models, n_triangles, hop, of_noise;
+    int ma, n_models, n_triangles, hops, hop, of_noise;
     double correction_limit;
 } sizes;
 
@@ -26,8 +26,9 @@ static const struct {
 } MODELS[] = {{"foten-plus", PLUS, 20}, {"foten", FOTEN, 20}, {"ten", TEN, 25}, {"ar", AR, 21}};
 static const struct {
     const char *name;
-    int of_noise;
-} GRAPHS[] = {{"ten-mfcc", 0}, {"ten-wavelet", 0}, {"foten-d", 0}, {"fnn", 0}, {"dstn", 0}, {"hapinf", 0}, {"ldhtd", 0}, {"ldhtd-hop", 0}, {"dftnet", 1}, {"gan", 1}};
+    int of_noise, hops;
+} GRAPHS[] = {{"ten-mfcc", 0, 0}, {"ten-wavelet", 0, 0}, {"foten-d", 0, 0}, {"fnn", 0, 0}, {"dstn", 0, 0}, {"hapinf", 0, 0}, {"ldhtd", 0, 0},
+              {"ldhtd-hop", 0, 1}, {"dftnet", 1, 0}, {"gan", 1, 0}};
 
 static const struct {
     const char *name;
@@ -54,7 +55,6 @@ static const struct {
     {"ma", AR, offsetof(sizes, ma), 0, 0},
     {"n_models", AR, offsetof(sizes, n_models), 3, 3},
     {"n_triangles", AR, offsetof(sizes, n_triangles), 1, 1},
-    {"hop", GRAPH, offsetof(sizes, hop), 1, 1},
 };
 
 static const struct {
@@ -106,6 +106,7 @@ static foten_status read_sizes(texture_file *file, json from, int has_predictor,
         if (json_is_string(model, GRAPHS[i].name)) {
             s->model = GRAPH;
             s->of_noise = GRAPHS[i].of_noise;
+            s->hops = GRAPHS[i].hops;
         }
     if (!s->model)
         return file_refuse(file, FOTEN_BAD_FILE, "this library does not run the file's model, expected foten-plus, foten, ten or ar");
@@ -163,9 +164,13 @@ static foten_status read_sizes(texture_file *file, json from, int has_predictor,
     if (value.begin && (!json_number(value, &s->correction_limit) || !(s->correction_limit > 0 && s->correction_limit < 1e6)))
         return wrong_size(file, "correction_limit");
     if (s->model == GRAPH) {
-        if (s->net.window > LONGEST_WINDOW || !s->net.window) return wrong_size(file, "window");
+        long long hop = 1;
+        if (s->net.window > LONGEST_GIVEN || !s->net.window) return wrong_size(file, "window");
         if (s->of_noise && s->excitation) return wrong_size(file, "excitation");
-        return s->hop > LONGEST_WINDOW ? wrong_size(file, "hop") : FOTEN_OK;
+        value = json_member(from, "hop");
+        if (s->hops ? !json_integer(value, &hop) || hop < 1 || hop > s->net.window : value.begin != NULL) return wrong_size(file, "hop");
+        s->hop = (int)hop;
+        return FOTEN_OK;
     }
     if (s->model == PLUS) s->excitation = 1;
     if (json_count(from) != n_known)

@@ -52,6 +52,11 @@ KINDS = {
         "fnn",
         {"window": 24, "n_lags": 1, "first": 1, "second": 1, "excitation": True, "excitation_width": 1},
     ),
+    "graph-hop": (
+        "ldhtd-hop",
+        {"window": 8, "hop": 3, "recurrent": 1, "found": 1, "d_model": 2, "n_heads": 1, "d_feedforward": 1},
+    ),
+    "graph-noise": ("dftnet", {"window": 8, "n_told": 1, "first": 1, "second": 1, "third": 1}),
     "plus-tones": ("foten-plus", {**PLUS, "n_tones": 1, "n_tone_speed": 2, "rest_order": 3}),
 }
 

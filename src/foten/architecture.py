@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any, ClassVar
 
 HIGHEST_LOCAL_ORDER = 40  # beyond it line spectral frequencies no longer give the filter in float64
+LONGEST_WINDOW = 512  # samples that the kernel's networks see
+LONGEST_GIVEN = 4096  # and that it gives a graph
 HEAVIEST_TAIL = 0.25  # of h in z·exp(h z²/2), the excitation's tails; beyond it there is no fourth moment
 
 
@@ -34,6 +36,7 @@ class TenArchitecture:
         least = {"window": 2, "d_model": 1, "n_heads": 1, "n_layers": 1, "d_feedforward": 1}
         for name, minimum in least.items():
             _check_count(name, getattr(self, name), minimum)
+        _check_window(self.window, LONGEST_GIVEN if self.in_graph else LONGEST_WINDOW)
         if not isinstance(self.head, list | tuple) or len(self.head) != 2:
             raise ValueError(f"head is {self.head!r}, expected the widths of two layers")
         for width in self.head:
@@ -273,6 +276,7 @@ class GraphArchitecture:
         for size in fields(self):
             if size.type == "int":
                 _check_count(size.name, getattr(self, size.name), 2 if size.name == "window" else 1)
+        _check_window(self.window, LONGEST_GIVEN)
 
     @property
     def history(self) -> int:
@@ -428,6 +432,8 @@ class GanArchitecture(GraphArchitecture):
         super().__post_init__()
         if self.frame < 8:
             raise ValueError(f"frame is {self.frame}, expected 8 or more")
+        if self.frame % self.stride:
+            raise ValueError(f"frame is {self.frame}, expected a multiple of stride, {self.stride}")
         if self.window != 26 * self.stride + self.frame:
             raise ValueError(
                 f"window is {self.window}, expected {26 * self.stride + self.frame}: 27 frames of {self.frame} samples, "
@@ -442,6 +448,13 @@ def _check_excitation(excitation: object, width: object) -> None:
     if not isinstance(excitation, bool):
         raise ValueError(f"excitation is {excitation!r}, expected true or false")
     _check_count("excitation_width", width, 1)
+
+
+def _check_window(window: int, longest: int) -> None:
+    if window > longest:
+        raise ValueError(
+            f"window is {window}, expected at most {longest} samples: no longer ones are rendered"
+        )
 
 
 def _check_heads(width: int, n_heads: int) -> None:

@@ -397,7 +397,9 @@ def train(
         str, typer.Option(help="regrouped by speed and force, or contiguous in time.")
     ] = "regrouped",
     split_seed: Annotated[int, typer.Option(min=0, help="Of the regrouped split.")] = 0,
-    epochs: Annotated[int | None, typer.Option(help="At most; the recipe's by default.")] = None,
+    epochs: Annotated[
+        int | None, typer.Option(help="At most; the recipe's by default. (Of gan, of 50 steps each.)")
+    ] = None,
     loss: Annotated[str | None, typer.Option(help="huber, mse or mae. [huber]")] = None,
     delta: Annotated[float | None, typer.Option(help="Huber threshold, scaled. [1.6]")] = None,
     batch: Annotated[int | None, typer.Option(help="Windows a step; the recipe's by default.")] = None,
@@ -449,7 +451,7 @@ def train(
     from foten.recording.inspect import inspect_recording
     from foten.recording.preprocess import PreprocessConfig
     from foten.texture_file import write_texture
-    from foten.train.config import OWN_RECIPES, RECIPES
+    from foten.train.config import OWN_RECIPES, RECIPES, check_used
     from foten.train.local import train_local
     from foten.train.run import RunFolder, TrainingDisplay
     from foten.train.train import train_texture
@@ -513,12 +515,7 @@ def train(
         raise ValueError(
             f"--excitation is for models that predict samples, and {model} is made of chance: leave it out"
         )
-    if model == "gan":
-        unused = [name for name in ("loss", "delta", "dropout") if asked[name] is not None]
-        if unused:
-            raise ValueError(
-                f"--{unused[0]} is nothing to --model gan, whose loss is what judges it: leave it out"
-            )
+    check_used(model, [name for name, value in asked.items() if value is not None])
     architecture = architecture_from(model, own if window is None else {"window": window, **own})
     assert not isinstance(architecture, ArArchitecture)
     folder = RunFolder(run_folder or output.with_suffix(".run"))
@@ -608,9 +605,7 @@ def _tell_trained(
             }
         )
         return
-    told = [f"one-step validation error {metrics['validation_mae_scaled']:.4f} sd"]
-    if metrics.get("validation_spectrum_db") is not None:
-        told = [f"validation blocks: {_missed(card)}"]
+    told = [f"validation blocks: {_validated(card)}"]
     if card["model"] == "ar":
         sizes = card["sizes"]
         told[0] += f", order {sizes['order']}"
@@ -1178,16 +1173,20 @@ def _validated(card: Mapping[str, Any]) -> str:
     """Return what `info` says of the validation blocks."""
     if card["split"] is None:
         return "none here: its models were imported"
-    if card["metrics"].get("validation_spectrum_db") is not None:
+    metrics = card["metrics"]
+    if metrics["validation_mae_scaled"] is None:
         return _missed(card)
-    return f"{card['metrics']['validation_mae_scaled']:.4f} sd one-step"
+    told = f"{metrics['validation_mae_scaled']:.4f} sd one-step"
+    if metrics.get("validation_mae_scaled_hop") is not None:
+        told += f", {metrics['validation_mae_scaled_hop']:.4f} sd on the mean of a hop"
+    return told
 
 
 def _missed(card: Mapping[str, Any]) -> str:
     """Return what the validation blocks say of a model of spectra."""
     found = f"{card['metrics']['validation_spectrum_db']:.2f} dB"
     if card["model"] == "gan":
-        return f"mean spectra of half a second missed by {found}"
+        return f"mean spectra missed by {found}"
     return f"spectra of single frames missed by {found}, of which chance alone is 4.3"
 
 

@@ -232,8 +232,15 @@ def check_card(card: Any) -> None:
         raise ValueError(
             f"the card has a rate of {card['rate_hz']} Hz and preprocessing to {made.rate_hz} Hz"
         )
-    if card["split"] is not None and not _are_numbers([card["metrics"].get("validation_mae_scaled")], 1):
-        raise ValueError("the card has no 'validation_mae_scaled' among its metrics")
+    if card["split"] is None:
+        return
+    of_noise = architecture_from(card["model"], card["sizes"]).of_noise
+    needed = "validation_spectrum_db" if of_noise else "validation_mae_scaled"
+    if not _are_numbers([card["metrics"].get(needed)], 1):
+        raise ValueError(f"the card has no {needed!r} among its metrics")
+    for name in ("validation_mae_scaled", "validation_mae_scaled_lattice", "validation_mae_scaled_hop"):
+        if card["metrics"].get(name) is not None and not _are_numbers([card["metrics"][name]], 1):
+            raise ValueError(f"{name!r} among the card's metrics is no number")
 
 
 def _are_numbers(values: Any, n: int) -> bool:

@@ -132,6 +132,7 @@ namespace Foten
             public int window, has_excitation;
             public double speed_low, speed_high, force_low, force_high, acceleration_sd, lowpass_hz;
             public UIntPtr state_bytes;
+            public int hop;
         }
 
         internal const int Abi = 3; // FOTEN_ABI of the header that this follows

@@ -143,6 +143,8 @@ def evaluate(
         "validation": {
             "mae_scaled": texture.card["metrics"].get("validation_mae_scaled"),
             "mae_scaled_lattice": texture.card["metrics"].get("validation_mae_scaled_lattice"),
+            "mae_scaled_hop": texture.card["metrics"].get("validation_mae_scaled_hop"),
+            "spectrum_db": texture.card["metrics"].get("validation_spectrum_db"),
         },
     }
     return Judgement(document, trace, blocks, synthesized)

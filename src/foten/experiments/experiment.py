@@ -14,7 +14,7 @@ from typing import Any
 from foten.architecture import ARCHITECTURES, ArArchitecture, architecture_from, sizes
 from foten.datasets.simulate import LINEAR_FAMILY, TEXTURES
 from foten.recording.preprocess import PreprocessConfig
-from foten.train.config import OWN_RECIPES, RECIPES, TrainConfig
+from foten.train.config import OWN_RECIPES, RECIPES, TrainConfig, check_used
 
 RECORDED = (".h5", ".hdf5")
 
@@ -133,6 +133,7 @@ class Experiment:
             else:
                 architecture = architecture_from(method.model, own_sizes)
                 assert not isinstance(architecture, ArArchitecture)
+                check_used(method.model, method.train)
                 given = {**self.train, **method.train, **changed}
                 if "recipe" in given:
                     raise ValueError("'recipe' stands beside [train], not in it")

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 FAINTEST = 1e-4  # of |X|, scaled; below it a logarithm is of the sensor
-_LIMIT = 10.0  # of log |X|, scaled
+_LIMIT = 10.0  # of log |X|, scaled: beyond it is no vibration
 
 
 def hann(n: int) -> Tensor:
@@ -29,7 +29,8 @@ class NoiseFilter(nn.Module):
     The magnitudes of Gaussian noise under a window scatter: the mean of their logarithms lies γ/2 below that of their mean square
     (γ is Euler's constant), at zero and at half of the rate, where there is no imaginary part, (γ + log 2)/2. What is added here
     is that, so that a model of logarithms is not 2.5 dB too soft. The filter has as many taps as the frame has samples, and no
-    phase. Equal to overlapping frames of these magnitudes and random phases, one begun at every sample.
+    phase. Equal to overlapping frames of these magnitudes and random phases, one begun at every sample. What is narrower than a
+    few bins is as broad as the window leaves it, and looked at through a window broader still.
 
     Args:
         n: samples of a frame.
@@ -50,5 +51,5 @@ class NoiseFilter(nn.Module):
 
     def forward(self, noise: Tensor, logs: Tensor) -> Tensor:
         """Return a sample of each frame of noise: (..., n), its log |X| (..., n // 2 + 1) → (...)."""
-        magnitudes = torch.exp(_LIMIT * torch.tanh(logs / _LIMIT) + self.offset.to(logs.dtype))
+        magnitudes = torch.exp(logs.clamp(-_LIMIT, _LIMIT) + self.offset.to(logs.dtype))
         return ((noise @ self.cosines.to(noise.dtype)) * magnitudes).sum(-1)

@@ -37,7 +37,8 @@ class StepTimes:
     Attributes:
         isa: the instruction set; "onnxruntime" where that runs the model.
         rate_hz: of the texture.
-        contacts: states that one core holds at that rate, by the median.
+        contacts: states that one core holds at that rate, by the median; of a model that hops, by that of the means over hops.
+        hop: samples that the model gives at once, which the first of them costs.
     """
 
     isa: str
@@ -48,6 +49,7 @@ class StepTimes:
     p999_us: float
     largest_us: float
     contacts: float
+    hop: int = 1
 
 
 def time_steps(path: Path, n: int = 20_000) -> StepTimes:
@@ -68,10 +70,10 @@ def time_steps(path: Path, n: int = 20_000) -> StepTimes:
         times[i] = time.perf_counter_ns() - begin
     us = times[_WARM_UP:] / 1000
     p50, p99, p999 = np.percentile(us, [50, 99, 99.9])
-    rate = float(texture.info.rate_hz)
-    return StepTimes(
-        isa(), rate, n, float(p50), float(p99), float(p999), float(us.max()), 1e6 / rate / float(p50)
-    )
+    rate, hop = float(texture.info.rate_hz), max(1, texture.info.hop)
+    usual = float(np.median(us[: us.size // hop * hop].reshape(-1, hop).mean(axis=1)))
+    contacts = 1e6 / rate / usual
+    return StepTimes(isa(), rate, n, float(p50), float(p99), float(p999), float(us.max()), contacts, hop)
 
 
 def time_all(path: Path, n: int = 20_000) -> list[StepTimes]:
@@ -116,9 +118,11 @@ def as_table(times: list[StepTimes]) -> str:
         lines.append(
             f"{one.isa:12s}{figures}{one.largest_us:10.1f}   {one.contacts:.0f} at {one.rate_hz:g} Hz"
         )
+    hops = [f"one sample in {one.hop} costs what all of them do" for one in times[:1] if one.hop > 1]
     return "\n".join(
         [
             *lines,
+            *hops,
             f"in µs a sample, called one by one from Python; a call that does nothing takes {_empty_us():.2f}",
         ]
     )

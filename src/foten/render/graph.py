@@ -21,7 +21,7 @@ INPUT, OUTPUT = "windows", "next"
 _AT_ONCE = 4096  # windows
 # What our networks are made of. A file is not trusted: nothing that repeats, branches, reads other files or is somebody's own.
 _OPERATORS = re.compile(
-    "Add|And|Atan|Cast|Concat|Constant|ConstantOfShape|Conv|Cos|Div|Einsum|Equal|Exp|Flatten|Gather|Gemm|Greater|Identity|LSTM|"
+    "Add|And|Atan|Cast|Clip|Concat|Constant|ConstantOfShape|Conv|Cos|Div|Einsum|Equal|Exp|Flatten|Gather|Gemm|Greater|Identity|LSTM|"
     "LayerNormalization|Less|Log|MatMul|Mul|Pow|ReduceMean|ReduceSum|Relu|Reshape|Shape|Sigmoid|Sin|Slice|Softmax|Sqrt|Squeeze|"
     "Sub|Tanh|Transpose|Unsqueeze|Where"
 )
@@ -50,6 +50,10 @@ class GraphEngine:
             raise ValueError(
                 f"the graph takes {[(one.name, one.shape) for one in inputs]}, expected windows (b, {self.window}, 3)"
             )
+        given = self._session.run([OUTPUT], {INPUT: np.zeros((2, self.window, 3), dtype=np.float32)})[0].shape
+        expected = (2,) if self.n_ahead == 1 else (2, self.n_ahead)
+        if given != expected:
+            raise ValueError(f"the graph gives {given} of two windows, expected {expected}")
 
     def predict(self, windows: Array) -> Array:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
@@ -73,7 +77,15 @@ class GraphEngine:
         return followed(self, blocks)
 
     def answer(self, window: NDArray[np.float32], out: NDArray[np.float32]) -> None:
-        """Fill in the samples to come, (n_ahead,) scaled, of a window (1, m, 3) scaled."""
+        """Fill in the samples to come, (n_ahead,) scaled, of a window (1, m, 3) scaled.
+
+        Raises:
+            ValueError: there is room for another number of them.
+        """
+        if out.shape != (self.n_ahead,):
+            raise ValueError(
+                f"the card speaks of {out.size} samples at once, and the graph of {self.n_ahead}"
+            )
         out[:] = self._session.run([OUTPUT], {INPUT: window})[0].ravel()
 
 

@@ -30,6 +30,7 @@ class NativeInfo:
         acceleration_sd: of the recording [m/s²].
         lowpass_hz: that the speed and force of the recording went through.
         state_bytes: of a state at the texture's own rate.
+        hop: samples that ONNX Runtime is asked for at once; 0 where the kernel runs the model itself.
     """
 
     model: str
@@ -42,6 +43,7 @@ class NativeInfo:
     acceleration_sd: float
     lowpass_hz: float
     state_bytes: int
+    hop: int
 
 
 class _Info(Structure):
@@ -56,6 +58,7 @@ class _Info(Structure):
         ("acceleration_sd", c_double),
         ("lowpass_hz", c_double),
         ("state_bytes", c_size_t),
+        ("hop", c_int),
     ]
 
 
@@ -108,7 +111,7 @@ class _Options(Structure):
 
 
 _FLOATS, _DOUBLES = POINTER(c_float), POINTER(c_double)
-_PREDICTOR = ctypes.CFUNCTYPE(None, c_void_p, POINTER(c_float), POINTER(c_float))
+_PREDICTOR = ctypes.CFUNCTYPE(None, c_void_p, POINTER(c_float), POINTER(c_float), c_int)
 _SIGNATURES = {
     "foten_abi": (c_int, []),
     "foten_version": (c_char_p, []),
@@ -226,12 +229,13 @@ class NativeTexture:
             told.acceleration_sd,
             told.lowpass_hz,
             told.state_bytes,
+            told.hop,
         )
         _freed_with(self, library().foten_model_free, pointer)
 
     @property
     def asks(self) -> bool:
-        """Return whether the kernel asks ONNX Runtime for each sample."""
+        """Return whether the kernel asks ONNX Runtime for samples."""
         return self._asked is not None
 
     def raise_failed(self) -> None:
@@ -443,8 +447,11 @@ def _asked(data: bytes, failed: list[BaseException]) -> ctypes._FuncPointer:
     engine = GraphEngine(texture.architecture, texture.tensors)  # its answers, whatever its windows stand for
     shape = (1, engine.window, 3)
 
-    def answer(_: int | None, window: ctypes._Pointer[c_float], following: ctypes._Pointer[c_float]) -> None:
-        out = np.ctypeslib.as_array(following, (engine.n_ahead,))
+    def answer(
+        _: int | None, window: ctypes._Pointer[c_float], following: ctypes._Pointer[c_float], n: int
+    ) -> None:
+        # Of as many as the kernel has room for, whatever this side reads in the card.
+        out = np.ctypeslib.as_array(following, (n,))
         out[:] = np.nan
         if failed:
             return

@@ -21,7 +21,7 @@ class Renderer:
 
     It runs in the kernel, without Python's lock and without allocation after construction but for the arrays that it returns, and
     gives the same bytes for the same seed and hand whatever the sizes of the blocks. Of a model that ONNX Runtime runs
-    (docs/compared.md) each sample takes the lock and allocates.
+    (docs/compared.md) each sample, or each hop of some, takes the lock and allocates.
 
     Args:
         texture: a texture file, its bytes, or a texture in memory.

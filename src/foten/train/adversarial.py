@@ -105,7 +105,7 @@ def fit_adversarial(
     An epoch is `STEPS` steps; its losses are means of absolute differences of mean log magnitudes [nat], as `validation_mae`
     is. Ctrl-C ends the loop and keeps the best so far; before there is one, it goes on to the caller.
 
-    Differs from `fit`: losses, dropout, weight decay, schedule and threads of the configuration are not used.
+    Of the configuration, what `config.UNUSED` names is not heeded.
     """
     train, validation = (
         _Crops(network, m, prepared, blocks) for blocks in (prepared.split.train, prepared.split.validation)
@@ -183,6 +183,8 @@ def fit_adversarial(
             network.train()
             losses = [step(generator) for _ in range(STEPS)]
             finish(epoch, float(np.mean(losses)), started)
+            if not math.isfinite(progress.epochs[-1].train_loss):
+                raise ValueError("the training loss is not finite; is the acceleration full of outliers?")
             if checkpoint is not None:
                 save_progress(checkpoint, config, parts, progress)
     except KeyboardInterrupt:

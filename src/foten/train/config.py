@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -96,3 +97,20 @@ OWN_RECIPES: dict[str, dict[str, Any]] = {
     "gan": {"epochs": 60, "patience": 60, "batch": 64, "learning_rate": 2e-4},
 }
 """What a model changes of a recipe: losses of Sec. VI-d for TEN's variants, and for the others, where nothing is stated, ours."""
+UNUSED: dict[str, tuple[str, ...]] = {
+    "gan": ("loss", "delta", "dropout", "threads", "weight_decay", "schedule", "clip_norm", "average"),
+}
+"""Settings that are nothing to a model: the GAN's loss is what judges it."""
+
+
+def check_used(model: str, given: Iterable[str]) -> None:
+    """Check that a model heeds settings that somebody gave for it.
+
+    Raises:
+        ValueError: it does not heed one.
+    """
+    unused = [name for name in given if name in UNUSED.get(model, ())]
+    if unused:
+        raise ValueError(
+            f"{unused[0].replace('_', '-')} is nothing to {model}, whose loss is what judges it: leave it out"
+        )

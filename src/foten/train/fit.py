@@ -116,7 +116,7 @@ def fit(
     validation loss than it. Ctrl-C ends the loop and keeps the best so far; before there is one, it goes on to the caller.
 
     Args:
-        network: windows (b, m, 3) → (b,), on the CPU or a GPU.
+        network: windows (b, m, 3) → (b,) or (b, k), on the CPU or a GPU.
         data: what to fit.
         config: how.
         on_epoch: called after each epoch.
@@ -325,8 +325,10 @@ def load_progress(path: Path, config: TrainConfig, parts: Mapping[str, Stateful]
         raise ValueError(
             f"{path.name} is damaged and cannot be resumed; delete it and start again"
         ) from error
-    if saved["config"] != asdict(config):
+    if saved.get("config") != asdict(config):
         raise ValueError(f"{path.name} was written by a run with other settings; resume with the same ones")
+    if set(saved.get("parts", ())) != set(parts):
+        raise ValueError(f"{path.name} is of another version of foten; delete it and start again")
     for name, one in parts.items():
         one.load_state_dict(saved["parts"][name])
     epochs = [Epoch(**line) for line in saved["epochs"]]

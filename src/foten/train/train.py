@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import nn
 
 import foten
 from foten.architecture import (
@@ -36,7 +37,7 @@ from foten.render.synthesizer import FADE_FORCE, FADE_SPEED
 from foten.texture_file import Texture
 from foten.train.adversarial import fit_adversarial
 from foten.train.card import card_of, recorded_peak
-from foten.train.config import WARM_START, TrainConfig
+from foten.train.config import UNUSED, WARM_START, TrainConfig
 from foten.train.excitation import TorchEngine, engine_of, fit_excitation, free_run_distance
 from foten.train.export import export
 from foten.train.fit import Data, Epoch, Progress, fit, pick_device, predict, reproducible
@@ -161,14 +162,13 @@ def train_texture(
             "beyond_exponents": _beyond_exponents(trace, split, key),
             "warm_start": condition,
             "training": {
-                **asdict(config),
+                **{name: value for name, value in asdict(config).items() if name not in UNUSED.get(key, ())},
                 "versions": {"foten": foten.__version__, "torch": torch.__version__, "numpy": np.__version__},
-                "device": pick_device().type,
+                "device": next(network.parameters()).device.type,
             },
             "metrics": {
                 "validation_loss": best.validation_loss,
-                "validation_mae_scaled": _of_silence(data) if architecture.of_noise else best.validation_mae,
-                "validation_spectrum_db": NAT_DB * best.validation_mae if architecture.of_noise else None,
+                **_validated(network, architecture, data, best),
                 "validation_mae_scaled_lattice": lattice_mae,
                 "linear_part": linear,
                 "validation_nll": likelihood,
@@ -209,9 +209,17 @@ def _excited(
     return level_errors, tail_gain, played, float(nats[heard].mean()) if heard.any() else None
 
 
-def _of_silence(data: Data) -> float:
-    """Return the one-step validation error of a model whose expectation is zero, scaled."""
-    return float(np.abs(data.samples[data.validation, 0]).mean())
+def _validated(
+    network: nn.Module, architecture: TenArchitecture | GraphArchitecture, data: Data, best: Epoch
+) -> dict[str, float | None]:
+    """Return the errors on the validation blocks: one step, scaled; of a hop, and of spectra [dB], where there are such."""
+    if architecture.of_noise:
+        return {"validation_mae_scaled": None, "validation_spectrum_db": NAT_DB * best.validation_mae}
+    if architecture.n_ahead == 1:
+        return {"validation_mae_scaled": best.validation_mae}
+    alone, n = network.network if isinstance(network, Excited) else network, data.validation
+    first = float(np.abs(predict(alone, data, n) - data.samples[n, 0]).mean())
+    return {"validation_mae_scaled": first, "validation_mae_scaled_hop": best.validation_mae}
 
 
 def _settled(
