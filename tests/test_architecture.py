@@ -39,7 +39,7 @@ def test_tensor_shapes_are_the_networks(key: str, variant: dict[str, Any]) -> No
 
 @pytest.mark.parametrize("key", ARCHITECTURES)
 def test_sizes_round_trip(key: str) -> None:
-    own = {"window": 290, "frame": 82} if key == "gan" else {"window": 99}
+    own = {"window": 296, "frame": 88} if key == "gan" else {"window": 99}
     architecture = architecture_with(key, {**own, "head": (12, 5), "order": 4})
     assert architecture_from(key, sizes(architecture)) == architecture
 
