@@ -221,6 +221,13 @@ def run_again(arguments: argparse.Namespace) -> None:
         keep(path, execute(run, arguments.recordings, arguments.keep))
 
 
+def _said(value: Any) -> Any:
+    """Return a JSON value without the keys that have none: a figure that later states know of, and this run has not."""
+    if not isinstance(value, dict):
+        return value
+    return {key: _said(of) for key, of in value.items() if of is not None}
+
+
 def keep(path: Path, found: dict[str, Any]) -> None:
     """Keep a result and, where it replaces one that an earlier state of the sources made of the same, whether it is equal."""
     before = json.loads(path.read_text()) if path.exists() else found
@@ -230,7 +237,7 @@ def keep(path: Path, found: dict[str, Any]) -> None:
             name
             for name in found.keys() | before.keys()
             if name not in ("source_sha256", "training_seconds", "times_real_time")
-            and json.dumps(found.get(name)) != json.dumps(before.get(name))
+            and json.dumps(_said(found.get(name))) != json.dumps(_said(before.get(name)))
         )
         told = "other " + ", ".join(differ) if differ else "equal"
         print(f"{path.stem}: {told}", file=sys.stderr, flush=True)
