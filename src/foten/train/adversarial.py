@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,7 +14,7 @@ from torch.optim import Adam
 from foten.models.gan import Discriminator, Gan
 from foten.models.noise_filter import log_magnitudes
 from foten.train.config import TrainConfig
-from foten.train.fit import Epoch, Progress, Stateful, load_progress, save_progress
+from foten.train.fit import Epoch, Progress, Stateful, run_epochs
 from foten.train.prepared import Prepared
 
 FRAMES = 56  # of a spectrogram; Table III
@@ -118,12 +116,7 @@ def fit_adversarial(
         network.out.weight *= 0.1
         network.out.bias.copy_(middle)
     both = _Both(network, judge, config.learning_rate)
-    progress = Progress()
     parts: dict[str, Stateful] = {"network": network, "discriminator": judge, "optimiser": both}
-    if checkpoint is not None and resume:
-        progress = load_progress(checkpoint, config, parts)
-        for line in progress.epochs:
-            on_epoch(line)
 
     def drawn(crops: _Crops, n: int, generator: torch.Generator) -> Tensor:
         return torch.randn(n, m + crops.length, generator=generator)
@@ -152,8 +145,12 @@ def fit_adversarial(
         of_network.step()
         return float(distance.detach())
 
-    def finish(epoch: int, train_loss: float, started: float) -> None:
-        network.eval()
+    def one_epoch(epoch: int) -> float:
+        # Seeded by the epoch, so that a resumed run sees the same crops and noise.
+        generator = torch.Generator().manual_seed(config.seed * 100_003 + epoch)
+        return float(np.mean([step(generator) for _ in range(STEPS)]))
+
+    def validate() -> tuple[float, float]:
         block, begin = (index.repeat(_N_HEARD) for index in validation.tiles())
         noise = drawn(validation, len(block), torch.Generator().manual_seed(config.seed))
         with torch.no_grad():
@@ -162,37 +159,6 @@ def fit_adversarial(
             # Over the draws of noise, whose scatter is none of the generator's.
             means = [s.mean(1).reshape(_N_HEARD, -1, s.shape[2]).mean(0) for s in (fake, real)]
             found = float((means[0] - means[1]).abs().mean())
-        best = found < progress.best_loss
-        if best:
-            progress.best_loss = found
-            progress.best_state = {name: t.detach().clone() for name, t in network.state_dict().items()}
-        line = Epoch(epoch, train_loss, found, found, time.perf_counter() - started, best)
-        progress.epochs.append(line)
-        on_epoch(line)
+        return found, found
 
-    try:
-        if not progress.epochs:
-            finish(0, math.nan, time.perf_counter())
-        for epoch in range(len(progress.epochs), config.epochs + 1):
-            best_epoch = max(line.epoch for line in progress.epochs if line.best)
-            if epoch - 1 - best_epoch >= config.patience:
-                break
-            started = time.perf_counter()
-            # Seeded by the epoch, so that a resumed run sees the same crops and noise.
-            generator = torch.Generator().manual_seed(config.seed * 100_003 + epoch)
-            network.train()
-            losses = [step(generator) for _ in range(STEPS)]
-            finish(epoch, float(np.mean(losses)), started)
-            if not math.isfinite(progress.epochs[-1].train_loss):
-                raise ValueError("the training loss is not finite; is the acceleration full of outliers?")
-            if checkpoint is not None:
-                save_progress(checkpoint, config, parts, progress)
-    except KeyboardInterrupt:
-        progress.interrupted = True
-    if not progress.best_state:
-        if progress.interrupted:
-            raise KeyboardInterrupt
-        raise ValueError("the validation loss is not finite; is the acceleration full of outliers?")
-    network.load_state_dict(progress.best_state)
-    network.eval()
-    return progress
+    return run_epochs(network, config, parts, one_epoch, validate, on_epoch, checkpoint, resume)

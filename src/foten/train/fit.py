@@ -9,7 +9,7 @@ import pickle
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -144,17 +144,12 @@ def fit(
     scheduler = torch.optim.lr_scheduler.LambdaLR(optimiser, _schedule(config, steps * max(1, config.epochs)))
     criterion = loss_of(config)
     averaged = [parameter.detach().clone() for parameter in trained] if config.average > 0 else []
-    parts = {
+    parts: dict[str, Stateful] = {
         "network": network,
         "optimiser": optimiser,
         "scheduler": scheduler,
         "averaged": nn.ParameterList(averaged).requires_grad_(False),
     }
-    progress = Progress()
-    if checkpoint is not None and resume:
-        progress = load_progress(checkpoint, config, parts)
-        for line in progress.epochs:
-            on_epoch(line)
 
     def windows(n: Tensor) -> Tensor:
         return samples[n[:, None] + offsets]
@@ -188,19 +183,72 @@ def fit(
             parameter.data.copy_(kept)
             kept.copy_(held)
 
+    @contextmanager
+    def judged() -> Iterator[None]:
+        swap()
+        yield
+        swap()
+
+    def one_epoch(epoch: int) -> float:
+        # Seeded by the epoch, so that a resumed run sees the windows in the same order.
+        shuffle = torch.Generator().manual_seed(config.seed * 100_003 + epoch)
+        order = train[torch.randperm(len(train), generator=shuffle).to(device)]
+        torch.manual_seed(config.seed * 100_003 + epoch)
+        total = torch.zeros((), device=device)
+        for number, batch in enumerate(order.split(config.batch)):
+            # Seeds of masks: none comes twice in any run of fewer than a million steps.
+            total += step(batch, (config.seed * 1_000 + epoch) * 1_000_000 + number) * len(batch)
+        return float(total) / len(train)
+
+    def validate() -> tuple[float, float]:
+        return _validate(network, windows, goal, unit, validation, criterion)
+
+    try:
+        return run_epochs(network, config, parts, one_epoch, validate, on_epoch, checkpoint, resume, judged)
+    finally:
+        pool.shutdown()
+
+
+def run_epochs(
+    network: nn.Module,
+    config: TrainConfig,
+    parts: Mapping[str, Stateful],
+    one_epoch: Callable[[int], float],
+    validate: Callable[[], tuple[float, float]],
+    on_epoch: Callable[[Epoch], None],
+    checkpoint: Path | None,
+    resume: bool,
+    judged: Callable[[], AbstractContextManager[None]] = nullcontext,
+) -> Progress:
+    """Run epochs until there are enough, none got better for long, or Ctrl-C; leave a network at its best validation loss.
+
+    Args:
+        network: whose weights are kept.
+        parts: what a checkpoint holds.
+        one_epoch: trains for the epoch of that number, and returns its loss.
+        validate: returns the validation loss and the error that the log tells [`Epoch.validation_mae`].
+        on_epoch, checkpoint, resume: as `fit` has them.
+        judged: puts the weights that are validated and kept into the network, and back.
+
+    Raises:
+        ValueError: a loss is not finite, or the checkpoint is another run's.
+        KeyboardInterrupt: before anything was validated.
+    """
+    progress = Progress()
+    if checkpoint is not None and resume:
+        progress = load_progress(checkpoint, config, parts)
+        for line in progress.epochs:
+            on_epoch(line)
+
     def finish(epoch: int, train_loss: float, started: float) -> None:
-        swap()
-        validation_loss, mae = _validate(network, windows, goal, unit, validation, criterion)
-        best = validation_loss < progress.best_loss
-        if best:
-            progress.best_loss = validation_loss
-            progress.best_state = {
-                name: tensor.detach().clone() for name, tensor in network.state_dict().items()
-            }
-        swap()
-        progress.epochs.append(
-            Epoch(epoch, train_loss, validation_loss, mae, time.perf_counter() - started, best)
-        )
+        network.eval()
+        with judged():
+            loss, error = validate()
+            best = loss < progress.best_loss
+            if best:
+                progress.best_loss = loss
+                progress.best_state = {name: t.detach().clone() for name, t in network.state_dict().items()}
+        progress.epochs.append(Epoch(epoch, train_loss, loss, error, time.perf_counter() - started, best))
         on_epoch(progress.epochs[-1])
 
     try:
@@ -211,24 +259,14 @@ def fit(
             if epoch - 1 - best_epoch >= config.patience:
                 break
             started = time.perf_counter()
-            # Seeded by the epoch, so that a resumed run sees the windows in the same order.
-            shuffle = torch.Generator().manual_seed(config.seed * 100_003 + epoch)
-            order = train[torch.randperm(len(train), generator=shuffle).to(device)]
-            torch.manual_seed(config.seed * 100_003 + epoch)
             network.train()
-            total = torch.zeros((), device=device)
-            for number, batch in enumerate(order.split(config.batch)):
-                # Seeds of masks: none comes twice in any run of fewer than a million steps.
-                total += step(batch, (config.seed * 1_000 + epoch) * 1_000_000 + number) * len(batch)
-            finish(epoch, float(total) / len(train), started)
+            finish(epoch, one_epoch(epoch), started)
             if not math.isfinite(progress.epochs[-1].train_loss):
                 raise ValueError("the training loss is not finite; is the acceleration full of outliers?")
             if checkpoint is not None:
                 save_progress(checkpoint, config, parts, progress)
     except KeyboardInterrupt:
         progress.interrupted = True
-    finally:
-        pool.shutdown()
     if not progress.best_state:
         if progress.interrupted:
             raise KeyboardInterrupt
