@@ -20,6 +20,7 @@ from foten.experiments.paper import PAPER
 from foten.experiments.tables import (
     Row,
     compared,
+    each_run,
     findings,
     holm,
     read_results,
@@ -106,12 +107,33 @@ def test_tables_are_written_in_three_forms(
 ) -> None:
     assert _status(["tables", str(swept), "-o", str(tmp_path / "tables")]) == 0
     assert "| FNN [13] |" in capsys.readouterr().out
-    assert sorted(path.name for path in (tmp_path / "tables").iterdir() if path.stem != "findings") == sorted(
-        f"{name}.{form}" for name in ("mae", "gfc", "lsd", "level") for form in ("md", "csv", "tex")
-    )
+    assert {path.name for path in (tmp_path / "tables").iterdir()} == {
+        *(f"{name}.{form}" for name in ("mae", "gfc", "lsd", "level") for form in ("md", "csv", "tex")),
+        *("findings.md", "runs.csv"),
+    }
     latex = (tmp_path / "tables" / "gfc.tex").read_text()
     assert r"GFC [\%]" in latex
     assert latex.count(r"\\") == len((tmp_path / "tables" / "gfc.csv").read_text().splitlines())
+
+
+def test_each_run_is_a_row_with_intervals_over_blocks(swept: Path) -> None:
+    results = read_results(swept)
+    results[0]["evaluation"]["one_step"]["intervals"] = {"mae_scaled": [0.25, 0.75], "gfc": [0.5, 0.9]}
+    heading, *rows = each_run(results)
+    found = [dict(zip(heading, row, strict=True)) for row in rows]
+    assert [(one["method"], one["texture"]) for one in found] == [
+        (method, texture) for texture in ("linear-cloth", "linear-twin") for method in ("FNN [13]", "excited")
+    ]
+    assert (found[0]["mae_low"], found[0]["mae_high"], found[0]["gfc_high"]) == ("0.25", "0.75", "90")
+    assert found[1]["mae_low"] == ""  # one test block
+    assert [one["excitation"] for one in found] == ["no", "yes"] * 2
+    silent, excited = (results[k]["evaluation"] for k in (0, 1))
+    assert float(found[0]["lsd"]) == pytest.approx(silent["free_run_deterministic"]["lsd_db"], rel=1e-5)
+    assert float(found[1]["lsd"]) == pytest.approx(excited["free_run"]["lsd_db"], rel=1e-5)
+    assert all(float(one["training_s"]) > 0 and one["epochs"] == "1" for one in found)
+    gan = copy.deepcopy(results[0])
+    gan["evaluation"]["one_step"]["mae_scaled"] = None
+    assert dict(zip(heading, each_run([gan])[1], strict=True))["mae"] == ""
 
 
 def test_figures_are_drawn_from_the_results(

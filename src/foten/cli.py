@@ -1065,12 +1065,26 @@ def tables(
     results: Annotated[Path, typer.Argument(metavar="DIR", help="Results of foten sweep.")],
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="DIR", help="Write each table as .md, .csv and .tex."),
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="DIR",
+            help="Write each table as .md, .csv and .tex, and every run with its intervals as runs.csv.",
+        ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Set the results of a sweep beside references and beside the paper's figures."""
-    from foten.experiments.tables import FIGURES, FORMATS, findings, read_results, table, title_of, written
+    from foten.experiments.tables import (
+        FIGURES,
+        FORMATS,
+        each_run,
+        findings,
+        read_results,
+        table,
+        title_of,
+        written,
+    )
 
     if not results.is_dir():
         raise ValueError(f"there is no folder {results}")
@@ -1084,6 +1098,8 @@ def tables(
             for form in FORMATS:
                 with whole_file(output / f"{name}.{form}") as part:
                     part.write_text(written(one, form), encoding="utf-8")
+        with whole_file(output / "runs.csv") as part:
+            part.write_text(written(each_run(found), "csv"), encoding="utf-8")
     title, said = title_of(found), list(findings(found))
     if output is not None:
         with whole_file(output / "findings.md") as part:

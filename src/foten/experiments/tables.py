@@ -232,6 +232,38 @@ def _cell(values: Array | None, n_splits: int) -> str:
     return f"{values.mean():.3f} ± {values.std(ddof=1):.3f}{fewer}"
 
 
+def each_run(results: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """Return a row for each run, for a statistics program: a column a number, with its 95 % interval over test blocks.
+
+    Intervals are left empty where fewer than four blocks were judged. The free run is the one without excitation, and says so, of
+    what carries none.
+    """
+    heading = ["method", "model", "texture", "split", "test_blocks", "excitation"]
+    heading += [f"{name}{end}" for name in FIGURES for end in ("", "_low", "_high")]
+    heading += ["validation_mae", "epochs", "training_s", "evaluation_s"]
+    rows = [heading]
+    for one in results:
+        run, judged = one["run"], one["evaluation"]
+        excited = judged["free_run"]["lsd_db"] is not None
+        row = [run["method"], run["model"], name_of(run["texture"]), run["split_seed"], judged["n_blocks"]]
+        row.append("yes" if excited else "no")
+        for name, figure in FIGURES.items():
+            head, _, key = figure.path.rpartition(".")
+            of = judged[head if excited or head != "free_run" else "free_run_deterministic"]
+            interval = (of.get("intervals") or {}).get(key) or (None, None)
+            factor = 100.0 if name in PERCENT else 1.0
+            row += [None if value is None else factor * value for value in (of[key], *interval)]
+        row += [
+            one["validation_mae_scaled"],
+            one["n_epochs"],
+            *(one["seconds"][k] for k in ("training", "evaluation")),
+        ]
+        rows.append(
+            ["" if value is None else f"{value:.6g}" if type(value) is float else str(value) for value in row]
+        )
+    return rows
+
+
 def written(cells: Sequence[Sequence[str]], form: str) -> str:
     """Return a table as Markdown, CSV or LaTeX."""
     if form == "csv":
