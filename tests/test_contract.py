@@ -21,6 +21,7 @@ from foten.evaluate.evaluate import evaluate, to_text
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.render.bench import INSTRUCTION_SETS, time_all
+from foten.render.engine import engine_for
 from foten.render.graph import GraphEngine
 from foten.render.native import NativeState, NativeTexture
 from foten.render.renderer import Renderer
@@ -190,6 +191,15 @@ def test_the_kernel_and_python_agree_on_a_hop(textures: dict[str, Texture], writ
     header += b" " * (-len(header) % 8)
     with pytest.raises(ValueError, match=r"hop|samples at once|of two windows"):
         NativeTexture(len(header).to_bytes(8, "little") + header + data[8 + n :])
+
+
+def test_room_for_another_number_of_samples_is_not_filled(textures: dict[str, Texture]) -> None:
+    engine = engine_for(textures["fnn"])
+    assert isinstance(engine, GraphEngine)
+    window = np.zeros((1, engine.window, 3), dtype=np.float32)
+    engine.answer(window, np.empty(1, dtype=np.float32))
+    with pytest.raises(ValueError, match="speaks of 5 samples at once, and the graph of 1"):
+        engine.answer(window, np.empty(5, dtype=np.float32))
 
 
 def test_a_graph_of_other_weights_fails_its_proof(textures: dict[str, Texture]) -> None:

@@ -205,9 +205,19 @@ def test_what_is_not_complete_is_said_and_not_compared(swept: Path) -> None:
     ]
     assert any("not compared, for want of textures or splits: excited" in line for line in findings(lacking))
     assert title_of(results) == "Two methods"
-    # Two rows of one model: neither is the paper's.
-    assert "paper's mean" not in table(results, "mae")[0]
-    assert "paper's mean" in table([one for one in results if one["run"]["method"] == "FNN [13]"], "mae")[0]
+
+
+def test_the_papers_figure_is_of_the_one_row_without_excitation(swept: Path) -> None:
+    results = read_results(swept)
+    cells = table(results, "mae")
+    assert cells[0][-1] == "paper's mean"
+    assert {row[0]: row[-1] for row in cells[-2:]} == {"FNN [13]": str(PAPER["fnn"].mae), "excited": ""}
+    alone = table([one for one in results if one["run"]["method"] == "excited"], "mae")
+    assert alone[-1][-1] == str(PAPER["fnn"].mae)
+    other = copy.deepcopy(results)
+    for one in other:  # two settings of one model: neither is the paper's
+        one["run"]["sizes"]["excitation"] = False
+    assert "paper's mean" not in table(other, "mae")[0]
 
 
 def test_a_method_without_one_step_has_a_row_and_the_papers_figure(swept: Path) -> None:

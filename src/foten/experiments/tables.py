@@ -63,11 +63,13 @@ class Row:
         name: of it.
         model: key, "" for a reference.
         values: by texture, one for each split, NaN where there is none.
+        excited: whether it was given the excitation of `foten-plus`, which no one-step figure depends on.
     """
 
     name: str
     model: str
     values: Mapping[str, Array]
+    excited: bool = False
 
     def means(self, textures: Sequence[str]) -> Array:
         """Return the mean over splits for each texture, NaN where there is none."""
@@ -121,13 +123,15 @@ def rows_of(results: Sequence[Mapping[str, Any]], figure: str) -> tuple[list[str
     head, _, key = FIGURES[figure].path.rpartition(".")
     factor = 100.0 if figure in PERCENT else 1.0
 
-    def row(name: str, model: str, where: str, of: Sequence[Mapping[str, Any]]) -> Row:
+    def row(name: str, model: str, where: str, of: Sequence[Mapping[str, Any]], excited: bool = False) -> Row:
         by_texture: dict[str, list[float]] = {}
         for one in of:
             value = _at(one["evaluation"], f"{where}.{key}")
             if value is not None:
                 by_texture.setdefault(name_of(one["run"]["texture"]), []).append(factor * value)
-        return Row(name, model, {texture: np.array(values) for texture, values in by_texture.items()})
+        return Row(
+            name, model, {texture: np.array(values) for texture, values in by_texture.items()}, excited
+        )
 
     # A reference is the same whatever was trained beside it: once for each recording, split and preprocessing.
     distinct = {
@@ -138,7 +142,7 @@ def rows_of(results: Sequence[Mapping[str, Any]], figure: str) -> tuple[list[str
     rows = [row(name, "", where, list(distinct.values())) for name, where in references.items()]
     for name, model in methods.items():
         of_method = [one for one in results if one["run"]["method"] == name]
-        found = row(name, model, head, of_method)
+        found = row(name, model, head, of_method, of_method[0]["run"]["sizes"].get("excitation", False))
         if not found.values and head == "free_run":
             found = row(f"{name}, without excitation", model, "free_run_deterministic", of_method)
         rows.append(found)
@@ -211,16 +215,24 @@ def table(results: Sequence[Mapping[str, Any]], figure: str) -> list[list[str]]:
             line.append(f"{p[row.name]:.3f}" if row.name in p else "")
         if reported and of.reported is not None:
             attribute, digits = of.reported
-            value = getattr(PAPER[row.model], attribute) if row.model in once else None
+            value = getattr(PAPER[row.model], attribute) if row.name in once else None
             line.append("" if value is None else f"{value:.{digits}f}")
         cells.append(line)
     return cells
 
 
 def _once(rows: Sequence[Row]) -> set[str]:
-    """Return the models that the paper has a figure of and that have one row: of several settings none is the paper's."""
-    models = [row.model for row in rows]
-    return {model for model in models if model in PAPER and models.count(model) == 1}
+    """Return the methods that the paper has a figure of: of several settings of a model none is the paper's.
+
+    With and without excitation count as one, as one step ahead they are the same.
+    """
+    found = set()
+    for model in PAPER:
+        of = [row.name for row in rows if row.model == model]
+        plain = [row.name for row in rows if row.model == model and not row.excited]
+        if len(of) == 1 or len(plain) == 1:
+            found.add((plain or of)[0])
+    return found
 
 
 def _cell(values: Array | None, n_splits: int) -> str:
@@ -332,7 +344,7 @@ def findings(results: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     textures, rows = rows_of(results, "mae")
     once = _once(rows)
     ours = {
-        row.model: float(row.means(textures).mean()) for row in complete(rows, textures) if row.model in once
+        row.model: float(row.means(textures).mean()) for row in complete(rows, textures) if row.name in once
     }
     known = {model: PAPER[model].mae for model in ours}
     if len(ours) > 1 and all(math.isfinite(value) for value in ours.values()):
