@@ -4,8 +4,9 @@
     python benchmarks/sweep.py nodes [--runs 24]
 
 `overhead` executes the same runs one after the other in this process, then in a sweep with one worker, and prints the ratio of a
-run's time. `nodes` starts two Ray nodes of one core each on this machine, sweeps once undisturbed and once with a node killed
-half-way, and compares the results: all of them there, and equal but for the seconds.
+run's time, and how much of the difference is Ray's start and how much the worker's. `nodes` starts two Ray nodes of one core each
+on this machine, sweeps once undisturbed and once with a node killed half-way, and compares the results: all of them there, and
+equal but for the seconds.
 """
 
 from __future__ import annotations
@@ -73,7 +74,12 @@ def overhead(arguments: argparse.Namespace) -> None:
         done, failed = sweep(long, Path(folder), workers=1)
         swept = (time.perf_counter() - started) / len(runs)
         assert (done, failed) == (len(runs), 0)
-    print(f"plain loop {plain:.1f} s a run, sweep {swept:.1f} s a run: {swept / plain:.3f} of it")
+        results = (json.loads(path.read_text()) for path in Path(folder).glob("*.json"))
+        within = sum(sum(result["seconds"].values()) for result in results) / len(runs)
+    print(
+        f"{len(runs)} runs: plain loop {plain:.1f} s a run, sweep {swept:.1f} s a run: {swept / plain:.3f} of it; "
+        f"in the worker {within:.1f} s a run, around them {(swept - within) * len(runs):.1f} s in all"
+    )
 
 
 @contextmanager
