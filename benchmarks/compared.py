@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from foten.experiments.tables import FIGURES, findings, read_results, table, title_of, written
+from foten.experiments.tables import FIGURES, findings, label_of, read_results, table, title_of, written
 from main_table import between
 
 RESULTS = Path(__file__).parent / "results" / "table-1-small"
@@ -32,8 +32,8 @@ def page(results: Sequence[Mapping[str, Any]]) -> Iterator[str]:
 
 def _times(results: Sequence[Mapping[str, Any]]) -> Iterator[list[str]]:
     yield ["mean of the textures", "training [s]", "judging [s]", "epochs", "file [kB]"]
-    for method in dict.fromkeys(one["run"]["method"] for one in results):
-        of = [one for one in results if one["run"]["method"] == method]
+    for method in dict.fromkeys(map(label_of, results)):
+        of = [one for one in results if label_of(one) == method]
         seconds = (statistics.mean(one["seconds"][part] for one in of) for part in ("training", "evaluation"))
         epochs = [one["n_epochs"] for one in of if one["n_epochs"] is not None]
         kilobytes = statistics.mean(one["file_bytes"] for one in of) / 1000

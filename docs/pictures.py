@@ -1,6 +1,6 @@
-"""Make the pictures of fidelity.md, each from measured figures or from a simulation made on the spot.
+"""Make the pictures of fidelity.md and compared.md, each from measured figures or from a simulation made on the spot.
 
-    python docs/pictures.py --textures DIR [--recordings DIR] [--only NAME,...]
+    python docs/pictures.py [--textures DIR] [--recordings DIR] [--only NAME,...]
 
 DIR of `--textures` holds what `benchmarks/main_table.py run --keep DIR` wrote; the figures are read from `benchmarks/results`.
 """
@@ -35,6 +35,8 @@ from foten.evaluate.metrics import (
 )
 from foten.evaluate.metrics import welch as spectra
 from foten.evaluate.references import ORDERS, first_scored, fit_linear
+from foten.experiments.figures import waveforms
+from foten.experiments.tables import read_results
 from foten.experiments.truth import linear_bounds
 from foten.recording.felt import RATES_HZ, carried
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -340,6 +342,13 @@ def rates(arguments: argparse.Namespace) -> None:
     save(figure, "rates")
 
 
+def compared(arguments: argparse.Namespace) -> None:
+    """Waveforms of each method of the reduced comparison on its own output, of three textures."""
+    results = read_results(RESULTS / "table-1-small")
+    shown = [one for one in results if one["run"]["texture"] in ("steel-mesh-1", "cardboard", "towel")]
+    save(waveforms(shown), "compared", tight=False)
+
+
 PICTURES: dict[str, Callable[[argparse.Namespace], None]] = {
     "one-step": one_step,
     "silence": silence,
@@ -348,6 +357,7 @@ PICTURES: dict[str, Callable[[argparse.Namespace], None]] = {
     "limits": limits,
     "outside": outside,
     "rates": rates,
+    "compared": compared,
 }
 
 
@@ -355,7 +365,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--textures", type=Path, required=True)
+    parser.add_argument("--textures", type=Path, default=Path("textures"))
     parser.add_argument("--recordings", type=Path, default=Path("recordings"))
     parser.add_argument("--only", type=lambda text: text.split(","), default=list(PICTURES))
     arguments = parser.parse_args()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import copy
 import json
 import os
+import shutil
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -14,9 +16,12 @@ import pytest
 from scipy.stats import false_discovery_control
 
 from foten.cli import _status
+from foten.datasets.hdf5 import write_recording
+from foten.datasets.simulate import simulate
 from foten.experiments.experiment import find_experiment, read_experiment
 from foten.experiments.figures import figures
 from foten.experiments.paper import PAPER
+from foten.experiments.sweep import _kept, sweep
 from foten.experiments.tables import (
     Row,
     compared,
@@ -156,9 +161,27 @@ def test_windows_and_losses_are_drawn_where_there_is_a_grid(swept: Path) -> None
     other["run"]["train"]["loss"] = "mae"
     drawn = dict(figures([results[0], other]))["figure-5-fnn"]
     assert [text.get_text() for text in drawn.axes[0].get_legend().get_texts()] == ["mae", "mse"]
-    # Another model with another window is no grid.
-    other["run"]["model"] = "dstn"
+    # Another method with another window is no grid.
+    other["run"]["method"] = "other"
     assert not [name for name, _ in figures([results[0], other]) if "figure-5" in name]
+    # Nor are its errors averaged with those of the grid beside it.
+    grid = []
+    for method, factor in (("FNN [13]", 1.0), ("excited", 10.0)):
+        for delta in (0.4, 1.6):
+            for loss in ("mae", "huber"):
+                one = copy.deepcopy(results[0])
+                one["run"] |= {"method": method, "cell": {"delta": delta, "loss": loss}}
+                one["run"]["train"] |= {"loss": loss, "delta": delta}
+                one["evaluation"]["one_step"]["mae_scaled"] = factor * delta
+                grid.append(one)
+    found = {name: figure for name, figure in figures(grid) if "figure-5" in name}
+    assert set(found) == {
+        f"figure-5-{method}-{rest}"
+        for method in ("fnn-13", "excited")
+        for rest in ("delta-0-4", "delta-1-6", "loss-huber-delta")
+    }
+    drawn = found["figure-5-excited-delta-1-6"]
+    assert {float(line.get_ydata()[0]) for line in drawn.axes[0].get_lines()[::2]} == {16.0}
 
 
 def test_thresholds_are_drawn_over_each_textures_mean(swept: Path) -> None:
@@ -174,6 +197,101 @@ def test_thresholds_are_drawn_over_each_textures_mean(swept: Path) -> None:
     np.testing.assert_allclose(mean.get_xdata(), [0.4, 1.6])
     np.testing.assert_allclose(mean.get_ydata(), [1.5, 0.5])
     np.testing.assert_allclose(drawn.axes[1].get_lines()[-1].get_ydata(), 1)
+
+
+def test_figure_4_is_left_out_where_its_recording_is_not(swept: Path, tmp_path: Path) -> None:
+    recording = simulate("linear-cloth", 8, seed=1)
+    write_recording(recording, tmp_path / "a.h5")
+    result = copy.deepcopy(read_results(swept)[0])
+    result["run"] |= {"texture": "elsewhere/a.h5", "seconds": None}
+    for folder, match in ((None, "no such file: elsewhere/a.h5"), (tmp_path, "")):
+        said: list[str] = []
+        names = [name for name, _ in figures([result], folder, said.append)]
+        assert names == ["figure-4"] * (folder is not None) + ["figure-6", "figure-7"]
+        assert match in " ".join(said)
+        assert bool(said) == bool(match)
+    write_recording(simulate("linear-cloth", 8, seed=2), tmp_path / "a.h5")
+    said = []
+    assert "figure-4" not in dict(figures([result], tmp_path, said.append))
+    assert "is not what was learned from" in said[0]
+
+
+def test_what_falls_silent_runs_along_the_lower_edge(swept: Path) -> None:
+    result = copy.deepcopy(read_results(swept)[0])
+    n = len(result["signals"]["frequencies_hz"])
+    result["signals"]["density"]["free_run"] = [1e-40] * n
+    axes = dict(figures([result]))["figure-7"].axes[0]
+    low, high = axes.get_ylim()
+    drawn = axes.get_lines()[0].get_ydata()
+    assert low < drawn.min()
+    assert drawn.max() < low + 0.05 * (high - low)
+
+
+def test_one_split_is_told_with_its_interval(swept: Path) -> None:
+    results = copy.deepcopy(read_results(swept))
+    results[0]["evaluation"]["one_step"] |= {"mae_scaled": 0.5, "intervals": {"mae_scaled": [0.25, 0.75]}}
+    cells = table(results, "mae")
+    assert cells[0][0] == "one-step MAE [sd], one split [95 % over its blocks]"
+    assert next(row for row in cells if row[0] == "FNN [13]")[1] == "0.500 [0.250, 0.750]"
+
+
+def test_splits_that_are_the_same_blocks_are_said(swept: Path) -> None:
+    results = copy.deepcopy(read_results(swept))
+    assert not any("same blocks" in line for line in findings(results))
+    again = copy.deepcopy(results[0])
+    again["run"]["split_seed"] = 2
+    assert any("splits 1, 2 are the same blocks" in line for line in findings([*results, again]))
+
+
+def test_a_sweep_names_what_it_has_anew_and_makes_again_what_is_damaged(swept: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "results"
+    shutil.copytree(swept, folder)
+    asked = read_experiment(
+        experiment(tmp_path, TINY.replace("Two methods", "Renamed").replace('"excited"', '"E"'))
+    )
+    said: list[str] = []
+    assert sweep(asked, folder, say=said.append) == (0, 0)  # Ray is not even started
+    results = read_results(folder)
+    assert title_of(results) == "Renamed"
+    assert [one["run"]["method"] for one in results] == ["FNN [13]", "E"] * 2
+    figures_of = [one["evaluation"] for one in read_results(swept)]
+    assert [one["evaluation"] for one in results] == figures_of
+    path = sorted(folder.glob("*.json"))[0]
+    path.write_text(path.read_text()[:-100])
+    about = {"index": 0}
+    assert not _kept(path, about, said.append)
+    assert said[-1] == f"{path.name} is damaged, and is made again"
+    with pytest.raises(ValueError, match=f"{path.name} is no result of foten sweep, or damaged"):
+        read_results(folder)
+
+
+def test_one_recording_under_two_names_is_refused(tmp_path: Path) -> None:
+    recording = simulate("linear-cloth", 8, seed=1)
+    for name in ("a.h5", "b.h5"):
+        write_recording(recording, tmp_path / name)
+    text = TINY.replace('"linear-cloth", "linear-twin"', '"a.h5", "b.h5"')
+    with pytest.raises(ValueError, match=r"a\.h5 and .*b\.h5 are the same recording"):
+        sweep(read_experiment(experiment(tmp_path, text)), tmp_path / "results")
+    assert not list((tmp_path / "results").iterdir())
+
+
+def test_an_address_where_nobody_listens_is_said_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with socket.socket() as taken:  # bound and not listening: refused
+        taken.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        command = ["sweep", str(experiment(tmp_path)), "-o", str(tmp_path / "results"), "--address", address]
+        assert _status(command) == 2
+    told = capsys.readouterr().err.strip().splitlines()[-1]
+    assert f"no Ray cluster answers at {address}" in told
+    assert "ray start --head" in told
+
+
+def test_special_characters_are_markdowns_too() -> None:
+    assert written([["a|b", "1"], ["c", "2"]], "md").splitlines()[0] == r"| a\|b | 1 |"
+    latex = written([["h", "1"], [r"f $x_1$ {b} ^~\ ±", "2"]], "tex")
+    assert r"f \$x\_1\$ \{b\} \textasciicircum{}\textasciitilde{}\textbackslash{} $\pm$ & 2" in latex
 
 
 def test_special_characters_are_latexs() -> None:
@@ -291,24 +409,41 @@ def test_a_grid_crosses_sizes_and_training(tmp_path: Path) -> None:
     assert {(run.sizes["window"], run.train["loss"]) for run in runs} == {
         (m, loss) for m in (120, 144) for loss in ("mse", "mae")
     }
-    assert runs[0].method == "FNN [13] window 120, loss mse"
+    assert (runs[0].method, runs[0].label) == ("FNN [13]", "FNN [13] window 120, loss mse")
+
+
+def test_what_a_method_does_not_heed_is_no_grid(tmp_path: Path) -> None:
+    text = TINY.replace("[train]", '[grid]\nloss = ["mse", "mae"]\n[train]')
+    gan = text.replace('{model = "fnn", name = "FNN [13]"}', '"gan"').replace("block_ms = 1000", "")
+    with pytest.raises(ValueError, match="method 'gan': loss is nothing to gan"):
+        read_experiment(experiment(tmp_path, gan)).runs()
+    ar = 'title = "x"\nmethods = ["ar"]\ntextures = ["towel"]\n'
+    for more, match in (
+        ("[train]\nepoch = 1", "unknown key 'epoch'"),
+        ("[grid]\nepochs = [1]", "a grid is of netw"),
+    ):
+        with pytest.raises(ValueError, match=match):
+            read_experiment(experiment(tmp_path, ar + more))
 
 
 @pytest.mark.parametrize(
     ("old", "new", "match"),
     [
         ("seconds = 8", "seconds = ", "this is not TOML"),
-        ("seconds = 8", "second = 8", "unknown key 'second' in the file, expected one of title"),
+        ("seconds = 8", "second = 8", "unknown key 'second' in the file, expected 'seconds'?"),
         ("seconds = 8", "seconds = 0", "seconds is 0, expected 1 to 3600"),
         ('"linear-twin"', '"silk"', "unknown texture 'silk'"),
         ('"linear-twin"', '"silk.h5"', "there is no recording silk.h5 beside the file"),
         ('name = "excited"', 'name = "FNN [13]"', "two methods have the same name"),
         ('"fnn", name = "e', '"fn", name = "e', "unknown model 'fn'"),
         ("excitation = true", "excited = true", "method 'excited': fnn has no size 'excited'"),
-        ("epochs = 1", "epoch = 1", "unexpected keyword argument 'epoch'"),
+        ("epochs = 1", "epoch = 1", "unknown key 'epoch' in [train], expected 'epochs'?"),
         ("epochs = 1", "epochs = -1", "epochs is -1, expected 0 or more"),
-        ("block_ms = 1000", "block = 1000", "unexpected keyword argument 'block'"),
+        ("block_ms = 1000", "block = 1000", "unknown key 'block' in [preprocess], expected 'block_ms'?"),
         ("[train]", "split_seeds = [1.5]\n[train]", "split_seeds is"),
+        ("[train]", "split_seeds = [1, 1]\n[train]", "split_seeds is [1, 1], expected each once"),
+        ("[train]", "[grid]\nepoch = [1]\n[train]", "unknown key 'epoch' in [grid], expected 'epochs'?"),
+        ('"FNN [13]"}', '"FNN [13]", train = {epoch = 1}}', "unknown key 'epoch' in 'train' of a method"),
         ("epochs = 1", 'recipe = "paper"', "'recipe' stands beside [train]"),
         ("epochs = 1", "batch = 2.5", "batch is 2.5, expected a whole number"),
         (
@@ -349,9 +484,19 @@ def test_runs_are_listed_without_running(tmp_path: Path, capsys: pytest.CaptureF
 def test_a_folder_without_results_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert _status(["tables", str(tmp_path)]) == 2
     assert "there is no result of foten sweep" in capsys.readouterr().err
-    (tmp_path / "x.json").write_text("{}")
-    assert _status(["tables", str(tmp_path)]) == 2
-    assert "x.json is no result" in capsys.readouterr().err
+    some = b'{"run":{"method":1},"evaluation":{"one_step":2}}'
+    for content in (b"{}", b"[]", b"\xff\xfe", b"{", some):
+        (tmp_path / "x.json").write_bytes(content)
+        assert _status(["tables", str(tmp_path)]) == 2
+        assert "x.json is no result" in capsys.readouterr().err
+    (tmp_path / "file").write_text("")
+    command = ["sweep", str(experiment(tmp_path)), "-o", str(tmp_path / "file" / "x")]
+    assert _status(command) == 2
+    assert capsys.readouterr().err.strip().endswith("/file/x: not a directory")
+    assert _status(["sweep", str(tmp_path), "-o", str(tmp_path / "y")]) == 2
+    (tmp_path / "folder.toml").mkdir()
+    assert _status(["sweep", str(tmp_path / "folder.toml"), "-o", str(tmp_path / "y")]) == 2
+    assert "is a folder, expected a .toml file" in capsys.readouterr().err
 
 
 def test_references_are_counted_once_for_each_split(swept: Path) -> None:

@@ -1038,7 +1038,7 @@ def sweep(
             _print_json([dataclasses.asdict(run) for run in runs])
             return
         for run in runs:
-            print(f"{run.method}, {run.texture}, split {run.split_seed}")
+            print(f"{run.label}, {run.texture}, split {run.split_seed}")
         _say(f"{len(runs)} runs")
         return
     if output.exists() and not output.is_dir():
@@ -1049,7 +1049,7 @@ def sweep(
         run, n = progress.last, progress.n_done + progress.n_failed
         ended = f"failed: {progress.why}" if progress.why else f"{progress.seconds:.0f} s"
         left = f", about {progress.left_s / 60:.0f} min left" if progress.n_left else ""
-        _say(f"{n}/{n + progress.n_left} {run.method}, {run.texture}, split {run.split_seed}: {ended}{left}")
+        _say(f"{n}/{n + progress.n_left} {run.label}, {run.texture}, split {run.split_seed}: {ended}{left}")
 
     n_done, n_failed = sweeping.sweep(experiment, output, workers, address, gpus_per_run, on_progress, _say)
     if as_json:
@@ -1117,6 +1117,13 @@ def figures(
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="DIR", help="Write each figure there, .png and .pdf.")
     ],
+    recordings: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Of the recordings, from which Fig. 4 is drawn. [where they were when the sweep was started]",
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Draw the paper's figures from the results of a sweep: split, windows and losses, waveforms, spectra."""
@@ -1130,7 +1137,7 @@ def figures(
         raise ValueError(f"-o {output} is a file, expected a folder")
     output.mkdir(parents=True, exist_ok=True)
     made = []
-    for name, figure in drawn(found):
+    for name, figure in drawn(found, recordings, _say):
         for form in ("png", "pdf"):
             path = output / f"{name}.{form}"
             with whole_file(path) as part:
@@ -1309,8 +1316,15 @@ def _status(arguments: list[str]) -> int:
             raise
         _say(f"foten: this needs {package}, which is not installed: pip install 'foten[{_EXTRAS[package]}]'")
     except (ValueError, OSError) as error:
-        _say(f"foten: {' '.join(str(error).split()) or type(error).__name__}")
+        _say(f"foten: {' '.join(_told(error).split())}")
     return 2
+
+
+def _told(error: Exception) -> str:
+    """Return what went wrong: of the system's own errors the file first, and no number."""
+    if isinstance(error, OSError) and error.strerror and error.filename is not None:
+        return f"{error.filename}: {error.strerror[:1].lower()}{error.strerror[1:]}"
+    return str(error) or type(error).__name__
 
 
 if __name__ == "__main__":

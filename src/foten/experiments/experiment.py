@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import itertools
 import json
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ from foten.recording.preprocess import PreprocessConfig
 from foten.train.config import OWN_RECIPES, RECIPES, TrainConfig, check_used
 
 RECORDED = (".h5", ".hdf5")
+OF_TRAINING = {one.name for one in fields(TrainConfig)} - {"recipe"}
+OF_PREPROCESSING = {one.name for one in fields(PreprocessConfig)}
 
 
 @dataclass(frozen=True)
@@ -24,11 +27,12 @@ class Run:
     """One method on one texture and split, everything resolved: equal runs have equal results.
 
     Attributes:
-        method: what tables call it; not part of what the run is.
+        method: what tables call it; not part of what the run is, as `cell`.
         texture: key of the simulator, or the path of a recording.
         seconds: simulated [s]; None for a recording.
         model, sizes, train, preprocess: of the texture, all sizes and settings.
         split_seed: of the split, and of the simulated recording.
+        cell: of the grid, the settings that tell it from the method's other runs.
     """
 
     method: str
@@ -39,6 +43,12 @@ class Run:
     train: Mapping[str, Any]
     preprocess: Mapping[str, Any]
     split_seed: int
+    cell: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def label(self) -> str:
+        """Return what a row of a table is called: the method, and its cell of the grid."""
+        return " ".join([self.method, ", ".join(f"{k} {v}" for k, v in self.cell.items())]).rstrip()
 
     @property
     def source(self) -> tuple[str, float | None, int]:
@@ -47,7 +57,8 @@ class Run:
 
     def name(self, recording_sha256: str, foten_version: str) -> str:
         """Return what the run's result file is called: the hash of all that the result depends on."""
-        resolved = {k: v for k, v in asdict(self).items() if k not in ("method", "texture", "seconds")}
+        told = ("method", "cell", "texture", "seconds")
+        resolved = {k: v for k, v in asdict(self).items() if k not in told}
         resolved |= {"recording_sha256": recording_sha256, "foten": foten_version}
         return hashlib.sha256(json.dumps(resolved, sort_keys=True).encode()).hexdigest()[:16]
 
@@ -111,19 +122,20 @@ class Experiment:
         ]
         names: dict[str, str] = {}
         for run in found:
-            values = json.dumps({k: v for k, v in asdict(run).items() if k != "method"}, sort_keys=True)
+            values = json.dumps(
+                {k: v for k, v in asdict(run).items() if k not in ("method", "cell")}, sort_keys=True
+            )
             if values in names:
                 raise ValueError(
-                    f"{names[values]!r} and {run.method!r} are the same run: leave one of them out"
+                    f"{names[values]!r} and {run.label!r} are the same run: leave one of them out"
                 )
-            names[values] = run.method
+            names[values] = run.label
         return found
 
     def _resolved(self, texture: str, method: Method, split_seed: int, cell: Mapping[str, Any]) -> Run:
         name = method.name or method.model
-        of_training = {one.name for one in fields(TrainConfig)} - {"recipe"}
-        changed = {k: v for k, v in cell.items() if k in of_training}
-        own_sizes = {**method.sizes, **{k: v for k, v in cell.items() if k not in of_training}}
+        changed = {k: v for k, v in cell.items() if k in OF_TRAINING}
+        own_sizes = {**method.sizes, **{k: v for k, v in cell.items() if k not in OF_TRAINING}}
         try:
             preprocess = PreprocessConfig(**self.preprocess)
             if method.model == "ar":
@@ -133,10 +145,8 @@ class Experiment:
             else:
                 architecture = architecture_from(method.model, own_sizes)
                 assert not isinstance(architecture, ArArchitecture)
-                check_used(method.model, method.train)
+                check_used(method.model, {**method.train, **changed})
                 given = {**self.train, **method.train, **changed}
-                if "recipe" in given:
-                    raise ValueError("'recipe' stands beside [train], not in it")
                 config = replace(
                     RECIPES[method.recipe or self.recipe],
                     **{
@@ -149,8 +159,6 @@ class Experiment:
                 train = asdict(config)
         except (TypeError, ValueError) as error:
             raise ValueError(f"method {name!r}: {error}") from error
-        if cell:
-            name += " " + ", ".join(f"{k} {v}" for k, v in cell.items())
         return Run(
             name,
             texture,
@@ -160,6 +168,7 @@ class Experiment:
             train,
             asdict(preprocess),
             split_seed,
+            cell,
         )
 
 
@@ -187,6 +196,8 @@ def read_experiment(path: Path) -> Experiment:
     """
     if not path.exists():
         raise FileNotFoundError(f"no such file: {path}")
+    if path.is_dir():
+        raise ValueError(f"{path} is a folder, expected a .toml file")
     try:
         found = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -198,7 +209,7 @@ def read_experiment(path: Path) -> Experiment:
 
 
 def _experiment(found: dict[str, Any], folder: Path) -> Experiment:
-    _check_keys(found, Experiment, "the file")
+    _check_keys(found, {one.name for one in fields(Experiment)}, "the file")
     for name in ("title", "textures", "methods"):
         if not found.get(name):
             raise ValueError(f"there is no {name!r}, expected title, textures and methods")
@@ -213,13 +224,14 @@ def _experiment(found: dict[str, Any], folder: Path) -> Experiment:
         one = {"model": one} if isinstance(one, str) else one
         if not isinstance(one, dict):
             raise ValueError(f"a method is {one!r}, expected a model's name or a table")
-        _check_keys(one, Method, "a method")
+        _check_keys(one, {one.name for one in fields(Method)}, "a method")
         for name in ("model", "name", "recipe"):
             if not isinstance(one.get(name, ""), str):
                 raise ValueError(f"{name!r} of a method is {one[name]!r}, expected a text")
         for name in ("train", "sizes"):
             if not isinstance(one.get(name, {}), dict):
                 raise ValueError(f"{name!r} of a method is {one[name]!r}, expected a table")
+        _check_keys(one.get("train", {}), OF_TRAINING, "'train' of a method")
         if one.get("model") not in ARCHITECTURES:
             raise ValueError(
                 f"unknown model {one.get('model')!r}, expected one of {', '.join(ARCHITECTURES)}"
@@ -239,15 +251,26 @@ def _experiment(found: dict[str, Any], folder: Path) -> Experiment:
     for name in ("train", "grid", "preprocess"):
         if not isinstance(found.get(name, {}), dict):
             raise ValueError(f"{name!r} is {found[name]!r}, expected a table, [{name}]")
+    if "recipe" in found.get("train", {}):
+        raise ValueError("'recipe' stands beside [train], not in it")
+    _check_keys(found.get("train", {}), OF_TRAINING, "[train]")
+    _check_keys(found.get("preprocess", {}), OF_PREPROCESSING, "[preprocess]")
+    if found.get("grid") and all(method.model == "ar" for method in methods):
+        raise ValueError("a grid is of networks, and 'ar' finds its sizes: leave it out")
     for name, values in found.get("grid", {}).items():
         if not isinstance(values, list) or not values:
             raise ValueError(f"{name!r} in the grid is {values!r}, expected a list")
     seeds = found.get("split_seeds", [1])
     if not isinstance(seeds, list) or not all(type(seed) is int and seed >= 0 for seed in seeds) or not seeds:
         raise ValueError(f"split_seeds is {seeds!r}, expected a list of whole numbers")
+    if len(set(seeds)) < len(seeds):
+        raise ValueError(f"split_seeds is {seeds!r}, expected each once")
     seconds = found.get("seconds", 60.0)
     if type(seconds) not in (int, float) or not 1 <= seconds <= 3600:
         raise ValueError(f"seconds is {seconds!r}, expected 1 to 3600")
+    of_networks = [method.model for method in methods if method.model != "ar"]
+    named = {one.name for model in of_networks for one in fields(ARCHITECTURES[model])}
+    _check_keys(found.get("grid", {}), OF_TRAINING | named, "[grid]")
     grid = {name: tuple(values) for name, values in found.get("grid", {}).items()}
     listed = {
         "textures": tuple(textures),
@@ -258,11 +281,14 @@ def _experiment(found: dict[str, Any], folder: Path) -> Experiment:
     return Experiment(**{**found, **listed, "seconds": float(seconds)})
 
 
-def _check_keys(found: Mapping[str, Any], of: type, where: str) -> None:
-    known = [one.name for one in fields(of)]
+def _check_keys(found: Mapping[str, Any], known: Collection[str], where: str) -> None:
     unknown = sorted(set(found) - set(known))
     if unknown:
-        raise ValueError(f"unknown key {unknown[0]!r} in {where}, expected one of {', '.join(known)}")
+        near = difflib.get_close_matches(unknown[0], known, 1)
+        raise ValueError(
+            f"unknown key {unknown[0]!r} in {where}, expected "
+            + (f"{near[0]!r}?" if near else f"one of {', '.join(sorted(known))}")
+        )
 
 
 def _texture(one: object, folder: Path) -> str:

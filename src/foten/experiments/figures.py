@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from foten.experiments.experiment import Run
 from foten.experiments.sweep import recording_of
-from foten.experiments.tables import name_of
+from foten.experiments.tables import label_of, name_of
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.split import split_blocks
 
@@ -19,31 +22,69 @@ if TYPE_CHECKING:
 Results = Sequence[Mapping[str, Any]]
 
 # Told apart with any colour vision.
-COLOURS = ("#2b83cf", "#e08a1e", "#1a9c72", "#b77ab0", "#c2452d", "#7a6a10", "#4f4fb5", "#6d6d6d")
+COLOURS = ("#2b83cf", "#e08a1e", "#1a9c72", "#b77ab0", "#c2452d", "#7a6a10", "#4f4fb5", "#12b5cb")
 PARTS = {"train": "#8fd3e8", "validation": "#f3e28a", "test": "#f0a3a0"}
 
 
-def figures(results: Results) -> Iterator[tuple[str, Figure]]:
-    """Return each figure that the results have the numbers for, and its name."""
-    yield "figure-4", split(results[0])
-    # Of one model: beside another one, a window of its own says nothing of windows.
-    for model in dict.fromkeys(one["run"]["model"] for one in results):
-        own = [one for one in results if one["run"]["model"] == model and _of_grid(one) is not None]
-        if len({_of_grid(one) for one in own}) > 1:
-            yield f"figure-5-{model}", windows_and_losses(own)
+def figures(
+    results: Results, recordings: Path | None = None, say: Callable[[str], None] = lambda text: None
+) -> Iterator[tuple[str, Figure]]:
+    """Return each figure that the results have the numbers for, and its name.
+
+    Args:
+        results: of `read_results`.
+        recordings: folder of those that were learned from; by default they are looked for where they were.
+        say: called with what is left out, and why.
+    """
+    try:
+        yield "figure-4", split(results[0], recordings)
+    except (ValueError, OSError) as error:
+        say(f"figure-4 is left out, as it is drawn from the recording: {error}")
+    # Of one method's grid: beside another one, a window of its own says nothing of windows.
+    methods = list(dict.fromkeys((one["run"]["method"], one["run"]["model"]) for one in results))
+    for method, model in methods:
+        own = [one for one in results if one["run"]["method"] == method and _of_grid(one) is not None]
+        name = model if [other for _, other in methods].count(model) == 1 else _file_name(method)
+        for rest, some in _apart(own, ("window", "loss")):
+            if len({_of_grid(one) for one in some}) > 1:
+                yield f"figure-5-{name}{rest}", windows_and_losses(some)
         huber = [one for one in own if one["run"]["train"]["loss"] == "huber"]
-        if len({one["run"]["train"]["delta"] for one in huber}) > 1:
-            yield f"figure-5-{model}-delta", thresholds(huber)
+        for rest, some in _apart(huber, ("delta",)):
+            if len({one["run"]["train"]["delta"] for one in some}) > 1:
+                yield f"figure-5-{name}{rest}-delta", thresholds(some)
     with_signals = [one for one in results if one.get("signals")]
     if with_signals:
         yield "figure-6", waveforms(with_signals)
         yield "figure-7", spectra(with_signals)
 
 
-def split(result: Mapping[str, Any]) -> Figure:
-    """Return a recording's acceleration, speed and force over the blocks of its split, as Fig. 4."""
+def _apart(results: Results, drawn: Sequence[str]) -> list[tuple[str, list[Mapping[str, Any]]]]:
+    """Return the results by what else of their grid than is drawn tells them apart, and that as part of a file's name."""
+    found: dict[str, list[Mapping[str, Any]]] = {}
+    for one in results:
+        rest = " ".join(f"{k} {v}" for k, v in one["run"].get("cell", {}).items() if k not in drawn)
+        found.setdefault("-" + _file_name(rest) if rest else "", []).append(one)
+    return list(found.items())
+
+
+def _file_name(method: str) -> str:
+    return re.sub(r"[^A-Za-z0-9]+", "-", method).strip("-").lower()
+
+
+def split(result: Mapping[str, Any], recordings: Path | None = None) -> Figure:
+    """Return a recording's acceleration, speed and force over the blocks of its split, as Fig. 4.
+
+    Raises:
+        FileNotFoundError: the recording is not there.
+        ValueError: another one is.
+    """
     run = Run(**result["run"])
-    trace = preprocess(recording_of(run), PreprocessConfig(**run.preprocess))
+    if run.seconds is None and recordings is not None:
+        run = replace(run, texture=str(recordings / Path(run.texture).name))
+    recording = recording_of(run)
+    if recording.sha256() != result["recording_sha256"]:
+        raise ValueError(f"{run.texture} is not what was learned from")
+    trace = preprocess(recording, PreprocessConfig(**run.preprocess))
     parts = split_blocks(trace, seed=run.split_seed)
     figure, panels = _figure(10.0, 5.0, nrows=3, sharex=True)
     times = np.arange(trace.n_blocks * trace.block) / trace.rate_hz
@@ -171,15 +212,19 @@ def waveforms(results: Results) -> Figure:
 
 
 def spectra(results: Results) -> Figure:
-    """Return power spectra of the test blocks of each texture, recorded and of each method's free run, as Fig. 7."""
+    """Return power spectra of the test blocks of each texture, recorded and of each method's free run, as Fig. 7.
+
+    What is below an axis, of a free run that dies say, runs along its lower edge.
+    """
     textures, methods = _first_split(results)
     figure, panels = _grid_of(len(textures), 3.0, 2.2)
     for axes, (texture, by_method) in zip(panels, textures.items(), strict=True):
         first = next(iter(by_method.values()))["signals"]
         recorded = 10 * np.log10(np.maximum(first["density"]["recorded"], 1e-30))
+        low, high = recorded.min() - 15, recorded.max() + 8
         for method, one in by_method.items():
             signals = one["signals"]
-            density = 10 * np.log10(np.maximum(signals["density"]["free_run"], 1e-30))
+            density = np.maximum(10 * np.log10(np.maximum(signals["density"]["free_run"], 1e-30)), low + 0.3)
             axes.plot(
                 signals["frequencies_hz"],
                 density,
@@ -188,11 +233,20 @@ def spectra(results: Results) -> Figure:
                 label=method,
             )
         axes.plot(first["frequencies_hz"], recorded, color="#222222", lw=1.2, label="recorded")
-        axes.set_ylim(recorded.min() - 15, recorded.max() + 8)
+        axes.set_ylim(low, high)
         axes.set_title(_name(texture), fontsize=9, loc="left")
-    handles, labels = panels[0].get_legend_handles_labels()
+    named = {
+        label: handle
+        for axes in panels
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
     figure.legend(
-        handles, labels, loc="outside upper center", ncols=min(4, len(labels)), frameon=False, fontsize=8
+        named.values(),
+        named.keys(),
+        loc="outside upper center",
+        ncols=min(4, len(named)),
+        frameon=False,
+        fontsize=8,
     )
     figure.supxlabel("frequency [Hz]", fontsize=9)
     figure.supylabel("power density [dB re 1 (m/s²)²/Hz]", fontsize=9)
@@ -204,8 +258,8 @@ def _first_split(results: Results) -> tuple[dict[str, dict[str, Mapping[str, Any
     textures: dict[str, dict[str, Mapping[str, Any]]] = {}
     for one in results:
         run = one["run"]
-        textures.setdefault(run["texture"], {}).setdefault(run["method"], one)
-    return textures, list(dict.fromkeys(one["run"]["method"] for one in results))
+        textures.setdefault(run["texture"], {}).setdefault(label_of(one), one)
+    return textures, list(dict.fromkeys(map(label_of, results)))
 
 
 def _name(texture: str) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
@@ -31,6 +32,7 @@ from foten.train.config import TrainConfig
 from foten.whole_file import whole_file
 
 RETRIES = 3  # of a run whose worker or node is lost
+ANSWER_S = 5.0  # that a cluster has to answer in
 THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
@@ -153,13 +155,18 @@ def sweep(
     runs = experiment.runs()
     results.mkdir(parents=True, exist_ok=True)
     recordings: dict[Any, tuple[str, Recording]] = {}
-    waiting = []
+    waiting, named = [], dict[Path, Run]()
     for index, run in enumerate(runs):
         if run.source not in recordings:
             recording = recording_of(run)
             recordings[run.source] = recording.sha256(), recording
         path = results / f"{run.name(recordings[run.source][0], foten.__version__)}.json"
-        if not path.exists():
+        if path in named:
+            raise ValueError(
+                f"{named[path].texture} and {run.texture} are the same recording: leave one of them out"
+            )
+        named[path] = run
+        if not _kept(path, _about(experiment, index, run), say):
             waiting.append((index, run, path))
     say(f"{len(runs)} runs, {len(runs) - len(waiting)} of them done before")
     if not waiting:
@@ -180,6 +187,37 @@ def sweep(
         ray.shutdown()
 
 
+def _about(experiment: Experiment, index: int, run: Run) -> dict[str, Any]:
+    """Return what a result says of its place in an experiment, on which its figures do not depend."""
+    return {
+        "index": index,
+        "experiment": {"title": experiment.title, "note": experiment.note},
+        "run": asdict(run),
+    }
+
+
+def _kept(path: Path, about: Mapping[str, Any], say: Callable[[str], None]) -> bool:
+    """Return whether a run has a result, which from now on is called as the experiment calls it."""
+    if not path.exists():
+        return False
+    try:
+        result = json.loads(path.read_bytes())
+        whole = {"evaluation", "signals", "seconds"} <= set(result)
+    except (ValueError, TypeError):
+        whole = False
+    if not whole:
+        say(f"{path.name} is damaged, and is made again")
+        return False
+    if any(result.get(key) != value for key, value in json.loads(json.dumps(about)).items()):
+        _write(path, {**result, **about})
+    return True
+
+
+def _write(path: Path, result: Mapping[str, Any]) -> None:
+    with whole_file(path) as part:
+        part.write_text(json.dumps(result, indent=1, sort_keys=True) + "\n")
+
+
 def _start_ray(workers: int | None, address: str | None, gpus_per_run: float) -> None:
     import ray
 
@@ -187,6 +225,8 @@ def _start_ray(workers: int | None, address: str | None, gpus_per_run: float) ->
     # What asks for no GPU sees none: else all workers would be on the first one at once.
     unseen = {} if gpus_per_run > 0 else {"CUDA_VISIBLE_DEVICES": ""}
     environment = {"env_vars": {**THREADS, **unseen}}
+    if address is not None:
+        _check_answered(address)
     try:
         if address is None:
             ray.init(
@@ -201,10 +241,26 @@ def _start_ray(workers: int | None, address: str | None, gpus_per_run: float) ->
     except (ConnectionError, RuntimeError) as error:
         if address is None:
             raise ValueError(f"Ray does not start here: {str(error).splitlines()[0]}") from error
-        raise ValueError(
-            f"no Ray cluster answers at {address}: was it started with 'ray start --head', and is RAY_AUTH_TOKEN its token? "
-            f"({str(error).splitlines()[0]})"
-        ) from error
+        raise ValueError(f"{_no_cluster(address)} ({str(error).splitlines()[0]})") from error
+
+
+def _no_cluster(address: str) -> str:
+    return f"no Ray cluster answers at {address}: was it started with 'ray start --head', and is RAY_AUTH_TOKEN its token?"
+
+
+def _check_answered(address: str) -> None:
+    """Check that somebody listens at HOST:PORT: Ray itself would ask for ten minutes, and heed no Ctrl-C.
+
+    Raises:
+        ValueError: nobody does.
+    """
+    host, _, port = address.rpartition(":")
+    if "://" in address or not port.isdecimal():
+        return
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=ANSWER_S).close()
+    except (OSError, OverflowError) as error:
+        raise ValueError(f"{_no_cluster(address)} ({error})") from error
 
 
 def _guarded(run: Mapping[str, Any], recording: Recording) -> dict[str, Any]:
@@ -236,9 +292,7 @@ def _collected(
         if why:
             n_failed += 1
         else:
-            about = {"index": index, "experiment": {"title": experiment.title, "note": experiment.note}}
-            with whole_file(path) as part:
-                part.write_text(json.dumps({**about, **result}, indent=1, sort_keys=True) + "\n")
+            _write(path, {**result, **_about(experiment, index, run)})
             n_done += 1
         seconds = sum(result["seconds"].values()) if "seconds" in result else 0.0
         pace = (time.perf_counter() - started) / (n_done + n_failed)

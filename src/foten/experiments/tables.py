@@ -7,13 +7,14 @@ import io
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.experiments.experiment import Run
 from foten.experiments.paper import PAPER
 
 Array = NDArray[np.float64]
@@ -53,6 +54,17 @@ REFERENCES = {
 }
 FREE_RUN_REFERENCES = {"AR(20) with white noise": "free_run_ar", "ceiling": "ceiling"}
 FORMATS = ("md", "csv", "tex")
+BAR = r"\|"  # Markdown's, within a cell
+_OF_A_RESULT = {
+    "foten",
+    "versions",
+    "recording_sha256",
+    "seconds",
+    "signals",
+    "n_epochs",
+    "validation_mae_scaled",
+}
+_OF_AN_EVALUATION = {"one_step", "free_run", "references", "ceiling", "n_blocks", "split_sha256", "rate_hz"}
 
 
 @dataclass(frozen=True)
@@ -63,12 +75,14 @@ class Row:
         name: of it.
         model: key, "" for a reference.
         values: by texture, one for each split, NaN where there is none.
+        intervals: by texture, 95 % over test blocks, of its first split.
         excited: whether it was given the excitation of `foten-plus`, which no one-step figure depends on.
     """
 
     name: str
     model: str
     values: Mapping[str, Array]
+    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     excited: bool = False
 
     def means(self, textures: Sequence[str]) -> Array:
@@ -89,26 +103,42 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
     seen: dict[tuple[str, str, int], str] = {}
     digests: dict[str, str] = {}
     for path in sorted(folder.glob("*.json")):
-        try:
-            result = json.loads(path.read_text())
-            result["run"]["method"], result["evaluation"]["one_step"]
-        except (json.JSONDecodeError, KeyError, TypeError) as error:
-            raise ValueError(f"{path.name} is no result of foten sweep") from error
-        run = result["run"]
-        cell = (run["method"], name_of(run["texture"]), run["split_seed"])
+        result, run = _read(path)
+        cell = (run.label, name_of(run.texture), run.split_seed)
         if cell in seen:
             raise ValueError(
                 f"{seen[cell]} and {path.name} are both of {cell[0]} on {cell[1]}, split {cell[2]}: are results of other "
                 "settings or of an earlier version left in the folder? Move one away"
             )
         seen[cell] = path.name
-        recorded = run["seconds"] is None
+        recorded = run.seconds is None
         if recorded and digests.setdefault(cell[1], result["recording_sha256"]) != result["recording_sha256"]:
             raise ValueError(f"two recordings are called {cell[1]}, which a table cannot tell apart")
         found.append(result)
     if not found:
         raise ValueError(f"there is no result of foten sweep in {folder}")
     return sorted(found, key=lambda result: result.get("index", 0))
+
+
+def _read(path: Path) -> tuple[dict[str, Any], Run]:
+    try:
+        result = json.loads(path.read_bytes())
+        run = Run(**result["run"])
+        whole = (
+            isinstance(run.texture, str)
+            and set(result) >= _OF_A_RESULT
+            and set(result["evaluation"]) >= _OF_AN_EVALUATION
+        )
+    except (ValueError, KeyError, TypeError, OSError):
+        whole = False
+    if not whole:
+        raise ValueError(f"{path.name} is no result of foten sweep, or damaged")
+    return result, run
+
+
+def label_of(result: Mapping[str, Any]) -> str:
+    """Return what the row of a result is called."""
+    return Run(**result["run"]).label
 
 
 def name_of(texture: str) -> str:
@@ -119,19 +149,23 @@ def name_of(texture: str) -> str:
 def rows_of(results: Sequence[Mapping[str, Any]], figure: str) -> tuple[list[str], list[Row]]:
     """Return the textures, and a row for each reference and each method, references first."""
     textures = list(dict.fromkeys(name_of(one["run"]["texture"]) for one in results))
-    methods = {one["run"]["method"]: one["run"]["model"] for one in results}
+    methods = {label_of(one): one["run"]["model"] for one in results}
     head, _, key = FIGURES[figure].path.rpartition(".")
     factor = 100.0 if figure in PERCENT else 1.0
 
     def row(name: str, model: str, where: str, of: Sequence[Mapping[str, Any]], excited: bool = False) -> Row:
         by_texture: dict[str, list[float]] = {}
+        intervals: dict[str, tuple[float, float]] = {}
         for one in of:
+            texture = name_of(one["run"]["texture"])
             value = _at(one["evaluation"], f"{where}.{key}")
+            interval = _at(one["evaluation"], f"{where}.intervals.{key}")
             if value is not None:
-                by_texture.setdefault(name_of(one["run"]["texture"]), []).append(factor * value)
-        return Row(
-            name, model, {texture: np.array(values) for texture, values in by_texture.items()}, excited
-        )
+                by_texture.setdefault(texture, []).append(factor * value)
+            if interval is not None:
+                intervals.setdefault(texture, (factor * interval[0], factor * interval[1]))
+        values = {texture: np.array(found) for texture, found in by_texture.items()}
+        return Row(name, model, values, intervals, excited)
 
     # A reference is the same whatever was trained beside it: once for each recording, split and preprocessing.
     distinct = {
@@ -141,7 +175,7 @@ def rows_of(results: Sequence[Mapping[str, Any]], figure: str) -> tuple[list[str
     references = FREE_RUN_REFERENCES if head == "free_run" else REFERENCES
     rows = [row(name, "", where, list(distinct.values())) for name, where in references.items()]
     for name, model in methods.items():
-        of_method = [one for one in results if one["run"]["method"] == name]
+        of_method = [one for one in results if label_of(one) == name]
         found = row(name, model, head, of_method, of_method[0]["run"]["sizes"].get("excitation", False))
         if not found.values and head == "free_run":
             found = row(f"{name}, without excitation", model, "free_run_deterministic", of_method)
@@ -149,7 +183,8 @@ def rows_of(results: Sequence[Mapping[str, Any]], figure: str) -> tuple[list[str
     return textures, [one for one in rows if one.values or one.model]
 
 
-def _at(document: Mapping[str, Any], path: str) -> float | None:
+def _at(document: Mapping[str, Any], path: str) -> Any:
+    """Return what lies at a path of keys, None where nothing does."""
     found: Any = document
     for key in path.split("."):
         found = found.get(key) if isinstance(found, Mapping) else None
@@ -200,7 +235,9 @@ def table(results: Sequence[Mapping[str, Any]], figure: str) -> list[list[str]]:
     textures, rows = rows_of(results, figure)
     _, p = compared(rows, textures, of.better)
     n_splits = max(len(values) for row in rows for values in row.values.values())
+    within = any(row.intervals for row in rows)
     spread = f"mean ± sd of {n_splits} splits" if n_splits > 1 else "one split"
+    spread += " [95 % over its blocks]" if n_splits == 1 and within else ""
     once = _once(rows)
     reported = of.reported is not None and bool(once)
     heading = [f"{of.name}, {spread}", *textures, "mean"]
@@ -210,7 +247,7 @@ def table(results: Sequence[Mapping[str, Any]], figure: str) -> list[list[str]]:
     for row in rows:
         means = row.means(textures)
         whole = f"{means.mean():.3f}" if np.isfinite(means).all() else "–"
-        line = [row.name, *(_cell(row.values.get(texture), n_splits) for texture in textures), whole]
+        line = [row.name, *(_cell(row, texture, n_splits) for texture in textures), whole]
         if p:
             line.append(f"{p[row.name]:.3f}" if row.name in p else "")
         if reported and of.reported is not None:
@@ -235,9 +272,12 @@ def _once(rows: Sequence[Row]) -> set[str]:
     return found
 
 
-def _cell(values: Array | None, n_splits: int) -> str:
+def _cell(row: Row, texture: str, n_splits: int) -> str:
+    values, interval = row.values.get(texture), row.intervals.get(texture)
     if values is None or not len(values):
         return "–"
+    if n_splits == 1 and interval is not None:
+        return f"{values[0]:.3f} [{interval[0]:.3f}, {interval[1]:.3f}]"
     fewer = f" ({len(values)} of {n_splits})" if len(values) < n_splits else ""
     if len(values) == 1:
         return f"{values[0]:.3f}{fewer}"
@@ -257,7 +297,7 @@ def each_run(results: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     for one in results:
         run, judged = one["run"], one["evaluation"]
         excited = judged["free_run"]["lsd_db"] is not None
-        row = [run["method"], run["model"], name_of(run["texture"]), run["split_seed"], judged["n_blocks"]]
+        row = [label_of(one), run["model"], name_of(run["texture"]), run["split_seed"], judged["n_blocks"]]
         row.append("yes" if excited else "no")
         for name, figure in FIGURES.items():
             head, _, key = figure.path.rpartition(".")
@@ -283,7 +323,7 @@ def written(cells: Sequence[Sequence[str]], form: str) -> str:
         csv.writer(out, lineterminator="\n").writerows(cells)
         return out.getvalue()
     if form == "md":
-        lines = [f"| {' | '.join(row)} |" for row in cells]
+        lines = [f"| {' | '.join(cell.replace('|', BAR) for cell in row)} |" for row in cells]
         return "\n".join([lines[0], "|" + "---|" * len(cells[0]), *lines[1:]]) + "\n"
     rows = [" & ".join(_escaped(cell) for cell in row) + r" \\" for row in cells]
     columns = "l" + "r" * (len(cells[0]) - 1)
@@ -291,10 +331,19 @@ def written(cells: Sequence[Sequence[str]], form: str) -> str:
     return f"\\begin{{tabular}}{{{columns}}}\n\\toprule\n{body}\n\\bottomrule\n\\end{{tabular}}\n"
 
 
+_LATEX = {
+    **{character: "\\" + character for character in "&%_#${}"},
+    "\\": r"\textbackslash{}",
+    "^": r"\textasciicircum{}",
+    "~": r"\textasciitilde{}",
+    "±": r"$\pm$",
+    "–": "--",
+    "÷": r"$\div$",
+}
+
+
 def _escaped(cell: str) -> str:
-    for character in ("&", "%", "_", "#"):
-        cell = cell.replace(character, "\\" + character)
-    return cell.replace("±", r"$\pm$").replace("–", "--")
+    return "".join(_LATEX.get(character, character) for character in cell)
 
 
 def _experiments(results: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
@@ -306,6 +355,18 @@ def _experiments(results: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
 def title_of(results: Sequence[Mapping[str, Any]]) -> str:
     """Return what the results are of."""
     return "; ".join(about["title"] for about in _experiments(results) if about["title"])
+
+
+def _alike(results: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Say which splits of a recording are the same blocks: their spread is of training alone."""
+    seeds: dict[tuple[str, str, str], set[int]] = {}
+    for one in results:
+        key = (name_of(one["run"]["texture"]), one["recording_sha256"], one["evaluation"]["split_sha256"])
+        seeds.setdefault(key, set()).add(one["run"]["split_seed"])
+    for (texture, _, _), same in seeds.items():
+        if len(same) > 1:
+            numbers = ", ".join(map(str, sorted(same)))
+            yield f"{texture} is short: splits {numbers} are the same blocks, and differ by training alone."
 
 
 def findings(results: Sequence[Mapping[str, Any]]) -> Iterator[str]:
@@ -320,6 +381,7 @@ def findings(results: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     ]
     if several:
         yield f"The results were made with several versions, of {'; '.join(several)}: run them again with one."
+    yield from _alike(results)
     for name, of in FIGURES.items():
         textures, rows = rows_of(results, name)
         methods = [row for row in rows if row.model]
