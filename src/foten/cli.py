@@ -1025,6 +1025,15 @@ def sweep(
         float,
         typer.Option(min=0.0, max=8.0, help="Share of a GPU that each run takes: 0.25 lets four share one."),
     ] = 0.0,
+    together: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            max=64,
+            help="Textures that a worker trains at once as one batched model: a third faster by the paper's recipe with 12, "
+            "slower with batches of 128. Differs from one by one in rounding.",
+        ),
+    ] = 1,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="List the runs and stop.")] = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -1051,7 +1060,9 @@ def sweep(
         left = f", about {progress.left_s / 60:.0f} min left" if progress.n_left else ""
         _say(f"{n}/{n + progress.n_left} {run.label}, {run.texture}, split {run.split_seed}: {ended}{left}")
 
-    n_done, n_failed = sweeping.sweep(experiment, output, workers, address, gpus_per_run, on_progress, _say)
+    n_done, n_failed = sweeping.sweep(
+        experiment, output, workers, address, gpus_per_run, on_progress, _say, together
+    )
     if as_json:
         _print_json({"output": str(output), "n_runs": len(runs), "n_done": n_done, "n_failed": n_failed})
     else:

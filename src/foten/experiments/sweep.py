@@ -11,7 +11,7 @@ import json
 import os
 import socket
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -31,6 +31,8 @@ from foten.texture_file import Texture
 from foten.train.config import TrainConfig
 from foten.whole_file import whole_file
 
+Waiting = tuple[int, Run, Path]
+"""A run without a result: its place in the experiment, and the path that its result will have."""
 RETRIES = 3  # of a run whose worker or node is lost
 ANSWER_S = 5.0  # that a cluster has to answer in
 THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -66,6 +68,39 @@ def execute(run: Run, recording: Recording) -> dict[str, Any]:
     """Return the result of one run: what was trained, its figures on the test blocks, and how long both took."""
     started = time.perf_counter()
     texture = _trained(run, recording)
+    return _judged(run, recording, texture, time.perf_counter() - started)
+
+
+def execute_together(runs: Sequence[Run], recordings: Sequence[Recording]) -> list[dict[str, Any]]:
+    """Return the results of runs that differ by texture and split alone, trained as one batched model; or why there is none."""
+    from foten.train.train import train_together
+
+    first, started = runs[0], time.perf_counter()
+    architecture = architecture_from(first.model, first.sizes)
+    assert not isinstance(architecture, ArArchitecture)
+    trained = train_together(
+        recordings,
+        first.model,
+        architecture,
+        [TrainConfig(**run.train) for run in runs],
+        PreprocessConfig(**first.preprocess),
+        [run.split_seed for run in runs],
+    )
+    seconds = (time.perf_counter() - started) / len(runs)
+    found = []
+    for run, recording, one in zip(runs, recordings, trained, strict=True):
+        try:
+            if isinstance(one, Exception):
+                raise one
+            found.append(_judged(run, recording, one.texture, seconds, len(runs)))
+        except Exception as error:
+            found.append(_failed(error))
+    return found
+
+
+def _judged(
+    run: Run, recording: Recording, texture: Texture, seconds: float, n_together: int = 1
+) -> dict[str, Any]:
     trained = time.perf_counter()
     judgement = evaluate(texture, recording, truth_for(recording, texture))
     document, metrics = judgement.document, texture.card["metrics"]
@@ -74,7 +109,8 @@ def execute(run: Run, recording: Recording) -> dict[str, Any]:
         "foten": foten.__version__,
         "versions": texture.card["training"]["versions"],
         "recording_sha256": document["recording_sha256"],
-        "seconds": {"training": trained - started, "evaluation": time.perf_counter() - trained},
+        "seconds": {"training": seconds, "evaluation": time.perf_counter() - trained},
+        "trained_together": n_together,
         "n_epochs": metrics.get("n_epochs"),
         "validation_mae_scaled": metrics["validation_mae_scaled"],
         "file_bytes": len(texture.to_bytes()),
@@ -128,6 +164,7 @@ def sweep(
     gpus_per_run: float = 0.0,
     on_progress: Callable[[Progress], None] = lambda progress: None,
     say: Callable[[str], None] = lambda text: None,
+    together: int = 1,
 ) -> tuple[int, int]:
     """Execute the runs of an experiment that have no result yet, and keep one file each.
 
@@ -139,6 +176,7 @@ def sweep(
         gpus_per_run: share of a GPU that each run takes.
         on_progress: called after each run.
         say: called with what goes on.
+        together: textures that are trained as one batched model at most, where the model can be (`TOGETHER`).
 
     Returns:
         How many runs were done, and how many failed.
@@ -180,7 +218,8 @@ def sweep(
         recordings.clear()
         task = ray.remote(num_cpus=1, num_gpus=gpus_per_run, max_retries=RETRIES)(_guarded)
         pending = {
-            task.remote(asdict(run), kept[run.source]): (index, run, path) for index, run, path in waiting
+            task.remote([asdict(run) for _, run, _ in some], *(kept[run.source] for _, run, _ in some)): some
+            for some in _groups(waiting, together)
         }
         return _collected(experiment, pending, on_progress)
     finally:
@@ -263,18 +302,42 @@ def _check_answered(address: str) -> None:
         raise ValueError(f"{_no_cluster(address)} ({error})") from error
 
 
-def _guarded(run: Mapping[str, Any], recording: Recording) -> dict[str, Any]:
-    """Return a run's result, or why there is none: an error of ours would be the same on another worker."""
+def _groups(waiting: Sequence[Waiting], together: int) -> list[list[Waiting]]:
+    """Return the runs by what one worker does at a time, in their order: one, or several that can be trained together."""
+    from foten.train.together import TOGETHER
+
+    found: list[list[Waiting]] = []
+    open_groups: dict[str, list[Waiting]] = {}
+    for one in waiting:
+        run = one[1]
+        alike = {"sizes": run.sizes, "train": {**run.train, "seed": 0}, "preprocess": run.preprocess}
+        key = json.dumps({"model": run.model, **alike}, sort_keys=True)
+        can = run.model in TOGETHER and run.train["threads"] == 1 and run.train["average"] == 0
+        if can and len(open_groups.get(key, ())) % together:
+            open_groups[key].append(one)
+        else:
+            found.append([one])
+            open_groups[key] = found[-1]
+    return found
+
+
+def _guarded(runs: Sequence[Mapping[str, Any]], *recordings: Recording) -> list[dict[str, Any]]:
+    """Return the runs' results, or why there is none: an error of ours would be the same on another worker."""
     try:
-        return execute(Run(**run), recording)
+        some = [Run(**run) for run in runs]
+        return execute_together(some, recordings) if len(some) > 1 else [execute(some[0], recordings[0])]
     except Exception as error:  # is told beside the run, of which the others are independent
-        said = str(error).splitlines() or [""]
-        return {"failed": f"{type(error).__name__}: {said[0]}"}
+        return [_failed(error)] * len(runs)
+
+
+def _failed(error: Exception) -> dict[str, Any]:
+    said = str(error).splitlines() or [""]
+    return {"failed": f"{type(error).__name__}: {said[0]}"}
 
 
 def _collected(
     experiment: Experiment,
-    pending: dict[Any, tuple[int, Run, Path]],
+    pending: dict[Any, list[Waiting]],
     on_progress: Callable[[Progress], None],
 ) -> tuple[int, int]:
     import ray
@@ -283,18 +346,21 @@ def _collected(
     n_done = n_failed = 0
     while pending:
         (ready, *_), _ = ray.wait(list(pending), num_returns=1)
-        index, run, path = pending.pop(ready)
+        some = pending.pop(ready)
+        n_left = sum(map(len, pending.values())) + len(some)
         try:
-            result = ray.get(ready)
-            why = str(result.get("failed", ""))
+            results = ray.get(ready)
         except ray.exceptions.RayError as error:
-            result, why = {}, f"lost {RETRIES + 1} times: {str(error).splitlines()[0]}"
-        if why:
-            n_failed += 1
-        else:
-            _write(path, {**result, **_about(experiment, index, run)})
-            n_done += 1
-        seconds = sum(result["seconds"].values()) if "seconds" in result else 0.0
-        pace = (time.perf_counter() - started) / (n_done + n_failed)
-        on_progress(Progress(n_done, n_failed, len(pending), run, seconds, why, pace * len(pending)))
+            results = [{"failed": f"lost {RETRIES + 1} times: {str(error).splitlines()[0]}"}] * len(some)
+        for (index, run, path), result in zip(some, results, strict=True):
+            why = str(result.get("failed", ""))
+            if why:
+                n_failed += 1
+            else:
+                _write(path, {**result, **_about(experiment, index, run)})
+                n_done += 1
+            n_left -= 1
+            seconds = sum(result["seconds"].values()) if "seconds" in result else 0.0
+            pace = (time.perf_counter() - started) / (n_done + n_failed)
+            on_progress(Progress(n_done, n_failed, n_left, run, seconds, why, pace * n_left))
     return n_done, n_failed

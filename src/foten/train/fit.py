@@ -141,7 +141,9 @@ def fit(
         trained, lr=config.learning_rate, weight_decay=config.weight_decay, fused=True
     )
     steps = max(1, math.ceil(len(train) / config.batch))
-    scheduler = torch.optim.lr_scheduler.LambdaLR(optimiser, _schedule(config, steps * max(1, config.epochs)))
+    scheduler = torch.optim.lr_scheduler.LambdaLR(
+        optimiser, schedule_of(config, steps * max(1, config.epochs))
+    )
     criterion = loss_of(config)
     averaged = [parameter.detach().clone() for parameter in trained] if config.average > 0 else []
     parts: dict[str, Stateful] = {
@@ -154,10 +156,9 @@ def fit(
     def windows(n: Tensor) -> Tensor:
         return samples[n[:, None] + offsets]
 
-    def gradients(share: Tensor, n: int, mask_seed: int) -> tuple[Tensor, tuple[Tensor, ...]]:
+    def gradients(share: Tensor, n: int, seed: int) -> tuple[Tensor, tuple[Tensor, ...]]:
         """Return the loss and gradients of one thread's share of a batch of n."""
-        masks = torch.Generator().manual_seed(mask_seed % 2**63) if device.type == "cpu" else None
-        with masks_from(masks):
+        with masks_from(masks_of(seed, device)):
             loss = criterion(network(windows(share)), goal[share]) * (len(share) / n)
         return loss.detach(), torch.autograd.grad(loss, trained)
 
@@ -190,23 +191,35 @@ def fit(
         swap()
 
     def one_epoch(epoch: int) -> float:
-        # Seeded by the epoch, so that a resumed run sees the windows in the same order.
-        shuffle = torch.Generator().manual_seed(config.seed * 100_003 + epoch)
-        order = train[torch.randperm(len(train), generator=shuffle).to(device)]
+        order = train[order_of(len(train), config.seed, epoch).to(device)]
         torch.manual_seed(config.seed * 100_003 + epoch)
         total = torch.zeros((), device=device)
         for number, batch in enumerate(order.split(config.batch)):
-            # Seeds of masks: none comes twice in any run of fewer than a million steps.
-            total += step(batch, (config.seed * 1_000 + epoch) * 1_000_000 + number) * len(batch)
+            total += step(batch, mask_seed(config.seed, epoch, number)) * len(batch)
         return float(total) / len(train)
 
     def validate() -> tuple[float, float]:
-        return _validate(network, windows, goal, unit, validation, criterion)
+        return validated(network, windows, goal, unit, validation, criterion)
 
     try:
         return run_epochs(network, config, parts, one_epoch, validate, on_epoch, checkpoint, resume, judged)
     finally:
         pool.shutdown()
+
+
+def order_of(n: int, seed: int, epoch: int) -> Tensor:
+    """Return the order of n windows, seeded by the epoch, so that a resumed run sees them in the same."""
+    return torch.randperm(n, generator=torch.Generator().manual_seed(seed * 100_003 + epoch))
+
+
+def mask_seed(seed: int, epoch: int, number: int) -> int:
+    """Return the seed of a step's dropout: none comes twice in any run of fewer than a million steps."""
+    return (seed * 1_000 + epoch) * 1_000_000 + number
+
+
+def masks_of(seed: int, device: torch.device) -> torch.Generator | None:
+    """Return what draws a step's dropout; on a GPU its own generator does."""
+    return torch.Generator().manual_seed(seed % 2**63) if device.type == "cpu" else None
 
 
 def run_epochs(
@@ -297,7 +310,7 @@ def write_log(path: Path, epochs: list[Epoch]) -> None:
         writer.writerows(asdict(epoch) for epoch in epochs)
 
 
-def _schedule(config: TrainConfig, n_steps: int) -> Callable[[int], float]:
+def schedule_of(config: TrainConfig, n_steps: int) -> Callable[[int], float]:
     """Return the learning rate over its highest, by step: a linear rise over the first tenth, then half a cosine."""
     if config.schedule == "constant":
         return lambda step: 1.0
@@ -309,7 +322,7 @@ def _schedule(config: TrainConfig, n_steps: int) -> Callable[[int], float]:
     )
 
 
-def _validate(
+def validated(
     network: nn.Module,
     windows: Callable[[Tensor], Tensor],
     goal: Tensor,
@@ -317,6 +330,7 @@ def _validate(
     validation: Tensor,
     criterion: Callable[[Tensor, Tensor], Tensor],
 ) -> tuple[float, float]:
+    """Return a network's loss and mean absolute error on the validation windows, the latter scaled."""
     network.eval()
     loss = mae = 0.0
     with torch.no_grad():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -44,6 +44,7 @@ from foten.train.fit import Data, Epoch, Progress, fit, pick_device, predict, re
 from foten.train.goals import ahead, spectra, taught
 from foten.train.linear_part import LinearPart, fit_linear_parts
 from foten.train.prepared import Prepared, prepare
+from foten.train.together import fit_together
 
 Array = NDArray[np.float64]
 
@@ -66,6 +67,14 @@ class Trained:
     """One-step validation error of the lattice alone, scaled; None without one."""
 
 
+@dataclass(frozen=True)
+class Lesson:
+    """A network, and what it is to be fitted to."""
+
+    network: nn.Module
+    data: Data
+
+
 def train_texture(
     recording: Recording,
     key: str,
@@ -86,10 +95,107 @@ def train_texture(
     Raises:
         ValueError: the recording does not fit the configuration; the message names the option.
     """
+    learning = _learning(
+        recording,
+        key,
+        architecture,
+        config,
+        preprocess_config or PreprocessConfig(),
+        split_method,
+        split_seed,
+        on_epoch,
+        checkpoint,
+        resume,
+        texture_name,
+        licence,
+        on_stage,
+    )
+    with reproducible():
+        begun = _begun(learning)
+        if isinstance(begun, Trained):
+            return begun
+        return _ended(learning, fit(begun.network, begun.data, config, on_epoch, checkpoint, resume))
+
+
+def train_together(
+    recordings: Sequence[Recording],
+    key: str,
+    architecture: TenArchitecture | GraphArchitecture,
+    configs: Sequence[TrainConfig],
+    preprocess_config: PreprocessConfig,
+    split_seeds: Sequence[int],
+) -> list[Trained | Exception]:
+    """Return textures learned from as many recordings, their networks fitted as one batched model; or why one is not.
+
+    Recordings with as many training windows are learned together: see `fit_together`.
+    """
+    found: dict[int, Trained | Exception] = {}
+    learnings, lessons = {}, dict[int, Lesson]()
+    with reproducible():
+        for k, recording in enumerate(recordings):
+            learnings[k] = _learning(
+                recording, key, architecture, configs[k], preprocess_config, "regrouped", split_seeds[k]
+            )
+            try:
+                begun = _begun(learnings[k])
+            except Exception as error:  # is told of its recording, of which the others are independent
+                found[k] = error
+                continue
+            assert isinstance(begun, Lesson), key
+            lessons[k] = begun
+        for n in sorted({len(lesson.data.train) for lesson in lessons.values()}):
+            alike = {k: lesson for k, lesson in lessons.items() if len(lesson.data.train) == n}
+            fitted = fit_together(
+                [lesson.network for lesson in alike.values()],
+                [lesson.data for lesson in alike.values()],
+                [configs[k] for k in alike],
+            )
+            for k, progress in zip(alike, fitted, strict=True):
+                try:
+                    found[k] = (
+                        progress if isinstance(progress, ValueError) else _ended(learnings[k], progress)
+                    )
+                except Exception as error:
+                    found[k] = error
+    return [found[k] for k in range(len(recordings))]
+
+
+def _begun(learning: Generator[Lesson, Progress, Trained]) -> Lesson | Trained:
+    try:
+        return next(learning)
+    except StopIteration as done:
+        trained: Trained = done.value
+        return trained
+
+
+def _ended(learning: Generator[Lesson, Progress, Trained], progress: Progress) -> Trained:
+    try:
+        learning.send(progress)
+    except StopIteration as done:
+        trained: Trained = done.value
+        return trained
+    raise AssertionError("a texture is one lesson")
+
+
+def _learning(
+    recording: Recording,
+    key: str,
+    architecture: TenArchitecture | GraphArchitecture,
+    config: TrainConfig,
+    preprocess_config: PreprocessConfig,
+    split_method: str,
+    split_seed: int,
+    on_epoch: Callable[[Epoch], None] = lambda epoch: None,
+    checkpoint: Path | None = None,
+    resume: bool = False,
+    texture_name: str = "",
+    licence: str = "",
+    on_stage: Callable[[str], None] = lambda stage: None,
+) -> Generator[Lesson, Progress, Trained]:
+    """Learn a texture, but for the fit of its network, which whoever runs this does; the GAN has none."""
     if architecture.in_graph:  # what is missing is said before training, not after
         import onnx  # noqa: F401
         import onnxruntime  # noqa: F401
-    preprocess_config = preprocess_config or PreprocessConfig()
     trace = preprocess(recording, preprocess_config)
     split = split_blocks(trace, split_method, split_seed)
     m = architecture.window
@@ -103,89 +209,88 @@ def train_texture(
     prepared = prepare(trace, split)
     samples = prepared.samples.reshape(-1, 3)
     data = Data(samples, *prepared.targets(m), m)
-    with reproducible():
-        torch.manual_seed(config.seed)
-        likelihood = level_errors = linear = tail_gain = None
-        played: tuple[float | None, float | None] = (None, None)
-        renderings: dict[str, list[float]] = {}
-        if isinstance(architecture, FotenPlusArchitecture):
-            parts = fit_linear_parts(architecture, data, prepared, config, on_stage)
-            part, linear = _chosen(parts, prepared, config, on_stage)
-            network, architecture = part.network, part.network.architecture
-            data = _innovations(network, prepared)
-            random = data if part.phase is None else _innovations(network, prepared, part.phase)
-            trained = network.network.to(pick_device())
-        else:
-            if key == "ldhtd":
-                data = taught(data, architecture.window, config, on_stage)
-            trained = network = build(key, architecture).to(pick_device())
-        if isinstance(network, Gan):
-            trained = network = network.cpu()
-            progress = fit_adversarial(network, m, prepared, config, on_epoch, checkpoint, resume)
-        else:
-            told = data
-            if isinstance(network, Dftnet):
-                trained, told = network.spectrum, spectra(data, prepared)
-            elif architecture.n_ahead > 1:
-                told = ahead(data, prepared, architecture.n_ahead)
-            progress = fit(trained, told, config, on_epoch, checkpoint, resume)
-        if architecture.excited and not isinstance(network, FotenPlus):
-            on_stage("fitting the excitation and settling its level in the closed loop")
-            assert isinstance(architecture, TenArchitecture | PredictorArchitecture)
-            network = Excited(network, architecture)
-            level_errors, tail_gain, played, likelihood = _excited(network, data, prepared, config)
-        lattice_mae = progress.epochs[0].validation_mae if isinstance(network, FotenPlus) else None
-        if isinstance(network, FotenPlus):
-            on_stage("fitting the excitation and settling its level in the closed loop")
-            both = np.concatenate([random.train, random.validation])
-            assert random.target is not None
-            assert random.unit is not None
-            correction = predict(trained, random, both) if part.phase is None else np.zeros(len(both))
-            settled = _settled(network, correction, random, prepared, config)
-            level_errors, tail_gain, played, renderings = settled
-            architecture = network.architecture
-            residual = random.target[both] - (correction if architecture.network_heard else 0.0)
-            # Where rendering does not fade, as the judge counts it.
-            n = data.validation
-            heard = (trace.speed[n] >= FADE_SPEED) & (trace.force[n] >= FADE_FORCE)
-            engine, where = engine_of(network), samples[n - 1, 1:]
-            missed = residual[len(data.train) :] * random.unit[n]
-            expected = Forecast(
-                0 * missed, engine.sigma(where) * random.unit[n], engine.tail(where), engine.largest
-            )
-            _, nats = excitation_fit(expected, missed)
-            likelihood = float(nats[heard].mean()) if heard.any() else None
-        warm_start, condition = pick_warm_start(prepared, architecture.history)
-        best = max((line for line in progress.epochs if line.best), key=lambda line: line.epoch)
-        card: dict[str, Any] = {
-            **card_of(recording, prepared, preprocess_config, texture_name, licence),
-            "beyond_exponents": _beyond_exponents(trace, split, key),
-            "warm_start": condition,
-            "training": {
-                **{name: value for name, value in asdict(config).items() if name not in UNUSED.get(key, ())},
-                "versions": {"foten": foten.__version__, "torch": torch.__version__, "numpy": np.__version__},
-                "device": next(network.parameters()).device.type,
-            },
-            "metrics": {
-                "validation_loss": best.validation_loss,
-                **_validated(network, architecture, data, best),
-                "validation_mae_scaled_lattice": lattice_mae,
-                "linear_part": linear,
-                "validation_nll": likelihood,
-                "renderings": renderings,
-                "validation_lsd_db": played[0],
-                "validation_level_error_db": played[1],
-                "tail_gain_nat": tail_gain,
-                "level_errors_db": level_errors,
-                "recorded_peak_sd": recorded_peak(prepared),
-                "best_epoch": best.epoch,
-                "n_epochs": progress.epochs[-1].epoch,
-            },
-        }
-        on_stage("proving the texture file")
-        ends = targets(split.validation, trace.block, architecture.history)
-        some = windows(samples, ends[:: max(1, len(ends) // 4096)], architecture.history)
-        texture = export(network, key, architecture, prepared.scaling, some, warm_start, card)
+    torch.manual_seed(config.seed)
+    likelihood = level_errors = linear = tail_gain = None
+    played: tuple[float | None, float | None] = (None, None)
+    renderings: dict[str, list[float]] = {}
+    if isinstance(architecture, FotenPlusArchitecture):
+        parts = fit_linear_parts(architecture, data, prepared, config, on_stage)
+        part, linear = _chosen(parts, prepared, config, on_stage)
+        network, architecture = part.network, part.network.architecture
+        data = _innovations(network, prepared)
+        random = data if part.phase is None else _innovations(network, prepared, part.phase)
+        trained = network.network.to(pick_device())
+    else:
+        if key == "ldhtd":
+            data = taught(data, architecture.window, config, on_stage)
+        trained = network = build(key, architecture).to(pick_device())
+    if isinstance(network, Gan):
+        trained = network = network.cpu()
+        progress = fit_adversarial(network, m, prepared, config, on_epoch, checkpoint, resume)
+    else:
+        told = data
+        if isinstance(network, Dftnet):
+            trained, told = network.spectrum, spectra(data, prepared)
+        elif architecture.n_ahead > 1:
+            told = ahead(data, prepared, architecture.n_ahead)
+        progress = yield Lesson(trained, told)
+    if architecture.excited and not isinstance(network, FotenPlus):
+        on_stage("fitting the excitation and settling its level in the closed loop")
+        assert isinstance(architecture, TenArchitecture | PredictorArchitecture)
+        network = Excited(network, architecture)
+        level_errors, tail_gain, played, likelihood = _excited(network, data, prepared, config)
+    lattice_mae = progress.epochs[0].validation_mae if isinstance(network, FotenPlus) else None
+    if isinstance(network, FotenPlus):
+        on_stage("fitting the excitation and settling its level in the closed loop")
+        both = np.concatenate([random.train, random.validation])
+        assert random.target is not None
+        assert random.unit is not None
+        correction = predict(trained, random, both) if part.phase is None else np.zeros(len(both))
+        settled = _settled(network, correction, random, prepared, config)
+        level_errors, tail_gain, played, renderings = settled
+        architecture = network.architecture
+        residual = random.target[both] - (correction if architecture.network_heard else 0.0)
+        # Where rendering does not fade, as the judge counts it.
+        n = data.validation
+        heard = (trace.speed[n] >= FADE_SPEED) & (trace.force[n] >= FADE_FORCE)
+        engine, where = engine_of(network), samples[n - 1, 1:]
+        missed = residual[len(data.train) :] * random.unit[n]
+        expected = Forecast(
+            0 * missed, engine.sigma(where) * random.unit[n], engine.tail(where), engine.largest
+        )
+        _, nats = excitation_fit(expected, missed)
+        likelihood = float(nats[heard].mean()) if heard.any() else None
+    warm_start, condition = pick_warm_start(prepared, architecture.history)
+    best = max((line for line in progress.epochs if line.best), key=lambda line: line.epoch)
+    card: dict[str, Any] = {
+        **card_of(recording, prepared, preprocess_config, texture_name, licence),
+        "beyond_exponents": _beyond_exponents(trace, split, key),
+        "warm_start": condition,
+        "training": {
+            **{name: value for name, value in asdict(config).items() if name not in UNUSED.get(key, ())},
+            "versions": {"foten": foten.__version__, "torch": torch.__version__, "numpy": np.__version__},
+            "device": next(network.parameters()).device.type,
+        },
+        "metrics": {
+            "validation_loss": best.validation_loss,
+            **_validated(network, architecture, data, best),
+            "validation_mae_scaled_lattice": lattice_mae,
+            "linear_part": linear,
+            "validation_nll": likelihood,
+            "renderings": renderings,
+            "validation_lsd_db": played[0],
+            "validation_level_error_db": played[1],
+            "tail_gain_nat": tail_gain,
+            "level_errors_db": level_errors,
+            "recorded_peak_sd": recorded_peak(prepared),
+            "best_epoch": best.epoch,
+            "n_epochs": progress.epochs[-1].epoch,
+        },
+    }
+    on_stage("proving the texture file")
+    ends = targets(split.validation, trace.block, architecture.history)
+    some = windows(samples, ends[:: max(1, len(ends) // 4096)], architecture.history)
+    texture = export(network, key, architecture, prepared.scaling, some, warm_start, card)
     return Trained(texture, trace, split, progress, lattice_mae)
 
 
