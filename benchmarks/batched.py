@@ -1,6 +1,6 @@
 """Several textures trained as one batched model, beside one after another: an epoch for each texture.
 
-    python benchmarks/batched.py [--models foten,ten] [--textures 2,6,12] [--seconds 8]
+    python benchmarks/batched.py [--models foten,ten] [--textures 2,6,12] [--seconds 8] [--save FILE] [--page FILE]
 
 Both ways show each network the same windows in the same order under the same dropout; their training losses are compared first.
 By the paper's recipe (batches of 16) and by ours (of 128), one thread; on a GPU where there is one. Ratios are of the same run.
@@ -10,8 +10,12 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import json
 import os
+import sys
 import time
+from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -29,6 +33,8 @@ from foten.train.config import RECIPES
 from foten.train.fit import Data, Progress, fit, pick_device, reproducible
 from foten.train.prepared import prepare
 from foten.train.together import TOGETHER, fit_together
+from foten.whole_file import whole_file
+from main_table import between
 
 SAME = 0.01  # of a training loss: an epoch by the paper's learning rate makes that much of rounding
 
@@ -72,15 +78,27 @@ def main() -> None:
     parser.add_argument("--models", type=lambda text: text.split(","), default=["foten", "ten"])
     parser.add_argument("--textures", type=lambda text: [int(n) for n in text.split(",")], default=[2, 6, 12])
     parser.add_argument("--seconds", type=float, default=8.0)
+    parser.add_argument("--save", type=Path, metavar="FILE", help="keep the result as JSON there")
+    parser.add_argument(
+        "--page", type=Path, metavar="FILE", help="put what is saved between its markers there"
+    )
     arguments = parser.parse_args()
+    if arguments.page is not None and arguments.save is not None and arguments.save.exists():
+        result = json.loads(arguments.save.read_text())
+    else:
+        result = measure(parser, arguments)
+        if arguments.save is not None:
+            with whole_file(arguments.save) as part:
+                part.write_text(json.dumps(result, indent=1) + "\n")
+    between(arguments.page, "batched", table(result))
+
+
+def measure(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return the seconds of all models, recipes and numbers of textures."""
     unknown = set(arguments.models) - set(TOGETHER) | {"foten-plus"} & set(arguments.models)
     if unknown:
         parser.error(f"{sorted(unknown)[0]} cannot be measured, expected some of {', '.join(TOGETHER)}")
-    print(f"On the {pick_device().type}:\n")
-    print(
-        "| model | recipe | batch | textures | one after another [s a texture] | as one [s a texture] | ratio |"
-    )
-    print("|" + "---|" * 7)
+    rows = []
     names = list(TEXTURES)
     for key in arguments.models:
         m = ARCHITECTURES[key]().window
@@ -88,11 +106,30 @@ def main() -> None:
         for recipe in ("paper", "default"):
             for n in arguments.textures:
                 alone, together = both_ways(key, recipe, every[:n])
-                print(
-                    f"| {key} | {recipe} | {RECIPES[recipe].batch} | {n} | {alone / n:.2f} | {together / n:.2f} | "
-                    f"{together / alone:.2f} |",
-                    flush=True,
+                rows.append(
+                    {
+                        "model": key,
+                        "recipe": recipe,
+                        "n": n,
+                        "alone_s": alone / n,
+                        "together_s": together / n,
+                    }
                 )
+                print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
+    return {"device": pick_device().type, "rows": rows}
+
+
+def table(result: dict[str, Any]) -> str:
+    """Return the table."""
+    head = ("model", "recipe", "batch", "textures", "one after another [s a texture]", "as one", "ratio")
+    lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
+    for row in result["rows"]:
+        ratio = row["together_s"] / row["alone_s"]
+        lines.append(
+            f"| {row['model']} | {row['recipe']} | {RECIPES[row['recipe']].batch} | {row['n']} | {row['alone_s']:.2f} | "
+            f"{row['together_s']:.2f} | {ratio:.2f} |"
+        )
+    return "\n".join([*lines, f"\nAn epoch, on the {result['device']}."])
 
 
 if __name__ == "__main__":

@@ -1030,8 +1030,8 @@ def sweep(
         typer.Option(
             min=1,
             max=64,
-            help="Textures that a worker trains at once as one batched model: a third faster by the paper's recipe with 12, "
-            "slower with batches of 128. Differs from one by one in rounding.",
+            help="Textures that a worker trains at once as one batched model: from six on faster with small batches, as of the "
+            "paper's recipe. Weights differ from those of one by one in rounding.",
         ),
     ] = 1,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="List the runs and stop.")] = False,
