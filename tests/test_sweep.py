@@ -216,6 +216,39 @@ def test_figure_4_is_left_out_where_its_recording_is_not(swept: Path, tmp_path: 
     assert "is not what was learned from" in said[0]
 
 
+def test_a_panel_is_of_one_recording(swept: Path) -> None:
+    """A method that failed on the first split is not drawn over it: its second is another recording."""
+    first = copy.deepcopy(read_results(swept)[0])
+    second, other = copy.deepcopy(first), copy.deepcopy(first)
+    second["run"]["split_seed"] = other["run"]["split_seed"] = 2
+    other["run"]["method"] = "other"
+    axes = dict(figures([first, second, other]))["figure-6"].axes[0]
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["recorded", "FNN [13]"]
+
+
+def test_methods_of_like_names_have_files_of_their_own(swept: Path) -> None:
+    grid = []
+    for method in ("A+", "A-"):
+        for loss in ("mae", "huber"):
+            one = copy.deepcopy(read_results(swept)[0])
+            one["run"] |= {"method": method, "cell": {"loss": loss}}
+            one["run"]["train"]["loss"] = loss
+            grid.append(one)
+    names = [name for name, _ in figures(grid) if "figure-5" in name]
+    assert names == ["figure-5-a-1", "figure-5-a-2"]
+
+
+def test_blocks_without_a_free_run_have_tables(swept: Path, tmp_path: Path) -> None:
+    """Blocks too short for a spectrum: all figures of the free run are missing, and what is not known is left empty."""
+    results = copy.deepcopy(read_results(swept))
+    for one in results:
+        for run in ("free_run", "free_run_deterministic", "free_run_ar", "ceiling"):
+            one["evaluation"][run] = dict.fromkeys(one["evaluation"][run])
+    assert len(table(results, "mae")) > 2
+    assert len(table(results, "lsd")) == 3
+    assert [row[5] for row in each_run(results)[1:]] == [""] * 4
+
+
 def test_what_falls_silent_runs_along_the_lower_edge(swept: Path) -> None:
     result = copy.deepcopy(read_results(swept)[0])
     n = len(result["signals"]["frequencies_hz"])
@@ -259,10 +292,14 @@ def test_a_sweep_names_what_it_has_anew_and_makes_again_what_is_damaged(swept: P
     path = sorted(folder.glob("*.json"))[0]
     path.write_text(path.read_text()[:-100])
     about = {"index": 0}
-    assert not _kept(path, about, said.append)
-    assert said[-1] == f"{path.name} is damaged, and is made again"
-    with pytest.raises(ValueError, match=f"{path.name} is no result of foten sweep, or damaged"):
-        read_results(folder)
+    lacking = read_results(swept)[0]
+    del lacking["evaluation"]["split_sha256"]
+    for text in (path.read_text(), json.dumps(lacking), "5", '{"evaluation": 5}'):
+        path.write_text(text)
+        assert not _kept(path, about, said.append)
+        assert said[-1] == f"{path.name} is damaged, and is made again"
+        with pytest.raises(ValueError, match=f"{path.name} is no result of foten sweep, or damaged"):
+            read_results(folder)
 
 
 def test_one_recording_under_two_names_is_refused(tmp_path: Path) -> None:

@@ -99,6 +99,14 @@ def test_a_network_that_gets_no_better_leaves_the_others_to_go_on() -> None:
     assert lengths[1] < max(lengths)
 
 
+def test_where_one_generator_draws_an_epochs_masks_each_has_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a GPU: `fit` draws from PyTorch's own generator there, seeded for each epoch."""
+    for module in ("fit", "together"):
+        monkeypatch.setattr(f"foten.train.{module}.masks_of", lambda seed, device: None)
+    configs = [dataclasses.replace(QUICK, seed=seed, dropout=0.3) for seed in (1, 2, 3)]
+    both(configs, [some_data(seed) for seed in (1, 2, 3)])
+
+
 def test_what_is_not_finite_is_told_of_that_texture_alone() -> None:
     bad = some_data(2)
     bad.samples[150:, 0] = np.nan
@@ -188,3 +196,20 @@ def test_results_together_are_those_of_one_by_one_and_fail_alone() -> None:
     good, failed = _guarded([asdict(run) for run in runs], recordings[0], short)
     assert "evaluation" in good
     assert "expected 5 or more" in failed["failed"]
+
+
+def test_a_group_that_cannot_be_fitted_leaves_those_of_another_length(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    runs = [run for run in ASKED.runs() if run.model == "fnn" and run.split_seed == 1]
+    recordings = [recording_of(runs[0]), recording_of(dataclasses.replace(runs[1], seconds=12.0))]
+
+    def full(networks: list[nn.Module], data: list[Data], configs: list[TrainConfig]) -> object:
+        if len(data[0].train) > 5000:
+            raise RuntimeError("out of memory")
+        return fit_together(networks, data, configs)
+
+    monkeypatch.setattr("foten.train.train.fit_together", full)
+    good, failed = _guarded([asdict(run) for run in runs], *recordings)
+    assert "evaluation" in good
+    assert failed == {"failed": "RuntimeError: out of memory"}

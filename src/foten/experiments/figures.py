@@ -45,6 +45,8 @@ def figures(
     for method, model in methods:
         own = [one for one in results if one["run"]["method"] == method and _of_grid(one) is not None]
         name = model if [other for _, other in methods].count(model) == 1 else _file_name(method)
+        alike = [_file_name(other) for other, _ in methods].count(_file_name(method)) > 1
+        name += f"-{methods.index((method, model)) + 1}" if alike else ""
         for rest, some in _apart(own, ("window", "loss")):
             if len({_of_grid(one) for one in some}) > 1:
                 yield f"figure-5-{name}{rest}", windows_and_losses(some)
@@ -63,8 +65,8 @@ def _apart(results: Results, drawn: Sequence[str]) -> list[tuple[str, list[Mappi
     found: dict[str, list[Mapping[str, Any]]] = {}
     for one in results:
         rest = " ".join(f"{k} {v}" for k, v in one["run"].get("cell", {}).items() if k not in drawn)
-        found.setdefault("-" + _file_name(rest) if rest else "", []).append(one)
-    return list(found.items())
+        found.setdefault(rest, []).append(one)
+    return [("-" + _file_name(rest) if rest else "", some) for rest, some in found.items()]
 
 
 def _file_name(method: str) -> str:
@@ -254,11 +256,13 @@ def spectra(results: Results) -> Figure:
 
 
 def _first_split(results: Results) -> tuple[dict[str, dict[str, Mapping[str, Any]]], list[str]]:
-    """Return the results of the first split by texture and method, and the methods."""
+    """Return the results of each texture's first split by method, and the methods: another split is another recording."""
     textures: dict[str, dict[str, Mapping[str, Any]]] = {}
+    splits: dict[str, int] = {}
     for one in results:
         run = one["run"]
-        textures.setdefault(run["texture"], {}).setdefault(label_of(one), one)
+        if splits.setdefault(run["texture"], run["split_seed"]) == run["split_seed"]:
+            textures.setdefault(run["texture"], {})[label_of(one)] = one
     return textures, list(dict.fromkeys(map(label_of, results)))
 
 

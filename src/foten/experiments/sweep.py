@@ -24,6 +24,7 @@ from foten.evaluate.evaluate import Judgement, evaluate
 from foten.evaluate.figures import N_WAVEFORM, densities, scored_channels, shown_run, typical_block
 from foten.evaluate.free_run import scored
 from foten.experiments.experiment import Experiment, Run
+from foten.experiments.tables import is_whole
 from foten.experiments.truth import truth_for
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
@@ -241,10 +242,9 @@ def _kept(path: Path, about: Mapping[str, Any], say: Callable[[str], None]) -> b
         return False
     try:
         result = json.loads(path.read_bytes())
-        whole = {"evaluation", "signals", "seconds"} <= set(result)
-    except (ValueError, TypeError):
-        whole = False
-    if not whole:
+    except ValueError:
+        result = None
+    if not is_whole(result):
         say(f"{path.name} is damaged, and is made again")
         return False
     if any(result.get(key) != value for key, value in json.loads(json.dumps(about)).items()):

@@ -56,6 +56,7 @@ FREE_RUN_REFERENCES = {"AR(20) with white noise": "free_run_ar", "ceiling": "cei
 FORMATS = ("md", "csv", "tex")
 BAR = r"\|"  # Markdown's, within a cell
 _OF_A_RESULT = {
+    "evaluation",
     "foten",
     "versions",
     "recording_sha256",
@@ -120,15 +121,21 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
     return sorted(found, key=lambda result: result.get("index", 0))
 
 
+def is_whole(result: Any) -> bool:
+    """Return whether JSON is a result with all that tables and figures are made of."""
+    return (
+        isinstance(result, dict)
+        and set(result) >= _OF_A_RESULT
+        and isinstance(result["evaluation"], dict)
+        and set(result["evaluation"]) >= _OF_AN_EVALUATION
+    )
+
+
 def _read(path: Path) -> tuple[dict[str, Any], Run]:
     try:
         result = json.loads(path.read_bytes())
         run = Run(**result["run"])
-        whole = (
-            isinstance(run.texture, str)
-            and set(result) >= _OF_A_RESULT
-            and set(result["evaluation"]) >= _OF_AN_EVALUATION
-        )
+        whole = isinstance(run.texture, str) and is_whole(result)
     except (ValueError, KeyError, TypeError, OSError):
         whole = False
     if not whole:
@@ -234,7 +241,7 @@ def table(results: Sequence[Mapping[str, Any]], figure: str) -> list[list[str]]:
     of = FIGURES[figure]
     textures, rows = rows_of(results, figure)
     _, p = compared(rows, textures, of.better)
-    n_splits = max(len(values) for row in rows for values in row.values.values())
+    n_splits = max((len(values) for row in rows for values in row.values.values()), default=1)
     within = any(row.intervals for row in rows)
     spread = f"mean ± sd of {n_splits} splits" if n_splits > 1 else "one split"
     spread += " [95 % over its blocks]" if n_splits == 1 and within else ""
@@ -298,7 +305,8 @@ def each_run(results: Sequence[Mapping[str, Any]]) -> list[list[str]]:
         run, judged = one["run"], one["evaluation"]
         excited = judged["free_run"]["lsd_db"] is not None
         row = [label_of(one), run["model"], name_of(run["texture"]), run["split_seed"], judged["n_blocks"]]
-        row.append("yes" if excited else "no")
+        silent = judged["free_run_deterministic"]["lsd_db"] is None
+        row.append("yes" if excited else None if silent else "no")
         for name, figure in FIGURES.items():
             head, _, key = figure.path.rpartition(".")
             of = judged[head if excited or head != "free_run" else "free_run_deterministic"]

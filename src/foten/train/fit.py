@@ -192,7 +192,7 @@ def fit(
 
     def one_epoch(epoch: int) -> float:
         order = train[order_of(len(train), config.seed, epoch).to(device)]
-        torch.manual_seed(config.seed * 100_003 + epoch)
+        torch.manual_seed(epoch_seed(config.seed, epoch))
         total = torch.zeros((), device=device)
         for number, batch in enumerate(order.split(config.batch)):
             total += step(batch, mask_seed(config.seed, epoch, number)) * len(batch)
@@ -207,9 +207,14 @@ def fit(
         pool.shutdown()
 
 
+def epoch_seed(seed: int, epoch: int) -> int:
+    """Return the seed of what an epoch draws, so that a resumed run draws the same."""
+    return seed * 100_003 + epoch
+
+
 def order_of(n: int, seed: int, epoch: int) -> Tensor:
-    """Return the order of n windows, seeded by the epoch, so that a resumed run sees them in the same."""
-    return torch.randperm(n, generator=torch.Generator().manual_seed(seed * 100_003 + epoch))
+    """Return the order of n windows in an epoch."""
+    return torch.randperm(n, generator=torch.Generator().manual_seed(epoch_seed(seed, epoch)))
 
 
 def mask_seed(seed: int, epoch: int, number: int) -> int:

@@ -23,6 +23,7 @@ from foten.train.fit import (
     Data,
     Epoch,
     Progress,
+    epoch_seed,
     loss_of,
     mask_seed,
     masks_of,
@@ -155,6 +156,7 @@ class _Stack:
         self._device = offsets.device
         self._n_steps = 0
         self._shapes: dict[int, list[torch.Size]] = {}
+        self._generators: list[torch.Generator] = []
         weights, self._fixed = stack_module_state([texture.network for texture in textures])
         self._weights = {name: nn.Parameter(weight.detach()) for name, weight in weights.items()}
         self._share()
@@ -209,7 +211,11 @@ class _Stack:
                 for one in self._textures
             ]
         )
-        torch.manual_seed(self._config.seed * 100_003 + epoch)  # of masks on a GPU
+        # Of masks on a GPU, where one generator draws a whole epoch's, as `fit` has it there.
+        self._generators = [
+            torch.Generator(self._device).manual_seed(epoch_seed(one.config.seed, epoch))
+            for one in self._textures
+        ]
         total = torch.zeros(len(self._textures), device=self._device)
         for number, batch in enumerate(orders.split(self._config.batch, dim=1)):
             total += self._step(batch, epoch, number) * batch.shape[1]
@@ -246,7 +252,7 @@ class _Stack:
                 self._textures[0].network(windows[0])
             self._shapes[b] = list(shapes)
         drawn = []
-        for seed in seeds:
-            generator = masks_of(seed, self._device)
+        for seed, whole_epoch in zip(seeds, self._generators, strict=True):
+            generator = masks_of(seed, self._device) or whole_epoch
             drawn.append([mask(shape, p, generator, self._device) for shape in self._shapes[b]])
         return [torch.stack(masks) for masks in zip(*drawn, strict=True)]

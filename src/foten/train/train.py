@@ -145,11 +145,15 @@ def train_together(
             lessons[k] = begun
         for n in sorted({len(lesson.data.train) for lesson in lessons.values()}):
             alike = {k: lesson for k, lesson in lessons.items() if len(lesson.data.train) == n}
-            fitted = fit_together(
-                [lesson.network for lesson in alike.values()],
-                [lesson.data for lesson in alike.values()],
-                [configs[k] for k in alike],
-            )
+            try:
+                fitted = fit_together(
+                    [lesson.network for lesson in alike.values()],
+                    [lesson.data for lesson in alike.values()],
+                    [configs[k] for k in alike],
+                )
+            except Exception as error:  # a GPU's memory, say: those of another length are done or to come
+                found |= dict.fromkeys(alike, error)
+                continue
             for k, progress in zip(alike, fitted, strict=True):
                 try:
                     found[k] = (
