@@ -49,7 +49,7 @@ extern "C" {
 #define FOTEN_VERSION "0.1.0"
 #define FOTEN_VERSION_MAJOR 0
 #define FOTEN_VERSION_MINOR 1
-#define FOTEN_ABI 3 /* of this header's structures and functions; foten_abi() has to be the same */
+#define FOTEN_ABI 4 /* of this header's structures and functions; foten_abi() has to be the same */
 
 typedef struct foten_model foten_model;
 typedef struct foten_state foten_state;
@@ -128,6 +128,23 @@ FOTEN_API foten_status foten_start(foten_state *state, const float *acceleration
  * loop is deterministic. A sample is cut to +-limit where the model's loop is to hear no more. */
 FOTEN_API foten_status foten_start_scaled(foten_state *state, const double *windows);
 FOTEN_API void foten_run_scaled(foten_state *state, const double *condition, const double *noise, double limit, size_t n, double *out);
+
+/* One step ahead along a recording: n samples of acceleration, speed and force in turn, scaled. Each from foten_info.window on is predicted
+ * from those before it; out gets n - foten_info.window predictions. The state begins again afterwards. FOTEN_BAD_ARGUMENT where there are fewer
+ * samples than a window, one is not finite, or the model predicts spectra and no sample. */
+typedef enum {
+    FOTEN_PREDICT_MODEL = 0,     /* all of the model */
+    FOTEN_PREDICT_LINEAR = 1,    /* of "foten-plus" its lattice alone; else all */
+    FOTEN_PREDICT_RENDERING = 2  /* what a rendering uses: the network only where it is in the loop */
+} foten_prediction_part;
+
+typedef struct {
+    double sample; /* scaled */
+    double scale;  /* standard deviation of the innovation at its usual volatility, scaled; 0 where it is not known, or there is no excitation */
+    double tail;   /* h of z exp(h z^2 / 2), z normal */
+} foten_prediction;
+
+FOTEN_API foten_status foten_predict(foten_state *state, const double *samples, size_t n, foten_prediction_part part, foten_prediction *out);
 
 /* Tell where the hand is. What is negative is taken as 0; where one is not a finite number, the hand stays where it was. Both are
  * counted as refused.

@@ -283,6 +283,21 @@ void foten_run_scaled(foten_state *s, const double *condition, const double *noi
     }
 }
 
+foten_status foten_predict(foten_state *s, const double *samples, size_t n, foten_prediction_part part, foten_prediction *out) {
+    const foten_model *m = s->model;
+    size_t window = (size_t)m->history;
+    if (m->of_noise || n < window) return FOTEN_BAD_ARGUMENT;
+    for (size_t i = 0; i < 3 * n; i++)
+        if (!isfinite(samples[i])) return FOTEN_BAD_ARGUMENT;
+    loop_start(m, s->loop, samples, m->history, 1);
+    for (size_t t = window; t < n; t++) {
+        loop_predict(m, s->loop, part, &out[t - window]);
+        loop_push(m, s->loop, samples + 3 * t);
+    }
+    foten_reset(s, s->seed);
+    return FOTEN_OK;
+}
+
 /* A hand as it is heeded: what is negative is 0, since a tool that leaves a surface may measure less than nothing, and counts as
  * refused; 0 where one is no number, and the hand stays where it was. */
 static int heeded(foten_state *s, float *speed, float *force) {

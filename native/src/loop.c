@@ -11,6 +11,7 @@ static const double LARGEST_SHOCK = 4, LARGEST_SWELL = 3, LARGEST_STRAY = 3;
 static const double MEAN_SIZE = 0.79788456080286541, SIZE_SD = 0.60281027498907660; /* of |z| */
 static const double LOUDEST_BEGUN = 50;       /* standard deviations, of a sample that a stream begins with, where nothing else bounds it */
 static const double LARGEST_INNOVATION = 100; /* standard deviations, of those found in a recorded window */
+static const double LEAST_SCALE = 1e-9;       /* scaled; what varies by nothing at all has no likelihood */
 enum { CANDIDATES = 32, SETTLED_AFTER = 256 };
 static const uint64_t TO_BEGIN = (uint64_t)1 << 63; /* the first of the noise numbers that streams begin with */
 
@@ -356,6 +357,39 @@ double loop_forecast(const foten_model *m, loop *l, double *scale, int with_netw
     if (m->n_tones && !with_network) sample += l->tone;
     *scale = unit * swelling(m, l) * l->sigma;
     return sample;
+}
+
+void loop_predict(const foten_model *m, loop *l, foten_prediction_part part, foten_prediction *out) {
+    int with_network = part == FOTEN_PREDICT_MODEL || (part == FOTEN_PREDICT_RENDERING && m->network_heard);
+    *out = (foten_prediction){0, 0, m->excited && !m->local ? l->tail : 0};
+    if (m->plus) {
+        double unit = l->gain * l->level;
+        out->sample = foreseen(m->whole.order, l) * behind(&m->whole, l) + (with_network ? unit * correction(m, l) : 0);
+        if (!m->n_tones && with_network == m->network_heard) out->scale = unit * l->sigma;
+    } else {
+        out->sample = loop_forecast(m, l, &out->scale, 1);
+        if (m->excited && !m->local) out->scale = l->sigma;
+        if (m->local && out->scale < LEAST_SCALE) out->scale = LEAST_SCALE;
+    }
+}
+
+void loop_push(const foten_model *m, loop *l, const double *sample) {
+    hand hand = hand_of(m, sample + 1);
+    if (m->local) {
+        double scale, missed = sample[0] - loop_forecast(m, l, &scale, 0);
+        analyse(m->local->order, l, sample[0]);
+        remember(m, l, scale > 0 ? within(missed / scale, LARGEST_INNOVATION) : 0);
+        heed_local(m, l, &hand, 0);
+    } else if (m->plus) {
+        double e = analyse(m->whole.order, l, sample[0] / behind(&m->whole, l));
+        see(m, l, sample[0] / l->level, sample + 1, e / drive(&m->whole, l));
+        if (m->n_tones) follow(&m->whole, &hand, l);
+        else heed(m, l, &hand, 0);
+    } else {
+        l->n_coming = 0;
+        see(m, l, sample[0], sample + 1, 0);
+        heed(m, l, &hand, 0);
+    }
 }
 
 /* What noise excites, where a unit of it is worth `unit` in scaled acceleration; the swell wanders on. */

@@ -41,6 +41,13 @@ void loop_begin(const foten_model *model, loop *l, const hand *hand, uint64_t se
 /* The next sample without excitation, and by how much a unit of it moves the sample (0 where there is none). */
 double loop_forecast(const foten_model *model, loop *l, double *scale, int with_network);
 
+/* What is expected of the next recorded sample, the standard deviation of what is missed, without volatility, and h of its tails; a scale of 0
+ * where that is not known, because a rendering predicts from something else. */
+void loop_predict(const foten_model *model, loop *l, foten_prediction_part part, foten_prediction *out);
+
+/* Take in a recorded sample (acceleration, speed, force) after a start `as_prediction`. */
+void loop_push(const foten_model *model, loop *l, const double *sample);
+
 /* Let a model of noise have heard a stream's, whatever it was started with; nothing for others. */
 void loop_listen(const foten_model *model, loop *l, uint64_t seed, uint64_t stream);
 

@@ -91,6 +91,22 @@ def gaussianised(values: NDArray[np.float64], tail: NDArray[np.float64]) -> NDAr
     return np.copysign(np.exp(q), values)
 
 
+def innovation_likelihood(
+    missed: NDArray[np.float64], scale: NDArray[np.float64], tail: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return innovations taken back to what should be standard normal, and their negative log-likelihood [nat, scaled].
+
+    Args:
+        missed: recorded minus predicted, scaled, any shape.
+        scale: σ of the excitation, scaled, the same shape.
+        tail: h, the same shape.
+    """
+    z = gaussianised(missed / scale, tail)
+    spread = tail * z * z
+    nll = 0.5 * (z * z + spread) + np.log1p(spread) + np.log(scale) + 0.5 * math.log(2 * math.pi)
+    return z, nll
+
+
 @dataclass
 class Swell:
     """How much louder than usual streams are: a slow wander that no speed or force explains.

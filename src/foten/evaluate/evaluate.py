@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.evaluate import free_run as runs
-from foten.evaluate.one_step import excitation_scores, one_step
+from foten.evaluate.one_step import TexturePredictor, excitation_scores, one_step
 from foten.evaluate.references import Linear, Persistence, Zero, best_linear, first_scored, fit_linear
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
@@ -18,8 +18,7 @@ from foten.recording.scaling import Scaling
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.recording.windows import targets
-from foten.render.engine import NumpyFotenPlus, engine_for
-from foten.render.forecast import Forecast
+from foten.render.native import NativeTexture
 from foten.render.synthesizer import FADE_FORCE, FADE_SPEED
 from foten.texture_file import Texture
 
@@ -120,11 +119,12 @@ def evaluate(
     blocks = tuple(range(trace.n_blocks)) if split is None else split.test
     samples = scaling.scale(trace.stacked())
     reasons: dict[str, str] = {}
+    kernel = NativeTexture(texture.to_bytes())
     on_stage("one-step")
     linear = None if split is None else fit_linear(samples, split.train, block, 20)
-    one = _one_step(texture, samples, blocks, split, block, scaling, trace, truth, reasons)
+    one = _one_step(texture, kernel, samples, blocks, split, block, scaling, trace, truth, reasons)
     on_stage("free run")
-    free, synthesized = _free_run(texture, trace, blocks, split, linear, truth, scaling, seed, reasons)
+    free, synthesized = _free_run(texture, kernel, trace, blocks, split, linear, truth, scaling, seed, reasons)
     document = {
         "texture": texture.card["texture"],
         "model": texture.card["model"],
@@ -150,22 +150,9 @@ def evaluate(
     return Judgement(document, trace, blocks, synthesized)
 
 
-@dataclass(frozen=True)
-class _Lattice:
-    """The linear part of an engine, as a predictor."""
-
-    engine: Any
-
-    @property
-    def window(self) -> int:
-        return int(self.engine.window)
-
-    def follow(self, blocks: Array) -> Forecast:
-        return self.engine.follow(blocks, corrected=False)
-
-
 def _one_step(
     texture: Texture,
+    kernel: NativeTexture,
     samples: Array,
     blocks: tuple[int, ...],
     split: Split | None,
@@ -184,7 +171,6 @@ def _one_step(
         reasons["one_step"] = f"blocks of {block} samples; the first {first} of each are history"
         return {"first_scored": first, "one_step": dict(empty), "references": references}
     n = targets(blocks, block, first).reshape(len(blocks), -1)
-    engine: Any = engine_for(texture)
 
     def score(predictor: Any) -> dict[str, Any]:
         return one_step(predictor, samples, n, scaling)
@@ -193,16 +179,16 @@ def _one_step(
     if texture.architecture.of_noise:
         reasons["one_step"] = f"{texture.card['model']} foretells spectra, and no sample"
     else:
-        result = score(engine)
+        result = score(TexturePredictor(kernel))
     if texture.architecture.excited:
-        heard = (trace.speed[n] >= FADE_SPEED) & (trace.force[n] >= FADE_FORCE)
-        scores = excitation_scores(engine, samples, n, heard)
+        counted = (trace.speed[n] >= FADE_SPEED) & (trace.force[n] >= FADE_FORCE)
+        scores = excitation_scores(kernel, samples, n, counted)
         if scores["nll"] is None:
             reasons["one_step.nll"] = "the excitation is that of a rendering, or the hand was at rest"
         result = {**result, **scores, "intervals": {**result["intervals"], **scores["intervals"]}}
     references["zero"], references["persistence"] = score(Zero()), score(Persistence())
-    if isinstance(engine, NumpyFotenPlus):
-        references["lattice"] = score(_Lattice(engine))
+    if texture.card["model"] == "foten-plus":
+        references["lattice"] = score(TexturePredictor(kernel, "linear"))
     else:
         reasons["references.lattice"] = f"{texture.card['model']} has none"
     if split is None:
@@ -233,6 +219,7 @@ def _one_step(
 
 def _free_run(
     texture: Texture,
+    kernel: NativeTexture,
     trace: Trace,
     blocks: tuple[int, ...],
     split: Split | None,
@@ -254,11 +241,11 @@ def _free_run(
     signals: dict[str, Array] = {}
     saturated: dict[str, int] = {}
     if texture.has_excitation:
-        signals["free_run"], saturated["free_run"] = runs.synthesize(texture, trace, blocks, True, seed)
+        signals["free_run"], saturated["free_run"] = runs.synthesize(kernel, trace, blocks, True, seed)
     else:
         reasons["free_run"] = f"{texture.card['model']} carries no excitation"
     signals["free_run_deterministic"], saturated["free_run_deterministic"] = runs.synthesize(
-        texture, trace, blocks, False, seed
+        kernel, trace, blocks, False, seed
     )
     if linear is not None:
         signals["free_run_ar"] = runs.synthesize_linear(linear, trace, blocks, scaling, seed)

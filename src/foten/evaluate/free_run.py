@@ -13,11 +13,7 @@ from foten.evaluate.bootstrap import intervals
 from foten.evaluate.references import Linear
 from foten.recording.scaling import Scaling
 from foten.recording.trace import Trace
-from foten.recording.windows import windows
-from foten.render.closed_loop import ClosedLoop
-from foten.render.synthesizer import Synthesizer
-from foten.render.window_state import WindowState
-from foten.texture_file import Texture
+from foten.render.native import NativeState, NativeTexture, on_all_cores
 
 Array = NDArray[np.float64]
 
@@ -31,7 +27,7 @@ def scored(block: int) -> slice:
 
 
 def synthesize(
-    texture: Texture,
+    texture: NativeTexture,
     trace: Trace,
     blocks: tuple[int, ...],
     excitation: bool,
@@ -40,22 +36,25 @@ def synthesize(
 ) -> tuple[Array, int]:
     """Return the free run under recorded speed and force, and how often the saturator cut it.
 
-    Each block starts from its own recorded window.
+    Rendered as for a user, by the kernel; each block goes on from its own recorded window.
 
     Returns:
         Acceleration [m/s²], shape (n_seeds, n_blocks, block); without excitation n_seeds is 1.
     """
-    n_seeds = n_seeds if excitation else 1
-    m = texture.window
-    starts = np.array(blocks) * trace.block + m
-    start = windows(texture.scaling.scale(trace.stacked()), starts, m)
-    speed, force = (
-        np.tile(trace.blocks(c)[list(blocks), m:], (n_seeds, 1)) for c in (trace.speed, trace.force)
-    )
-    synthesizer = Synthesizer(texture, seed, n_seeds * len(blocks), excitation)
-    synthesizer.reset(np.tile(start, (n_seeds, 1, 1)))
-    rendered = np.atleast_2d(synthesizer.render(speed, force))
-    return _after_recorded(trace, blocks, m, rendered), synthesizer.statistics.n_saturated
+    n_seeds, m = n_seeds if excitation else 1, texture.info.window
+    channels = [trace.blocks(c)[list(blocks)] for c in (trace.acceleration, trace.speed, trace.force)]
+    rendered = np.empty((n_seeds * len(blocks), trace.block - m))
+    n_saturated = np.zeros(len(rendered), dtype=np.int64)
+
+    def render(stream: int) -> None:
+        acceleration, speed, force = (channel[stream % len(blocks)] for channel in channels)
+        state = NativeState(texture, seed=seed, stream=stream, excitation=excitation)
+        state.start(acceleration[:m], speed[:m], force[:m])
+        rendered[stream] = state.render_stroke(speed[m:], force[m:])
+        n_saturated[stream] = state.statistics.n_saturated
+
+    on_all_cores(render, len(rendered))
+    return _after_recorded(trace, blocks, m, rendered), int(n_saturated.sum())
 
 
 def synthesize_linear(
@@ -68,17 +67,28 @@ def synthesize_linear(
 ) -> Array:
     """Return the free run of a linear predictor with white noise of one scale: the anchor to beat.
 
+    The filter 1/A, started from the recorded window of each block.
+
     Returns:
         Acceleration [m/s²], shape (n_seeds, n_blocks, block).
     """
+    from scipy.signal import lfilter, lfiltic
+
     stable = predictor.stable()
-    m, n_streams = stable.window, n_seeds * len(blocks)
-    samples = scaling.scale(trace.stacked())
-    start = np.tile(windows(samples, np.array(blocks) * trace.block + m, m), (n_seeds, 1, 1))
-    loop = ClosedLoop(WindowState(stable, start, lambda condition: np.full(len(condition), stable.noise_sd)))
-    noise = np.stack([gaussian(seed, stream, 0, trace.block - m) for stream in range(n_streams)])
-    rendered = loop.run(np.zeros((n_streams, trace.block - m, 2)), noise)
-    return _after_recorded(trace, blocks, m, scaling.unscale_acceleration(rendered))
+    m, n = stable.window, trace.block - stable.window
+    constant, a = stable.coefficients[-1], np.append(1.0, -stable.coefficients[-2::-1])
+    recorded = scaling.scale(trace.stacked())[:, 0].reshape(-1, trace.block)[list(blocks)]
+    initial = [lfiltic([1.0], a, block[m - 1 :: -1]) for block in recorded[:, :m]]
+    rendered = [
+        lfilter(
+            [1.0],
+            a,
+            constant + stable.noise_sd * gaussian(seed, stream, 0, n),
+            zi=initial[stream % len(blocks)],
+        )[0]
+        for stream in range(n_seeds * len(blocks))
+    ]
+    return _after_recorded(trace, blocks, m, scaling.unscale_acceleration(np.array(rendered)))
 
 
 def _after_recorded(trace: Trace, blocks: tuple[int, ...], m: int, rendered: Array) -> Array:

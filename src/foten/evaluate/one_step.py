@@ -2,23 +2,55 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.dsp.noise import innovation_likelihood
 from foten.evaluate.bootstrap import intervals
 from foten.evaluate.metrics import goodness_of_fit
 from foten.recording.scaling import Scaling
 from foten.recording.windows import windows
-from foten.render.forecast import ExcitedEngine, Predictor, excitation_fit
+from foten.render.native import NativeTexture, Prediction, PredictionPart, predict_blocks
 
 Array = NDArray[np.float64]
 
 _HALF, _NINE_TENTHS = 0.6744897501960817, 1.6448536269514722  # quantiles of a standard normal, |z| < …
 
 
-def one_step(predictor: Predictor, samples: Array, n: NDArray[np.int64], scaling: Scaling) -> dict[str, Any]:
+class Predictor(Protocol):
+    """Windows in, next samples out; stateless."""
+
+    @property
+    def window(self) -> int:
+        """Return m, the samples in a window."""
+        ...
+
+    def predict(self, windows: Array) -> Array:
+        """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
+        ...
+
+
+@dataclass(frozen=True)
+class TexturePredictor:
+    """A texture, or a part of it, one step ahead in the kernel."""
+
+    texture: NativeTexture
+    part: PredictionPart = "model"
+
+    @property
+    def window(self) -> int:
+        """Return the samples before the first prediction."""
+        return self.texture.info.window
+
+    def predict_blocks(self, blocks: Array) -> Prediction:
+        """Return predictions of recorded blocks, scaled (s, n, 3), from sample `window` on: (s, n − window)."""
+        return predict_blocks(self.texture, blocks, self.part)
+
+
+def one_step(predictor: Predictor | TexturePredictor, samples: Array, n: NDArray[np.int64], scaling: Scaling) -> dict[str, Any]:
     """Return a predictor's one-step figures over the scored samples of some blocks.
 
     Args:
@@ -41,10 +73,10 @@ def one_step(predictor: Predictor, samples: Array, n: NDArray[np.int64], scaling
     return {**figures(np.arange(len(n))), "intervals": intervals(figures, len(n))}
 
 
-def predict(predictor: Predictor, samples: Array, n: NDArray[np.int64]) -> Array:
+def predict(predictor: Predictor | TexturePredictor, samples: Array, n: NDArray[np.int64]) -> Array:
     """Return the predictions at the indices n, scaled: whole rows of consecutive samples, shape (n_blocks, k)."""
-    if hasattr(predictor, "follow"):
-        return predictor.follow(_with_history(predictor, samples, n)).sample
+    if isinstance(predictor, TexturePredictor):
+        return predictor.predict_blocks(_with_history(predictor.window, samples, n)).sample
     flat = n.ravel()
     pieces = np.array_split(flat, flat.size // 2048 + 1)
     return np.concatenate(
@@ -52,44 +84,44 @@ def predict(predictor: Predictor, samples: Array, n: NDArray[np.int64]) -> Array
     ).reshape(n.shape)
 
 
-def _with_history(predictor: Predictor, samples: Array, n: NDArray[np.int64]) -> Array:
+def _with_history(window: int, samples: Array, n: NDArray[np.int64]) -> Array:
     """Return rows of samples and the window before each, shape (n_blocks, m + k, 3)."""
-    return samples[n[:, :1] + np.arange(-predictor.window, n.shape[1])]
+    return samples[n[:, :1] + np.arange(-window, n.shape[1])]
 
 
 def excitation_scores(
-    engine: ExcitedEngine, samples: Array, n: NDArray[np.int64], heard: NDArray[np.bool_]
+    texture: NativeTexture, samples: Array, n: NDArray[np.int64], counted: NDArray[np.bool_]
 ) -> dict[str, Any]:
     """Return how well the excitation, its scale and its tails, describes the one-step error.
 
-    Settling the level in the closed loop (`train.excitation`) trades likelihood for level. The error is that of the forecast
-    which a rendering hears, with the network or without; none of it is known where the rendering knows its place on the
-    surface (`dsp.tones`).
+    Settling the level in the closed loop (`train.excitation`) trades likelihood for level. The error is that of the prediction
+    which a rendering uses, with the network or without. It is not known where a rendering has tones (`dsp.tones`).
 
     Args:
-        engine: of the model.
+        texture: with an excitation.
         samples: scaled, shape (t, 3).
         n: indices to score, whole rows of consecutive samples, shape (n_blocks, k).
-        heard: which of them lie where the rendering does not fade, shape (n_blocks, k); the others do not count, since there
-            σ is that of a texture falling silent and the recording is its sensors' noise.
+        counted: which of them lie where the rendering does not fade, shape (n_blocks, k); elsewhere the recording is its
+            sensors' noise.
 
     Returns:
         `nll`: mean negative log-likelihood [nat, scaled]; `coverage_50`, `coverage_90`: the share of samples inside the
         central 50 and 90 % of the predicted distribution; `standardised_sd`: of the errors, taken back through the tails to
         what should be a standard normal, 1 when the excitation is right; `intervals`.
     """
-    forecast = engine.follow_heard(_with_history(engine, samples, n))
-    if forecast.scale is None:
+    predicted = predict_blocks(texture, _with_history(texture.info.window, samples, n), "rendering")
+    if not predicted.scale.all():
         return {**dict.fromkeys(("nll", "coverage_50", "coverage_90", "standardised_sd")), "intervals": {}}
-    standardised, nll = excitation_fit(forecast, samples[n, 0])
+    missed = samples[n, 0] - predicted.sample
+    standardised, nll = innovation_likelihood(missed, predicted.scale, predicted.tail)
 
     def figures(index: NDArray[np.int64]) -> dict[str, float | None]:
-        counted = heard[index]
-        if not counted.any():
+        some = counted[index]
+        if not some.any():
             return dict.fromkeys(("nll", "coverage_50", "coverage_90", "standardised_sd"))
-        size = np.abs(standardised[index][counted])
+        size = np.abs(standardised[index][some])
         return {
-            "nll": float(nll[index][counted].mean()),
+            "nll": float(nll[index][some].mean()),
             "coverage_50": float((size < _HALF).mean()),
             "coverage_90": float((size < _NINE_TENTHS).mean()),
             "standardised_sd": float(np.sqrt(np.square(size).mean())),

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import threading
 import weakref
+from collections import deque
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from ctypes import POINTER, Structure, byref, c_char_p, c_double, c_float, c_int, c_size_t, c_uint64, c_void_p
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,6 +133,7 @@ _SIGNATURES = {
     "foten_start": (c_int, [c_void_p, _FLOATS, _FLOATS, _FLOATS]),
     "foten_start_scaled": (c_int, [c_void_p, _DOUBLES]),
     "foten_run_scaled": (None, [c_void_p, _DOUBLES, _DOUBLES, c_double, c_size_t, _DOUBLES]),
+    "foten_predict": (c_int, [c_void_p, _DOUBLES, c_size_t, c_int, _DOUBLES]),
     "foten_set_hand": (None, [c_void_p, c_float, c_float]),
     "foten_render": (None, [c_void_p, _FLOATS, c_size_t]),
     "foten_render_stroke": (c_size_t, [c_void_p, _FLOATS, _FLOATS, c_size_t, _FLOATS]),
@@ -342,6 +347,16 @@ class NativeState:
         library().foten_run_scaled(self._pointer, hands, drawn, limit, len(out), filled)
         self._texture.raise_failed()
 
+    def predict(
+        self, samples: NDArray[np.float64], part: PredictionPart, out: NDArray[np.float64]
+    ) -> None:
+        """Predict recorded samples (n, 3) one step ahead, filling `out` (n − window, 3): see `predict_blocks`."""
+        given, filled = (array.ctypes.data_as(_DOUBLES) for array in (samples, out))
+        status = library().foten_predict(self._pointer, given, len(samples), _PARTS.index(part), filled)
+        self._texture.raise_failed()
+        if status != 0:
+            raise ValueError("the samples hold NaN or infinity, or are fewer than a window")
+
     def set_hand(self, speed: float, force: float) -> None:
         """Tell where the hand is [mm/s, N], from any thread; what is negative is 0, what is not finite left out; both count."""
         library().foten_set_hand(self._pointer, speed, force)
@@ -368,6 +383,15 @@ class NativeState:
         return out[:n]
 
 
+def on_all_cores(work: Callable[[int], None], n: int) -> None:
+    """Call a function with 0 … n − 1, shared out over the cores; the kernel's calls release the interpreter's lock.
+
+    Each number is worked on by itself, so the result does not depend on how many cores there are.
+    """
+    with ThreadPoolExecutor(min(n, os.cpu_count() or 1) or 1) as pool:
+        deque(pool.map(work, range(n)), maxlen=0)
+
+
 def run_loops(
     texture: NativeTexture,
     windows: NDArray[np.float64],
@@ -375,7 +399,7 @@ def run_loops(
     noise: NDArray[np.float64] | None,
     limit: float = np.inf,
 ) -> NDArray[np.float64]:
-    """Return n samples of each stream of a texture's loop by itself, shape (s, n); all scaled, as `ClosedLoop` has them.
+    """Return n samples of each stream of a texture's loop by itself, shape (s, n), without fade and growth; all scaled.
 
     Args:
         windows: that the streams go on from, shape (s, window, 3).
@@ -387,12 +411,51 @@ def run_loops(
         ValueError: a window holds NaN or infinity.
     """
     out = np.empty(condition.shape[:2])
-    state = NativeState(texture)
-    for i in range(len(out)):
-        window, hands = (np.ascontiguousarray(part[i], dtype=np.float64) for part in (windows, condition))
+
+    def run(i: int) -> None:
+        window, conditions = (np.ascontiguousarray(part[i], dtype=np.float64) for part in (windows, condition))
         drawn = None if noise is None else np.ascontiguousarray(noise[i], dtype=np.float64)
-        state.run_scaled(window, hands, drawn, limit, out[i])
+        NativeState(texture).run_scaled(window, conditions, drawn, limit, out[i])
+
+    on_all_cores(run, len(out))
     return out
+
+
+PredictionPart = Literal["model", "linear", "rendering"]
+_PARTS = get_args(PredictionPart)
+
+
+class Prediction(NamedTuple):
+    """What is expected of samples, the scale of what is missed, and the tail of its distribution; scaled, of one shape.
+
+    A scale of 0 is not known: a rendering predicts from something else, or there is no excitation.
+    """
+
+    sample: NDArray[np.float64]
+    scale: NDArray[np.float64]
+    tail: NDArray[np.float64]
+
+
+def predict_blocks(
+    texture: NativeTexture, blocks: NDArray[np.float64], part: PredictionPart = "model"
+) -> Prediction:
+    """Return one-step predictions of recorded blocks, scaled (s, n, 3), from sample `window` on: (s, n − window) each.
+
+    Args:
+        texture: whose model predicts.
+        blocks: acceleration, speed and force; each sample is predicted from those before it in its block.
+        part: all of the "model"; its "linear" part alone; or what a "rendering" uses, the network only where it is in the loop.
+
+    Raises:
+        ValueError: a block is shorter than a window, or holds NaN or infinity.
+    """
+    out = np.empty((len(blocks), blocks.shape[1] - texture.info.window, 3))
+
+    def predict(i: int) -> None:
+        NativeState(texture).predict(np.ascontiguousarray(blocks[i], dtype=np.float64), part, out[i])
+
+    on_all_cores(predict, len(out))
+    return Prediction(*np.moveaxis(out, 2, 0))
 
 
 class NativeStylus:
@@ -463,7 +526,7 @@ def _asked(data: bytes, failed: list[BaseException]) -> ctypes._FuncPointer:
     return _PREDICTOR(answer)
 
 
-_ABI = 3  # FOTEN_ABI of the header that this follows
+_ABI = 4  # FOTEN_ABI of the header that this follows
 _NO_MEMORY, _NO_PREDICTOR = 3, 5
 
 
