@@ -134,7 +134,9 @@ def trace(n_blocks: int, block: int = 300, seed: int = 0) -> Trace:
 
 def test_a_texture_starts_from_each_blocks_own_window(texture: Texture) -> None:
     recorded = trace(4)
-    out, n_saturated = synthesize(NativeTexture(texture.to_bytes()), recorded, (1, 3), excitation=True, n_seeds=3)
+    out, n_saturated = synthesize(
+        NativeTexture(texture.to_bytes()), recorded, (1, 3), excitation=True, n_seeds=3
+    )
     assert out.shape == (3, 2, 300)
     assert n_saturated == 0
     expected = recorded.blocks(recorded.acceleration)[[1, 3], : texture.window]
@@ -144,7 +146,9 @@ def test_a_texture_starts_from_each_blocks_own_window(texture: Texture) -> None:
     assert np.abs(np.corrcoef(flat) - np.eye(6)).max() < 0.9  # six streams of noise, all different
     again, _ = synthesize(NativeTexture(texture.to_bytes()), recorded, (1, 3), excitation=True, n_seeds=3)
     np.testing.assert_array_equal(again, out)
-    other, _ = synthesize(NativeTexture(texture.to_bytes()), recorded, (1, 3), excitation=True, seed=1, n_seeds=3)
+    other, _ = synthesize(
+        NativeTexture(texture.to_bytes()), recorded, (1, 3), excitation=True, seed=1, n_seeds=3
+    )
     assert not np.array_equal(other, out)
 
 

@@ -5,12 +5,16 @@ Seen from any rate it is the same motion, because every part of it is a formula 
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 Signal = NDArray[np.float64]
+
+_LOCK = threading.Lock()
 
 PLATE_MM = 100.0  # Sec. III-b: 100 x 100 mm
 MARGIN_MM = 12.0  # targets stay this far from the edge, so that curved strokes do too
@@ -64,6 +68,12 @@ def stroking(seconds: float, seed: int, rate_hz: float) -> Stroking:
         seed: of everything random here.
         rate_hz: samples a second; it changes the sampling, not the motion.
     """
+    with _LOCK:  # several realisations of one stroke are simulated at once, and share it
+        return _stroking(seconds, seed, rate_hz)
+
+
+@lru_cache(maxsize=1)
+def _stroking(seconds: float, seed: int, rate_hz: float) -> Stroking:
     rng = np.random.default_rng([seed, 1])  # 1: the hand; the texture and the sensors draw from other streams
     n = round(seconds * rate_hz)
     target = rng.uniform(MARGIN_MM, PLATE_MM - MARGIN_MM, 2)
@@ -90,7 +100,10 @@ def stroking(seconds: float, seed: int, rate_hz: float) -> Stroking:
         log_force = PchipInterpolator(middles_s, log_means)(np.clip(times_s, middles_s[0], middles_s[-1]))
     log_force += FORCE_WOBBLE * np.tanh(0.6 * _wander(times_s, seconds, 5.0, rng))
     tilt = TILT_RAD * np.stack([_wander(times_s, seconds, 0.4, rng) for _ in range(2)], axis=1)
-    return Stroking(rate_hz, position, velocity, np.exp(log_force), tilt)
+    stroke = Stroking(rate_hz, position, velocity, np.exp(log_force), tilt)
+    for array in (stroke.position, stroke.velocity, stroke.force, stroke.tilt):
+        array.flags.writeable = False
+    return stroke
 
 
 def _movement(start: Signal, rng: np.random.Generator) -> tuple[Signal, float]:

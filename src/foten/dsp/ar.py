@@ -22,19 +22,13 @@ def least_squares(design: Array, target: Array, ridge: float = 1e-9) -> Array:
         target: shape (b,).
         ridge: added to the diagonal, as a share of the mean diagonal; neighbouring samples at 10 kHz are nearly collinear.
     """
-    return least_squares_in_parts([(design, target)], ridge)
+    return solved(design.T @ design, design.T @ target, ridge)
 
 
-def least_squares_in_parts(parts: Iterable[tuple[Array, Array]], ridge: float = 1e-9) -> Array:
-    """Return the same for a design that comes in pieces, of which only one is held at a time."""
-    gram, moment = np.zeros((0, 0)), np.zeros(0)
-    for design, target in parts:
-        if not gram.size:
-            gram, moment = np.zeros((design.shape[1],) * 2), np.zeros(design.shape[1])
-        gram += design.T @ design
-        moment += design.T @ target
-    gram[np.diag_indices_from(gram)] += ridge * np.trace(gram) / gram.shape[0]
-    return np.asarray(np.linalg.solve(gram, moment), dtype=np.float64)
+def solved(gram: Array, moment: Array, ridge: float = 1e-9) -> Array:
+    """Return the same from the normal equations: (k, k), (k,) → (k,)."""
+    held = gram + ridge * np.trace(gram) / gram.shape[0] * np.eye(gram.shape[0])
+    return np.asarray(np.linalg.solve(held, moment), dtype=np.float64)
 
 
 def spectral_radius(taps: Array) -> float:

@@ -124,7 +124,9 @@ def evaluate(
     linear = None if split is None else fit_linear(samples, split.train, block, 20)
     one = _one_step(texture, kernel, samples, blocks, split, block, scaling, trace, truth, reasons)
     on_stage("free run")
-    free, synthesized = _free_run(texture, kernel, trace, blocks, split, linear, truth, scaling, seed, reasons)
+    free, synthesized = _free_run(
+        texture, kernel, trace, blocks, split, linear, truth, scaling, seed, reasons
+    )
     document = {
         "texture": texture.card["texture"],
         "model": texture.card["model"],

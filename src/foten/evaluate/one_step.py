@@ -50,7 +50,9 @@ class TexturePredictor:
         return predict_blocks(self.texture, blocks, self.part)
 
 
-def one_step(predictor: Predictor | TexturePredictor, samples: Array, n: NDArray[np.int64], scaling: Scaling) -> dict[str, Any]:
+def one_step(
+    predictor: Predictor | TexturePredictor, samples: Array, n: NDArray[np.int64], scaling: Scaling
+) -> dict[str, Any]:
     """Return a predictor's one-step figures over the scored samples of some blocks.
 
     Args:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.dsp.ar import MAX_POLE, least_squares_in_parts, stabilised
-from foten.recording.windows import targets, windows
+from foten.dsp.ar import MAX_POLE, solved, stabilised
 
 Array = NDArray[np.float64]
 
@@ -88,30 +88,33 @@ def fit_linear(
 
     None where the blocks hold fewer than twice as many windows as coefficients.
     """
-    n = targets(blocks, block, order)
     n_coefficients = (order + 1) * (3 if scheduled else 1)
-    if block <= order or len(n) < 2 * n_coefficients:
+    n = len(blocks) * (block - order)
+    if block <= order or n < 2 * n_coefficients:
         return None
-    # A minute at 10 kHz and order 160 would take gigabytes at once.
-    pieces = np.array_split(n, -(-len(n) * n_coefficients // 4_000_000))
-
-    def parts() -> Iterator[tuple[Array, Array]]:
-        for piece in pieces:
-            yield _design(samples, piece, order, scheduled), samples[piece, 0]
-
-    coefficients = least_squares_in_parts(parts())
-    squared = sum(float(np.square(target - design @ coefficients).sum()) for design, target in parts())
+    gram, moment, power = np.zeros((n_coefficients,) * 2), np.zeros(n_coefficients), 0.0
+    for number in blocks:
+        one = samples[number * block : (number + 1) * block]
+        design, target = _design(one, order, scheduled), one[order:, 0]
+        gram += design.T @ design
+        moment += design.T @ target
+        power += float(target @ target)
+    coefficients = solved(gram, moment)
+    missed = power - 2 * coefficients @ moment + coefficients @ gram @ coefficients
     shaped = coefficients.reshape(3, order + 1) if scheduled else coefficients
-    return Linear(shaped, float(np.sqrt(squared / len(n))))
+    return Linear(shaped, float(np.sqrt(max(0.0, missed) / n)))
 
 
-def _design(samples: Array, n: NDArray[np.int64], order: int, scheduled: bool) -> Array:
-    """Return what the coefficients multiply: history and a constant, then both times speed and times force."""
-    history = windows(samples, n, order)
-    design = np.concatenate([history[:, :, 0], np.ones((len(n), 1))], axis=1)
+def _design(block: Array, order: int, scheduled: bool) -> Array:
+    """Return what the coefficients multiply, for each sample of a block (n, 3) after the first `order`.
+
+    History and a constant, then both times speed and times force of the sample before.
+    """
+    design = np.ones((len(block) - order, order + 1))
+    design[:, :-1] = np.lib.stride_tricks.sliding_window_view(block[:-1, 0], order)
     if not scheduled:
         return design
-    condition = history[:, -1, 1:]
+    condition = block[order - 1 : -1, 1:]
     return np.concatenate([design, design * condition[:, :1], design * condition[:, 1:]], axis=1)
 
 
@@ -123,18 +126,20 @@ def best_linear(
     Orders beyond what is left out of every block (`first_scored`) are not tried.
     """
     first = first_scored(block)
-    n = targets(validation, block, first)
-    best: tuple[float, Linear] | None = None
-    for order in ORDERS:
-        for scheduled in (False, True):
-            fitted = fit_linear(samples, train, block, order, scheduled)
-            if fitted is None or not len(n) or order > first:
-                continue
-            pieces = np.array_split(n, len(n) // 16384 + 1)
-            missed = [
-                np.abs(samples[piece, 0] - fitted.predict(windows(samples, piece, order))) for piece in pieces
-            ]
-            error = float(np.concatenate(missed).mean())
-            if best is None or error < best[0]:
-                best = error, fitted
-    return best[1] if best else None
+    orders = [order for order in ORDERS if order <= first]
+
+    def judged(kind: tuple[int, bool]) -> tuple[float, Linear] | None:
+        order, scheduled = kind
+        fitted = fit_linear(samples, train, block, order, scheduled)
+        if fitted is None or not validation or block <= first:
+            return None
+        coefficients = fitted.coefficients.ravel()
+        error = 0.0
+        for number in validation:
+            one = samples[number * block + first - order : (number + 1) * block]
+            error += float(np.abs(one[order:, 0] - _design(one, order, scheduled) @ coefficients).mean())
+        return error, fitted
+
+    with ThreadPoolExecutor() as pool:  # NumPy's products release the interpreter's lock
+        candidates = [one for one in pool.map(judged, product(orders, (False, True))) if one is not None]
+    return min(candidates, key=lambda one: one[0])[1] if candidates else None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,10 +32,12 @@ def truth_for(
         return Truth()
     try:
         used = int(recording.simulation["noise_seed"])
-        realisations = [
-            trace_for(texture, second_realisation(recording, used + 1_000_003 * (k + 1)), trim_ms, block_ms)
-            for k in range(N_SEEDS)
-        ]
+
+        def realisation(k: int) -> Trace:
+            return trace_for(texture, second_realisation(recording, used + 1_000_003 * k), trim_ms, block_ms)
+
+        with ThreadPoolExecutor() as pool:  # filters and transforms release the interpreter's lock
+            realisations = list(pool.map(realisation, range(1, N_SEEDS + 1)))
     except (KeyError, TypeError, ValueError) as error:
         return Truth(why_no_bound=f"the simulator's parameters in the recording cannot be used ({error})")
     config = PreprocessConfig(**texture.card["preprocess"])

@@ -347,9 +347,7 @@ class NativeState:
         library().foten_run_scaled(self._pointer, hands, drawn, limit, len(out), filled)
         self._texture.raise_failed()
 
-    def predict(
-        self, samples: NDArray[np.float64], part: PredictionPart, out: NDArray[np.float64]
-    ) -> None:
+    def predict(self, samples: NDArray[np.float64], part: PredictionPart, out: NDArray[np.float64]) -> None:
         """Predict recorded samples (n, 3) one step ahead, filling `out` (n − window, 3): see `predict_blocks`."""
         given, filled = (array.ctypes.data_as(_DOUBLES) for array in (samples, out))
         status = library().foten_predict(self._pointer, given, len(samples), _PARTS.index(part), filled)
@@ -413,7 +411,9 @@ def run_loops(
     out = np.empty(condition.shape[:2])
 
     def run(i: int) -> None:
-        window, conditions = (np.ascontiguousarray(part[i], dtype=np.float64) for part in (windows, condition))
+        window, conditions = (
+            np.ascontiguousarray(part[i], dtype=np.float64) for part in (windows, condition)
+        )
         drawn = None if noise is None else np.ascontiguousarray(noise[i], dtype=np.float64)
         NativeState(texture).run_scaled(window, conditions, drawn, limit, out[i])
 
