@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from foten.cli import _status
+from foten.cli.command_line import _status
 from foten.texture_file import read_texture
 
 FAST = ["--trim", "0", "--block", "500", "--epochs", "1", "--threads", "1", "--window", "12"]

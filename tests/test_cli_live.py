@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from conftest import exported
-from foten.cli import _status
+from foten.cli.command_line import _status
 from foten.render import bench, devices
 from foten.render import play as playing
 from foten.render.actuator import ActuatorProfile, write_profile

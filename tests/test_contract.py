@@ -14,7 +14,7 @@ import pytest
 
 from conftest import architecture_with
 from foten.architecture import ARCHITECTURES, GRAPHS
-from foten.cli import _status
+from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate, to_text

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from foten.cli import _status
+from foten.cli.command_line import _status
 
 
 def test_the_demo_makes_everything_it_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter, welch
 
-from foten.cli import _status
+from foten.cli.command_line import _status
 from foten.datasets.hatt import read_models
 from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate

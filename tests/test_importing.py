@@ -9,7 +9,7 @@ import pytest
 from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat, wavfile
 
-from foten.cli import _status
+from foten.cli.command_line import _status
 from foten.datasets import DATASETS
 from foten.datasets.hdf5 import read_recording
 from foten.datasets.importing import FACTORS, ImportOptions, import_recording, parse_pairs, parse_rates

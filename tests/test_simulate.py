@@ -187,7 +187,7 @@ def test_bad_input_is_named() -> None:
 def test_the_command_writes_what_the_function_returns(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from foten.cli import _status
+    from foten.cli.command_line import _status
     from foten.datasets.hdf5 import read_recording
 
     path = tmp_path / "rec.h5"

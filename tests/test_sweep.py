@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from scipy.stats import false_discovery_control
 
-from foten.cli import _status
+from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
 from foten.experiments.experiment import find_experiment, read_experiment

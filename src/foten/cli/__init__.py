@@ -1,0 +1,5 @@
+"""The command line; each subcommand has its file."""
+
+from foten.cli.command_line import app, main
+
+__all__ = ["app", "main"]

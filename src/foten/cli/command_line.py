@@ -1,0 +1,124 @@
+"""The command line: one subcommand per stage; parse, call one function, write.
+
+Exit status: 0; 1 for a result that fails a check; 2 for bad input or usage, one line on stderr; 130 after Ctrl-C.
+Results go to stdout, progress to stderr. Heavy imports stay inside the subcommands.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Annotated
+
+import typer
+from typer.exceptions import Abort, TyperException
+
+from foten.cli.bench import bench
+from foten.cli.console import say
+from foten.cli.demo import demo
+from foten.cli.doctor import doctor
+from foten.cli.evaluate import evaluate
+from foten.cli.importing import import_
+from foten.cli.info import info
+from foten.cli.inspect import inspect
+from foten.cli.play import play
+from foten.cli.render import render
+from foten.cli.simulate import simulate
+from foten.cli.sweep import figures, sweep, tables
+from foten.cli.train import train
+
+app = typer.Typer(
+    name="foten",
+    help="Haptic textures learned from a recording and given back as vibration.",
+    add_completion=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+_EXTRAS = {
+    "scipy": "data",
+    "h5py": "data",
+    "matplotlib": "data",
+    "openpyxl": "data",
+    "nptdms": "data",
+    "pymatreader": "data",
+    "torch": "train",
+    "ray": "sweep",
+    "onnx": "onnx",
+    "onnxruntime": "onnx",
+}
+"""Which extra installs a package that may be missing."""
+
+
+def _print_version(requested: bool) -> None:
+    if requested:
+        from foten import __version__
+
+        print(__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def _global_options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and stop."),
+    ] = False,
+) -> None:
+    pass
+
+
+# In the order in which --help lists them.
+app.command()(simulate)
+app.command("import")(import_)
+app.command()(inspect)
+app.command()(train)
+app.command()(evaluate)
+app.command()(render)
+app.command()(play)
+app.command()(bench)
+app.command()(doctor)
+app.command()(sweep)
+app.command()(tables)
+app.command()(figures)
+app.command()(info)
+app.command()(demo)
+
+
+def main() -> None:
+    """Run the command line and exit with its status."""
+    # Read when NumPy and PyTorch load their libraries: small matrices only lose by more threads.
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    sys.exit(_status(sys.argv[1:]))
+
+
+def _status(arguments: list[str]) -> int:
+    """Return the exit status of one command; an expected failure is printed as one line."""
+    if os.environ.get("FOTEN_DEBUG"):  # the whole traceback, for developers
+        return app(arguments, standalone_mode=False) or 0
+    if not arguments:
+        arguments = ["--help"]
+    try:
+        return app(arguments, standalone_mode=False) or 0
+    except (Abort, KeyboardInterrupt):
+        say("foten: interrupted")
+        return 130
+    except TyperException as error:
+        say(f"foten: {' '.join(error.format_message().split())}")
+    except ModuleNotFoundError as error:
+        package = (error.name or "").split(".")[0]
+        if package not in _EXTRAS:
+            raise
+        say(f"foten: this needs {package}, which is not installed: pip install 'foten[{_EXTRAS[package]}]'")
+    except (ValueError, OSError) as error:
+        say(f"foten: {' '.join(_reason(error).split())}")
+    return 2
+
+
+def _reason(error: Exception) -> str:
+    """Return what went wrong: of the system's own errors the file first, and no number."""
+    if isinstance(error, OSError) and error.strerror and error.filename is not None:
+        return f"{error.filename}: {error.strerror[:1].lower()}{error.strerror[1:]}"
+    return str(error) or type(error).__name__

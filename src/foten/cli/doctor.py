@@ -1,0 +1,22 @@
+"""`foten doctor`."""
+
+from __future__ import annotations
+
+import typer
+
+from foten.cli.console import JsonOption, print_json
+
+
+def doctor(as_json: JsonOption = False) -> None:
+    """Look at what this machine has for rendering, and say what is missing."""
+    from foten.render import doctor as examination
+
+    checks = examination.checks()
+    if as_json:
+        print_json(examination.as_documents(checks))
+    else:
+        for check in checks:
+            mark = {True: "✓", False: "✗", None: " "}[check.fine]
+            print(f"{mark} {check.name:14s}{check.found}")
+    if any(check.fine is False for check in checks):
+        raise typer.Exit(1)

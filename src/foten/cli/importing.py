@@ -1,0 +1,206 @@
+"""`foten import`: recordings, and models that others have fitted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from foten.cli.console import JsonOption, check_folders, print_json, say
+
+
+def import_(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            help="CSV, TSV, .xlsx, .npz, .mat (v5 to v7.3), .tdms, .wav, .h5; or one .xml of linear models.",
+            show_default=False,
+        ),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            help="The recording to write, .h5; of models a texture, .foten.",
+            show_default=False,
+        ),
+    ],
+    mapping: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--map",
+            help="CHANNEL=COLUMN,… with channels time, acceleration, speed, force, or by axis "
+            "acceleration_x, position_x, force_x and so on (z is the surface normal). A column is a header "
+            "name, or a number from 0; with several files FILE:COLUMN. time may be given once per file and "
+            "serves the channels of that file with as many rows; without FILE: it is that column of every "
+            "file which has it. Default: by the header names, said on stderr.",
+        ),
+    ] = None,
+    units: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--unit",
+            help="CHANNEL=UNIT,… of the file: acceleration m/s^2, g, mg, mm/s^2; speed mm/s, cm/s, m/s; "
+            "position mm, cm, m, um; force N, mN, gf; time s, ms, us, ns. CHANNEL=V*FACTOR or *FACTOR "
+            "multiplies, for a sensitivity: force=V*4.9 for 4.9 N per volt. Default: what the file states, "
+            "else m/s^2, mm/s, mm, N, s.",
+        ),
+    ] = None,
+    rate: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--rate",
+            help="HZ for the channels whose file states no rate and has no time column, or CHANNEL=HZ,…, "
+            "which comes before what the file states.",
+        ),
+    ] = None,
+    fill_gaps: Annotated[
+        float,
+        typer.Option(
+            "--fill-gaps", metavar="MS", help="Fill gaps of up to MS ms in position, speed and force."
+        ),
+    ] = 0.0,
+    force_units: Annotated[
+        bool,
+        typer.Option(
+            "--force-units",
+            help="Accept what no hand does, spikes for example: above 5 m/s, 1000 m/s², 500 N or 10 m.",
+        ),
+    ] = False,
+    texture: Annotated[str, typer.Option(help="What was stroked; the file's name by default.")] = "",
+    tool: Annotated[str, typer.Option(help="What it was stroked with.")] = "",
+    sensors: Annotated[str, typer.Option(help="Sensors, amplifiers, ranges.")] = "",
+    notes: Annotated[str, typer.Option(help="Anything else.")] = "",
+    as_json: JsonOption = False,
+) -> None:
+    """Turn files of any origin into one recording, converting units and changing nothing else.
+
+    foten import denim.csv --map time=t,acceleration=ax,speed=v,force=fz --unit acceleration=g -o denim.h5
+
+    foten import acc.wav rest.csv --map acceleration=acc.wav:0,speed=rest.csv:v,force=rest.csv:f
+    --unit acceleration=*50 --rate 1000 -o denim.h5
+
+    foten import Models_Denim.xml -o denim.foten: a model file of the Penn Haptic Texture Toolkit becomes a texture.
+    """
+    if any(file.suffix.lower() == ".xml" for file in files):
+        for_recordings = {
+            "map": mapping,
+            "unit": units,
+            "rate": rate,
+            "fill-gaps": fill_gaps,
+            "force-units": force_units,
+            "tool": tool,
+            "sensors": sensors,
+        }
+        given = [name for name, value in for_recordings.items() if value]
+        if given:
+            raise ValueError(
+                f"--{given[0]} is for recordings, and an .xml holds models with units and rate: leave it out"
+            )
+        _import_models(files, output, texture, notes, as_json)
+        return
+    from foten.datasets.hdf5 import write_recording
+    from foten.datasets.importing import ImportOptions, import_recording, parse_pairs, parse_rates
+    from foten.recording.recording import UNITS
+
+    if output.suffix.lower() not in (".h5", ".hdf5"):
+        raise ValueError(f"a recording is written as .h5, got -o {output.name}")
+    if not output.parent.is_dir():
+        raise ValueError(f"there is no folder {output.parent}")
+    rate_hz, rates_hz = parse_rates(rate or [])
+    unit_pairs = parse_pairs(units or [], "--unit")
+    imported = import_recording(
+        files,
+        ImportOptions(
+            mapping=tuple(parse_pairs(mapping or [], "--map")),
+            units=dict(unit_pairs),
+            rate_hz=rate_hz,
+            rates_hz=rates_hz,
+            fill_gaps_ms=fill_gaps,
+            force_units=force_units,
+            texture=texture or output.stem,
+            tool=tool,
+            sensors=sensors,
+            notes=notes,
+        ),
+    )
+    for decision in imported.decisions:
+        say(decision)
+    recording = imported.recording
+    write_recording(recording, output)
+    if as_json:
+        print_json(
+            {
+                "file": str(output),
+                "sha256": recording.sha256(),
+                "channels": {
+                    name: {
+                        "unit": UNITS[name],
+                        "rate_hz": channel.rate_hz,
+                        "regular": channel.times_s is None,
+                        "n_samples": channel.samples.size,
+                        "duration_s": channel.duration_s,
+                        "minimum": float(channel.samples.min()),
+                        "maximum": float(channel.samples.max()),
+                    }
+                    for name, channel in recording.channels.items()
+                },
+                "history": list(recording.history),
+            }
+        )
+        return
+    for name, channel in recording.channels.items():
+        print(
+            f"{name:<15} {channel.samples.size:>9} samples at {channel.rate_hz:>8g} Hz, "
+            f"{channel.duration_s:7.3f} s, {channel.samples.min():.4g} to {channel.samples.max():.4g} "
+            f"{UNITS[name]}"
+        )
+    for line in recording.history:
+        print(f"  {line}")
+    print(f"wrote {output}; next: foten inspect {output}")
+
+
+def _import_models(files: list[Path], output: Path, texture: str, notes: str, as_json: bool) -> None:
+    import hashlib
+
+    from foten.datasets.hatt import read_models
+    from foten.texture_file import write_texture
+    from foten.train.imported import texture_of
+
+    if len(files) != 1:
+        raise ValueError(f"got {len(files)} files, expected one .xml of models by itself")
+    if output.suffix != ".foten":
+        raise ValueError(f"models are written as a texture file, .foten, got -o {output.name}")
+    check_folders([output])
+    models = read_models(files[0])
+    digest = hashlib.sha256(files[0].read_bytes()).hexdigest()
+    imported, decisions = texture_of(models, digest, texture, notes=notes)
+    for decision in decisions:
+        say(decision)
+    write_texture(imported, output)
+    card, sizes = imported.card, imported.card["sizes"]
+    if as_json:
+        print_json(
+            {
+                "file": str(output),
+                "sha256": imported.sha256(),
+                "imported_sha256": digest,
+                "texture": card["texture"],
+                "rate_hz": card["rate_hz"],
+                "sizes": sizes,
+                "trained_range": card["trained_range"],
+                "notes": card["notes"],
+            }
+        )
+        return
+    ends = {channel: card["trained_range"][channel][1] for channel in ("speed", "force")}
+    print(
+        f"{card['texture'] or files[0].stem}: {sizes['n_models']} models of order {sizes['order']} at {card['rate_hz']:g} Hz, "
+        f"{sizes['ma']} zeros each, up to {ends['speed']:.0f} mm/s and {ends['force']:.1f} N"
+    )
+    print("the licence of the model file holds for the texture too: see its notice before you pass it on")
+    print(
+        f"wrote {output}; next: foten render {output} --speed 80 --force 0.8 --seconds 3 -o {output.stem}.wav"
+    )

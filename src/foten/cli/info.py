@@ -1,0 +1,83 @@
+"""`foten info`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from foten.cli.console import JsonOption, print_json
+from foten.cli.training_result import validation_summary
+
+if TYPE_CHECKING:
+    from foten.texture_file import Texture
+
+
+def info(
+    texture_file: Annotated[Path, typer.Argument(metavar="T.foten", help="A texture file.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Show what a texture file holds, and prove it on its golden windows."""
+    from foten.architecture import multiply_adds
+    from foten.render.engine import engine_for
+    from foten.render.synthesizer import prove
+    from foten.texture_file import read_texture
+
+    texture = read_texture(texture_file)
+    prove(texture, engine_for(texture))
+    if as_json:
+        print_json({"sha256": texture.sha256(), **texture.card})
+        return
+    card = texture.card
+    own = {name: t for name, t in texture.tensors.items() if not name.startswith(("golden.", "warm_start"))}
+    if texture.architecture.in_graph:
+        cost, holds = card["metrics"]["multiply_adds"], f"{own['graph'].size:,} bytes for ONNX Runtime"
+    else:
+        cost = multiply_adds(texture.architecture)
+        holds = f"{sum(t.size for t in own.values())} numbers"
+    rows = {
+        "texture": card["texture"] or "(unnamed)",
+        "model": f"{card['model']}, {holds}, hears {card['window']} samples",
+        **_linear_part(texture),
+        "cost": f"{cost:,} multiply-adds a rendered sample",
+        "rate": f"{texture.rate_hz:g} Hz",
+        "trained speed": "{:.4g} to {:.4g} mm/s".format(*texture.trained_range("speed")),
+        "trained force": "{:.3g} to {:.3g} N".format(*texture.trained_range("force")),
+        "acceleration": f"{texture.scaling.sd[0]:.4g} m/s² standard deviation",
+        "delay": f"{card['delay_ms']:.1f} ms, of the {card['lowpass_hz']:g} Hz low-pass of speed and force",
+        "excitation": "yes" if texture.has_excitation else "no",
+        "validation": validation_summary(card),
+        "licence": card["licence"] or "(not stated)",
+        "sha256": texture.sha256(),
+        "proof": "golden windows replayed",
+    }
+    for name, value in rows.items():
+        print(f"{name:14s}{value}")
+
+
+def _linear_part(texture: Texture) -> dict[str, str]:
+    """Return what `info` says of the local models, or of the lattice and the tones; nothing of a model that has none."""
+    sizes, metrics = texture.card["sizes"], texture.card["metrics"]
+    if texture.card["model"] == "ar":
+        zeros = f", {sizes['ma']} zeros" if sizes["ma"] else ""
+        return {
+            "models": f"{sizes['n_models']} of order {sizes['order']}{zeros}, in {sizes['n_triangles']} triangles"
+        }
+    if texture.card["model"] != "foten-plus":
+        return {}
+    vertices = sizes["n_speed"] * sizes["n_force"]
+    over = "for all speeds and forces" if vertices == 1 else f"over {vertices} speeds and forces"
+    driven = ", driven by the level" if sizes["level_drives"] else ""
+    rows = {"lattice": f"{sizes['order']} samples, {over}{driven}", "tones": "none"}
+    rows["network"] = (
+        "is heard" if sizes["network_heard"] and not sizes["n_tones"] else "predicts, and is not heard"
+    )
+    if sizes["n_tones"]:
+        length = (metrics.get("linear_part") or {}).get("wavelength_mm")
+        every = f", the surface repeats every {length:.3g} mm" if length else ""
+        rows["tones"] = (
+            f"{sizes['n_tones']} multiples{every}; of the rest a lattice of {sizes['rest_order']} samples"
+            f"{', driven by the level' if sizes['rest_level_drives'] else ''}"
+        )
+    return rows
