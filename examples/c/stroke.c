@@ -48,7 +48,7 @@ int main(int n_arguments, char **arguments) {
     printf("t,speed_mm_s,acceleration_m_s2\n");
     for (int b = 0; b < BLOCKS; b++) {
         float speed = (float)(info.trained_speed[0] + (info.trained_speed[1] - info.trained_speed[0]) * b / BLOCKS);
-        foten_set_hand(state, speed, 0.8f);
+        foten_set_condition(state, speed, 0.8f);
         foten_render(state, samples, BLOCK);
         for (int i = 0; i < BLOCK; i++) printf("%g,%g,%g\n", (b * BLOCK + i) / info.rate_hz, speed, samples[i]);
     }

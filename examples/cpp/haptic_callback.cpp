@@ -51,7 +51,7 @@ public:
         const auto &[x, y, z] = tool.velocity;
         const double along = x * tool.normal[0] + y * tool.normal[1] + z * tool.normal[2];
         const double tangential = std::sqrt(std::fmax(0.0, x * x + y * y + z * z - along * along));
-        foten_set_hand(state_.get(), static_cast<float>(1000 * tangential), static_cast<float>(tool.contactForce));
+        foten_set_condition(state_.get(), static_cast<float>(1000 * tangential), static_cast<float>(tool.contactForce));
         for (due_ = std::fmin(due_ + seconds * rate_, 100.0); due_ >= 1; due_--) foten_render(state_.get(), &acceleration_, 1);
         const double newtons = std::fmax(-most_, std::fmin(most_, mass_ * acceleration_)); // before it reaches a hand
         Vector out;

@@ -5,14 +5,14 @@
  *     if (foten_model_load(bytes, n_bytes, &model, why, sizeof why) != FOTEN_OK) { puts(why); return 1; }
  *     foten_state *state = foten_state_new(model, NULL);     // allocates, once
  *
- *     foten_set_hand(state, 80.0f, 0.8f);                    // mm/s and N, from any thread, without waiting
+ *     foten_set_condition(state, 80.0f, 0.8f);                    // mm/s and N, from any thread, without waiting
  *     foten_render(state, samples, n);                       // m/s2, from one thread: no allocation, lock, log or file
  *
  *     foten_state_free(state);
  *     foten_model_free(model);
  *
  * A model is a texture file (.foten) in memory, checked and made ready; nothing changes it, and any number of states on any threads
- * may share it; it has to outlive them. A state is one hand on it. `foten_set_hand` and `foten_statistics` may be called from any
+ * may share it; it has to outlive them. A state is one hand on it. `foten_set_condition` and `foten_statistics` may be called from any
  * thread, all else of a state from one at a time. Pointers are not NULL but where it is said.
  *
  * Units everywhere: acceleration m/s2, speed mm/s, force N, rates Hz.
@@ -106,7 +106,7 @@ typedef struct {
     uint64_t seed;      /* of the noise */
     uint64_t stream;    /* of the noise; hands of different streams are independent */
     int deterministic;  /* 1 leaves the random part out */
-    int smooth;         /* 1 puts the hand that is set through foten_info.lowpass_hz, as the recording's was; see foten_set_hand */
+    int smooth;         /* 1 puts the hand that is set through foten_info.lowpass_hz, as the recording's was; see foten_set_condition */
 } foten_options;
 
 /* NULL for the options is all zeros. NULL is returned where there is no memory or the rate cannot be. */
@@ -151,13 +151,13 @@ FOTEN_API foten_status foten_predict(foten_state *state, const double *samples, 
  *
  * A texture expects a hand as smooth as that of its recording, which went through a low-pass of 20 Hz. A game that tells its hand 60 times
  * a second gives steps, and an encoder's velocity noise, and both are felt: ask for `smooth` then, which delays by 11 ms. */
-FOTEN_API void foten_set_hand(foten_state *state, float speed_mm_s, float force_n);
+FOTEN_API void foten_set_condition(foten_state *state, float speed_mm_s, float force_n);
 
 /* Render n samples at the state's rate under the hand that was last set. The hand is looked at once for each sample of the texture's rate. */
 FOTEN_API void foten_render(foten_state *state, float *acceleration, size_t n);
 
 /* Render a stroke: n speeds and forces, one for each sample of the texture's own rate, give foten_rendered(state, n) samples at most.
- * Returns how many. The hand that `foten_set_hand` knows is not changed. */
+ * Returns how many. The hand that `foten_set_condition` knows is not changed. */
 FOTEN_API size_t foten_render_stroke(foten_state *state, const float *speed_mm_s, const float *force_n, size_t n, float *acceleration);
 FOTEN_API size_t foten_rendered(const foten_state *state, size_t n);
 
@@ -176,7 +176,7 @@ typedef struct {
 } foten_stats;
 
 /* The hand that the last sample was rendered under [mm/s, N]; from the rendering thread. */
-FOTEN_API void foten_hand(const foten_state *state, float *speed_mm_s, float *force_n);
+FOTEN_API void foten_condition(const foten_state *state, float *speed_mm_s, float *force_n);
 
 /* Since the last reset; from any thread. */
 FOTEN_API foten_stats foten_statistics(const foten_state *state);

@@ -308,7 +308,7 @@ static int heeded(foten_state *s, float *speed, float *force) {
     return numbers;
 }
 
-void foten_set_hand(foten_state *s, float speed, float force) {
+void foten_set_condition(foten_state *s, float speed, float force) {
     if (!heeded(s, &speed, &force)) return;
     uint32_t halves[2];
     memcpy(&halves[0], &speed, 4);
@@ -420,7 +420,7 @@ size_t foten_render_stroke(foten_state *s, const float *speed, const float *forc
 size_t foten_rendered(const foten_state *s, size_t n) { return s->resampler ? resampler_most(s->resampler, n) : n; }
 double foten_delay_s(const foten_state *s) { return s->resampler ? resampler_delay_s(s->resampler) : 0; }
 
-void foten_hand(const foten_state *s, float *speed, float *force) {
+void foten_condition(const foten_state *s, float *speed, float *force) {
     *speed = (float)s->last[0];
     *force = (float)s->last[1];
 }

@@ -177,18 +177,16 @@ static void encode(const encoder *e, int pre_norm, int n, int first, float *toke
 }
 
 /* A bin's number through the lift, an encoder layer and back. */
-static void encode_bins(const net *net, const linear *lift, const encoder *e, const linear *back, int n, int n_inputs,
+static void encode_bins(const net *net, const linear *lift, const encoder *e, const linear *back, int n,
                         const float *numbers, const float *counted, float *out, float *scratch) {
     int stride = net->width_stride;
     float *tokens = scratch, *rest = scratch + (size_t)n * stride;
     if (net->lifted) {
-        apply(lift, n, numbers, n_inputs, tokens, stride, 0);
+        apply(lift, n, numbers, 1, tokens, stride, 0);
     } else {
         memset(tokens, 0, sizeof(float) * (size_t)n * (size_t)stride);
         for (int i = 0; i < n; i++) tokens[i * stride] = numbers[i];
     }
-    if (net->bins)
-        for (int i = 0; i < n * stride; i += LANES) store(tokens + i, load(tokens + i) + load(net->bins + i));
     encode(e, net->pre_norm, n, 0, tokens, counted, rest);
     if (net->lifted) apply(back, n, tokens, stride, rest, LANES, 0);
     for (int i = 0; i < n; i++) out[i] = net->lifted ? rest[i * LANES] : tokens[i * stride];
@@ -211,18 +209,13 @@ static double spectral(const net *net, const float *window, float *scratch) {
     for (int k = 0; k < n; k++) {
         double power = re[k] * re[k] + im[k] * im[k], size = sqrt(power + 1e-16);
         if (!(power > 1e-10 * whole)) re[k] = im[k] = 0;
-        if (net->cos_sin) {
-            phase[2 * k] = (float)(re[k] / size);
-            phase[2 * k + 1] = (float)(im[k] / size);
-        } else {
-            phase[k] = (float)atan2(im[k] + 0.0, re[k]);
-        }
-        magnitude[k] = (float)(net->log_magnitude ? log1p(size) : size);
+        phase[k] = (float)atan2(im[k] + 0.0, re[k]);
+        magnitude[k] = (float)size;
     }
     float *m_out = rest, *p_out = m_out + n + LANES;
     rest = p_out + n + LANES;
-    encode_bins(net, &net->magnitude_in, &net->magnitude, &net->magnitude_out, net->n_magnitudes, 1, magnitude, net->counted, m_out, rest);
-    encode_bins(net, &net->phase_in, &net->phase, &net->phase_out, n, net->cos_sin ? 2 : 1, phase, NULL, p_out, rest);
+    encode_bins(net, &net->magnitude_in, &net->magnitude, &net->magnitude_out, net->n_magnitudes, magnitude, net->counted, m_out, rest);
+    encode_bins(net, &net->phase_in, &net->phase, &net->phase_out, n, phase, NULL, p_out, rest);
     double sum = 0;
     for (int k = 0; k < n; k++) {
         double size = m_out[k < net->n_magnitudes ? k : m - k];
@@ -249,10 +242,6 @@ static float predict(const net *net, const float *window, float *scratch) {
     }
     fused[n] = window[m * net->n_inputs];
     fused[n + 1] = window[m * net->n_inputs + 1];
-    if (net->modulated) {
-        apply(&net->modulation, 1, fused + n, 2, hidden, 2 * n + LANES, 0);
-        for (int i = 0; i < n; i++) fused[i] = fused[i] * (1 + hidden[i]) + hidden[n + i];
-    }
     apply(&net->head_1, 1, fused, n + 2, hidden, net->first, 1);
     float *second = hidden + net->first + LANES;
     apply(&net->head_2, 1, hidden, net->first, second, net->second, 1);

@@ -75,7 +75,7 @@ static int rising(texture_file *file, const char *name, const double *angles, in
         for (int i = 0; i <= n; i++) {
             double before = i ? angles[row * n + i - 1] : 0, after = i < n ? angles[row * n + i] : PI;
             if (!(after > before)) {
-                file_refuse(file, FOTEN_BAD_FILE, "tensor 'local.%s' does not rise from 0 to pi: the filter would not be stable", name);
+                file_refuse(file, FOTEN_BAD_FILE, "tensor 'piecewise_ar.%s' does not rise from 0 to pi: the filter would not be stable", name);
                 return 0;
             }
         }
@@ -98,16 +98,16 @@ const local_models *local_make(texture_file *file, int order, int ma, int n_mode
     const double *pair;
     if (!m) return NULL;
     *m = (local_models){.order = order, .ma = ma, .n_models = n_models, .n_triangles = n_triangles};
-    if (!(m->points = file_take(file, "local.points", (size_t[]){n, 2, 0, 0}, memory))) return NULL;
-    if (!(m->lsf = file_take(file, "local.lsf", (size_t[]){n, (size_t)order, 0, 0}, memory))) return NULL;
+    if (!(m->points = file_take(file, "piecewise_ar.points", (size_t[]){n, 2, 0, 0}, memory))) return NULL;
+    if (!(m->lsf = file_take(file, "piecewise_ar.lsf", (size_t[]){n, (size_t)order, 0, 0}, memory))) return NULL;
     if (!rising(file, "lsf", m->lsf, n_models, order)) return NULL;
-    const double *variance = never_negative(file, "local.variance", n_models, memory), *gain = NULL;
+    const double *variance = never_negative(file, "piecewise_ar.variance", n_models, memory), *gain = NULL;
     double *power = arena_take(memory, n, sizeof *power);
     if (!variance || !power) return NULL;
     if (ma) {
-        if (!(m->ma_lsf = file_take(file, "local.ma_lsf", (size_t[]){n, (size_t)ma, 0, 0}, memory))) return NULL;
+        if (!(m->ma_lsf = file_take(file, "piecewise_ar.ma_lsf", (size_t[]){n, (size_t)ma, 0, 0}, memory))) return NULL;
         if (!rising(file, "ma_lsf", m->ma_lsf, n_models, ma)) return NULL;
-        if (!(gain = never_negative(file, "local.gain", n_models, memory))) return NULL;
+        if (!(gain = never_negative(file, "piecewise_ar.gain", n_models, memory))) return NULL;
     }
     for (int i = 0; i < n_models; i++) {
         double a[HIGHEST_LOCAL_ORDER + 1], reflections[HIGHEST_LOCAL_ORDER];
@@ -120,11 +120,11 @@ const local_models *local_make(texture_file *file, int order, int ma, int n_mode
         power[i] = drive * drive;
     }
     m->power = power;
-    if (!(m->triangles = file_take(file, "local.triangles", (size_t[]){(size_t)n_triangles, 3, 0, 0}, memory))) return NULL;
+    if (!(m->triangles = file_take(file, "piecewise_ar.triangles", (size_t[]){(size_t)n_triangles, 3, 0, 0}, memory))) return NULL;
     struct {
         const char *name;
         double *to;
-    } pairs[] = {{"local.scale", m->scale}, {"local.mean", m->mean}, {"local.sd", m->sd}};
+    } pairs[] = {{"piecewise_ar.scale", m->scale}, {"piecewise_ar.mean", m->mean}, {"piecewise_ar.sd", m->sd}};
     for (int k = 0; k < 3; k++) {
         if (!(pair = file_take(file, pairs[k].name, (size_t[]){2, 0, 0, 0}, memory))) return NULL;
         memcpy(pairs[k].to, pair, sizeof m->scale);

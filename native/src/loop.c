@@ -16,7 +16,7 @@ enum { CANDIDATES = 32, SETTLED_AFTER = 256 };
 static const uint64_t TO_BEGIN = (uint64_t)1 << 63; /* the first of the noise numbers that streams begin with */
 
 static double within(double x, double limit) { return x > limit ? limit : x < -limit ? -limit : x; }
-static const lattice *heard(const foten_model *m) { return m->n_tones ? &m->rest : &m->whole; }
+static const lattice *heard(const foten_model *m) { return m->n_tones ? &m->residual : &m->whole; }
 
 /* States of what is heard; numbers that the network sees, speed and force of the last sample included. */
 static int order_of(const foten_model *m) { return m->local ? m->local->order : m->plus ? heard(m)->order : 0; }
@@ -26,7 +26,7 @@ static size_t numbers_seen(const foten_model *m) { return (size_t)window_of(m) *
 loop *loop_place(const foten_model *m, block *from) {
     loop *l = block_take(from, 1, sizeof *l);
     size_t order = 0;
-    if (m->plus) order = (size_t)(m->whole.order > m->rest.order ? m->whole.order : m->rest.order);
+    if (m->plus) order = (size_t)(m->whole.order > m->residual.order ? m->whole.order : m->residual.order);
     if (m->local) order = (size_t)m->local->order;
     size_t zeros = m->local ? (size_t)m->local->ma : 0, seen_numbers = numbers_seen(m);
     double *states = block_take(from, order, sizeof *states), *reflections = block_take(from, order, sizeof *reflections);
@@ -167,8 +167,8 @@ static double synthesise(int p, loop *l, double e) {
 }
 
 /* What of the level scales the innovation, and what scales that which leaves the lattice. */
-static double drive(const lattice *of, const loop *l) { return of->level_drives ? l->level : 1; }
-static double behind(const lattice *of, const loop *l) { return of->level_drives ? 1 : l->level; }
+static double drive(const lattice *of, const loop *l) { return of->gain_before_filter ? l->level : 1; }
+static double behind(const lattice *of, const loop *l) { return of->gain_before_filter ? 1 : l->level; }
 
 /* Append a sample to what the network sees. */
 static void see(const foten_model *m, loop *l, double x, const double condition[2], double e) {
@@ -214,15 +214,15 @@ static void start_tones(const foten_model *m, loop *l, const double *windows, in
             best = missed[k];
             chosen = 2 * PI * k / CANDIDATES;
         }
-    memset(l->states, 0, (size_t)m->rest.order * sizeof *l->states);
+    memset(l->states, 0, (size_t)m->residual.order * sizeof *l->states);
     travelled = 0;
     for (int t = 1; t < n; t++) {
         hand before = hand_of(m, windows + 3 * t - 2);
         double turned = turned_by(m, &before);
         travelled += turned;
         tones_at(m, &before, turned, l->coefficients);
-        follow(&m->rest, &before, l);
-        analyse(m->rest.order, l, (windows[3 * t] - tone_of(l->coefficients, m->n_tones, travelled + chosen)) / behind(&m->rest, l));
+        follow(&m->residual, &before, l);
+        analyse(m->residual.order, l, (windows[3 * t] - tone_of(l->coefficients, m->n_tones, travelled + chosen)) / behind(&m->residual, l));
     }
     hand last = hand_of(m, windows + 3 * n - 2);
     /* The way to the first sample belongs to the recording, of which nothing is to be left: the path begins here, and the phase
@@ -353,19 +353,19 @@ double loop_forecast(const foten_model *m, loop *l, double *scale, int with_netw
     }
     const lattice *of = with_network ? &m->whole : heard(m);
     double sample = foreseen(of->order, l) * behind(of, l), unit = l->gain * l->level;
-    if (with_network || m->network_heard) sample += unit * correction(m, l);
+    if (with_network || m->network_in_loop) sample += unit * correction(m, l);
     if (m->n_tones && !with_network) sample += l->tone;
     *scale = unit * swelling(m, l) * l->sigma;
     return sample;
 }
 
 void loop_predict(const foten_model *m, loop *l, foten_prediction_part part, foten_prediction *out) {
-    int with_network = part == FOTEN_PREDICT_MODEL || (part == FOTEN_PREDICT_RENDERING && m->network_heard);
+    int with_network = part == FOTEN_PREDICT_MODEL || (part == FOTEN_PREDICT_RENDERING && m->network_in_loop);
     *out = (foten_prediction){0, 0, m->excited && !m->local ? l->tail : 0};
     if (m->plus) {
         double unit = l->gain * l->level;
         out->sample = foreseen(m->whole.order, l) * behind(&m->whole, l) + (with_network ? unit * correction(m, l) : 0);
-        if (!m->n_tones && with_network == m->network_heard) out->scale = unit * l->sigma;
+        if (!m->n_tones && with_network == m->network_in_loop) out->scale = unit * l->sigma;
     } else {
         out->sample = loop_forecast(m, l, &out->scale, 1);
         if (m->excited && !m->local) out->scale = l->sigma;
@@ -423,7 +423,7 @@ double loop_step(const foten_model *m, loop *l, const hand *hand, const double *
         return played;
     }
     const lattice *of = heard(m);
-    double e = m->network_heard ? correction(m, l) : 0;
+    double e = m->network_in_loop ? correction(m, l) : 0;
     if (noise) e += shock_of(m, l, *noise, l->gain * l->level);
     sample = behind(of, l) * synthesise(of->order, l, drive(of, l) * e);
     if (m->n_tones) {
@@ -492,7 +492,7 @@ void loop_begin(const foten_model *m, loop *l, const hand *hand, uint64_t seed, 
     int window = window_of(m);
     memset(l->seen, 0, (size_t)window * (size_t)m->n_inputs * sizeof *l->seen);
     for (int i = 0; i < window; i++) see(m, l, 0, hand->condition, 0);
-    for (int i = 0; m->network_heard && i < window; i++) {
+    for (int i = 0; m->network_in_loop && i < window; i++) {
         int cut;
         double noise = noise_at(seed, stream, n++);
         loop_step(m, l, hand, &noise, INFINITY, &cut);

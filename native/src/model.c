@@ -5,15 +5,15 @@
 #include <stdio.h>
 #include <string.h>
 
-enum { LARGEST_SIZE = 65536, LONGEST_WINDOW = 512, LONGEST_GIVEN = 4096, MOST_LAYERS = 64 }; /* given to a predictor */
+enum { FORMAT_VERSION = 2, LARGEST_SIZE = 65536, LONGEST_WINDOW = 512, LONGEST_GIVEN = 4096, MOST_LAYERS = 64 }; /* given to a predictor */
 static const double LARGEST[3] = {1e5, 1e5, 1e4}; /* m/s2, mm/s and N that a card may speak of */
 static const double LARGEST_SATURATION = 1e4;     /* standard deviations */
 
 /* All that a card may say of a model's sizes, with what holds where it does not. */
 typedef struct {
     net_sizes net;
-    int model, excitation_width, order, n_speed, n_force, n_tones, n_tone_speed, n_tone_force, rest_order, n_rest_speed, n_rest_force;
-    int excitation, level_drives, rest_level_drives, network_heard, hand; /* hand: 0 head, 1 tokens, 2 modulation */
+    int model, excitation_width, order, n_speed, n_force, n_tones, n_tone_speed, n_tone_force, residual_order, n_residual_speed, n_residual_force;
+    int excitation, gain_before_filter, residual_gain_before_filter, network_in_loop, condition_in_tokens;
     int ma, n_models, n_triangles, hops, hop, of_noise;
     double correction_limit;
 } sizes;
@@ -49,9 +49,9 @@ static const struct {
     {"n_tones", PLUS, offsetof(sizes, n_tones), 0, 0},
     {"n_tone_speed", PLUS, offsetof(sizes, n_tone_speed), 1, 1},
     {"n_tone_force", PLUS, offsetof(sizes, n_tone_force), 1, 1},
-    {"rest_order", PLUS, offsetof(sizes, rest_order), 1, 1},
-    {"n_rest_speed", PLUS, offsetof(sizes, n_rest_speed), 1, 1},
-    {"n_rest_force", PLUS, offsetof(sizes, n_rest_force), 1, 1},
+    {"residual_order", PLUS, offsetof(sizes, residual_order), 1, 1},
+    {"n_residual_speed", PLUS, offsetof(sizes, n_residual_speed), 1, 1},
+    {"n_residual_force", PLUS, offsetof(sizes, n_residual_force), 1, 1},
     {"ma", AR, offsetof(sizes, ma), 0, 0},
     {"n_models", AR, offsetof(sizes, n_models), 3, 3},
     {"n_triangles", AR, offsetof(sizes, n_triangles), 1, 1},
@@ -64,11 +64,11 @@ static const struct {
     int usual;
 } SWITCHES[] = {
     {"pre_norm", NETWORKS, offsetof(sizes, net.pre_norm), 1},
-    {"bin_embedding", FOTEN | PLUS, offsetof(sizes, net.bin_embedding), 0},
-    {"excitation", NETWORKS | GRAPH, offsetof(sizes, excitation), 0},
-    {"network_heard", PLUS, offsetof(sizes, network_heard), 1},
-    {"level_drives", PLUS, offsetof(sizes, level_drives), 0},
-    {"rest_level_drives", PLUS, offsetof(sizes, rest_level_drives), 0},
+    {"excitation", TEN | FOTEN | GRAPH, offsetof(sizes, excitation), 0},
+    {"condition_in_tokens", PLUS, offsetof(sizes, condition_in_tokens), 1},
+    {"network_in_loop", PLUS, offsetof(sizes, network_in_loop), 1},
+    {"gain_before_filter", PLUS, offsetof(sizes, gain_before_filter), 0},
+    {"residual_gain_before_filter", PLUS, offsetof(sizes, residual_gain_before_filter), 0},
 };
 
 static const struct {
@@ -78,10 +78,7 @@ static const struct {
     const char *values[3];
     int usual;
 } CHOICES[] = {
-    {"phase_input", FOTEN | PLUS, offsetof(sizes, net.cos_sin), {"angle", "cos_sin", NULL}, 0},
-    {"magnitude_input", FOTEN | PLUS, offsetof(sizes, net.log_magnitude), {"linear", "log", NULL}, 0},
     {"bins", FOTEN | PLUS, offsetof(sizes, net.half_bins), {"all", "half", NULL}, 0},
-    {"hand", PLUS, offsetof(sizes, hand), {"head", "tokens", "modulation"}, 1},
 };
 
 #define N(table) (int)(sizeof(table) / sizeof *(table))
@@ -184,9 +181,7 @@ static foten_status read_sizes(texture_file *file, json from, int has_predictor,
     }
     if (n->n_layers > MOST_LAYERS) return wrong_size(file, "n_layers");
     if (n->d_model % n->n_heads || (n->spectral_width > 1 && n->spectral_width % n->n_heads)) return wrong_size(file, "n_heads");
-    if (n->spectral_width == 1 && n->cos_sin) return wrong_size(file, "phase_input");
-    n->n_inputs = !plus ? 1 : s->hand == 1 ? 4 : 2;
-    n->modulated = plus && s->hand == 2;
+    n->n_inputs = !plus ? 1 : s->condition_in_tokens ? 4 : 2;
     n->fourier = s->model != TEN;
     return FOTEN_OK;
 }
@@ -213,7 +208,7 @@ static foten_status read_card(foten_model *m, texture_file *file, const sizes *s
     long long window;
     if (!text_of(json_member(card, "model"), &m->memory, &m->name) || !text_of(json_member(card, "texture"), &m->memory, &m->texture))
         return m->memory.failed ? file_refuse(file, FOTEN_NO_MEMORY, "no memory") : file_refuse(file, FOTEN_BAD_FILE, "the card does not name a model and a texture");
-    int most = s->order > s->rest_order ? s->order : s->rest_order;
+    int most = s->order > s->residual_order ? s->order : s->residual_order;
     m->history = s->model == PLUS ? s->net.window + most + 1 : s->net.window;
     if (!json_integer(json_member(card, "window"), &window) || window != m->history)
         return file_refuse(file, FOTEN_BAD_FILE, "the card's window is not the network's %d", m->history);
@@ -300,12 +295,12 @@ static int read_scale(foten_model *m, texture_file *file, const char *prefix, in
     return 1;
 }
 
-static int read_lattice(foten_model *m, texture_file *file, const char *prefix, int n_speed, int n_force, int order, int width, int drives,
+static int read_lattice(foten_model *m, texture_file *file, const char *prefix, int n_speed, int n_force, int order, int width, int before,
                         lattice *out) {
     char level[64];
     snprintf(level, sizeof level, "%slevel.", prefix);
     out->order = order;
-    out->level_drives = drives;
+    out->gain_before_filter = before;
     if (!read_plane(m, file, prefix, "reflections", n_speed, n_force, order, &out->reflections)) return 0;
     for (size_t i = 0; i < (size_t)n_speed * (size_t)n_force * (size_t)order; i++)
         if (!(fabs(out->reflections.values[i]) < 1)) {
@@ -329,11 +324,11 @@ static int read_excitation(foten_model *m, texture_file *file, const sizes *s) {
         file_refuse(file, FOTEN_BAD_FILE, "tensor 'excitation.largest' is negative");
         return 0;
     }
-    if (!(found = take(m, file, "excitation.", "swell", 2, 0))) return 0;
+    if (!(found = take(m, file, "excitation.", "volatility", 2, 0))) return 0;
     m->swell_kept = found[0];
     m->swell_sd = found[1];
     if (!(m->swell_kept >= 0 && m->swell_kept <= 1 && m->swell_sd >= 0)) {
-        file_refuse(file, FOTEN_BAD_FILE, "tensor 'excitation.swell' is out of range");
+        file_refuse(file, FOTEN_BAD_FILE, "tensor 'excitation.volatility' is out of range");
         return 0;
     }
     return 1;
@@ -343,10 +338,10 @@ static int read_plus(foten_model *m, texture_file *file, const sizes *s) {
     const double *found;
     int width = s->excitation_width;
     m->plus = 1;
-    m->network_heard = s->network_heard && !s->n_tones;
+    m->network_in_loop = s->network_in_loop && !s->n_tones;
     m->correction_limit = s->correction_limit;
-    if (!read_lattice(m, file, "lattice.", s->n_speed, s->n_force, s->order, width, s->level_drives, &m->whole)) return 0;
-    m->rest = m->whole;
+    if (!read_lattice(m, file, "lattice.", s->n_speed, s->n_force, s->order, width, s->gain_before_filter, &m->whole)) return 0;
+    m->residual = m->whole;
     m->n_tones = s->n_tones;
     if (s->n_tones) {
         if (!read_plane(m, file, "tones.", "values", s->n_tone_speed, s->n_tone_force, 2 * s->n_tones, &m->tones)) return 0;
@@ -358,7 +353,7 @@ static int read_plus(foten_model *m, texture_file *file, const sizes *s) {
             file_refuse(file, FOTEN_BAD_FILE, "tensor 'tones.motion' is out of range");
             return 0;
         }
-        if (!read_lattice(m, file, "rest.", s->n_rest_speed, s->n_rest_force, s->rest_order, width, s->rest_level_drives, &m->rest)) return 0;
+        if (!read_lattice(m, file, "residual.", s->n_residual_speed, s->n_residual_force, s->residual_order, width, s->residual_gain_before_filter, &m->residual)) return 0;
     }
     return 1;
 }
@@ -366,8 +361,11 @@ static int read_plus(foten_model *m, texture_file *file, const sizes *s) {
 foten_status model_read(foten_model *m, texture_file *file, const isa *isa) {
     sizes s;
     long long version;
-    if (!json_integer(json_member(file->card, "format_version"), &version) || version != 1)
-        return file_refuse(file, FOTEN_BAD_FILE, "the file has another format version than 1; update foten?");
+    if (!json_integer(json_member(file->card, "format_version"), &version))
+        return file_refuse(file, FOTEN_BAD_FILE, "the card has no format version");
+    if (version != FORMAT_VERSION)
+        return file_refuse(file, FOTEN_BAD_FILE, "the file has format version %lld, expected %d: %s", version, FORMAT_VERSION,
+                           version < FORMAT_VERSION ? "train it again with this foten" : "update foten");
     json from = json_member(file->card, "sizes");
     if (!from.begin || *from.begin != '{') return file_refuse(file, FOTEN_BAD_FILE, "the card has no 'sizes'");
     foten_status status = read_sizes(file, from, m->predictor != NULL, &s);

@@ -24,7 +24,7 @@ typedef struct {
 } scale;
 
 typedef struct {
-    int order, level_drives;
+    int order, gain_before_filter;
     plane reflections;
     scale level;
 } lattice;
@@ -45,11 +45,11 @@ struct foten_model {
     int n_inputs;              /* numbers of each sample that either sees */
     const local_models *local; /* of ar */
     double correction_limit;
-    int network_heard;
+    int network_in_loop;
 
     int plus;
-    /* foten-plus: `whole` is the lattice of the vibration, `rest` that of what the tones leave, or the same. */
-    lattice whole, rest;
+    /* foten-plus: `whole` is the lattice of the vibration, `residual` that of what the tones leave, or the same. */
+    lattice whole, residual;
     int n_tones;
     plane tones;
     double turn, unevenness, forgetting;

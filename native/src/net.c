@@ -136,25 +136,17 @@ static void transform_of(maker *m, net *n, int half) {
 static void spectral_of(maker *m, net *n, const net_sizes *s) {
     size_t width = (size_t)s->spectral_width, heads = (size_t)s->n_heads, feed = (size_t)s->d_feedforward;
     n->n_bins = s->half_bins ? s->window / 2 + 1 : s->window;
-    /* Magnitudes k and m - k are equal, and so is what becomes of them, unless bins are told apart. */
-    n->n_magnitudes = s->bin_embedding ? n->n_bins : s->window / 2 + 1;
+    n->n_magnitudes = s->window / 2 + 1; /* magnitudes k and m - k are equal */
     n->width_stride = (int)up(width, m->lanes);
     transform_of(m, n, s->half_bins);
     if (n->lifted) {
         n->magnitude_in = linear_of(m, "spectral.magnitude_in", width, 1);
         n->magnitude_out = linear_of(m, "spectral.magnitude_out", 1, width);
-        n->phase_in = linear_of(m, "spectral.phase_in", width, s->cos_sin ? 2 : 1);
+        n->phase_in = linear_of(m, "spectral.phase_in", width, 1);
         n->phase_out = linear_of(m, "spectral.phase_out", 1, width);
     }
     n->magnitude = encoder_of(m, "spectral.magnitude_layer", width, heads, feed);
     n->phase = encoder_of(m, "spectral.phase_layer", width, heads, feed);
-    if (s->bin_embedding) {
-        const double *found = tensor(m, "spectral.bins", "", (size_t)n->n_bins, width);
-        float *bins = room(m, (size_t)n->n_bins * (size_t)n->width_stride);
-        for (int k = 0; !m->missing && k < n->n_bins; k++)
-            for (size_t i = 0; i < width; i++) bins[(size_t)k * (size_t)n->width_stride + i] = (float)found[(size_t)k * width + i];
-        n->bins = bins;
-    }
     n->spectral_embedding = linear_of(m, "spectral_embedding", (size_t)s->d_model, 1);
 }
 
@@ -175,8 +167,8 @@ net *net_make(texture_file *file, const char *prefix, const net_sizes *s, const 
     if (!n || !layers) return NULL;
     size_t d = (size_t)s->d_model, n_found = d * (size_t)(1 + s->fourier);
     *n = (net){.window = s->window, .n_inputs = s->n_inputs, .d = s->d_model, .width = s->spectral_width, .n_layers = s->n_layers,
-               .first = s->first, .second = s->second, .pre_norm = s->pre_norm, .log_magnitude = s->log_magnitude, .cos_sin = s->cos_sin,
-               .modulated = s->modulated, .lifted = s->spectral_width > 1, .fourier = s->fourier, .n_found = s->d_model * (1 + s->fourier)};
+               .first = s->first, .second = s->second, .pre_norm = s->pre_norm,
+               .lifted = s->spectral_width > 1, .fourier = s->fourier, .n_found = s->d_model * (1 + s->fourier)};
     n->d_stride = (int)up(d, m->lanes);
     n->embedding = linear_of(m, "temporal.embedding", d, (size_t)s->n_inputs);
     n->positions = positions_of(m, (size_t)s->window, d, (size_t)n->d_stride);
@@ -188,7 +180,6 @@ net *net_make(texture_file *file, const char *prefix, const net_sizes *s, const 
     n->layers = layers;
     if (s->pre_norm) n->last = norm_of(m, "temporal.norm", d);
     if (s->fourier) spectral_of(m, n, s);
-    if (s->modulated) n->modulation = linear_of(m, "modulation", 2 * n_found, 2);
     n->head_1 = linear_of(m, "head_1", (size_t)s->first, n_found + 2);
     n->head_2 = linear_of(m, "head_2", (size_t)s->second, (size_t)s->first);
     const double *w = tensor(m, "head_3", ".weight", 1, (size_t)s->second), *bias = tensor(m, "head_3", ".bias", 1, 0);

@@ -28,13 +28,13 @@ typedef struct {
 /* What a card says of the network. */
 typedef struct {
     int window, d_model, n_heads, n_layers, d_feedforward, first, second, spectral_width;
-    int pre_norm, bin_embedding, cos_sin, log_magnitude, half_bins;
-    int n_inputs, modulated, fourier; /* fourier: whether there is a spectral branch */
+    int pre_norm, half_bins;
+    int n_inputs, fourier; /* fourier: whether there is a spectral branch */
 } net_sizes;
 
 typedef struct {
     int window, n_inputs, d, d_stride, width, width_stride, n_layers, n_bins, n_magnitudes, first, second;
-    int pre_norm, log_magnitude, cos_sin, modulated, lifted, fourier, n_found; /* n_found: numbers that the branches give the head */
+    int pre_norm, lifted, fourier, n_found; /* n_found: numbers that the branches give the head */
     linear embedding;
     const float *positions; /* window x d_stride */
     const encoder *layers;
@@ -44,8 +44,7 @@ typedef struct {
     const float *counted;           /* how many bins each magnitude stands for */
     linear magnitude_in, magnitude_out, phase_in, phase_out;
     encoder magnitude, phase;
-    const float *bins;              /* n_bins x width_stride, or NULL */
-    linear spectral_embedding, modulation, head_1, head_2;
+    linear spectral_embedding, head_1, head_2;
     const float *head_3;
     double head_3_bias;
     size_t scratch;                 /* floats that a step needs beside */

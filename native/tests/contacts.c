@@ -32,7 +32,7 @@ static void render(foten_state **states, int n, int samples, double t, const fot
     float out[256];
     for (int i = 0; i < n; i++) {
         double share = 0.5 - 0.4 * cos(3.1 * t + i);
-        foten_set_hand(states[i], (float)(info->trained_speed[0] + share * (info->trained_speed[1] - info->trained_speed[0])),
+        foten_set_condition(states[i], (float)(info->trained_speed[0] + share * (info->trained_speed[1] - info->trained_speed[0])),
                        (float)(info->trained_force[0] + (1 - share) * (info->trained_force[1] - info->trained_force[0])));
         foten_render(states[i], out, (size_t)samples);
     }

@@ -37,7 +37,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t n) {
     if (state) {
         float out[64];
         for (int i = 0; i < 4; i++) {
-            foten_set_hand(state, (float)(i * 1e5), (float)i);
+            foten_set_condition(state, (float)(i * 1e5), (float)i);
             foten_render(state, out, 16);
             finite(out, 16);
         }

@@ -71,7 +71,7 @@ int main(int n_arguments, char **arguments) {
         n_calls = 0;
         foten_set_actuator(other, &actuator);
         for (int k = 0; k < 8; k++) {
-            foten_set_hand(own, (float)(50 * k), 0.5f * (float)k);
+            foten_set_condition(own, (float)(50 * k), 0.5f * (float)k);
             foten_render(own, out, 512);
             foten_render(other, out, 512);
             foten_stylus_push(stylus, k, k, 0.4, 0.01 * k);

@@ -181,7 +181,7 @@ class Renderer {
 
   /** Tell where the hand is: mm/s and N. */
   setHand(speed, force) {
-    this.foten.c.foten_set_hand(alive(this), speed, force);
+    this.foten.c.foten_set_condition(alive(this), speed, force);
   }
 
   /** Fill a Float32Array with the next samples. Allocates only where its length is another one than before. */
@@ -220,7 +220,7 @@ class Renderer {
 
   /** Speed [mm/s] and force [N] that the last sample was rendered under. */
   get hand() {
-    this.foten.c.foten_hand(alive(this), this.handAt, this.handAt + 4);
+    this.foten.c.foten_condition(alive(this), this.handAt, this.handAt + 4);
     const view = new DataView(this.foten.c.memory.buffer);
     return [view.getFloat32(this.handAt, true), view.getFloat32(this.handAt + 4, true)];
   }

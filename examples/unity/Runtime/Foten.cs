@@ -83,7 +83,7 @@ namespace Foten
         }
 
         /// <summary>Tell where the hand is: mm/s and N.</summary>
-        public void SetHand(float speed, float force) => Native.foten_set_hand(State, speed, force);
+        public void SetHand(float speed, float force) => Native.foten_set_condition(State, speed, force);
 
         /// <summary>Fill an array with the next samples [m/s²].</summary>
         public void Render(float[] samples) => Render(samples, samples.Length);
@@ -144,7 +144,7 @@ namespace Foten
         [DllImport(Library)] internal static extern IntPtr foten_state_new(IntPtr model, ref Options options);
         [DllImport(Library)] internal static extern void foten_state_free(IntPtr state);
         [DllImport(Library)] internal static extern void foten_reset(IntPtr state, ulong seed);
-        [DllImport(Library)] internal static extern void foten_set_hand(IntPtr state, float speed, float force);
+        [DllImport(Library)] internal static extern void foten_set_condition(IntPtr state, float speed, float force);
         [DllImport(Library)] internal static extern void foten_render(IntPtr state, float[] samples, UIntPtr n);
         [DllImport(Library)] internal static extern double foten_delay_s(IntPtr state);
     }

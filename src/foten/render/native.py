@@ -134,7 +134,7 @@ _SIGNATURES = {
     "foten_start_scaled": (c_int, [c_void_p, _DOUBLES]),
     "foten_run_scaled": (None, [c_void_p, _DOUBLES, _DOUBLES, c_double, c_size_t, _DOUBLES]),
     "foten_predict": (c_int, [c_void_p, _DOUBLES, c_size_t, c_int, _DOUBLES]),
-    "foten_set_hand": (None, [c_void_p, c_float, c_float]),
+    "foten_set_condition": (None, [c_void_p, c_float, c_float]),
     "foten_render": (None, [c_void_p, _FLOATS, c_size_t]),
     "foten_render_stroke": (c_size_t, [c_void_p, _FLOATS, _FLOATS, c_size_t, _FLOATS]),
     "foten_rendered": (c_size_t, [c_void_p, c_size_t]),
@@ -357,7 +357,7 @@ class NativeState:
 
     def set_hand(self, speed: float, force: float) -> None:
         """Tell where the hand is [mm/s, N], from any thread; what is negative is 0, what is not finite left out; both count."""
-        library().foten_set_hand(self._pointer, speed, force)
+        library().foten_set_condition(self._pointer, speed, force)
 
     def render(self, out: NDArray[np.float32]) -> None:
         """Fill an array with acceleration [m/s²] at the state's rate, under the hand that was last set."""

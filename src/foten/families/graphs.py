@@ -1,0 +1,223 @@
+"""The networks that ONNX Runtime runs: variants of the paper's (Table II), and the systems it is compared with (Tables I, III).
+
+What a source does not state is our choice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from foten.families.excitation import WithExcitation
+from foten.families.foten import FotenSizes
+from foten.families.sizes import Shapes, Sizes, check_count, check_counts, check_heads
+from foten.families.ten import TenSizes
+
+
+@dataclass(frozen=True)
+class GraphSizes(WithExcitation):
+    """A one-step network whose weights are in a graph."""
+
+    in_graph: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_counts(self)
+
+
+@dataclass(frozen=True)
+class TenMfccSizes(TenSizes):
+    """TEN with cepstral coefficients of the window in place of the Fourier branch, Table II: our reading of "TEN-MFCC"."""
+
+    window: int = 30  # m, samples; Table II
+    n_bands: int = 12  # of the triangular filters, spaced as mel are; the paper is silent
+    n_coefficients: int = 8  # kept of their cosine transform; the paper is silent
+    in_graph: ClassVar[bool] = True
+    n_branches: ClassVar[int] = 2
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_count("n_bands", self.n_bands, 2)
+        check_count("n_coefficients", self.n_coefficients, 1)
+        if self.n_coefficients > self.n_bands:
+            raise ValueError(
+                f"n_coefficients is {self.n_coefficients}, expected at most n_bands, {self.n_bands}"
+            )
+
+    tensor_shapes = WithExcitation.tensor_shapes
+    multiply_adds = Sizes.multiply_adds
+
+
+@dataclass(frozen=True)
+class TenWaveletSizes(TenSizes):
+    """TEN with wavelet coefficients of the window in place of the Fourier branch, Table II: our reading of "TEN-Wavelet"."""
+
+    window: int = 30  # m, samples; Table II
+    n_levels: int = 3  # of Daubechies' wavelet with two vanishing moments; the paper is silent
+    in_graph: ClassVar[bool] = True
+    n_branches: ClassVar[int] = 2
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_count("n_levels", self.n_levels, 1)
+        if self.n_levels > 12 or self.window < 2 ** (self.n_levels + 1):
+            raise ValueError(
+                f"window is {self.window}, expected 2^{self.n_levels + 1} or more for {self.n_levels} levels"
+            )
+
+    tensor_shapes = WithExcitation.tensor_shapes
+    multiply_adds = Sizes.multiply_adds
+
+
+@dataclass(frozen=True)
+class FotenDSizes(FotenSizes):
+    """FoTEN with a decoder layer of one query token in place of the last token, FoTEN-D in Table II: our reading.
+
+    The query attends to all temporal tokens and to the single one of the spectral branch.
+    """
+
+    in_graph: ClassVar[bool] = True
+    tensor_shapes = WithExcitation.tensor_shapes
+    multiply_adds = Sizes.multiply_adds
+
+
+@dataclass(frozen=True)
+class FnnSizes(GraphSizes):
+    """Band by band [13]: a small network for each of four bands."""
+
+    window: int = 144  # the longest lag, and the filters' memory before it
+    n_lags: int = 10  # of each band, 8, 4, 2 and 1 samples apart from the lowest band on
+    first: int = 20  # hidden units
+    second: int = 10
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.window < 8 * self.n_lags + 16:
+            raise ValueError(
+                f"window is {self.window}, expected {8 * self.n_lags + 16} or more for {self.n_lags} lags of 8 samples"
+            )
+
+
+@dataclass(frozen=True)
+class DstnSizes(GraphSizes):
+    """Deep spatio-temporal network [15]: convolutions, attention over channels and time, and recurrent layers."""
+
+    window: int = 40  # m, samples; Table III
+    channels: int = 64
+    squeezed: int = 8  # channels of the attention's bottleneck
+    recurrent: int = 64  # each way
+    dense: int = 64
+
+
+@dataclass(frozen=True)
+class HapinfSizes(GraphSizes):
+    """Encoder and decoder after Informer, the teacher of [20]; no source of it was available."""
+
+    window: int = 20  # m, samples
+    d_model: int = 64
+    n_heads: int = 4
+    n_layers: int = 2  # of the encoder; the decoder has one
+    d_feedforward: int = 256
+    n_start: int = 10  # samples that the decoder begins with
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_heads(self.d_model, self.n_heads)
+        if self.n_start > self.window:
+            raise ValueError(f"n_start is {self.n_start}, expected at most the window, {self.window}")
+
+
+@dataclass(frozen=True)
+class LdhtdSizes(GraphSizes):
+    """Recurrent encoder of speed and force, attending decoder of acceleration [20], distilled from `hapinf`."""
+
+    window: int = 20  # m, samples; Table III
+    recurrent: int = 32
+    d_model: int = 32
+    n_heads: int = 4
+    d_feedforward: int = 128
+    dense: int = 64
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_heads(self.d_model, self.n_heads)
+
+
+@dataclass(frozen=True)
+class LdhtdHopSizes(GraphSizes):
+    """What the authors of [20] published as code, without its images: a hop of samples at once from 200 before it."""
+
+    window: int = 200  # samples of acceleration
+    hop: int = 20  # samples of what is predicted, and of the condition that it goes by
+    recurrent: int = 20
+    condition_width: int = 64  # features of the condition
+    d_model: int = 128
+    n_heads: int = 4
+    d_feedforward: int = 128
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_heads(self.d_model, self.n_heads)
+        if self.hop > self.window:
+            raise ValueError(f"hop is {self.hop}, expected at most the window, {self.window}")
+
+    @property
+    def n_ahead(self) -> int:
+        """Return how many samples a window gives."""
+        return self.hop
+
+
+@dataclass(frozen=True)
+class NoiseModelSizes(Sizes):
+    """A model of spectra, whose samples are filtered noise: its windows hold noise in the place of acceleration."""
+
+    in_graph: ClassVar[bool] = True
+    from_noise: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_counts(self)
+
+    def tensor_shapes(self) -> Shapes:
+        """Return none: its weights are in the graph."""
+        return {}
+
+
+@dataclass(frozen=True)
+class DftnetSizes(NoiseModelSizes):
+    """Spectra of short frames from past speed and force [14], given back as filtered noise."""
+
+    window: int = 100  # samples of a frame, and of the condition before it
+    n_conditions: int = 10  # speeds and forces of these that it is given
+    first: int = 256  # hidden units
+    second: int = 256
+    third: int = 128
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.window < max(8, self.n_conditions):
+            raise ValueError(
+                f"window is {self.window}, expected {max(8, self.n_conditions)} or more for {self.n_conditions} conditions"
+            )
+
+
+@dataclass(frozen=True)
+class GanSizes(NoiseModelSizes):
+    """A generator of spectra from noise, speed and force [34], given back as filtered noise."""
+
+    window: int = 272  # samples: 27 frames, the receptive field of three layers
+    frame: int = 64  # samples
+    stride: int = 8  # samples from one frame to the next
+    channels: int = 48
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.frame < 8:
+            raise ValueError(f"frame is {self.frame}, expected 8 or more")
+        if self.frame % self.stride:
+            raise ValueError(f"frame is {self.frame}, expected a multiple of stride, {self.stride}")
+        if self.window != 26 * self.stride + self.frame:
+            raise ValueError(
+                f"window is {self.window}, expected {26 * self.stride + self.frame}: 27 frames of {self.frame} samples, "
+                f"{self.stride} apart"
+            )
