@@ -54,7 +54,7 @@ wasm-check: $(VENV)/.wasm
 # A page that renders on this machine alone: open what it says.
 web:
 	mkdir -p build/web
-	cp examples/web/* native/wasm/foten.mjs native/wasm/foten.wasm src/foten/render/example.foten build/web
+	cp examples/web/* native/wasm/foten.mjs native/wasm/foten.wasm src/foten/runtime/example.foten build/web
 	$(PYTHON) -m http.server --bind 127.0.0.1 --directory build/web 8000
 
 clean:

@@ -26,7 +26,7 @@ from torch import nn
 
 from foten.architecture import ARCHITECTURES
 from foten.datasets.simulate import TEXTURES, simulate
-from foten.models import build
+from foten.networks import build
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.split import split_blocks
 from foten.train.config import RECIPES

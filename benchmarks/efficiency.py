@@ -31,17 +31,17 @@ import torch
 from foten.architecture import ARCHITECTURES, GRAPHS, NETWORKS
 from foten.datasets.simulate import simulate
 from foten.experiments.paper import PAPER
-from foten.models import build
-from foten.models.dftnet import Dftnet
-from foten.models.foten_plus import FotenPlus
-from foten.models.gan import Gan
+from foten.networks import build
+from foten.networks.dftnet import Dftnet
+from foten.networks.foten_plus import FotenPlus
+from foten.networks.gan import Gan
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.scaling import fit_scaling
 from foten.recording.split import split_blocks
 from foten.recording.windows import targets
-from foten.render.graph import GRAPH, GraphEngine
-from foten.render.native import NativeState, NativeTexture
-from foten.texture_file import Texture
+from foten.runtime.onnx_predictor import GRAPH, GraphEngine
+from foten.runtime.native import NativeState, NativeTexture
+from foten.families.texture_file import Texture
 from foten.train.adversarial import STEPS, fit_adversarial
 from foten.train.card import card_of
 from foten.train.config import OWN_RECIPES, RECIPES

@@ -38,11 +38,11 @@ from foten.evaluate.evaluate import evaluate
 from foten.evaluate.one_step import one_step
 from foten.experiments.truth import truth_for
 from foten.recording.windows import targets
-from foten.render.engine import engine_for
+from foten.runtime.engine import engine_for
 from foten.train.config import RECIPES, TrainConfig
 from foten.train.linear_part import LinearPart, fit_linear_parts
 from foten.train.train import Trained, train_texture
-from main_table import REAL, SOURCES, alike, at, between, heard_of, recording_of, work_through
+from main_table import REAL, SOURCES, alike, at, between, audible_share, recording_of, work_through
 from main_table import RESULTS as MAIN
 from self_forced import fine_tuning
 
@@ -217,7 +217,7 @@ def execute(run: Run, recordings: Path) -> dict[str, Any]:
         "versions": trained.texture.card["training"]["versions"],
         "source_sha256": SOURCES,
         "validation": validation(trained, document["first_scored"]),
-        "heard": heard_of(trained.texture),
+        "heard": audible_share(trained.texture),
         "has": {
             **sizes(trained.texture.architecture),
             "swell": float(trained.texture.tensors["excitation.swell"][1]),

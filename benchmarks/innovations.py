@@ -25,9 +25,9 @@ from scipy import optimize, stats
 from foten.dsp.noise import gaussianised
 from foten.recording.preprocess import preprocess
 from foten.recording.split import Split
-from foten.render.engine import NumpyFotenPlus, engine_for
-from foten.render.synthesizer import FADE_FORCE, FADE_SPEED
-from foten.texture_file import Texture, read_texture
+from foten.runtime.engine import NumpyFotenPlus, engine_for
+from foten.runtime.synthesizer import FADE_FORCE, FADE_SPEED
+from foten.families.texture_file import Texture, read_texture
 from foten.whole_file import whole_file
 from main_table import SOURCES, between, name_of, recording_of
 

@@ -18,7 +18,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from foten.dsp.lattice import LEAK, forecast, push
+from foten.dsp.lattice import LEAK, predict, push
 
 N_STREAMS = (1, 60, 200)
 N_BLOCKS = 9

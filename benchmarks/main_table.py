@@ -37,7 +37,7 @@ from foten.experiments.truth import truth_for
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Channel, Recording
 from foten.recording.trace import Trace
-from foten.texture_file import Texture, write_texture
+from foten.families.texture_file import Texture, write_texture
 from foten.train.config import RECIPES
 from foten.train.train import train_texture
 from foten.whole_file import whole_file
@@ -147,12 +147,12 @@ def execute(run: Run, recordings: Path, keep: Path | None) -> dict[str, Any]:
         "source_sha256": SOURCES,
         "training_seconds": seconds,
         "recording": kurtosis_of(judgement.trace),
-        "heard": heard_of(trained.texture),
+        "heard": audible_share(trained.texture),
         **judgement.document,
     }
 
 
-def heard_of(texture: Texture) -> dict[str, Any]:
+def audible_share(texture: Texture) -> dict[str, Any]:
     """Return how far the free run is from the validation blocks [dB], as its card says; none of a model without excitation.
 
     And whether a rendering hears the network.

@@ -30,8 +30,8 @@ from foten.dsp.level import FRAME_MS, frame_levels, frame_means
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Channel, Recording
 from foten.recording.trace import Trace
-from foten.render.synthesizer import Synthesizer
-from foten.texture_file import Texture
+from foten.runtime.synthesizer import Synthesizer
+from foten.families.texture_file import Texture
 from foten.train.config import RECIPES
 from foten.train.train import train_texture
 from foten.whole_file import whole_file

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 import foten.train.train as train_module
-from foten.models.foten_plus import FotenPlus
+from foten.networks.foten_plus import FotenPlus
 from foten.recording.windows import window_indices
 from foten.train.config import TrainConfig
 from foten.train.excitation import fit_excitation, free_run_distance

@@ -38,11 +38,11 @@ import numpy as np
 from foten.architecture import HEAVIEST_TAIL
 from foten.datasets.stroking import stroking
 from foten.dsp.lattice import LEAK
-from foten.dsp.noise import LARGEST_SWELL
-from foten.render.closed_loop import ClosedLoop
-from foten.render.engine import ToneState, engine_for
-from foten.texture_file import Texture, read_texture
-from main_table import SOURCES, between, heard_of, keep, made_earlier, name_of
+from foten.dsp.noise import LARGEST_VOLATILITY
+from foten.runtime.closed_loop import ClosedLoop
+from foten.runtime.engine import ToneState, engine_for
+from foten.families.texture_file import Texture, read_texture
+from main_table import SOURCES, between, audible_share, keep, made_earlier, name_of
 from streams import rendered
 
 LARGEST_NOISE = 5.68  # standard deviations, of the counter-based generator
@@ -126,7 +126,7 @@ def proven(texture: Texture) -> float | None:
         heaviest, float(tensors["excitation.largest"][0])
     )
     driven = (architecture.correction_limit if heard else 0.0) + shock * np.exp(
-        (LARGEST_SWELL - swell) * swell
+        (LARGEST_VOLATILITY - swell) * swell
     )
     level = float(tensors[f"{'rest' if architecture.n_tones else 'lattice'}.level.highest"].item())
     bound = level * driven / np.sqrt(1 - LEAK**2)
@@ -226,7 +226,7 @@ def main() -> None:
             "texture_sha256": texture.sha256(),
             "source_sha256": SOURCES,
             "rate_hz": texture.rate_hz,
-            "network_heard": bool(heard_of(texture).get("network")),
+            "network_heard": bool(audible_share(texture).get("network")),
             "samples": played.size,
             "finite": bool(np.isfinite(played).all()),
             "max_sd": float(np.abs(played).max() / texture.scaling.sd[0]),

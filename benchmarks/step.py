@@ -37,7 +37,7 @@ PERCENTILES = {"p50": 50.0, "p99": 99.0, "p999": 99.9}
 CHILD = """
 import sys, time, json
 import numpy as np
-from foten.render.native import NativeState, NativeTexture, isa
+from foten.runtime.native import NativeState, NativeTexture, isa
 texture = NativeTexture(open(sys.argv[1], "rb").read())
 state, out = NativeState(texture, excitation=False), np.empty(1, dtype=np.float32)
 state.set_hand(*map(float, sys.argv[2:4]))
@@ -121,7 +121,7 @@ def timed(call: Callable[[], Any]) -> Callable[[int], list[float]]:
 
 def texture_of(path: Path | None) -> tuple[Any, bytes]:
     """Return a texture of the paper's network with its default sizes, untrained unless one is given: its time is the same."""
-    from foten.texture_file import texture_from_bytes
+    from foten.families.texture_file import texture_from_bytes
 
     if path is not None:
         data = path.read_bytes()
@@ -161,7 +161,7 @@ def frameworks(texture: Any, file: Path) -> dict[str, Any]:
     """Return what times PyTorch, eager and compiled, ONNX Runtime and OpenVINO on the same window."""
     import torch
 
-    from foten.models import build
+    from foten.networks import build
 
     torch.set_num_threads(1)
     network = build(texture.card["model"], texture.architecture)

@@ -30,7 +30,7 @@ import torch
 from foten.architecture import ARCHITECTURES
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
-from foten.models import build
+from foten.networks import build
 from foten.recording.preprocess import preprocess
 from foten.recording.recording import Recording
 from foten.recording.scaling import fit_scaling

@@ -43,8 +43,8 @@ from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.scaling import fit_scaling
 from foten.recording.split import split_blocks
 from foten.recording.windows import targets, windows
-from foten.render.engine import engine_for
-from foten.texture_file import read_texture
+from foten.runtime.engine import engine_for
+from foten.families.texture_file import read_texture
 
 HERE = Path(__file__).parent
 RESULTS = HERE.parent / "benchmarks" / "results"

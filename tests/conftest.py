@@ -19,7 +19,7 @@ from foten.architecture import (
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
-from foten.texture_file import Texture
+from foten.families.texture_file import Texture
 
 if TYPE_CHECKING:
     from foten.train.export_local import LocalModels
@@ -85,8 +85,8 @@ def untrained(
     """Return a seeded network whose every tensor matters; foten-plus resonates near 120 Hz through its lattice."""
     import torch
 
-    from foten.models import build
-    from foten.models.excited import Excited
+    from foten.networks import build
+    from foten.networks.excited import Excited
 
     torch.manual_seed(seed)
     architecture = architecture or ARCHITECTURES[key]()

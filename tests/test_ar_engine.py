@@ -10,14 +10,14 @@ import pytest
 
 from conftest import CARD, SCALING, exported, local_models
 from foten.architecture import ArArchitecture
-from foten.dsp.lattice import LEAK, forecast, reflections_of
+from foten.dsp.lattice import LEAK, predict, reflections_of
 from foten.dsp.lsf import line_spectral_frequencies, polynomial_of
-from foten.render.ar import NumpyAr
-from foten.render.closed_loop import ClosedLoop
-from foten.render.engine import engine_for
-from foten.render.native import NativeState, NativeTexture
-from foten.render.synthesizer import Synthesizer
-from foten.texture_file import Texture
+from foten.runtime.ar import NumpyAr
+from foten.runtime.closed_loop import ClosedLoop
+from foten.runtime.engine import engine_for
+from foten.runtime.native import NativeState, NativeTexture
+from foten.runtime.synthesizer import Synthesizer
+from foten.families.texture_file import Texture
 from foten.train.export_local import LocalModels, export_local
 
 LOCAL: dict[str, dict[str, Any]] = {

@@ -17,7 +17,7 @@ from foten.architecture import (
     sizes,
     tensor_shapes,
 )
-from foten.models import build
+from foten.networks import build
 
 VARIANTS: list[dict[str, Any]] = [
     {},

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from foten.cli.command_line import _status
-from foten.texture_file import read_texture
+from foten.families.texture_file import read_texture
 
 FAST = ["--trim", "0", "--block", "500", "--epochs", "1", "--threads", "1", "--window", "12"]
 

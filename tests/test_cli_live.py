@@ -18,12 +18,12 @@ import pytest
 
 from conftest import exported
 from foten.cli.command_line import _status
-from foten.render import bench, devices
-from foten.render import play as playing
-from foten.render.actuator import ActuatorProfile, write_profile
-from foten.render.live import LiveStatistics
-from foten.render.play import Played
-from foten.render.renderer import Renderer
+from foten.runtime import bench, devices
+from foten.runtime import play as playing
+from foten.runtime.actuator import ActuatorProfile, write_profile
+from foten.runtime.live.live import LiveStatistics
+from foten.runtime.live.play import Played
+from foten.runtime.renderer import Renderer
 
 
 @pytest.fixture(scope="module")

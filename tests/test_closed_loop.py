@@ -5,8 +5,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from conftest import resonance
-from foten.render.closed_loop import ClosedLoop
-from foten.render.window_state import WindowState
+from foten.runtime.closed_loop import ClosedLoop
+from foten.runtime.window_state import WindowState
 
 
 @dataclass

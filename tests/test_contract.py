@@ -20,13 +20,13 @@ from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate, to_text
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
-from foten.render.bench import INSTRUCTION_SETS, time_all
-from foten.render.engine import engine_for
-from foten.render.graph import GraphEngine
-from foten.render.native import NativeState, NativeTexture
-from foten.render.renderer import Renderer
-from foten.render.synthesizer import Synthesizer
-from foten.texture_file import CLOSED_LOOP_TOLERANCE, Texture, texture_from_bytes, write_texture
+from foten.runtime.bench import INSTRUCTION_SETS, time_all
+from foten.runtime.engine import engine_for
+from foten.runtime.onnx_predictor import GraphEngine
+from foten.runtime.native import NativeState, NativeTexture
+from foten.runtime.renderer import Renderer
+from foten.runtime.synthesizer import Synthesizer
+from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, Texture, texture_from_bytes, write_texture
 from foten.train.config import OWN_RECIPES, TrainConfig
 from foten.train.local import train_local
 from foten.train.train import train_texture
@@ -80,8 +80,8 @@ sys.meta_path.insert(0, NoTorch())
 import numpy as np
 from foten.datasets.hdf5 import load_recording
 from foten.evaluate.evaluate import evaluate
-from foten.render.renderer import Renderer
-from foten.texture_file import read_texture
+from foten.runtime.renderer import Renderer
+from foten.families.texture_file import read_texture
 folder, found = Path(sys.argv[1]), {}
 recording = load_recording(folder / "recording.h5")
 for path in sorted(folder.glob("*.foten")):

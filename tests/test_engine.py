@@ -8,10 +8,10 @@ import torch
 from conftest import SMALL, architecture_with, exported, untrained
 from foten.architecture import ARCHITECTURES, GRAPHS, NETWORKS, FotenArchitecture, FotenPlusArchitecture
 from foten.evaluate.one_step import excitation_scores
-from foten.models import MODELS
-from foten.render.engine import ENGINES, engine_for
-from foten.render.forecast import excitation_fit
-from foten.texture_file import ONE_STEP_TOLERANCE, Texture, texture_from_bytes
+from foten.networks import MODELS
+from foten.runtime.engine import ENGINES, engine_for
+from foten.runtime.forecast import excitation_fit
+from foten.families.texture_file import ONE_STEP_TOLERANCE, Texture, texture_from_bytes
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "default": {},

@@ -9,8 +9,8 @@ from torch.nn.functional import layer_norm, linear
 from conftest import SMALL, reflections_of, untrained
 from foten.architecture import FotenArchitecture, FotenPlusArchitecture
 from foten.dsp.lattice import LEAK
-from foten.models import build
-from foten.models.foten_plus import Excitation
+from foten.networks import build
+from foten.networks.foten_plus import Excitation
 
 ARCHITECTURES = {
     "paper": FotenArchitecture(),

@@ -9,8 +9,8 @@ import torch
 from foten.architecture import FotenPlusArchitecture
 from foten.datasets.simulate import simulate
 from foten.recording.preprocess import PreprocessConfig
-from foten.render.engine import engine_for
-from foten.render.synthesizer import prove
+from foten.runtime.engine import engine_for
+from foten.runtime.synthesizer import prove
 from foten.train.config import TrainConfig
 from foten.train.train import train_texture
 

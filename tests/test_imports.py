@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import foten
-from foten.render.renderer import Renderer
-from foten.texture_file import Texture, write_texture
+from foten.runtime.renderer import Renderer
+from foten.families.texture_file import Texture, write_texture
 
 ROOT = Path(foten.__file__).parent
 MODULES = sorted(
@@ -117,7 +117,7 @@ def test_importing_the_runtime_loads_no_scipy(module: str) -> None:
 
 def test_the_reader_of_imports_sees_what_it_should() -> None:
     code = "import a.b\nfrom foten import render\ndef f():\n    from c import d\nif x:\n    import e\n"
-    assert set(imported(ast.parse(code))) == {"a.b", "foten.render", "c", "e"}
+    assert set(imported(ast.parse(code))) == {"a.b", "foten.runtime", "c", "e"}
     assert of_project(imported(ast.parse("from foten.train.fit import fit\nimport foten"))) == {"train"}
 
 
@@ -143,7 +143,7 @@ for name in sys.argv[1:]:
 
 def test_training_says_what_it_lacks_without_pytorch() -> None:
     """The other side of the test above: the block works."""
-    code = "import sys; sys.modules['torch'] = None\ntry:\n    import foten.models\nexcept ImportError as e: print(e.name)"
+    code = "import sys; sys.modules['torch'] = None\ntry:\n    import foten.networks\nexcept ImportError as e: print(e.name)"
     assert run(code).strip() == "torch"
 
 
@@ -155,8 +155,8 @@ import sys
 for name in ("torch", "scipy", "h5py", "matplotlib"):
     sys.modules[name] = None
 import foten
-import importlib, pkgutil, foten.render
-for module in pkgutil.walk_packages(foten.render.__path__, "foten.render."):
+import importlib, pkgutil, foten.runtime
+for module in pkgutil.walk_packages(foten.runtime.__path__, "foten.runtime."):
     importlib.import_module(module.name)
 import numpy as np
 out = foten.Renderer(sys.argv[1], seed=4).render(np.linspace(0, 150, 100), np.full(100, 0.8))

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from conftest import exported
-from foten.render.native import NativeTexture, library
-from foten.render.renderer import Renderer
+from foten.runtime.native import NativeTexture, library
+from foten.runtime.renderer import Renderer
 
 ROOT = Path(__file__).parents[1]
 CORPUS = sorted((ROOT / "native" / "tests" / "corpus").glob("*.foten"))

@@ -9,8 +9,8 @@ import pytest
 from scipy.signal import lfilter
 
 from foten.dsp import lattice
-from foten.dsp.lattice import LEAK, analyse, check_reflections, forecast, push
-from foten.dsp.plane import FORCE_FLOOR, Plane
+from foten.dsp.lattice import LEAK, analyse, check_reflections, predict, push
+from foten.dsp.speed_force_table import FORCE_FLOOR, SpeedForceTable
 from foten.train.lattice import (
     N_FOLDS,
     LatticeData,
@@ -150,7 +150,7 @@ def test_a_state_left_alone_is_forgotten_whatever_the_reflections_are() -> None:
 
 
 def test_a_schedule_is_bilinear_between_its_vertices_and_constant_outside() -> None:
-    schedule = Plane(
+    schedule = SpeedForceTable(
         np.array([10.0, 20.0]), np.log(np.array([0.55, 1.05])), np.array([[0.1], [0.3], [0.5], [0.9]])
     )
     at = schedule.at(np.array([10.0, 20.0, 15.0, 0.0, 99.0]), np.array([0.5, 1.0, 0.5, 0.0, 9.0]))
@@ -166,7 +166,7 @@ def test_a_schedule_that_would_not_be_stable_is_refused(largest: float) -> None:
     with pytest.raises(ValueError, match="expected less than 1"):
         check_reflections(np.array([[0.3, largest]]))
     with pytest.raises(ValueError, match="do not rise"):
-        Plane(np.array([5.0, 5.0]), np.zeros(1), np.zeros((2, 1)))
+        SpeedForceTable(np.array([5.0, 5.0]), np.zeros(1), np.zeros((2, 1)))
 
 
 def moving_tone(n_blocks: int, seed: int) -> tuple[LatticeData, np.ndarray]:

@@ -16,8 +16,8 @@ from foten.evaluate.evaluate import evaluate
 from foten.experiments.truth import truth_for
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Channel, Recording
-from foten.render.native import NativeState, NativeTexture
-from foten.texture_file import read_texture
+from foten.runtime.native import NativeState, NativeTexture
+from foten.families.texture_file import read_texture
 from foten.train.local import ORDERS, LocallyTrained, fitted, train_local
 
 SHORT = PreprocessConfig(trim_ms=0, block_ms=1000)

@@ -23,10 +23,10 @@ import foten
 from conftest import SCALING, SMALL, architecture_with, exported
 from foten.architecture import ARCHITECTURES, FotenPlusArchitecture
 from foten.dsp.noise import gaussian
-from foten.render.native import NativeState, NativeTexture, isa, noise
-from foten.render.renderer import Renderer
-from foten.render.synthesizer import Synthesizer
-from foten.texture_file import CLOSED_LOOP_TOLERANCE, Texture
+from foten.runtime.native import NativeState, NativeTexture, isa, noise
+from foten.runtime.renderer import Renderer
+from foten.runtime.synthesizer import Synthesizer
+from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, Texture
 from test_ar_engine import LOCAL
 from test_engine import CASES, PLUS, VARIANTS
 from test_synthesizer import stroke
@@ -63,7 +63,7 @@ def test_every_instruction_set_passes_the_proof(name: str, tmp_path: Path) -> No
         paths.append(tmp_path / f"{key}.foten")
         paths[-1].write_bytes(exported(key).to_bytes())
     program = (
-        "import sys; from foten.render.native import isa, NativeTexture, noise; "
+        "import sys; from foten.runtime.native import isa, NativeTexture, noise; "
         "[NativeTexture(open(path, 'rb').read()) for path in sys.argv[1:]]; print(isa(), noise(1, 2, 3, 100).tobytes().hex())"
     )
     done = subprocess.run(

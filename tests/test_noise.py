@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from foten.dsp.noise import Swell, gaussian, philox
+from foten.dsp.noise import Volatility, gaussian, philox
 
 N = 1_000_000
 
@@ -114,7 +114,7 @@ def test_a_swell_keeps_the_power_raises_the_kurtosis_and_is_forgotten() -> None:
     rng = np.random.default_rng(0)
     n, streams, sd = 6000, 200, 0.3
     loud = np.empty((n, streams))
-    swell = Swell(math.exp(-1 / 50), sd, np.zeros(streams))
+    swell = Volatility(math.exp(-1 / 50), sd, np.zeros(streams))
     noise = rng.standard_normal((n, streams))
     for i in range(n):
         loud[i] = swell.factor()
@@ -124,8 +124,8 @@ def test_a_swell_keeps_the_power_raises_the_kurtosis_and_is_forgotten() -> None:
     assert np.square(played).mean() == pytest.approx(1.0, abs=0.03)
     kurtosis = (played**4).mean() / np.square(played).mean() ** 2
     assert kurtosis == pytest.approx(3 * math.exp(4 * sd**2), rel=0.1)
-    other = Swell(swell.kept, sd, np.full(streams, 3 * sd))
-    again = Swell(swell.kept, sd, np.full(streams, -3 * sd))
+    other = Volatility(swell.kept, sd, np.full(streams, 3 * sd))
+    again = Volatility(swell.kept, sd, np.full(streams, -3 * sd))
     for i in range(1000):
         other.push(noise[i])
         again.push(noise[i])
@@ -133,7 +133,7 @@ def test_a_swell_keeps_the_power_raises_the_kurtosis_and_is_forgotten() -> None:
 
 
 def test_a_swell_is_bounded_and_none_without_noise() -> None:
-    swell = Swell(0.9999, 0.5, np.zeros(1))
+    swell = Volatility(0.9999, 0.5, np.zeros(1))
     for _ in range(20_000):
         swell.push(np.array([5.6]))
     assert swell.state == pytest.approx([1.5])

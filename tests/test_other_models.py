@@ -19,12 +19,12 @@ from foten.architecture import (
     TenWaveletArchitecture,
     architecture_from,
 )
-from foten.models import build
-from foten.models.excited import Excited
-from foten.models.features import MfccBranch, WaveletBranch, cosine_transform, mel_bands, wavelet_transform
-from foten.models.fnn import EDGES, lagged_bands
-from foten.models.gan import Gan
-from foten.models.noise_filter import NoiseFilter, log_magnitudes
+from foten.networks import build
+from foten.networks.excited import Excited
+from foten.networks.features import MfccBranch, WaveletBranch, cosine_transform, mel_bands, wavelet_transform
+from foten.networks.fnn import EDGES, lagged_bands
+from foten.networks.gan import Gan
+from foten.networks.noise_filter import NoiseFilter, log_magnitudes
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.train import adversarial

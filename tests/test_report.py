@@ -21,7 +21,7 @@ from foten.evaluate.report import AUDIO_HZ, REFERENCES, cautions, page, reason, 
 from foten.recording.scaling import fit_scaling
 from foten.recording.trace import Trace
 from foten.recording.windows import targets
-from foten.texture_file import Texture
+from foten.families.texture_file import Texture
 
 N_BLOCKS, TRAIN, TEST = 8, (0, 1, 2, 5), (3, 4, 6, 7)
 ONE_STEP = ("mae_scaled", "mae_m_s2", "gfc")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.io import wavfile
 
-from foten.render.sinks import AUDIBLE_PEAK, write_audible, write_rendered
+from foten.runtime.live.sinks import AUDIBLE_PEAK, write_audible, write_rendered
 
 ABOUT = {"texture": "dënim", "seed": 3}
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from foten.recording.recording import Channel, Recording
-from foten.render.stroke import PressureCalibration, constant_stroke, read_stroke, recorded_stroke
+from foten.runtime.stroke import PressureCalibration, constant_stroke, read_stroke, recorded_stroke
 
 
 def written(path: Path, columns: dict[str, np.ndarray]) -> Path:

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from conftest import SCALING, SMALL, exported
 from foten.architecture import FotenPlusArchitecture
 from foten.recording.preprocess import PreprocessConfig
-from foten.render.closed_loop import ClosedLoop
-from foten.render.engine import engine_for
-from foten.render.excitation import Excitation
-from foten.render.synthesizer import FADE_FORCE, FADE_SPEED, RenderStatistics, Synthesizer, prove
-from foten.render.window_state import WindowState
-from foten.texture_file import CLOSED_LOOP_TOLERANCE, Texture
+from foten.runtime.closed_loop import ClosedLoop
+from foten.runtime.engine import engine_for
+from foten.runtime.excitation import Excitation
+from foten.runtime.synthesizer import FADE_FORCE, FADE_SPEED, RenderStatistics, Synthesizer, prove
+from foten.runtime.window_state import WindowState
+from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, Texture
 
 LOW, HIGH = (8.0, 0.3), (220.0, 2.5)  # the trained range of the fixtures
 
@@ -61,7 +61,7 @@ def test_how_much_noise_is_drawn_ahead_does_not_matter(
 ) -> None:
     speed, force = steady(200)
     whole = Synthesizer(texture).render(speed, force)
-    monkeypatch.setattr("foten.render.synthesizer._NOISE_BLOCK", 64)
+    monkeypatch.setattr("foten.runtime.synthesizer._NOISE_BLOCK", 64)
     pieces = Synthesizer(texture)
     out = [pieces.render(speed[a : a + 50], force[a : a + 50]) for a in range(0, 200, 50)]
     np.testing.assert_array_equal(np.concatenate(out), whole)
@@ -232,8 +232,8 @@ def test_a_stroke_begins_as_if_its_hand_had_always_been_there(
     network = FotenPlusArchitecture(**{**SMALL, "n_layers": 1, "network_heard": False, **sizes})
     given_texture = exported("foten-plus", network)
     monkeypatch.setattr(Excitation, "tail", lambda _, condition: np.full(len(condition), 0.12))
-    monkeypatch.setattr("foten.render.synthesizer.prove", lambda *_: None)
-    monkeypatch.setattr("foten.render.synthesizer._NOISE_BLOCK", 1)
+    monkeypatch.setattr("foten.runtime.synthesizer.prove", lambda *_: None)
+    monkeypatch.setattr("foten.runtime.synthesizer._NOISE_BLOCK", 1)
     n_streams = 3000
     synthesizer = Synthesizer(given_texture, n_streams=n_streams)
     out = synthesizer.render(*steady(640, *LOW)) - SCALING.mean[0]
@@ -354,7 +354,7 @@ def test_the_level_follows_the_excitation(texture: Texture) -> None:
 def proved_again(texture: Texture) -> Texture:
     """Return a texture with the golden outputs of its own engine, to look at the loop apart from the proof."""
     from foten.dsp.noise import gaussian
-    from foten.render.closed_loop import ClosedLoop
+    from foten.runtime.closed_loop import ClosedLoop
 
     engine: Any = engine_for(texture)
     tensors = dict(texture.tensors)

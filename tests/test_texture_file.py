@@ -16,7 +16,7 @@ from safetensors.numpy import save
 
 from conftest import SCALING, SMALL
 from foten.architecture import FotenPlusArchitecture
-from foten.texture_file import Texture, read_texture, texture_from_bytes, write_texture
+from foten.families.texture_file import Texture, read_texture, texture_from_bytes, write_texture
 
 
 def raw(card: Any, tensors: dict[str, np.ndarray]) -> bytes:

@@ -15,7 +15,7 @@ from torch import nn
 from foten.architecture import ARCHITECTURES, TenArchitecture
 from foten.experiments.experiment import Experiment, Method, Run
 from foten.experiments.sweep import _groups, _guarded, execute, recording_of
-from foten.models import build
+from foten.networks import build
 from foten.train.config import RECIPES, TrainConfig
 from foten.train.fit import Data, Progress, fit, reproducible
 from foten.train.together import TOGETHER, fit_together

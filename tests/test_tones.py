@@ -12,10 +12,10 @@ from scipy.signal import lfilter
 from conftest import SCALING, SMALL, exported
 from foten.architecture import FotenPlusArchitecture
 from foten.datasets.simulate import simulate
-from foten.dsp.tones import fitted_phase, heard_of, tone, tone_slope
-from foten.render.closed_loop import ClosedLoop
-from foten.render.engine import engine_for
-from foten.render.synthesizer import Synthesizer
+from foten.dsp.tones import fitted_phase, audible_share, tone, tone_slope
+from foten.runtime.closed_loop import ClosedLoop
+from foten.runtime.engine import engine_for
+from foten.runtime.synthesizer import Synthesizer
 from foten.train.config import TrainConfig
 from foten.train.lattice import LatticeData
 from foten.train.tones import _unevenness, fit_tones, n_tones, played, wavelength
@@ -137,8 +137,8 @@ def test_tones_go_on_with_the_path_above_the_trained_speed_and_never_alias() -> 
     power = np.abs(np.fft.rfft(rendered * np.hanning(2000))) ** 2
     lines = np.argsort(power)[-3:] * 0.5
     assert np.abs(lines - 132.0).min() <= 0.5
-    assert heard_of(3, np.array([2 * np.pi * 0.151]))[0] == pytest.approx([1, 1, 1, 1, 0.94, 0.94])
-    assert heard_of(3, np.array([2 * np.pi * 0.17]))[0, 4:] == pytest.approx([0, 0])
+    assert audible_share(3, np.array([2 * np.pi * 0.151]))[0] == pytest.approx([1, 1, 1, 1, 0.94, 0.94])
+    assert audible_share(3, np.array([2 * np.pi * 0.17]))[0, 4:] == pytest.approx([0, 0])
 
 
 @pytest.mark.parametrize("unevenness", [0.03, 0.3])

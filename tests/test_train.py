@@ -18,20 +18,20 @@ from foten.architecture import FotenArchitecture, FotenPlusArchitecture
 from foten.datasets.simulate import simulate
 from foten.dsp.lattice import polynomial
 from foten.dsp.noise import heavy_tailed
-from foten.models import build
-from foten.models.dropout import Dropout, set_dropout
-from foten.models.foten_plus import Excitation, FotenPlus
+from foten.networks import build
+from foten.networks.dropout import Dropout, set_dropout
+from foten.networks.foten_plus import Excitation, FotenPlus
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.recording.windows import targets, windows
-from foten.render.closed_loop import ClosedLoop
-from foten.render.engine import engine_for as engine_of_texture
-from foten.render.forecast import Forecast
-from foten.render.synthesizer import Synthesizer
-from foten.texture_file import texture_from_bytes
+from foten.runtime.closed_loop import ClosedLoop
+from foten.runtime.engine import engine_for as engine_of_texture
+from foten.runtime.forecast import Forecast
+from foten.runtime.synthesizer import Synthesizer
+from foten.families.texture_file import texture_from_bytes
 from foten.train.config import RECIPES, TrainConfig
 from foten.train.excitation import (
     _jackknifed,

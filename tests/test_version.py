@@ -8,7 +8,7 @@ import tomllib
 from pathlib import Path
 
 import foten
-from foten.render.native import _ABI, library
+from foten.runtime.native import _ABI, library
 
 ROOT = Path(__file__).parents[1]
 

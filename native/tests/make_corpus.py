@@ -11,7 +11,7 @@ import numpy as np
 
 from conftest import exported
 from foten.architecture import ARCHITECTURES
-from foten.texture_file import Texture
+from foten.families.texture_file import Texture
 
 TINY = {
     "window": 3,

@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from foten.recording.recording import Channel as Channel
     from foten.recording.recording import Recording as Recording
     from foten.recording.trace import Trace as Trace
-    from foten.render.actuator import ActuatorProfile as ActuatorProfile
-    from foten.render.live import Live as Live
-    from foten.render.renderer import Renderer as Renderer
-    from foten.render.stylus import PressureCalibration as PressureCalibration
-    from foten.render.stylus import Stylus as Stylus
-    from foten.render.stylus import fit_pressure as fit_pressure
-    from foten.texture_file import Texture as Texture
-    from foten.texture_file import read_texture as read_texture
+    from foten.runtime.actuator import ActuatorProfile as ActuatorProfile
+    from foten.runtime.live.live import Live as Live
+    from foten.runtime.renderer import Renderer as Renderer
+    from foten.runtime.stylus import PressureCalibration as PressureCalibration
+    from foten.runtime.stylus import Stylus as Stylus
+    from foten.runtime.stylus import fit_pressure as fit_pressure
+    from foten.families.texture_file import Texture as Texture
+    from foten.families.texture_file import read_texture as read_texture
 
 __version__ = "0.1.0"
 
@@ -31,14 +31,14 @@ _PUBLIC = {
     "Channel": "foten.recording.recording",
     "Recording": "foten.recording.recording",
     "Trace": "foten.recording.trace",
-    "ActuatorProfile": "foten.render.actuator",
-    "Live": "foten.render.live",
-    "PressureCalibration": "foten.render.stylus",
-    "Renderer": "foten.render.renderer",
-    "Stylus": "foten.render.stylus",
-    "fit_pressure": "foten.render.stylus",
-    "Texture": "foten.texture_file",
-    "read_texture": "foten.texture_file",
+    "ActuatorProfile": "foten.runtime.actuator",
+    "Live": "foten.runtime.live.live",
+    "PressureCalibration": "foten.runtime.stylus",
+    "Renderer": "foten.runtime.renderer",
+    "Stylus": "foten.runtime.stylus",
+    "fit_pressure": "foten.runtime.stylus",
+    "Texture": "foten.families.texture_file",
+    "read_texture": "foten.families.texture_file",
 }
 
 __all__ = [*_PUBLIC, "__version__"]

@@ -16,7 +16,7 @@ def bench(
     as_json: JsonOption = False,
 ) -> None:
     """Time a sample of a texture in each instruction set of this processor."""
-    from foten.render import bench as timing
+    from foten.runtime import bench as timing
 
     if not texture_file.exists():
         raise FileNotFoundError(f"no such file: {texture_file}")

@@ -9,7 +9,7 @@ from foten.cli.console import JsonOption, print_json
 
 def doctor(as_json: JsonOption = False) -> None:
     """Look at what this machine has for rendering, and say what is missing."""
-    from foten.render import doctor as examination
+    from foten.runtime import doctor as examination
 
     checks = examination.checks()
     if as_json:

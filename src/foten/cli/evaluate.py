@@ -36,7 +36,7 @@ def evaluate(
     from foten.datasets.hdf5 import load_recording
     from foten.evaluate import evaluate as judge
     from foten.experiments.truth import truth_for
-    from foten.texture_file import read_texture
+    from foten.families.texture_file import read_texture
 
     texture, recording = read_texture(texture_file), load_recording(recording_file)
     if report is not None and report.exists() and not report.is_dir():

@@ -166,7 +166,7 @@ def _import_models(files: list[Path], output: Path, texture: str, notes: str, as
     import hashlib
 
     from foten.datasets.hatt import read_models
-    from foten.texture_file import write_texture
+    from foten.families.texture_file import write_texture
     from foten.train.imported import texture_of
 
     if len(files) != 1:

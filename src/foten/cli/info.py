@@ -11,7 +11,7 @@ from foten.cli.console import JsonOption, print_json
 from foten.cli.training_result import validation_summary
 
 if TYPE_CHECKING:
-    from foten.texture_file import Texture
+    from foten.families.texture_file import Texture
 
 
 def info(
@@ -20,9 +20,9 @@ def info(
 ) -> None:
     """Show what a texture file holds, and prove it on its golden windows."""
     from foten.architecture import multiply_adds
-    from foten.render.engine import engine_for
-    from foten.render.synthesizer import prove
-    from foten.texture_file import read_texture
+    from foten.runtime.engine import engine_for
+    from foten.runtime.synthesizer import prove
+    from foten.families.texture_file import read_texture
 
     texture = read_texture(texture_file)
     prove(texture, engine_for(texture))

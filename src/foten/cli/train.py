@@ -100,7 +100,7 @@ def train(
     from foten.recording import felt
     from foten.recording.inspect import inspect_recording
     from foten.recording.preprocess import PreprocessConfig
-    from foten.texture_file import write_texture
+    from foten.families.texture_file import write_texture
     from foten.train.config import OWN_RECIPES, RECIPES, check_used
     from foten.train.local import train_local
     from foten.train.run import RunFolder, TrainingDisplay

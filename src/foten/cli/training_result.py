@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from foten.recording.trace import Trace
-    from foten.texture_file import Texture
+    from foten.families.texture_file import Texture
 
 
 def print_training_result(

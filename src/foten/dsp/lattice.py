@@ -85,7 +85,7 @@ def rotate_back(f: Array, b: Array, k: Array) -> tuple[Array, Array, Array]:
     return (f + k * b) / cosine, (b + k * f) / cosine, cosine
 
 
-def forecast(states: Array, reflections: Array) -> tuple[Array, Array]:
+def predict(states: Array, reflections: Array) -> tuple[Array, Array]:
     """Return the next sample without innovation, and by how much a unit of innovation moves it.
 
     All sections at once: with f_p = 0, f₀ = −Σ k_i β b_{i−1} Π_{j<i} c_j.

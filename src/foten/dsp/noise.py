@@ -28,7 +28,7 @@ _SUM_SD = math.sqrt(8 * (2.0**32 - 1) / 12)
 _LINEAR, _CUBIC = 0.97846856, 0.00750807
 
 LARGEST_SHOCK = 4.0
-LARGEST_SWELL = 3.0  # standard deviations
+LARGEST_VOLATILITY = 3.0  # standard deviations
 _MEAN_SIZE, _SIZE_SD = math.sqrt(2 / math.pi), math.sqrt(1 - 2 / math.pi)  # of |z|
 
 
@@ -108,7 +108,7 @@ def innovation_likelihood(
 
 
 @dataclass
-class Swell:
+class Volatility:
     """How much louder than usual streams are: a slow wander that no speed or force explains.
 
     A real texture has louder and softer places. The logarithm of their loudness, g, is a first-order process driven by how large
@@ -137,7 +137,7 @@ class Swell:
 
     def draw(self, noise: NDArray[np.float64]) -> None:
         """Be as if the wander had always been going on, by a standard normal number for each stream, shape (s,)."""
-        self.state = self.sd * np.clip(noise, -LARGEST_SWELL, LARGEST_SWELL)
+        self.state = self.sd * np.clip(noise, -LARGEST_VOLATILITY, LARGEST_VOLATILITY)
 
     def push(self, noise: NDArray[np.float64] | None) -> None:
         """Take in the standard normal numbers of a sample, shape (s,); None leaves all as it is."""
@@ -145,4 +145,4 @@ class Swell:
             return
         driven = (np.minimum(np.abs(noise), LARGEST_SHOCK) - _MEAN_SIZE) / _SIZE_SD
         state = self.kept * self.state + math.sqrt(1 - self.kept * self.kept) * self.sd * driven
-        self.state = np.clip(state, -LARGEST_SWELL * self.sd, LARGEST_SWELL * self.sd)
+        self.state = np.clip(state, -LARGEST_VOLATILITY * self.sd, LARGEST_VOLATILITY * self.sd)

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-LARGEST_STRAY = 3.0  # standard deviations of an innovation that drives the stray
+LARGEST_JITTER = 3.0  # standard deviations of an innovation that drives the stray
 N_CANDIDATES = 32  # phases that a window is compared with
 
 
@@ -47,7 +47,7 @@ def tone(coefficients: Array, phase: Array) -> Array:
     return (coefficients[..., 0::2] * cosine + coefficients[..., 1::2] * sine).sum(axis=-1)
 
 
-def heard_of(n_tones: int, turned: Array) -> Array:
+def audible_share(n_tones: int, turned: Array) -> Array:
     """Return how much of each multiple the rate can hold, where a sample turns the phase by `turned` [rad]: (…) → (…, 2 n_tones).
 
     All of it up to 0.45 of the rate, nothing from half of it, where it would come back as another tone.

@@ -18,9 +18,9 @@ from foten.recording.scaling import Scaling
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.recording.windows import targets
-from foten.render.native import NativeTexture
-from foten.render.synthesizer import FADE_FORCE, FADE_SPEED
-from foten.texture_file import Texture
+from foten.runtime.native import NativeTexture
+from foten.families.conditions import FADE_FORCE, FADE_SPEED
+from foten.families.texture_file import Texture
 
 Array = NDArray[np.float64]
 
@@ -178,11 +178,11 @@ def _one_step(
         return one_step(predictor, samples, n, scaling)
 
     result: dict[str, Any] = dict(empty)
-    if texture.architecture.of_noise:
+    if texture.sizes.from_noise:
         reasons["one_step"] = f"{texture.card['model']} foretells spectra, and no sample"
     else:
         result = score(TexturePredictor(kernel))
-    if texture.architecture.excited:
+    if texture.sizes.excited:
         counted = (trace.speed[n] >= FADE_SPEED) & (trace.force[n] >= FADE_FORCE)
         scores = excitation_scores(kernel, samples, n, counted)
         if scores["nll"] is None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from foten.evaluate import metrics
 from foten.evaluate.evaluate import Judgement
 from foten.evaluate.free_run import scored
-from foten.texture_file import Texture
+from foten.families.texture_file import Texture
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -13,7 +13,7 @@ from foten.evaluate.bootstrap import intervals
 from foten.evaluate.references import Linear
 from foten.recording.scaling import Scaling
 from foten.recording.trace import Trace
-from foten.render.native import NativeState, NativeTexture, on_all_cores
+from foten.runtime.native import NativeState, NativeTexture, on_all_cores
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from foten.dsp.resample import decimate, interpolate
 from foten.evaluate import figures
 from foten.evaluate.evaluate import FREE_RUN_KEYS, Judgement
-from foten.texture_file import Texture
+from foten.families.texture_file import Texture
 from foten.whole_file import whole_file
 
 Array = NDArray[np.float64]

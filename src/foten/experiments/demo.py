@@ -15,10 +15,10 @@ from foten.evaluate.report import write_report
 from foten.experiments.truth import truth_for
 from foten.recording.inspect import inspect_recording
 from foten.recording.pictures import write_pictures
-from foten.render.renderer import Renderer
-from foten.render.sinks import write_audible, write_rendered
-from foten.render.stroke import recorded_stroke
-from foten.texture_file import write_texture
+from foten.runtime.renderer import Renderer
+from foten.runtime.live.sinks import write_audible, write_rendered
+from foten.runtime.stroke import recorded_stroke
+from foten.families.texture_file import write_texture
 from foten.train.config import RECIPES
 from foten.train.fit import Epoch
 from foten.train.train import train_texture

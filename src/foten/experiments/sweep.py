@@ -28,7 +28,7 @@ from foten.experiments.tables import is_whole
 from foten.experiments.truth import truth_for
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
-from foten.texture_file import Texture
+from foten.families.texture_file import Texture
 from foten.train.config import TrainConfig
 from foten.whole_file import whole_file
 

@@ -15,7 +15,7 @@ from foten.evaluate.free_run import N_SEEDS
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.recording.trace import Trace
-from foten.texture_file import Texture
+from foten.families.texture_file import Texture
 
 Array = NDArray[np.float64]
 

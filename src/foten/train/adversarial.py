@@ -11,11 +11,11 @@ import torch
 from torch import Tensor, nn
 from torch.optim import Adam
 
-from foten.models.gan import Discriminator, Gan
-from foten.models.noise_filter import log_magnitudes
+from foten.networks.gan import Discriminator, Gan
+from foten.networks.noise_filter import log_magnitudes
 from foten.train.config import TrainConfig
 from foten.train.fit import Epoch, Progress, Stateful, run_epochs
-from foten.train.prepared import Prepared
+from foten.train.blocks import ScaledBlocks
 
 FRAMES = 56  # of a spectrogram; Table III
 STEPS = 50  # in an epoch
@@ -43,8 +43,8 @@ class _Both:
 class _Crops:
     """Recorded spectrograms of some blocks, and the hand that the same length of noise goes with."""
 
-    def __init__(self, network: Gan, m: int, prepared: Prepared, blocks: tuple[int, ...]) -> None:
-        frame, stride, block = network.frame, network.stride, prepared.trace.block
+    def __init__(self, network: Gan, m: int, of: ScaledBlocks, blocks: tuple[int, ...]) -> None:
+        frame, stride, block = network.frame, network.stride, of.trace.block
         self.m, self.stride = m, stride
         self.n_frames = min(FRAMES, (block - m - frame) // stride + 1)
         if self.n_frames < _LEAST_FRAMES:
@@ -54,7 +54,7 @@ class _Crops:
                 f"{least} or more: use a longer --block"
             )
         self.length = frame + (self.n_frames - 1) * stride  # samples of a spectrogram
-        samples = torch.from_numpy(prepared.samples[list(blocks)]).float()
+        samples = torch.from_numpy(of.samples[list(blocks)]).float()
         # Frames end where the first of their strides begins, as what is made does.
         self._logs = log_magnitudes(samples[:, m:, 0].unfold(1, frame, 1))
         self._hand = samples[:, :, 1:]
@@ -90,7 +90,7 @@ def made(network: Gan, windows: Tensor, n_frames: int) -> Tensor:
 def fit_adversarial(
     network: Gan,
     m: int,
-    prepared: Prepared,
+    blocks: ScaledBlocks,
     config: TrainConfig,
     on_epoch: Callable[[Epoch], None] = lambda epoch: None,
     checkpoint: Path | None = None,
@@ -106,7 +106,7 @@ def fit_adversarial(
     Of the configuration, what `config.UNUSED` names is not heeded.
     """
     train, validation = (
-        _Crops(network, m, prepared, blocks) for blocks in (prepared.split.train, prepared.split.validation)
+        _Crops(network, m, blocks, some) for some in (blocks.split.train, blocks.split.validation)
     )
     judge = Discriminator()
     tiles = train.tiles()

@@ -6,31 +6,23 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+import torch
 
+import foten
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
-from foten.train.prepared import Prepared
-
-
-def recorded_peak(prepared: Prepared) -> float:
-    """Return the largest sample of the training blocks, in standard deviations."""
-    return float(np.abs(prepared.samples[list(prepared.split.train), :, 0]).max())
-
-
-def saturation_of(prepared: Prepared) -> float:
-    """Return what samples are cut to, for safety only: well beyond what was recorded, in standard deviations."""
-    return max(12.0, 1.5 * recorded_peak(prepared))
+from foten.train.blocks import ScaledBlocks
 
 
 def card_of(
     recording: Recording,
-    prepared: Prepared,
+    blocks: ScaledBlocks,
     preprocess_config: PreprocessConfig,
     texture_name: str,
     licence: str,
 ) -> dict[str, Any]:
     """Return the card's entries about a recording, its preprocessing and its split."""
-    trace, split = prepared.trace, prepared.split
+    trace, split = blocks.trace, blocks.split
     low, high = (
         [end(trace.blocks(channel)[list(split.train)]).item() for channel in (trace.speed, trace.force)]
         for end in (np.min, np.max)
@@ -38,7 +30,7 @@ def card_of(
     return {
         "rate_hz": trace.rate_hz,
         "trained_range": {"speed": [low[0], high[0]], "force": [low[1], high[1]]},
-        "saturation": saturation_of(prepared),
+        "saturation": blocks.saturation,
         "lowpass_hz": preprocess_config.render_lowpass_hz,
         "delay_ms": preprocess_config.delay_ms,
         "texture": texture_name or recording.texture,
@@ -51,3 +43,8 @@ def card_of(
         "split": asdict(split),
         "split_sha256": split.sha256(),
     }
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that a training depends on."""
+    return {"foten": foten.__version__, "torch": torch.__version__, "numpy": np.__version__}

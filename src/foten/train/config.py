@@ -29,17 +29,14 @@ class TrainConfig:
     weight_decay: float = 0.3  # of each step, times its learning rate; with 1e-4 the same mesh reached 0.477
     clip_norm: float = 1.0  # of the gradient; 0 for none
     dropout: float = 0.0  # share of hidden values; 0.2 in Sec. IV-e
-    average: float = 0.0  # share of the averaged weights that a step keeps, 0 for the last ones alone
     loss: str = "huber"
     delta: float = 1.6  # Huber threshold, scaled; Sec. VI-b
     max_order: int = 240  # samples that the lattice remembers at most; foten-plus alone, as the next five
-    table: bool = True  # try reflections that follow speed and force
-    driven: bool = True  # try a lattice that the level drives
+    table: bool = True  # try reflection coefficients that follow speed and force
+    gain_before_filter: bool = True  # try the level before the lattice as well as after it
     tones: bool = True  # try tones of the path
     tails: bool = True  # try an excitation with heavy tails
-    swell: bool = (
-        True  # let the loudness of the excitation wander, where the recording is spikier than the free run
-    )
+    volatility: bool = True  # give the excitation volatility, where the recording is spikier than the free run
     seed: int = 0  # of the initial weights, the order of windows and dropout
     threads: int = 2  # each takes a share of every batch; part of what makes a file reproducible
 
@@ -51,7 +48,7 @@ class TrainConfig:
         for name in ("epochs", "batch", "patience", "threads", "max_order", "seed"):
             if type(getattr(self, name)) is not int:
                 raise ValueError(f"{name} is {getattr(self, name)!r}, expected a whole number")
-        for name in ("learning_rate", "weight_decay", "clip_norm", "dropout", "average", "delta"):
+        for name in ("learning_rate", "weight_decay", "clip_norm", "dropout", "delta"):
             value = getattr(self, name)
             if type(value) not in (int, float) or not math.isfinite(value):
                 raise ValueError(f"{name} is {value!r}, expected a finite number")
@@ -60,8 +57,6 @@ class TrainConfig:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected 1 or more")
         if self.epochs < 0:
             raise ValueError(f"epochs is {self.epochs}, expected 0 or more")
-        if not 0 <= self.average < 1:
-            raise ValueError(f"average is {self.average}, expected from 0 to below 1")
         if not 0 <= self.dropout <= 0.9:
             raise ValueError(f"dropout is {self.dropout}, expected from 0 to 0.9")
         if not self.learning_rate > 0 or not self.delta > 0 or self.weight_decay < 0:
@@ -98,19 +93,19 @@ OWN_RECIPES: dict[str, dict[str, Any]] = {
 }
 """What a model changes of a recipe: losses of Sec. VI-d for TEN's variants, and for the others, where nothing is stated, ours."""
 UNUSED: dict[str, tuple[str, ...]] = {
-    "gan": ("loss", "delta", "dropout", "threads", "weight_decay", "schedule", "clip_norm", "average"),
+    "gan": ("loss", "delta", "dropout", "threads", "weight_decay", "schedule", "clip_norm"),
 }
 """Settings that are nothing to a model: the GAN's loss is what judges it."""
 
 
 def check_used(model: str, given: Iterable[str]) -> None:
-    """Check that a model heeds settings that somebody gave for it.
+    """Check that settings which somebody gave mean something to a model.
 
     Raises:
-        ValueError: it does not heed one.
+        ValueError: one means nothing to it.
     """
     unused = [name for name in given if name in UNUSED.get(model, ())]
     if unused:
         raise ValueError(
-            f"{unused[0].replace('_', '-')} is nothing to {model}, whose loss is what judges it: leave it out"
+            f"{unused[0].replace('_', '-')} means nothing to {model}, whose loss is a discriminator: leave it out"
         )

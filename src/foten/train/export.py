@@ -1,11 +1,12 @@
-"""A trained network to a texture file, proved on its golden windows before it is written."""
+"""Tensors to a texture, its golden samples made by the reference, proved in the kernel that renders it."""
 
 from __future__ import annotations
 
 import copy
 import io
-import math
 import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,162 +15,168 @@ from numpy.typing import NDArray
 from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
-from foten.architecture import GraphArchitecture, TenArchitecture, sizes
-from foten.dsp.noise import Swell, gaussian
-from foten.models.excited import Excited
-from foten.models.foten_plus import FotenPlus
+from foten.dsp.noise import gaussian
+from foten.families.sizes import Sizes
+from foten.families.texture_file import FORMAT_VERSION, MIN_GOLDEN, Texture, texture_from_bytes
 from foten.recording.scaling import Scaling
-from foten.render.engine import engine_for
-from foten.render.graph import GRAPH, INPUT, OUTPUT
-from foten.render.synthesizer import prove
-from foten.texture_file import FORMAT_VERSION, Texture, texture_from_bytes
+from foten.recording.windows import targets, windows
+from foten.reference import model_of
+from foten.reference.stream import run
+from foten.runtime.native import NativeTexture
+from foten.runtime.onnx_predictor import GRAPH, INPUT, OUTPUT
+from foten.train.blocks import ScaledBlocks
+from foten.train.config import WARM_START
 
-_N_GOLDEN = 32
+Array = NDArray[np.float64]
+Tensors = dict[str, NDArray[Any]]
 
-
-class TorchPredictor:
-    """A network as a predictor in float64: the reference that every engine is held to."""
-
-    def __init__(self, network: nn.Module, window: int, of_noise: bool = False) -> None:
-        self.window, self._of_noise = window, of_noise
-        self._network = copy.deepcopy(network).cpu().double().eval()
-        self.excited = isinstance(network, FotenPlus | Excited)
-
-    def predict(self, windows: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
-        return self.ahead(windows)[:, 0]
-
-    def ahead(self, windows: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return what the network says of the samples to come: windows (b, m, 3) scaled → (b, n_ahead) scaled."""
-        with torch.no_grad():
-            found = self._network(torch.from_numpy(np.ascontiguousarray(windows)))
-        return found.reshape(len(windows), -1).numpy()
-
-    def scale(self, windows: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return by how much a unit of excitation moves the next samples: windows (b, m, 3) scaled → (b,) scaled."""
-        with torch.no_grad():
-            given = torch.from_numpy(np.ascontiguousarray(windows))
-            if isinstance(self._network, Excited):
-                unit = self._network.excitation(given[:, -1, 1:])
-            else:
-                unit = self._network.forecast(self._network.start(given))[1]
-            return unit.numpy() * self._swell().factor()
-
-    def _swell(self) -> Swell:
-        kept, sd = (float(value) for value in self._network.excitation.swell)
-        return Swell(kept, sd, np.zeros(1))
-
-    def _heavy(self, z: float, condition: NDArray[np.float64], scale: float) -> float:
-        excitation = self._network.excitation
-        with torch.no_grad():
-            h = float(excitation.tails(torch.from_numpy(condition[None]))[0])
-        limit = min(float(excitation.largest[0]), float(excitation.largest[1]) / scale)
-        return max(-limit, min(limit, z * math.exp(0.5 * h * z * z)))
-
-    def closed_loop(
-        self,
-        start: NDArray[np.float64],
-        condition: NDArray[np.float64],
-        noise: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
-        """Return what follows a window (m, 3) under speed and force (n, 2), with excitation where there is one, shape (n,)."""
-        out = np.empty(len(condition))
-        window = start[None].astype(np.float64)
-        with torch.no_grad():
-            by_window = not isinstance(self._network, FotenPlus)
-            heard = None if by_window else self._network.start(torch.from_numpy(window))
-            before = window[0, -1, 1:]
-            swell = self._swell() if self.excited else None
-            coming: list[float] = []
-            for n, row in enumerate(condition):
-                if heard is None or swell is None:
-                    coming = coming or self.ahead(window)[0].tolist()
-                    out[n] = coming.pop(0)
-                    if swell is not None:
-                        loud = float(self._network.excitation(torch.from_numpy(window[:, -1, 1:]))[0])
-                        loud *= float(swell.factor()[0])
-                        out[n] += loud * self._heavy(noise[n], window[0, -1, 1:], loud)
-                        swell.push(noise[n : n + 1])
-                    seen = noise[n] if self._of_noise else out[n]
-                    window = np.concatenate([window[:, 1:], [[[seen, *row]]]], axis=1)
-                    continue
-                sample, scale = self._network.forecast(heard)
-                loud = float(scale[0]) * float(swell.factor()[0])
-                sample = sample + loud * self._heavy(noise[n], before, loud)
-                swell.push(noise[n : n + 1])
-                heard = self._network.push(heard, sample, torch.from_numpy(row[None].astype(np.float64)))
-                out[n], before = float(sample[0]), row
-        return out
+N_GOLDEN = 32  # windows of the validation blocks
+WARM_START_NEAR = 100  # of so many training windows one is near enough to begin from
+WARM_START_RINGS_MS = 20.0  # the end of a window, which rings on into what comes after
 
 
-def export(
-    network: nn.Module,
-    key: str,
-    architecture: TenArchitecture | GraphArchitecture,
+@dataclass(frozen=True)
+class ProvedTexture:
+    """A texture, and what renders it: that its file was accepted there is the proof."""
+
+    texture: Texture
+    kernel: NativeTexture
+
+
+@dataclass(frozen=True)
+class Draft:
+    """All of a texture but its sizes, tensors and metrics.
+
+    Attributes:
+        model: its key.
+        blocks: that it is learned from.
+        card: entries beyond model, sizes and scaling.
+        network: of a graph in float64: windows (b, m, 3) scaled → (b, n_ahead) scaled.
+    """
+
+    model: str
+    blocks: ScaledBlocks
+    card: dict[str, Any]
+    network: Callable[[Array], Array] | None = None
+
+    def texture(
+        self, sizes: Sizes, tensors: Tensors, metrics: dict[str, Any], n_golden: int = MIN_GOLDEN
+    ) -> ProvedTexture:
+        """Return a texture of tensors, proved.
+
+        Raises:
+            ValueError: the kernel does not reproduce the reference.
+        """
+        m, blocks = sizes.history, self.blocks
+        window, condition = pick_warm_start(blocks, m)
+        ends = targets(blocks.split.validation, blocks.trace.block, m)
+        picked = ends[np.linspace(0, len(ends) - 1, n_golden - 2).astype(int)]
+        card = {**self.card, "warm_start": condition, "metrics": metrics}
+        some = windows(blocks.flat, picked, m)
+        return proved(self.model, sizes, tensors, blocks.scaling, some, window, card, self.network)
+
+
+def proved(
+    model: str,
+    sizes: Sizes,
+    tensors: Tensors,
     scaling: Scaling,
-    windows: NDArray[np.float64],
-    warm_start: NDArray[np.float64],
+    golden: Array,
+    warm_start: Array,
     card: dict[str, Any],
-) -> Texture:
-    """Return a trained network as a texture, its golden windows replayed through the engine that will render it.
+    network: Callable[[Array], Array] | None = None,
+) -> ProvedTexture:
+    """Return a texture with golden samples, loaded into the kernel, which replays them.
 
     Args:
-        network: on any device; not changed.
-        key, architecture: which network it is.
+        model: its key.
+        sizes, tensors: of the model, as `Sizes.tensor_shapes` names them; of a graph `GRAPH`.
         scaling: of the trace.
-        windows: scaled windows to take the golden ones from, shape (b, m, 3).
+        golden: scaled windows, shape (b, m, 3); one at rest and one far outside the recording are added.
         warm_start: scaled, shape (m, 3).
-        card: what the training knows beyond model, sizes and scaling.
+        card: entries beyond model, sizes and scaling.
+        network: as `Draft` has it.
 
     Raises:
-        ValueError: the engine does not reproduce the network.
+        ValueError: the kernel does not reproduce the reference.
     """
-    alone = network.network if isinstance(network, Excited) else network
-    tensors: dict[str, NDArray[Any]] = {}
-    if architecture.in_graph:
-        tensors[GRAPH] = graph_of(alone, architecture.history)
-        cost = _multiply_adds(alone, architecture.history) // architecture.n_ahead
-        card = {**card, "metrics": {**card["metrics"], "multiply_adds": cost}}
-    else:
-        tensors = _tensors_of(alone)
-    if isinstance(network, Excited):
-        tensors |= {f"excitation.{name}": t for name, t in _tensors_of(network.excitation).items()}
-    # The reference reads the same rounded tensors that the file holds.
-    predictor = TorchPredictor(network, architecture.history, architecture.of_noise)
-    picked = windows[np.linspace(0, len(windows) - 1, _N_GOLDEN).astype(int)]
-    # Windows at rest and far outside the recording, where a wrong engine shows first.
-    golden = np.concatenate([picked, np.zeros_like(picked[:1]), 4 * picked[:1]])
+    golden = np.concatenate([golden, np.zeros_like(golden[:1]), 4 * golden[:1]])
     condition = np.repeat(warm_start[-1:, 1:], 64, axis=0)
-    condition[32:] = picked[0, -1, 1:]
-    if architecture.of_noise:  # without chance it is silent from the first sample on
+    condition[32:] = golden[0, -1, 1:]
+    if sizes.from_noise:  # without noise it is silent from the first sample on
         warm_start = warm_start * [0.0, 1.0, 1.0]
-    tensors["warm_start"] = warm_start
-    tensors["golden.windows"] = golden
-    tensors["golden.one_step"] = predictor.predict(golden)
-    tensors["golden.condition"] = condition
-    tensors["golden.closed_loop"] = predictor.closed_loop(warm_start, condition, gaussian(0, 0, 0, 64))
-    if predictor.excited:
-        tensors["golden.sigma"] = predictor.scale(golden)
+    reference = model_of(sizes, tensors, network)
+    speed = np.maximum(condition[:, :1] * scaling.sd[1] + scaling.mean[1], 0.0)
+    noise = gaussian(0, 0, 0, 64)[None] if sizes.excited or sizes.from_noise else None
+    stream = reference.start(warm_start[None])
+    made = {
+        "warm_start": warm_start,
+        "golden.windows": golden,
+        "golden.one_step": reference.predict(golden),
+        "golden.condition": condition,
+        "golden.closed_loop": run(stream, np.concatenate([condition, speed], axis=1)[None], noise)[0],
+    }
+    if sizes.excited:
+        made["golden.sigma"] = reference.start(golden).predict().scale
     texture = Texture(
         card={
             "format_version": FORMAT_VERSION,
-            "model": key,
-            "sizes": sizes(architecture),
-            "window": architecture.history,
+            "model": model,
+            "sizes": sizes.to_card(),
+            "window": sizes.history,
             "units": {"acceleration": "m/s^2", "speed": "mm/s", "force": "N"},
             "scaling": {"mean": list(scaling.mean), "sd": list(scaling.sd)},
             **card,
         },
-        tensors=tensors,
+        tensors={**tensors, **made},
     )
-    # Proved as it will be read: through the file's bytes.
-    texture = texture_from_bytes(texture.to_bytes())
-    prove(texture, engine_for(texture))
-    return texture
+    data = texture.to_bytes()
+    return ProvedTexture(texture_from_bytes(data), NativeTexture(data))
 
 
-def _tensors_of(module: nn.Module) -> dict[str, NDArray[Any]]:
-    return {name: tensor.detach().cpu().numpy().copy() for name, tensor in module.state_dict().items()}
+def pick_warm_start(blocks: ScaledBlocks, m: int) -> tuple[Array, dict[str, Any]]:
+    """Return a recorded training window near 45 mm/s and 0.8 N that is neither loud nor soft, scaled, (m, 3), and its condition.
+
+    Of the hundredth of the training windows that is nearest (in units of the training standard deviations), it is the one
+    whose last 20 ms have the median power: those ring on. What is rendered without excitation goes on from it, and so does the
+    proof of the file; with excitation a stroke begins with noise.
+
+    Source: Sec. V-a. Differs from the paper: it synthesises the window without saying from what; ours is recorded, and the
+    card says under what condition.
+    """
+    trace, scaling = blocks.trace, blocks.scaling
+    ends, _ = blocks.targets(m)
+    distance = np.hypot(
+        (trace.speed[ends - 1] - WARM_START[0]) / scaling.sd[1],
+        (trace.force[ends - 1] - WARM_START[1]) / scaling.sd[2],
+    )
+    near = ends[np.argsort(distance, kind="stable")[: max(1, len(ends) // WARM_START_NEAR)]]
+    candidates = windows(blocks.flat, near, m)
+    n_last = min(m, max(1, round(WARM_START_RINGS_MS * trace.rate_hz / 1000)))
+    power = np.square(candidates[:, -n_last:, 0]).mean(axis=1)
+    chosen = np.argsort(power, kind="stable")[(len(near) - 1) // 2]
+    window, end = candidates[chosen], near[chosen]
+    condition = {
+        "asked": {"speed": WARM_START[0], "force": WARM_START[1]},
+        "recorded": {"speed": float(trace.speed[end - 1]), "force": float(trace.force[end - 1])},
+    }
+    return window, condition
+
+
+def tensors_of(module: nn.Module, prefix: str = "") -> Tensors:
+    """Return a module's parameters and buffers by name, copied."""
+    return {f"{prefix}{name}": t.detach().cpu().numpy().copy() for name, t in module.state_dict().items()}
+
+
+def in_float64(network: nn.Module) -> Callable[[Array], Array]:
+    """Return a copy of a network as a function of arrays, in float64 on the CPU."""
+    network = copy.deepcopy(network).cpu().double().eval()
+
+    def predict(windows: Array) -> Array:
+        with torch.no_grad():
+            return np.asarray(network(torch.from_numpy(np.ascontiguousarray(windows))).numpy())
+
+    return predict
 
 
 def graph_of(network: nn.Module, m: int) -> NDArray[np.uint8]:
@@ -192,8 +199,8 @@ def graph_of(network: nn.Module, m: int) -> NDArray[np.uint8]:
     return np.frombuffer(file.getvalue(), dtype=np.uint8)
 
 
-def _multiply_adds(network: nn.Module, m: int) -> int:
-    """Return what a sample costs in multiplications and additions in pairs."""
+def multiply_adds(network: nn.Module, m: int) -> int:
+    """Return what a forward pass costs in multiplications and additions in pairs."""
     # Without oneDNN, whose recurrent layers are one operation that nobody counts; and without what it says of other processors.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -204,3 +211,6 @@ def _multiply_adds(network: nn.Module, m: int) -> int:
         ):
             copy.deepcopy(network).cpu().float().eval().requires_grad_(False)(torch.zeros(1, m, 3))
     return int(counter.get_total_flops()) // 2
+
+
+

@@ -9,7 +9,7 @@ import pickle
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -19,14 +19,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from foten.models.dropout import masks_from, set_dropout
+from foten.networks.dropout import masks_from, set_dropout
 from foten.recording.windows import window_indices
 from foten.train.config import TrainConfig
 from foten.whole_file import whole_file
 
 
 @dataclass(frozen=True)
-class Data:
+class TrainingWindows:
     """What a network is fitted to.
 
     Attributes:
@@ -71,6 +71,11 @@ class Progress:
     best_state: dict[str, Tensor] = field(default_factory=dict)
     interrupted: bool = False
 
+    @property
+    def best(self) -> Epoch:
+        """Return the epoch whose weights are kept."""
+        return max((line for line in self.epochs if line.best), key=lambda line: line.epoch)
+
 
 def pick_device() -> torch.device:
     """Return the GPU where there is one, else the CPU."""
@@ -104,7 +109,7 @@ def loss_of(config: TrainConfig) -> Callable[[Tensor, Tensor], Tensor]:
 
 def fit(
     network: nn.Module,
-    data: Data,
+    data: TrainingWindows,
     config: TrainConfig,
     on_epoch: Callable[[Epoch], None] = lambda epoch: None,
     checkpoint: Path | None = None,
@@ -145,12 +150,10 @@ def fit(
         optimiser, schedule_of(config, steps * max(1, config.epochs))
     )
     criterion = loss_of(config)
-    averaged = [parameter.detach().clone() for parameter in trained] if config.average > 0 else []
     parts: dict[str, Stateful] = {
         "network": network,
         "optimiser": optimiser,
         "scheduler": scheduler,
-        "averaged": nn.ParameterList(averaged).requires_grad_(False),
     }
 
     def windows(n: Tensor) -> Tensor:
@@ -173,22 +176,7 @@ def fit(
             nn.utils.clip_grad_norm_(trained, config.clip_norm)
         optimiser.step()
         scheduler.step()
-        for kept, parameter in zip(averaged, trained, strict=False):
-            kept.lerp_(parameter.detach(), 1 - config.average)
         return torch.stack(losses).sum()
-
-    def swap() -> None:
-        """Exchange the weights being trained for the averaged ones, or back; nothing where none are."""
-        for kept, parameter in zip(averaged, trained, strict=False):
-            held = parameter.detach().clone()
-            parameter.data.copy_(kept)
-            kept.copy_(held)
-
-    @contextmanager
-    def judged() -> Iterator[None]:
-        swap()
-        yield
-        swap()
 
     def one_epoch(epoch: int) -> float:
         order = train[order_of(len(train), config.seed, epoch).to(device)]
@@ -202,7 +190,7 @@ def fit(
         return validated(network, windows, goal, unit, validation, criterion)
 
     try:
-        return run_epochs(network, config, parts, one_epoch, validate, on_epoch, checkpoint, resume, judged)
+        return run_epochs(network, config, parts, one_epoch, validate, on_epoch, checkpoint, resume)
     finally:
         pool.shutdown()
 
@@ -236,7 +224,6 @@ def run_epochs(
     on_epoch: Callable[[Epoch], None],
     checkpoint: Path | None,
     resume: bool,
-    judged: Callable[[], AbstractContextManager[None]] = nullcontext,
 ) -> Progress:
     """Run epochs until there are enough, none got better for long, or Ctrl-C; leave a network at its best validation loss.
 
@@ -246,7 +233,6 @@ def run_epochs(
         one_epoch: trains for the epoch of that number, and returns its loss.
         validate: returns the validation loss and the error that the log tells [`Epoch.validation_mae`].
         on_epoch, checkpoint, resume: as `fit` has them.
-        judged: puts the weights that are validated and kept into the network, and back.
 
     Raises:
         ValueError: a loss is not finite, or the checkpoint is another run's.
@@ -260,12 +246,11 @@ def run_epochs(
 
     def finish(epoch: int, train_loss: float, started: float) -> None:
         network.eval()
-        with judged():
-            loss, error = validate()
-            best = loss < progress.best_loss
-            if best:
-                progress.best_loss = loss
-                progress.best_state = {name: t.detach().clone() for name, t in network.state_dict().items()}
+        loss, error = validate()
+        best = loss < progress.best_loss
+        if best:
+            progress.best_loss = loss
+            progress.best_state = {name: t.detach().clone() for name, t in network.state_dict().items()}
         progress.epochs.append(Epoch(epoch, train_loss, loss, error, time.perf_counter() - started, best))
         on_epoch(progress.epochs[-1])
 
@@ -294,7 +279,7 @@ def run_epochs(
     return progress
 
 
-def predict(network: nn.Module, data: Data, n: NDArray[np.int64], batch: int = 4096) -> NDArray[np.float64]:
+def predict(network: nn.Module, data: TrainingWindows, n: NDArray[np.int64], batch: int = 4096) -> NDArray[np.float64]:
     """Return a network's predictions of the samples n, shape (k,), scaled: of several at once the first."""
     device = next(network.parameters()).device
     network.eval()

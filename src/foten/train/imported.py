@@ -7,15 +7,15 @@ from dataclasses import asdict
 import numpy as np
 from numpy.typing import NDArray
 
-import foten
-from foten.architecture import HIGHEST_LOCAL_ORDER
 from foten.datasets.hatt import HattModels
 from foten.dsp.ar import MAX_POLE, stabilised
 from foten.dsp.lsf import line_spectral_frequencies, spread_out
+from foten.families.piecewise_ar import HIGHEST_ORDER
+from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.scaling import Scaling
-from foten.texture_file import Texture
-from foten.train.export_local import LocalModels, export_local
+from foten.train.card import versions
+from foten.train.piecewise_ar_texture import LocalModels, local_texture
 
 Array = NDArray[np.float64]
 
@@ -49,9 +49,9 @@ def texture_of(
     """
     decisions = []
     for what, coefficients in (("AR", models.ar), ("MA", models.ma)):
-        if coefficients.shape[1] - 1 > HIGHEST_LOCAL_ORDER:
+        if coefficients.shape[1] - 1 > HIGHEST_ORDER:
             raise ValueError(
-                f"the {what} order is {coefficients.shape[1] - 1}, expected at most {HIGHEST_LOCAL_ORDER}"
+                f"the {what} order is {coefficients.shape[1] - 1}, expected at most {HIGHEST_ORDER}"
             )
     reflected = [_reflected(row) for row in models.ma]
     gain = models.gain * np.array([size for _, size in reflected])
@@ -108,10 +108,10 @@ def texture_of(
         "preprocess": asdict(preprocess),
         "split": None,
         "split_sha256": "",
-        "training": {"versions": {"foten": foten.__version__, "numpy": np.__version__}},
+        "training": {"versions": versions()},
         "metrics": {"imported_sha256": digest},
     }
-    return export_local(local, scaling, card), decisions
+    return local_texture(local, scaling, card).texture, decisions
 
 
 def _reflected(polynomial: Array) -> tuple[Array, float]:

@@ -12,7 +12,7 @@ from scipy import sparse
 from scipy.ndimage import uniform_filter1d
 
 from foten.dsp.lattice import MAX_REFLECTION, analyse, delayed, rotate_back
-from foten.dsp.plane import Plane, spanning
+from foten.dsp.speed_force_table import SpeedForceTable, spanning
 
 Array = NDArray[np.float64]
 
@@ -21,9 +21,9 @@ N_SPEED, N_FORCE = 12, 3  # vertices
 CORRELATION = 0.5  # of the range of speed, and of log force, over which reflections are alike beforehand
 SCALES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)  # standard deviations that a reflection may be given over the plane
 N_FOLDS = 8  # into which training and validation blocks are divided to choose a kind, or as many as there are blocks
-WEIGHED = 241  # samples that a level is averaged over where it drives a lattice
+WEIGHED = 241  # samples that a level is averaged over for the gain before the filter
 NEIGHBOURS = 10  # sections on each side that say how much of a reflection is chance
-WORTH = 1e-3  # a longer lattice, one that its level drives or that follows the hand must lower the error by this share
+WORTH = 1e-3  # a longer lattice, one with the gain before the filter or with a table must lower the error by this share
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ class LatticeData:
     validation: tuple[int, ...]
     weight: Array | None = None
 
-    def driven(self) -> LatticeData:
-        """Return the same for a lattice of the acceleration itself, which its level drives.
+    def with_gain_before_filter(self) -> LatticeData:
+        """Return the same for a lattice of the acceleration itself.
 
         Weighted by 1/level², its mean over `WEIGHED` samples: unweighted, soft strokes would count nothing, and weights that
         change within the memory bias Burg's method towards too long a ringing. One-step error of one lattice for all speeds,
@@ -63,21 +63,21 @@ class FittedReflections:
     """A lattice over speed and force.
 
     Attributes:
-        plane: of reflections.
-        level_drives: whether it is one of the acceleration, driven by the level, or one of the acceleration over its level.
+        table: of reflection coefficients.
+        gain_before_filter: whether it is a lattice of the acceleration, or of the acceleration over its level.
     """
 
-    plane: Plane
-    level_drives: bool
+    table: SpeedForceTable
+    gain_before_filter: bool
 
 
 def fit_lattice(
-    data: LatticeData, max_order: int, table: bool = True, driven: bool = True
+    data: LatticeData, max_order: int, tables: bool = True, both_gains: bool = True
 ) -> tuple[FittedReflections, list[dict[str, float]]]:
     """Return the lattice of the training blocks whose kind predicts best, in absolute one-step error, and what was tried.
 
-    Tried: every order up to `max_order`, with one set of reflections for all speeds and forces and, unless `table` is
-    False, with a table of them; of the acceleration over its level and, unless `driven` is False, of the acceleration itself.
+    Tried: every order up to `max_order`, with one set of reflections for all speeds and forces and, unless `tables` is
+    False, with a table of them; of the acceleration over its level and, unless `both_gains` is False, of the acceleration itself.
     Which kind is chosen by cross-validation over training and validation blocks: two validation blocks of 200 ms are too few. In
     a trial on the real four at 2.5 kHz, six splits, the kind so chosen had a test error of 1.033 of the best kind's on the mean,
     with cross-validation 1.023; at 10 kHz both found the best within 0.1 %.
@@ -87,9 +87,9 @@ def fit_lattice(
     orders = [order for order in ORDERS if order <= max_order] or [max_order]
     tried = []
     best: tuple[float, int, tuple[int, int], bool] | None = None
-    sizes, kinds = ((1, 1), (N_SPEED, N_FORCE))[: 1 + table], (False, True)[: 1 + driven]
-    for vertices, level_drives in product(sizes, kinds):
-        folds = _folds(data.driven() if level_drives else data)
+    sizes, kinds = ((1, 1), (N_SPEED, N_FORCE))[: 1 + tables], (False, True)[: 1 + both_gains]
+    for vertices, gain_before_filter in product(sizes, kinds):
+        folds = _folds(data.with_gain_before_filter() if gain_before_filter else data)
         longest = [fit_lattice_of(fold, orders[-1], *vertices) for fold in folds]
         for order in orders:
             errors = [
@@ -101,16 +101,16 @@ def fit_lattice(
                 {
                     "order": order,
                     "vertices": len(longest[0].values),
-                    "level_drives": level_drives,
+                    "gain_before_filter": gain_before_filter,
                     "mae_scaled": error,
                 }
             )
             if best is None or error < best[0] * (1 - WORTH):
-                best = error, order, vertices, level_drives
+                best = error, order, vertices, gain_before_filter
     assert best is not None
-    _, order, vertices, level_drives = best
-    plane = fit_lattice_of(data.driven() if level_drives else data, order, *vertices)
-    return FittedReflections(plane, level_drives), tried
+    _, order, vertices, gain_before_filter = best
+    fitted = fit_lattice_of(data.with_gain_before_filter() if gain_before_filter else data, order, *vertices)
+    return FittedReflections(fitted, gain_before_filter), tried
 
 
 def _folds(data: LatticeData) -> list[LatticeData]:
@@ -121,12 +121,12 @@ def _folds(data: LatticeData) -> list[LatticeData]:
     return [replace(data, train=tuple(b for b in known if b not in part), validation=part) for part in parts]
 
 
-def cut(reflections: Plane, order: int) -> Plane:
+def cut(reflections: SpeedForceTable, order: int) -> SpeedForceTable:
     """Return the first sections alone."""
     return replace(reflections, values=reflections.values[:, :order])
 
 
-def validation_error(reflections: Plane, data: LatticeData, first: int) -> float:
+def validation_error(reflections: SpeedForceTable, data: LatticeData, first: int) -> float:
     """Return the mean absolute one-step error on the validation blocks [scaled], the first samples of each left out."""
     scored = slice(min(first, data.x.shape[1] // 2), None)
     missed = []
@@ -137,7 +137,7 @@ def validation_error(reflections: Plane, data: LatticeData, first: int) -> float
     return float(np.mean(missed))
 
 
-def fit_lattice_of(data: LatticeData, order: int, n_speed: int, n_force: int) -> Plane:
+def fit_lattice_of(data: LatticeData, order: int, n_speed: int, n_force: int) -> SpeedForceTable:
     """Return the reflections that make forward and backward errors of each section least, over the training blocks.
 
     Section i minimises Σ w ((f_{i−1} + k b)² + (b + k f_{i−1})²) over k at the vertices: Burg's method, a least-squares
@@ -150,13 +150,13 @@ def fit_lattice_of(data: LatticeData, order: int, n_speed: int, n_force: int) ->
     """
     chosen = list(data.train)
     speed, force = data.speed[chosen], data.force[chosen]
-    plane = spanning(speed, force, n_speed, n_force)
+    table = spanning(speed, force, n_speed, n_force)
     # Four vertices count at a sample, and ten pairs of them: rows of all 36 would take several times the memory and time.
-    by_block = [sparse.csr_array(plane.weights(*block)) for block in zip(speed, force, strict=True)]
+    by_block = [sparse.csr_array(table.weights(*block)) for block in zip(speed, force, strict=True)]
     by_pair = sparse.vstack([_pairs(block) for block in by_block], format="csr").T
     weights = sparse.vstack(by_block, format="csr")
     by_vertex, n_vertices = weights.T, weights.shape[1]
-    parts = _covariances(len(plane.speed_knots), len(plane.force_knots))
+    parts = _covariances(len(table.speed_knots), len(table.force_knots))
     weight = np.ones_like(speed) if data.weight is None else data.weight[chosen]
     kept = _kept_of_noise(data.x[chosen], weight, order)
     f = b = data.x[chosen]
@@ -174,7 +174,7 @@ def fit_lattice_of(data: LatticeData, order: int, n_speed: int, n_force: int) ->
         found = everywhere + _shrunk(gram / noise, (moment - gram.sum(axis=1) * everywhere) / noise, parts)
         reflections[:, i] = np.clip(found, -MAX_REFLECTION, MAX_REFLECTION)
         f, b, _ = rotate_back(f, b, (weights @ reflections[:, i]).reshape(f.shape))
-    return replace(plane, values=reflections)
+    return replace(table, values=reflections)
 
 
 def _pairs(weights: sparse.csr_array) -> sparse.csr_array:

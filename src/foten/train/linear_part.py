@@ -7,23 +7,27 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import nn
 
-from foten.architecture import FotenPlusArchitecture
-from foten.dsp.plane import Plane
-from foten.models.foten_plus import FotenPlus, Scale
+from foten.dsp.lattice import analyse, polynomial
+from foten.dsp.speed_force_table import SpeedForceTable
+from foten.dsp.tones import tone
+from foten.families.foten_plus import FotenPlusSizes
+from foten.networks.scale import Scale
+from foten.reference.excitation import Scale as LevelOf
+from foten.reference.foten_plus import Lattice, Tones
+from foten.train.blocks import ScaledBlocks
 from foten.train.config import TrainConfig
 from foten.train.excitation import fit_scale
-from foten.train.fit import Data
+from foten.train.export import Tensors, tensors_of
+from foten.train.fit import TrainingWindows
 from foten.train.lattice import FittedReflections, LatticeData, fit_lattice
-from foten.train.prepared import Prepared
 from foten.train.tones import FittedTones, fit_tones, played, wavelength
 
 Array = NDArray[np.float64]
 
-FORGETTING_S = 0.5  # in which a rendering forgets the phase it started with
+DRAWN_BACK_S = 0.5  # in which a rendering forgets the phase that it started with
+_AT_ONCE = 8_000_000  # reflection coefficients held in memory
 
 
 @dataclass(frozen=True)
@@ -31,136 +35,185 @@ class LinearPart:
     """All of foten-plus but its network and excitation.
 
     Attributes:
-        network: with level, lattice and tones in place.
-        phase: of the fundamental at every sample, as well as the whole recording knows it [rad], shape (n_blocks, block);
+        sizes: of lattices and tones; the network is not in the loop.
+        tensors: theirs, by the names in a texture file.
+        phase: of the fundamental at every sample, as well as the recording determines it [rad], shape (n_blocks, block);
             None where the surface does not repeat.
-        found: what was tried on the way.
+        tried: on the way.
     """
 
-    network: FotenPlus
+    sizes: FotenPlusSizes
+    tensors: Tensors
     phase: Array | None
-    found: dict[str, Any]
+    tried: dict[str, Any]
+
+    @property
+    def excited_lattice(self) -> Lattice:
+        """Return the lattice that a rendering excites."""
+        if self.phase is None:
+            return Lattice(self.tensors, "lattice.", self.sizes.gain_before_filter)
+        return Lattice(self.tensors, "residual.", self.sizes.residual_gain_before_filter)
+
+    def innovations(self, blocks: ScaledBlocks, residual: bool = False) -> tuple[Array, Array, Array]:
+        """Return x, the innovations, and what a unit of them is worth in scaled acceleration, (n_blocks, block) each.
+
+        The first sample of each block gives zeros: nothing comes before it. A sample's level and reflection coefficients are
+        those of the condition before it: a prediction knows no others (Eq. 1).
+
+        Args:
+            blocks: recorded.
+            residual: of what the tones leave, where there are tones, and not of the acceleration.
+        """
+        samples, before = blocks.samples[:, 1:, 0], blocks.path_conditions()[:, :-1]
+        lattice = Lattice(self.tensors, "lattice.", self.sizes.gain_before_filter)
+        if residual and self.phase is not None:
+            tones = Tones(self.tensors, lattice.level)
+            coefficients = tones.coefficients(before.reshape(-1, 3)).reshape(*samples.shape, -1)
+            samples, lattice = samples - tone(coefficients, self.phase[:, 1:]), self.excited_lattice
+        n_at_once = max(1, _AT_ONCE // (samples.shape[1] * lattice.order))
+        parts = []
+        for i in range(0, len(samples), n_at_once):
+            some, flat = samples[i : i + n_at_once], before[i : i + n_at_once, :, :2].reshape(-1, 2)
+            level = lattice.level(flat).reshape(some.shape)
+            gain, after = lattice.gains(level)
+            reflections = lattice.reflections(flat).T.reshape(*some.shape, -1)
+            e, cosines, _ = analyse(some / after, reflections)
+            parts.append((some / level, e / gain, cosines * level))
+        x, e, unit = (np.pad(np.concatenate(part), ((0, 0), (1, 0))) for part in zip(*parts, strict=True))
+        return x, e, unit
+
+    def power(self, condition: Array) -> tuple[Array, Array]:
+        """Return the mean squares, under a steady condition (k, 2) scaled, of what a unit of σ adds and of the tones, (k,) each."""
+        unit = np.square(self.excited_lattice.level(condition))
+        if self.phase is None:
+            return unit, np.zeros_like(unit)
+        level = LevelOf(self.tensors, "lattice.level.")
+        path = level.physical(condition)[:, :1]
+        coefficients = Tones(self.tensors, level).coefficients(np.concatenate([condition, path], axis=1))
+        return unit, 0.5 * np.square(coefficients).sum(axis=1)
+
+    def response(self, n: int) -> Array | None:
+        """Return squares of the first n samples of the impulse response, that of the mean reflection coefficients.
+
+        None with the gain after the filter, where a change of level shows at once.
+        """
+        plain = self.phase is None
+        if not (self.sizes.gain_before_filter if plain else self.sizes.residual_gain_before_filter):
+            return None
+        from scipy.signal import lfilter
+
+        k = self.tensors["lattice.reflections" if plain else "residual.reflections"].mean(axis=0)
+        return np.square(lfilter([1.0], polynomial(k), np.eye(1, n)[0]))
 
 
 @dataclass(frozen=True)
-class FittedLattice:
-    """A level, and the reflections that go with it."""
+class _FittedLattice:
+    """A level, and the reflection coefficients that go with it."""
 
     level: Scale
-    reflections: FittedReflections
+    fitted: FittedReflections
+
+    def tensors(self, prefix: str) -> Tensors:
+        table = _table_tensors(prefix, self.fitted.table, "reflections")
+        return table | tensors_of(self.level, f"{prefix}level.")
+
+    @property
+    def counts(self) -> tuple[int, int, int]:
+        """Return order and vertices over speed and force."""
+        table = self.fitted.table
+        return table.values.shape[1], len(table.speed_knots), len(table.force_knots)
 
 
 def fit_linear_parts(
-    architecture: FotenPlusArchitecture,
-    data: Data,
-    prepared: Prepared,
+    sizes: FotenPlusSizes,
+    windows: TrainingWindows,
+    blocks: ScaledBlocks,
     config: TrainConfig,
     on_stage: Callable[[str], None] = lambda stage: None,
 ) -> list[LinearPart]:
     """Return foten-plus with all but its network and excitation; once more with tones where a wavelength stands out."""
     on_stage("fitting level and lattice")
-    trace, split = prepared.trace, prepared.split
+    trace, split = blocks.trace, blocks.split
     max_order = max(1, min(trace.block // 8, config.max_order))
-    acceleration = data.samples[:, 0]
+    speed, force = blocks.condition_before()
+    acceleration = blocks.flat[:, 0]
 
     def levelled(signal: Array) -> tuple[Scale, LatticeData]:
         """Return the level of a signal, shape (n,), and what a lattice of it is fitted to."""
-        level = Scale(architecture.excitation_width).requires_grad_(False)
-        both = np.concatenate([data.train, data.validation])
-        fit_scale(level, data, prepared.scaling, signal[both], config.seed)
-        scale = scale_at(level, data.samples)
-        speed, force = (np.concatenate([channel[:1], channel[:-1]]) for channel in (trace.speed, trace.force))
-        x, unit, speed, force = (
-            values.reshape(trace.n_blocks, trace.block) for values in (signal / scale, scale, speed, force)
-        )
+        level = Scale(sizes.excitation_width).requires_grad_(False)
+        both = np.concatenate([windows.train, windows.validation])
+        fit_scale(level, windows, blocks.scaling, signal[both], config.seed)
+        condition = np.concatenate([blocks.flat[:1, 1:], blocks.flat[:-1, 1:]])
+        scale = LevelOf(tensors_of(level), "")(condition)
+        x, unit = ((values).reshape(speed.shape) for values in (signal / scale, scale))
         return level, LatticeData(x, unit, speed, force, split.train, split.validation)
 
-    level, given = levelled(acceleration)
-    reflections, tried = fit_lattice(given, max_order, config.table, config.driven)
-    lattice = FittedLattice(level, reflections)
-    found: dict[str, Any] = {"lattices": tried, "wavelength_mm": None}
-    plain = LinearPart(assembled(architecture, lattice), None, found)
-    length = wavelength(given, trace.rate_hz) if config.tones else None
-    if length is None:
-        return [plain]
-    on_stage(f"the surface seems to repeat every {length:.3g} mm: fitting its tones")
-    fitted = fit_tones(given, length, trace.rate_hz)
-    # Of what the tones leave when the phase is known as well as it can be.
-    rest_level, rest = levelled(
-        acceleration - (played(given, fitted.table, fitted.phase) * given.unit).ravel()
-    )
-    reflections, tried_for_rest = fit_lattice(rest, max_order, config.table, config.driven)
-    with_tones = {
-        "lattices": tried,
-        "lattices_of_the_rest": tried_for_rest,
-        "wavelength_mm": fitted.wavelength_mm,
-        "unevenness": fitted.unevenness,
-    }
-    rendered = FittedLattice(rest_level, reflections)
-    network = assembled(architecture, lattice, fitted, rendered, trace.rate_hz)
-    return [plain, LinearPart(network, fitted.phase, with_tones)]
-
-
-def assembled(
-    architecture: FotenPlusArchitecture,
-    lattice: FittedLattice,
-    tones: FittedTones | None = None,
-    rest: FittedLattice | None = None,
-    rate_hz: float = 0.0,
-) -> FotenPlus:
-    """Return a network with a fitted lattice, or tones and two of them, its own weights drawn from PyTorch's current seed."""
-    order, n_speed, n_force = _sizes(lattice)
-    # An untrained network adds nothing; a closed loop that heard it nevertheless was two thirds of the time before training.
-    architecture = replace(
-        architecture,
+    level, data = levelled(acceleration)
+    fitted, tried = fit_lattice(data, max_order, config.table, config.gain_before_filter)
+    lattice = _FittedLattice(level, fitted)
+    order, n_speed, n_force = lattice.counts
+    sizes = replace(
+        sizes,
         order=order,
         n_speed=n_speed,
         n_force=n_force,
-        level_drives=lattice.reflections.level_drives,
-        network_heard=False,
+        gain_before_filter=fitted.gain_before_filter,
+        network_in_loop=False,
     )
-    if tones is not None and rest is not None:
-        rest_order, n_rest_speed, n_rest_force = _sizes(rest)
-        architecture = replace(
-            architecture,
-            n_tones=tones.table.values.shape[1] // 2,
-            n_tone_speed=len(tones.table.speed_knots),
-            n_tone_force=len(tones.table.force_knots),
-            rest_order=rest_order,
-            n_rest_speed=n_rest_speed,
-            n_rest_force=n_rest_force,
-            rest_level_drives=rest.reflections.level_drives,
-        )
-    network = FotenPlus(architecture)
-    _put(network.lattice, lattice.reflections.plane, "reflections")
-    network.lattice.level.load_state_dict(lattice.level.state_dict())
-    if tones is not None and rest is not None:
-        _put(network.tones, tones.table, "values")
-        turn = 2 * np.pi / (tones.wavelength_mm * rate_hz)
-        motion = np.array([turn, tones.unevenness, 1 / (FORGETTING_S * rate_hz)])
-        network.tones.motion.copy_(torch.from_numpy(motion))
-        _put(network.rest, rest.reflections.plane, "reflections")
-        network.rest.level.load_state_dict(rest.level.state_dict())
-    return network
+    report: dict[str, Any] = {"lattices": tried, "wavelength_mm": None}
+    plain = LinearPart(sizes, lattice.tensors("lattice."), None, report)
+    length = wavelength(data, trace.rate_hz) if config.tones else None
+    if length is None:
+        return [plain]
+    on_stage(f"the surface seems to repeat every {length:.3g} mm: fitting its tones")
+    tones = fit_tones(data, length, trace.rate_hz)
+    # Of what the tones leave when the phase is known as well as it can be.
+    without = acceleration - (played(data, tones.table, tones.phase) * data.unit).ravel()
+    residual_level, residual_data = levelled(without)
+    fitted, tried_for_residual = fit_lattice(
+        residual_data, max_order, config.table, config.gain_before_filter
+    )
+    report = {
+        "lattices": tried,
+        "lattices_of_the_residual": tried_for_residual,
+        "wavelength_mm": tones.wavelength_mm,
+        "unevenness": tones.unevenness,
+    }
+    residual = _FittedLattice(residual_level, fitted)
+    return [plain, _with_tones(plain, tones, residual, trace.rate_hz, report)]
 
 
-def _sizes(lattice: FittedLattice) -> tuple[int, int, int]:
-    """Return order and vertices over speed and force."""
-    plane = lattice.reflections.plane
-    return plane.values.shape[1], len(plane.speed_knots), len(plane.force_knots)
+def _with_tones(
+    plain: LinearPart,
+    tones: FittedTones,
+    residual: _FittedLattice,
+    rate_hz: float,
+    report: dict[str, Any],
+) -> LinearPart:
+    order, n_speed, n_force = residual.counts
+    sizes = replace(
+        plain.sizes,
+        n_tones=tones.table.values.shape[1] // 2,
+        n_tone_speed=len(tones.table.speed_knots),
+        n_tone_force=len(tones.table.force_knots),
+        residual_order=order,
+        n_residual_speed=n_speed,
+        n_residual_force=n_force,
+        residual_gain_before_filter=residual.fitted.gain_before_filter,
+    )
+    increment = 2 * np.pi / (tones.wavelength_mm * rate_hz)
+    tensors = {
+        **plain.tensors,
+        **_table_tensors("tones.", tones.table, "values"),
+        "tones.motion": np.array([increment, tones.unevenness, 1 / (DRAWN_BACK_S * rate_hz)]),
+        **residual.tensors("residual."),
+    }
+    return LinearPart(sizes, tensors, tones.phase, report)
 
 
-def _put(module: nn.Module, plane: Plane, values: str) -> None:
-    for name, array in (
-        ("speed_knots", plane.speed_knots),
-        ("force_knots", plane.force_knots),
-        (values, plane.values),
-    ):
-        module.get_buffer(name).copy_(torch.from_numpy(array.copy()))
-
-
-def scale_at(scale: Scale, samples: Array) -> Array:
-    """Return the scale of each sample, shape (n,), from the speed and force of the one before: samples (n, 3) scaled."""
-    condition = np.concatenate([samples[:1, 1:], samples[:-1, 1:]])
-    with torch.no_grad():
-        return scale(torch.from_numpy(condition).to(scale.out.weight)).cpu().double().numpy()
+def _table_tensors(prefix: str, table: SpeedForceTable, values: str) -> Tensors:
+    return {
+        f"{prefix}speed_knots": table.speed_knots.copy(),
+        f"{prefix}force_knots": table.force_knots.copy(),
+        f"{prefix}{values}": table.values.copy(),
+    }

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp.lattice import polynomial
-from foten.dsp.plane import Plane, spanning
+from foten.dsp.speed_force_table import SpeedForceTable, spanning
 from foten.dsp.tones import tone, tone_slope
 from foten.train.lattice import LatticeData, fit_lattice_of
 
@@ -124,7 +124,7 @@ class FittedTones:
     """
 
     wavelength_mm: float
-    table: Plane
+    table: SpeedForceTable
     phase: Array
     unevenness: float
 
@@ -215,12 +215,12 @@ def _smoothed(path: Array, values: Array, wavelength_mm: float, width: float) ->
     return out
 
 
-def played(data: LatticeData, table: Plane, phase: Array) -> Array:
+def played(data: LatticeData, table: SpeedForceTable, phase: Array) -> Array:
     """Return T at every sample, in units of the level, shape (n_blocks, block)."""
     return tone(_coefficients(data, table), phase)
 
 
-def _coefficients(data: LatticeData, table: Plane) -> Array:
+def _coefficients(data: LatticeData, table: SpeedForceTable) -> Array:
     return table.at(data.speed.ravel(), data.force.ravel()).reshape(*data.x.shape, -1)
 
 
@@ -230,7 +230,7 @@ def _filtered(whitener: Array, x: Array) -> Array:
     return np.asarray(signal.lfilter(whitener, [1.0], x, axis=-1))
 
 
-def _fitted(data: LatticeData, table: Plane, phase: Array, whitener: Array, fastest: float) -> Plane:
+def _fitted(data: LatticeData, table: SpeedForceTable, phase: Array, whitener: Array, fastest: float) -> SpeedForceTable:
     """Return the coefficients that leave the least whitened error, neighbours held together.
 
     Where speed times multiple exceeds `fastest` [mm/s] they are zero: the rate does not hold that frequency.

@@ -1,0 +1,38 @@
+"""The networks, in PyTorch, one a file: windows (b, m, 3) → next samples (b,), or (b, n_ahead) of those that hop."""
+
+from collections.abc import Callable
+from typing import Any
+
+from torch import nn
+
+from foten.families.sizes import Sizes
+from foten.networks.dftnet import Dftnet
+from foten.networks.dstn import Dstn
+from foten.networks.fnn import Fnn
+from foten.networks.foten import Foten
+from foten.networks.foten_plus import Corrector
+from foten.networks.gan import Gan
+from foten.networks.hapinf import Hapinf
+from foten.networks.ldhtd import Ldhtd
+from foten.networks.ldhtd_hop import LdhtdHop
+
+NETWORKS: dict[str, Callable[[Any], nn.Module]] = {
+    "foten-plus": Corrector,
+    "foten": Foten,
+    "ten": Foten,
+    "ten-mfcc": Foten,
+    "ten-wavelet": Foten,
+    "foten-d": Foten,
+    "fnn": Fnn,
+    "dstn": Dstn,
+    "hapinf": Hapinf,
+    "ldhtd": Ldhtd,
+    "ldhtd-hop": LdhtdHop,
+    "dftnet": Dftnet,
+    "gan": Gan,
+}
+
+
+def build(model: str, sizes: Sizes) -> nn.Module:
+    """Return a new network of the given model and sizes, drawn from PyTorch's current seed."""
+    return NETWORKS[model](sizes)

@@ -1,0 +1,104 @@
+"""What a model in NumPy offers, and its closed loop (Sec. V); all scaled."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.dsp.noise import heavy_tailed
+
+Array = NDArray[np.float64]
+
+
+class Prediction(NamedTuple):
+    """The next sample of each stream without excitation, and what an excitation adds; shapes (s,).
+
+    Attributes:
+        sample: expected.
+        scale: by how much a unit of excitation moves it; None for no excitation.
+        tail: h of z·exp(h z²/2); None for Gaussian noise.
+        largest: bounds of the excitation, in units of the scale and of scaled acceleration.
+    """
+
+    sample: Array
+    scale: Array | None = None
+    tail: Array | None = None
+    largest: tuple[float, float] = (np.inf, np.inf)
+
+    def excited(self, noise: Array) -> Array:
+        """Return the sample with excitation from standard normal noise, shape (s,)."""
+        if self.scale is None:
+            return self.sample
+        if self.tail is None:
+            return self.sample + self.scale * noise
+        limit = np.minimum(self.largest[0], self.largest[1] / self.scale)
+        return self.sample + self.scale * heavy_tailed(noise, self.tail, limit)
+
+
+class Stream(Protocol):
+    """Independent streams of one model, s of them.
+
+    Attributes:
+        bounded: whether they stay within bounds on their own output, however speed and force move.
+        n_initial: how many numbers of noise a stream takes to `begin`.
+    """
+
+    @property
+    def bounded(self) -> bool: ...
+
+    @property
+    def n_initial(self) -> int: ...
+
+    def begin(self, condition: Array, noise: Array) -> None:
+        """Take a state as after a long time under one condition, whatever was before.
+
+        Args:
+            condition: speed and force, scaled, and the speed that tones go by [mm/s], shape (s, 3).
+            noise: standard normal, shape (s, n_initial).
+        """
+        ...
+
+    def predict(self) -> Prediction:
+        """Return the next samples, shape (s,)."""
+        ...
+
+    def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
+        """Take in the next samples (s,), the condition (s, 3) that goes with them, and the noise in them."""
+        ...
+
+
+class Model(Protocol):
+    """A model: one step ahead from windows, and streams of it."""
+
+    def predict(self, windows: Array) -> Array:
+        """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
+        ...
+
+    def start(self, windows: Array) -> Stream:
+        """Return streams that go on from scaled windows, shape (s, m, 3)."""
+        ...
+
+
+def run(stream: Stream, condition: Array, noise: Array | None, limit: float = np.inf) -> Array:
+    """Return n samples of each stream's closed loop, shape (s, n).
+
+    A sample is predicted under the condition of the one before (Eq. 1). What the saturator cuts off is cut from what leaves; a
+    bounded stream goes on from its uncut sample, since the innovation of a cut one would be as large as the cut over the gain of
+    the lattice.
+
+    Args:
+        stream: changed.
+        condition: speed and force of each sample, scaled, and the speed that tones go by [mm/s], shape (s, n, 3).
+        noise: standard normal, shape (s, n); None for the deterministic loop.
+        limit: of the saturator.
+    """
+    out = np.empty(condition.shape[:2])
+    for i in range(condition.shape[1]):
+        z = None if noise is None else noise[:, i]
+        expected = stream.predict()
+        sample = expected.sample if z is None else expected.excited(z)
+        out[:, i] = np.clip(sample, -limit, limit)
+        stream.push(sample if stream.bounded else out[:, i], condition[:, i], z)
+    return out

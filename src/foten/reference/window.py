@@ -1,0 +1,130 @@
+"""Models that are given the last m samples: networks, with an excitation or without, and models of noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.dsp.noise import Volatility
+from foten.reference.excitation import Excitation
+from foten.reference.stream import Prediction
+
+Array = NDArray[np.float64]
+
+LOUDEST_BEGINNING = 50.0  # standard deviations, of the samples that a stream begins with
+
+
+@dataclass(frozen=True)
+class WindowModel:
+    """A network: windows (b, m, 3) scaled → (b,) or, of several samples ahead, (b, n_ahead)."""
+
+    network: Callable[[Array], Array]
+    window: int
+    excitation: Excitation | None = None
+
+    def ahead(self, windows: Array) -> Array:
+        """Return the samples to come: windows (b, m, 3) scaled → (b, n_ahead) scaled."""
+        return self.network(windows).reshape(len(windows), -1)
+
+    def predict(self, windows: Array) -> Array:
+        """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
+        return self.ahead(windows)[:, 0]
+
+    def start(self, windows: Array) -> WindowStream:
+        """Return streams that go on from scaled windows, shape (s, m, 3)."""
+        volatility = None if self.excitation is None else self.excitation.volatility(len(windows))
+        return WindowStream(self, windows.copy(), volatility, np.empty((len(windows), 0)))
+
+
+@dataclass
+class WindowStream:
+    """Streams of a network: the last m samples (s, m, 3), and predictions of it that are still to come (s, any)."""
+
+    model: WindowModel
+    windows: Array
+    volatility: Volatility | None
+    pending: Array
+    bounded: ClassVar[bool] = False
+
+    @property
+    def n_initial(self) -> int:
+        """Return, with an excitation, one number for the volatility and one for each sample of a window."""
+        return 0 if self.volatility is None else 1 + self.windows.shape[1]
+
+    def begin(self, condition: Array, noise: Array) -> None:
+        """Run for a window's length under the condition; without an excitation change nothing: no window is known."""
+        if self.volatility is None:
+            return
+        self.volatility.draw(noise[:, 0])
+        self.windows[:, -1, 1:] = condition[:, :2]
+        self.pending = self.pending[:, :0]
+        for z in noise[:, 1:].T:
+            sample = np.clip(self.predict().excited(z), -LOUDEST_BEGINNING, LOUDEST_BEGINNING)
+            self.push(sample, condition, z)
+
+    def predict(self) -> Prediction:
+        """Return the prediction from the windows, or the next of those made before."""
+        if not self.pending.shape[1]:
+            self.pending = self.model.ahead(self.windows)
+        sample = self.pending[:, 0]
+        if self.model.excitation is None or self.volatility is None:
+            return Prediction(sample)
+        return self.model.excitation.added_to(sample, self.volatility.factor(), self.windows[:, -1, 1:])
+
+    def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
+        """Move the windows on by a sample."""
+        if self.volatility is not None:
+            self.volatility.push(noise)
+        self.pending = self.pending[:, 1:]
+        self.windows[:, :-1] = self.windows[:, 1:]
+        self.windows[:, -1, 0] = sample
+        self.windows[:, -1, 1:] = condition[:, :2]
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """A network that turns noise into samples; its windows hold noise in the place of acceleration."""
+
+    network: Callable[[Array], Array]
+    window: int
+
+    def predict(self, windows: Array) -> Array:
+        """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
+        return self.network(windows).reshape(-1)
+
+    def start(self, windows: Array) -> NoiseStream:
+        """Return streams whose last noise is what the given windows hold, shape (s, m, 3)."""
+        return NoiseStream(self, windows.copy())
+
+
+@dataclass
+class NoiseStream:
+    """Streams of a model of noise: noise and condition of the last m samples, shape (s, m, 3)."""
+
+    model: NoiseModel
+    windows: Array
+    bounded: ClassVar[bool] = True
+
+    @property
+    def n_initial(self) -> int:
+        """Return a number for each sample of a window."""
+        return self.windows.shape[1]
+
+    def begin(self, condition: Array, noise: Array) -> None:
+        """Take noise of a window's length under the condition."""
+        self.windows[..., 1:] = condition[:, None, :2]
+        self.windows[..., 0] = noise
+
+    def predict(self) -> Prediction:
+        """Return the next samples; what is random in them is in the noise before."""
+        return Prediction(self.model.predict(self.windows))
+
+    def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
+        """Move the windows on by a number of noise, 0 in the deterministic loop."""
+        self.windows[:, :-1] = self.windows[:, 1:]
+        self.windows[:, -1, 0] = 0.0 if noise is None else noise
+        self.windows[:, -1, 1:] = condition[:, :2]

@@ -1,0 +1,237 @@
+"""An actuator out: what has to drive it so that the stylus moves as was rendered."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.runtime.native import NativeActuator
+from foten.whole_file import whole_file
+
+Array = NDArray[np.float64]
+
+FORMAT, VERSION = "foten-actuator", 1
+_NEAR_S = (
+    0.02  # of the delay at which drive and acceleration are most alike, within which the best is looked for
+)
+_MOST_MISSED = 0.15  # of the acceleration's power: what misses more was no such sweep
+
+
+@dataclass(frozen=True)
+class ActuatorProfile:
+    """A voice coil on its stylus: acceleration / drive = gain s² / (s² + 2 ζ ω s + ω²).
+
+    It belongs to an actuator, a stylus and a grip, not to a texture, and lies in a small JSON file of its own.
+
+    Attributes:
+        name: what it is of.
+        resonance_hz: ω/2π; 0 for none: the drive is acceleration over gain.
+        damping: ζ.
+        gain: far above the resonance [m/s² for one unit of drive]; negative where the wires are turned round.
+        unit: of the drive: V, A, or full scale of a sound card.
+        limit: of the drive; 0 for none. From 0.8 of it on the drive bends.
+        lowest_hz: the high-pass that keeps the drive finite below the resonance.
+        delay_ms: of the amplifier and its interface, as measured; told, not compensated.
+
+    Source: McMahan & Kuchenbecker, Haptics Symposium 2014, for the principle; the model is a mass on a spring in a housing.
+    """
+
+    name: str = ""
+    resonance_hz: float = 0.0
+    damping: float = 0.25
+    gain: float = 1.0
+    unit: str = "V"
+    limit: float = 0.0
+    lowest_hz: float = 20.0
+    delay_ms: float = 0.0
+
+    def __post_init__(self) -> None:
+        numbers = {
+            field.name: getattr(self, field.name)
+            for field in fields(self)
+            if field.name not in ("name", "unit")
+        }
+        for name, value in numbers.items():
+            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+                raise ValueError(f"{name} of the actuator is {value!r}, expected a number")
+            if name != "gain" and value < 0:
+                raise ValueError(f"{name} of the actuator is {value}, expected 0 or more")
+        if self.gain == 0:
+            raise ValueError("gain of the actuator is 0, expected m/s² for one unit of drive")
+        if not isinstance(self.name, str) or not isinstance(self.unit, str):
+            raise ValueError("name and unit of the actuator are text")
+
+    def response(self, hertz: Array) -> NDArray[np.complex128]:
+        """Return acceleration over drive at frequencies [Hz], any shape, without the delay."""
+        s, w = 2j * np.pi * np.asarray(hertz, dtype=float), 2 * np.pi * self.resonance_hz
+        if w == 0:
+            return np.full(s.shape, complex(self.gain))
+        return np.asarray(self.gain * s * s / (s * s + 2 * self.damping * w * s + w * w))
+
+    def native(self) -> NativeActuator:
+        """Return it as the kernel has it."""
+        return NativeActuator(self.resonance_hz, self.damping, self.gain, self.lowest_hz, self.limit)
+
+
+def write_profile(profile: ActuatorProfile, path: Path) -> None:
+    """Write a profile as JSON, whole or not at all."""
+    with whole_file(path) as part:
+        part.write_text(
+            json.dumps({"format": FORMAT, "version": VERSION, **asdict(profile)}, indent=1) + "\n"
+        )
+
+
+def read_profile(path: Path) -> ActuatorProfile:
+    """Return the profile in a file.
+
+    Raises:
+        FileNotFoundError: there is none.
+        ValueError: it is no profile, or a figure cannot be.
+    """
+    if not path.exists():
+        raise FileNotFoundError(f"no such file: {path}")
+    try:
+        found: Any = json.loads(path.read_text())
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise ValueError(f"{path.name} is not JSON ({error}), expected an actuator's profile") from error
+    if not isinstance(found, dict) or found.pop("format", None) != FORMAT:
+        raise ValueError(f"{path.name} is not an actuator's profile, expected 'format': {FORMAT!r}")
+    version = found.pop("version", None)
+    if version != VERSION:
+        raise ValueError(f"{path.name} has version {version}, expected {VERSION}; update foten?")
+    known = {field.name for field in fields(ActuatorProfile)}
+    unknown = sorted(set(found) - known)
+    if unknown:
+        raise ValueError(f"{path.name} has {unknown[0]!r}, expected some of {', '.join(sorted(known))}")
+    try:
+        return ActuatorProfile(**found)
+    except ValueError as error:
+        raise ValueError(f"{path.name}: {error}") from error
+
+
+def sweep(
+    seconds: float, rate_hz: float, low_hz: float = 20.0, high_hz: float = 500.0, amplitude: float = 1.0
+) -> Array:
+    """Return a drive that runs through the frequencies once, each octave as long as the others, and fades in and out.
+
+    Shape (seconds · rate_hz,). Play it, record the stylus's acceleration beside it, and give both to `identify`.
+
+    Raises:
+        ValueError: it lasts no time, or the frequencies cannot be.
+    """
+    if not 0 < seconds < math.inf or not 0 < rate_hz < math.inf:
+        raise ValueError(f"the sweep lasts {seconds} s at {rate_hz} Hz, expected positive numbers")
+    if not 0 < low_hz < high_hz < rate_hz / 2:
+        raise ValueError(
+            f"the sweep runs from {low_hz:g} to {high_hz:g} Hz, expected to lie between 0 and {rate_hz / 2:g} Hz"
+        )
+    t = np.arange(round(seconds * rate_hz)) / rate_hz
+    slope = math.log(high_hz / low_hz) / seconds
+    out = amplitude * np.sin(2 * np.pi * low_hz / slope * np.expm1(slope * t))
+    n = min(out.size // 2, round(0.05 * rate_hz))
+    out[:n] *= 0.5 - 0.5 * np.cos(np.pi * np.arange(n) / n)
+    out[-n:] *= 0.5 + 0.5 * np.cos(np.pi * np.arange(n) / n)
+    return np.asarray(out)
+
+
+def identify(
+    drive: Array,
+    acceleration: Array,
+    rate_hz: float,
+    low_hz: float = 25.0,
+    high_hz: float = 400.0,
+    name: str = "",
+    unit: str = "V",
+    limit: float = 0.0,
+) -> tuple[ActuatorProfile, float]:
+    """Return the profile that explains a measured sweep, and what share of the acceleration's power in the band it misses.
+
+    Gain, resonance, damping and delay are those of least squared error over the frequencies. A share above a few
+    hundredths says that the actuator is not such a resonator, or was driven too hard.
+
+    Args:
+        drive: what was played, shape (n,).
+        acceleration: of the stylus [m/s²], recorded beside it, shape (n,); one may begin earlier than the other.
+        rate_hz: of both.
+        low_hz, high_hz: that the sweep ran through.
+        name, unit, limit: as the profile is to have them; the limit is what amplifier and coil bear, and can't be measured.
+
+    Raises:
+        ValueError: the shapes differ, a number is not finite, nothing was measured between the frequencies, or it is not the
+            answer to that drive.
+    """
+    drive, acceleration = (np.asarray(signal, dtype=np.float64) for signal in (drive, acceleration))
+    if drive.shape != acceleration.shape or drive.ndim != 1 or drive.size < 64:
+        raise ValueError(
+            f"drive has shape {drive.shape} and acceleration {acceleration.shape}, expected (n,) both, 64 samples or more"
+        )
+    if not (np.isfinite(drive).all() and np.isfinite(acceleration).all()):
+        raise ValueError("the drive or the acceleration holds NaN or infinity; were samples lost?")
+    n = 2 * drive.size  # room for what rings on behind the end
+    x, y = np.fft.rfft(drive, n), np.fft.rfft(acceleration, n)
+    hertz = np.fft.rfftfreq(n, 1 / rate_hz)
+    used = (hertz >= low_hz) & (hertz <= high_hz)
+    if not used.any() or not np.abs(x[used]).max() > 0 or not np.abs(y[used]).max() > 0:
+        raise ValueError(
+            f"nothing was driven or measured between {low_hz:g} and {high_hz:g} Hz; is the recording silent?"
+        )
+    x, y, s = x[used], y[used], np.asarray(2j * np.pi * hertz[used], dtype=np.complex128)
+    alike = np.abs(
+        np.fft.irfft(np.where(used, np.fft.rfft(acceleration, n) * np.conj(np.fft.rfft(drive, n)), 0.0), n)
+    )
+    lag = int(alike.argmax())
+    near = (lag if lag < n // 2 else lag - n) / rate_hz
+    # Coarse, then fine.
+    delays = near + np.arange(-_NEAR_S, _NEAR_S, 0.25 / high_hz)
+    for _ in range(4):
+        tried = [_resonator(x * np.exp(-s * delay), y, s) for delay in delays]
+        best = int(np.argmin([missed for _, missed in tried]))
+        found, missed, delay = *tried[best], delays[best]
+        step = (delays[1] - delays[0]) / 4
+        delays = delay + step * np.arange(-4, 5)
+    if missed > _MOST_MISSED:
+        raise ValueError(
+            f"no resonator explains more than {100 * (1 - missed):.0f} % of what was recorded, expected the answer to that "
+            "drive, louder than the noise; are both at the same rate?"
+        )
+    gain, w, damping = found
+    profile = ActuatorProfile(
+        name=name,
+        resonance_hz=w / (2 * np.pi),
+        damping=damping,
+        gain=gain,
+        unit=unit,
+        limit=limit,
+        delay_ms=max(0.0, 1000 * float(delay)),
+    )
+    return profile, missed
+
+
+def _resonator(
+    x: NDArray[np.complex128], y: NDArray[np.complex128], s: NDArray[np.complex128]
+) -> tuple[tuple[float, float, float], float]:
+    """Return gain, ω and ζ of y = gain s² x / (s² + 2 ζ ω s + ω²), and the share of y's power that is missed.
+
+    Linear least squares of y·(s² + a s + b) = gain s² x, weighted by the denominator of the fit before (Sanathanan & Koerner,
+    IEEE Trans. AC 8, 1963).
+    """
+    scale = float(np.abs(s).mean())
+    s = s / scale
+    weight, power = np.ones(s.size), float(np.square(np.abs(y)).sum())
+    gain, a, b = 0.0, 0.0, 0.0
+    for _ in range(12):
+        columns = np.stack([s * s * x, -s * y, -y], axis=1) * weight[:, None]
+        wanted = s * s * y * weight
+        real = np.concatenate([columns.real, columns.imag])
+        gain, a, b = np.linalg.lstsq(real, np.concatenate([wanted.real, wanted.imag]), rcond=None)[0]
+        b, a = max(b, 1e-12), max(a, 1e-9)
+        weight = 1 / np.abs(s * s + a * s + b)
+    missed = float(np.square(np.abs(y - gain * s * s * x / (s * s + a * s + b))).sum()) / power
+    w = math.sqrt(b)
+    return (float(gain), w * scale, float(a / (2 * w))), missed

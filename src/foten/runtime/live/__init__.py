@@ -1,0 +1,1 @@
+"""A texture live: rings, sinks, devices, players."""

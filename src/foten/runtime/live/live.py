@@ -1,0 +1,258 @@
+"""A texture in real time: a thread that renders ahead into a ring, and a sink that plays from it."""
+
+from __future__ import annotations
+
+import atexit
+import sys
+import threading
+import time
+import weakref
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.runtime.live.ring import Ring
+
+BLOCK_MS = (
+    2.0  # rendered at once: a hand is looked at in every sample of the texture's rate, but set between blocks
+)
+LEAD_MS = 10.0  # rendered ahead of what is played: what the hand waits, and what a busy machine may take
+SWITCH_S = 0.0005  # how long another thread of Python keeps its lock while one renders live; 5 ms are usual, and too long
+_BINS = np.concatenate([[0.0], np.geomspace(1e-7, 1.0, 701)])  # s; 2.3 % apart
+
+
+@dataclass
+class Timing:
+    """How long something took, in 700 bins from 0.1 µs to 1 s: percentiles within 2.3 %, the largest as it was."""
+
+    counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_BINS.size, dtype=np.int64))
+    largest_s: float = 0.0
+
+    def add(self, seconds: float, n: int = 1) -> None:
+        """Count n that took so long each."""
+        self.counts[np.searchsorted(_BINS, seconds) - 1 if seconds > 0 else 0] += n
+        self.largest_s = max(self.largest_s, seconds)
+
+    def percentile_s(self, percent: float) -> float:
+        """Return what that share took at most [s], the upper end of its bin; NaN where nothing was counted."""
+        total = int(self.counts.sum())
+        if total == 0:
+            return float("nan")
+        at = int(np.searchsorted(np.cumsum(self.counts), percent / 100 * total))
+        return float(min(_BINS[min(at + 1, _BINS.size - 1)], self.largest_s))
+
+
+@dataclass
+class LiveStatistics:
+    """What a rendering in real time did.
+
+    Attributes:
+        block: how long a block took to render.
+        block_ms: how long it plays.
+        n_samples: rendered.
+        n_missed: blocks that took longer to render than to play.
+        n_underruns: times that the sink found less than it asked for.
+        n_lacking: samples of silence that it played instead.
+        least_ms: that the ring held, once it had been full.
+    """
+
+    block: Timing = field(default_factory=Timing)
+    block_ms: float = 0.0
+    n_samples: int = 0
+    n_missed: int = 0
+    n_underruns: int = 0
+    n_lacking: int = 0
+    least_ms: float = float("inf")
+
+    def line(self) -> str:
+        """Return it in one line for people."""
+        times = " / ".join(f"{1000 * self.block.percentile_s(p):.2f}" for p in (50, 99, 99.9))
+        return (
+            f"blocks of {self.block_ms:g} ms rendered in {times} ms (p50 / p99 / p99.9), at most "
+            f"{1000 * self.block.largest_s:.2f} ms; {self.n_missed} late, {self.n_underruns} under-runs, ring at least "
+            f"{self.least_ms:.1f} ms"
+        )
+
+
+class Sink(Protocol):
+    """Where samples go. It takes them from `read` in a thread or a callback of its own, at its own pace.
+
+    Attributes:
+        rate_hz: at which it takes them.
+        n_at_once: samples that it takes at most at once.
+        patient: whether it would rather wait for samples than play silence, as a file does.
+        failed: what it died of, or the rendering that it plays, of which `Live` tells it; None while both live.
+    """
+
+    rate_hz: float
+    n_at_once: int
+    patient: bool
+    failed: BaseException | None
+
+    def start(self, read: Callable[[NDArray[np.float32]], None]) -> None:
+        """Begin to take samples: `read` fills an array; it waits for a patient sink alone."""
+        ...
+
+    def stop(self) -> None:
+        """End, and give back what it holds; a second time nothing happens."""
+        ...
+
+
+class Live:
+    """A texture under a hand, played by a sink.
+
+        with Live(stylus.render_into, SoundSink(gain=0.02)) as live:
+            ...
+        print(live.statistics.line())
+
+    While one runs, threads of Python give way to each other ten times as often as usual. A program that never does, a long call
+    that keeps Python's lock, still makes silence: `n_underruns` says so.
+
+    Args:
+        render: fills an array with the next samples, in this class's thread; it should not keep Python's lock for long.
+        sink: plays them.
+        block_ms: rendered at once.
+        lead_ms: rendered ahead, or what the sink takes at once where that is more.
+    """
+
+    def __init__(
+        self,
+        render: Callable[[NDArray[np.float32]], None],
+        sink: Sink,
+        block_ms: float = BLOCK_MS,
+        lead_ms: float = LEAD_MS,
+    ) -> None:
+        if not 0 < block_ms <= lead_ms <= 1000:
+            raise ValueError(
+                f"blocks of {block_ms} ms and a lead of {lead_ms} ms, expected 0 < block ≤ lead ≤ 1000 ms"
+            )
+        self._render, self._sink = render, sink
+        rate = sink.rate_hz
+        self._block = np.zeros(max(1, round(block_ms * rate / 1000)), dtype=np.float32)
+        self._lead = max(self._block.size, round(lead_ms * rate / 1000), sink.n_at_once + self._block.size)
+        self._ring = Ring(max(2 * self._block.size, self._lead))
+        self._stopping = threading.Event()
+        self._wanted = threading.Event()
+        self._filled = threading.Event()
+        self._failed: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name="foten-render", daemon=True)
+        self.statistics = LiveStatistics(block_ms=1000 * self._block.size / rate)
+
+    def __enter__(self) -> Live:
+        self.start()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.stop()
+
+    @property
+    def running(self) -> bool:
+        """Return whether it plays: not before it starts, once it was stopped, or where rendering or sink died (`stop` tells)."""
+        return self._thread.is_alive() and self._failed is None and self._sink.failed is None
+
+    @property
+    def lead_ms(self) -> float:
+        """Return what is rendered ahead [ms]."""
+        return 1000 * self._lead / self._sink.rate_hz
+
+    def start(self) -> None:
+        """Fill the ring, then let the sink play.
+
+        Raises:
+            OSError: the sink refuses.
+        """
+        _keep_turns_short(self)
+        self._thread.start()
+        self._filled.wait()
+        if self._failed is not None:
+            return
+        try:
+            self._sink.start(self._read)
+        except BaseException:
+            self._end()
+            raise
+
+    def stop(self) -> None:
+        """End the sink, then the thread; a second time nothing happens.
+
+        Raises:
+            BaseException: what the rendering thread or the sink died of.
+        """
+        self._close()
+        for failed in (self._failed, self._sink.failed):
+            if failed is not None:
+                raise failed
+
+    def _close(self) -> None:
+        self._sink.failed = self._sink.failed or self._failed
+        try:
+            self._sink.stop()
+        finally:
+            self._end()
+
+    def _end(self) -> None:
+        self._stopping.set()
+        self._wanted.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        _let_turns_be_long(self)
+
+    def _read(self, out: NDArray[np.float32]) -> None:
+        while self._sink.patient and self._ring.level < out.size and self.running:
+            self._wanted.set()
+            time.sleep(0.0005)
+        n = self._ring.read_into(out)
+        self._wanted.set()
+        self.statistics.least_ms = min(self.statistics.least_ms, 1000 * self._ring.level / self._sink.rate_hz)
+        if n < out.size:
+            self.statistics.n_underruns += 1
+            self.statistics.n_lacking += out.size - n
+
+    def _run(self) -> None:
+        seconds = self._block.size / self._sink.rate_hz
+        try:
+            while not self._stopping.is_set():
+                if self._ring.level + self._block.size > self._lead:
+                    self._filled.set()
+                    self._wanted.wait(seconds)
+                    self._wanted.clear()
+                    continue
+                begin = time.perf_counter()
+                self._render(self._block)
+                took = time.perf_counter() - begin
+                self._ring.write(self._block)
+                self.statistics.block.add(took)
+                self.statistics.n_samples += self._block.size
+                self.statistics.n_missed += took > seconds
+        except BaseException as error:  # told by `stop`, in the thread that waits for it
+            self._failed = error
+        finally:
+            self._filled.set()
+
+
+_playing: weakref.WeakSet[Live] = weakref.WeakSet()
+_usual_s = sys.getswitchinterval()
+
+
+def _keep_turns_short(live: Live) -> None:
+    global _usual_s
+    if not _playing:
+        _usual_s = sys.getswitchinterval()
+        sys.setswitchinterval(min(SWITCH_S, _usual_s))
+    _playing.add(live)
+
+
+def _let_turns_be_long(live: Live) -> None:
+    _playing.discard(live)
+    if not _playing:
+        sys.setswitchinterval(_usual_s)
+
+
+@atexit.register
+def _end_all() -> None:
+    """End what still plays as the interpreter ends, before what it renders from is gone."""
+    for live in list(_playing):
+        live._close()

@@ -1,0 +1,234 @@
+"""A stroke over a texture, live: what `foten play` does."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.runtime.actuator import ActuatorProfile
+from foten.runtime.live.devices import (
+    SOUND_RATE_HZ,
+    DaqSink,
+    NullSink,
+    OscSink,
+    Samples,
+    SoundSink,
+    UdpSink,
+    WavSink,
+)
+from foten.runtime.live.live import Live, LiveStatistics, Sink
+from foten.runtime.renderer import Renderer
+from foten.runtime.stroke import Stroke
+
+LOUDNESS = 0.1  # of full scale, of a sound's standard deviation, where no gain is given
+CIRCLES_A_SECOND = 0.5
+LEAST_RATE_HZ = 8000.0  # of what is sent to a device that keeps to any rate: images and steps of the texture's own are felt
+
+Array = NDArray[np.float64]
+Hand = Callable[[NDArray[np.int64]], tuple[Array, Array]]
+"""Speed [mm/s] and force [N] at samples of the texture's own rate, counted from 0; shapes (n,)."""
+
+
+@dataclass(frozen=True)
+class Played:
+    """What playing came to.
+
+    Attributes:
+        statistics: of the rendering and its ring.
+        delays_ms: what lies between hand and skin, by name.
+        counted: what the kernel counted.
+        n_cut: samples beyond what the sink takes.
+        n_device_underruns: times that a sound card itself found samples missing.
+        n_late: blocks that a sink which keeps its own time left out after the machine stood still.
+        interrupted: whether Ctrl-C ended it.
+    """
+
+    statistics: LiveStatistics
+    delays_ms: dict[str, float]
+    counted: dict[str, int]
+    n_cut: int
+    n_device_underruns: int
+    n_late: int
+    interrupted: bool
+
+
+def circling(speeds: tuple[float, float], forces: tuple[float, float], rate_hz: float) -> Hand:
+    """Return a hand that draws a circle, slower and faster, lighter and firmer, over the middle of a trained range."""
+
+    def hand(at: NDArray[np.int64]) -> tuple[Array, Array]:
+        # 1.618 of each other, so that speed and force do not keep step.
+        turns = np.outer([CIRCLES_A_SECOND, CIRCLES_A_SECOND / 1.618], at / rate_hz)
+        share = 0.5 - 0.4 * np.cos(2 * np.pi * turns)
+        (slow, fast), (light, firm) = speeds, forces
+        return slow + share[0] * (fast - slow), light + share[1] * (firm - light)
+
+    return hand
+
+
+def holding(speed: float, force: float) -> Hand:
+    """Return a hand at one speed [mm/s] and force [N]."""
+    return lambda at: (np.full(at.size, speed), np.full(at.size, force))
+
+
+def along(stroke: Stroke, lowpass_hz: float) -> Hand:
+    """Return the hand of a stroke, over and over: once as `Stroke.conditioned` has it, then again, as if the hand had gone over
+    from the end to the beginning at once. The low-pass rounds that step as it does those within.
+    """
+    n = stroke.force.size
+    twice = replace(stroke, moved=np.tile(stroke.moved, 2), force=np.tile(stroke.force, 2))
+    speed, force = twice.conditioned(lowpass_hz)
+
+    def hand(at: NDArray[np.int64]) -> tuple[Array, Array]:
+        i = np.where(at < n, at, n + at % n)
+        return speed[i], force[i]
+
+    return hand
+
+
+def rendering(renderer: Renderer, hand: Hand) -> Callable[[Samples], None]:
+    """Return what fills an array, shape (n,), with the next samples under a hand: those of a whole stroke, whatever the sizes."""
+    state, ratio = renderer.native_state, renderer.texture_rate / renderer.rate
+    waiting = np.zeros(
+        0, dtype=np.float32
+    )  # of one of the texture's own samples, for which the last array had no room
+    n = 0
+
+    def render(out: Samples) -> None:
+        nonlocal waiting, n
+        while waiting.size < out.size:
+            at = np.arange(n, n + math.ceil((out.size - waiting.size) * ratio))
+            n += at.size
+            waiting = np.concatenate([waiting, state.render_stroke(*hand(at))])
+        out[:] = waiting[: out.size]
+        waiting = waiting[out.size :]
+
+    return render
+
+
+def sink_of(
+    where: str,
+    rate_hz: float,
+    gain: float,
+    seconds: float | None,
+    device: str | None = None,
+    channel: int | None = None,
+    about: dict[str, Any] | None = None,
+) -> Sink:
+    """Return the sink that a text names: sound, null, FILE.wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.
+
+    Raises:
+        ValueError: it names none, or one without devices and channels of which some were given.
+        OSError: the device, its library or the host is missing.
+    """
+    if where != "sound" and (device is not None or channel is not None):
+        raise ValueError(f"--device and --channel are a sound card's, and it is played to {where}")
+    kind, _, rest = where.partition(":")
+    if where == "null":
+        return NullSink(rate_hz)
+    if where == "sound":
+        chosen = int(device) if device is not None and device.isdecimal() else device
+        return SoundSink(gain, chosen, rate_hz, channel or 0, (channel or 0) + 1)
+    if where.lower().endswith(".wav"):
+        return WavSink(Path(where), rate_hz, about, None if seconds is None else round(seconds * rate_hz))
+    if kind == "daq" and rest:
+        return DaqSink(rest, rate_hz, gain)
+    if kind in ("udp", "osc"):
+        host, _, port = rest.rpartition(":")
+        if host and port.isdecimal() and 0 < int(port) < 65536:
+            return (UdpSink if kind == "udp" else OscSink)(host, int(port), rate_hz)
+    raise ValueError(
+        f"cannot play to {where!r}, expected sound, null, a name that ends in .wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT"
+    )
+
+
+def rate_for(where: str, asked: float | None, texture_rate: float) -> float:
+    """Return the rate to play at: the one that is asked for, 48 kHz for sound, else the texture's own times a whole number."""
+    if asked is not None:
+        return asked
+    if where == "sound":
+        return SOUND_RATE_HZ
+    return texture_rate * max(1, int(np.ceil(LEAST_RATE_HZ / texture_rate)))
+
+
+def play(
+    renderer: Renderer,
+    sink: Sink,
+    hand: Hand,
+    seconds: float | None,
+    lead_ms: float,
+    begun: Callable[[], None],
+) -> Played:
+    """Play a hand for a while, or until Ctrl-C, and return what it came to; `begun` is called once it plays.
+
+    Raises:
+        OSError: the sink refused or died.
+    """
+    interrupted = False
+    live = Live(rendering(renderer, hand), sink, lead_ms=lead_ms)
+    begin = time.monotonic()
+    try:
+        live.start()
+        begun()
+        while live.running and not getattr(sink, "full", False):
+            # A file is full when it is; a device plays in real time.
+            left = 0.2 if seconds is None or sink.patient else seconds - (time.monotonic() - begin)
+            if left <= 0:
+                break
+            time.sleep(min(0.02 if sink.patient else 0.2, left))
+    except KeyboardInterrupt:
+        interrupted = True
+    finally:
+        live.stop()
+    delays = {"rendered ahead": live.lead_ms}
+    if renderer.delay_ms:
+        delays["change of rate"] = renderer.delay_ms
+    if isinstance(sink, SoundSink):
+        delays["sound card, as it says"] = 1000 * sink.latency_s
+    elif not sink.patient:
+        delays["block of the sink"] = 1000 * sink.n_at_once / sink.rate_hz
+    return Played(
+        live.statistics,
+        delays,
+        renderer.counted(),
+        getattr(sink, "n_cut", 0),
+        getattr(sink, "n_device_underruns", 0),
+        getattr(sink, "n_late", 0),
+        interrupted,
+    )
+
+
+def gain_for(profile: ActuatorProfile | None, asked: float | None, sd: float, where: str) -> float:
+    """Return the sink's gain: what is asked for; else what is safe to assume.
+
+    An actuator's drive in V goes to a DAQ as it is, one in full scale to a sound card; acceleration goes to a sound card at a
+    usual loudness, and to whatever takes numbers as it is.
+
+    Raises:
+        ValueError: the unit of what is rendered is not that of the sink, and no one said how many of these are one of those; or
+            a gain is asked for where numbers go as they are.
+    """
+    if asked is not None:
+        if where != "sound" and not where.startswith("daq:"):
+            raise ValueError(f"--gain is for sound and daq, and {where} takes what is rendered as it is")
+        return asked
+    unit = "m/s²" if profile is None else profile.unit
+    if where == "sound":
+        if profile is None:
+            return LOUDNESS / sd
+        if unit != "full scale":
+            raise ValueError(
+                f"a sound card takes full scale, and the profile drives in {unit}: say with --gain how much of it 1 {unit} is"
+            )
+    elif where.startswith("daq:") and unit != "V":
+        raise ValueError(
+            f"a DAQ takes volts, and what is rendered is in {unit}: say with --gain how many volts 1 {unit} is, "
+            "or give a profile in V with --actuator"
+        )
+    return 1.0

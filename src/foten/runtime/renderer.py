@@ -1,0 +1,134 @@
+"""A texture in an app: one hand, any output rate, in real time."""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from foten.runtime.actuator import ActuatorProfile
+from foten.runtime.native import NativeState, NativeStatistics, NativeTexture
+from foten.families.texture_file import Texture
+
+
+class Renderer:
+    """A texture under one hand: speed and force in, acceleration out.
+
+        renderer = foten.Renderer("denim.foten", rate=48_000, seed=0)
+        block = renderer.render(speed_mm_s=80.0, force_n=0.8, n=480)
+
+    It runs in the kernel, without Python's lock and without allocation after construction but for the arrays that it returns, and
+    gives the same bytes for the same seed and hand whatever the sizes of the blocks. Of a model that ONNX Runtime runs
+    (docs/compared.md) each sample, or each hop of some, takes the lock and allocates.
+
+    Args:
+        texture: a texture file, its bytes, or a texture in memory.
+        rate: of the output [Hz]; None for the texture's own.
+        seed: of the excitation, 0 … 2⁶⁴ − 1.
+        stream: of the noise: two hands on one texture are independent with different ones.
+        excitation: False runs the deterministic loop.
+        actuator: whose drive is rendered; None for acceleration.
+        smooth: put a hand that is held through the low-pass of the recordings, 20 Hz, which delays it by 11 ms: for a hand that
+            comes in steps, 60 times a second say. Arrays are taken as they are.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: the file is not a texture file, is damaged, or does not pass its own proof here; a rate or seed cannot be.
+    """
+
+    def __init__(
+        self,
+        texture: str | PathLike[str] | bytes | Texture,
+        rate: float | None = None,
+        seed: int = 0,
+        stream: int = 0,
+        excitation: bool = True,
+        actuator: ActuatorProfile | None = None,
+        smooth: bool = False,
+    ) -> None:
+        for name, value in (("seed", seed), ("stream", stream)):
+            if not 0 <= value < 2**64:
+                raise ValueError(f"{name} is {value}, expected 0 to 2⁶⁴ − 1")
+        self.native_texture = _native(texture)
+        self.native_state = NativeState(self.native_texture, rate, seed, stream, excitation, smooth)
+        if actuator is not None:
+            self.native_state.set_actuator(actuator.native())
+        self.seed = seed
+        self.texture_rate = float(self.native_texture.info.rate_hz)
+        self.rate = self.texture_rate if rate is None else float(rate)
+
+    @property
+    def delay_ms(self) -> float:
+        """Return by how much the change of rate delays slow vibration [ms]."""
+        return 1000 * self.native_state.delay_s
+
+    @property
+    def stats(self) -> NativeStatistics:
+        """Return what was counted since the last reset, in samples of the texture's own rate."""
+        return self.native_state.statistics
+
+    def counted(self) -> dict[str, int]:
+        """Return what was counted, by name."""
+        return {name: int(getattr(self.stats, name)) for name, *_ in NativeStatistics._fields_}
+
+    def reset(self, seed: int | None = None) -> None:
+        """Begin again, with the same seed or another one."""
+        if seed is not None and not 0 <= seed < 2**64:
+            raise ValueError(f"seed is {seed}, expected 0 to 2⁶⁴ − 1")
+        self.seed = self.seed if seed is None else seed
+        self.native_state.reset(self.seed)
+
+    def render_into(self, out: NDArray[np.float32], speed_mm_s: float, force_n: float) -> None:
+        """Fill an array (n,) with the next acceleration [m/s²] at the output rate under a hand, without allocation."""
+        self.native_state.set_hand(speed_mm_s, force_n)
+        self.native_state.render(out)
+
+    def step(self, speed_mm_s: float, force_n: float) -> float:
+        """Return the next acceleration [m/s²] at the output rate."""
+        return float(self.render(speed_mm_s, force_n, 1)[0])
+
+    def render(self, speed_mm_s: ArrayLike, force_n: ArrayLike, n: int | None = None) -> NDArray[np.float32]:
+        """Return acceleration [m/s²] at the output rate, going on from the last call.
+
+        Args:
+            speed_mm_s, force_n: a number each, held for n samples; or, one or both, arrays (k,) at the texture's own rate.
+            n: how many samples of the output, where the hand is held.
+
+        Returns:
+            Shape (n,); for arrays k · rate / texture_rate samples, give or take one that the next call has.
+
+        Raises:
+            ValueError: a speed or force is negative, NaN or infinite; neither arrays nor n were given, or both.
+        """
+        speed, force = (np.asarray(value, dtype=np.float32) for value in (speed_mm_s, force_n))
+        for name, value, unit in (("speed", speed, "mm/s"), ("force", force, "N")):
+            if not np.isfinite(value).all() or (value < 0).any():
+                raise ValueError(
+                    f"a {name} is negative, NaN or infinite, expected a finite number of {unit}, 0 or more"
+                )
+        if speed.ndim == 0 and force.ndim == 0:
+            if n is None or n < 0:
+                raise ValueError(f"n is {n}, expected how many samples to render under a hand that is held")
+            self.native_state.set_hand(float(speed), float(force))
+            out = np.empty(n, dtype=np.float32)
+            self.native_state.render(out)
+            return out
+        if n is not None:
+            raise ValueError("n was given beside arrays, which say themselves how long the stroke is")
+        return self.native_state.render_stroke(*np.broadcast_arrays(speed, force))
+
+
+def _native(texture: str | PathLike[str] | bytes | Texture) -> NativeTexture:
+    if isinstance(texture, bytes):
+        return NativeTexture(texture)
+    if isinstance(texture, Texture):
+        return NativeTexture(texture.to_bytes())
+    path = Path(texture)
+    if not path.exists():
+        raise FileNotFoundError(f"no such file: {path}")
+    try:
+        return NativeTexture(path.read_bytes())
+    except ValueError as error:
+        raise ValueError(f"{path.name}: {error}") from error

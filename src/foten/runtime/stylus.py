@@ -1,0 +1,130 @@
+"""A pen in: positions and pressures at whatever times a tablet tells them, into the hand that a texture is rendered under."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.runtime.native import NativeStylus, NativeStylusStatistics
+from foten.runtime.renderer import Renderer
+
+Array = NDArray[np.float64]
+
+_STEPS = 100
+_FLAT = 1e-300  # steepness of a force that no pressure changes: of 0 the kernel makes the paper's
+
+
+@dataclass(frozen=True)
+class PressureCalibration:
+    """A stylus's normalised pressure to force, F = a·exp(b·p); no force where the stylus does not touch (p = 0).
+
+    Source: Eq. 12, for one tablet; refit it for another (`fit_pressure`).
+    Differs from the paper: p = 0 gives 0 N and not 0.13 N, since lifting off must be silent.
+    """
+
+    a: float = 0.13  # N
+    b: float = 3.32
+
+    def __post_init__(self) -> None:
+        if not (0 < self.a < 1e6 and math.isfinite(self.a)) or not abs(self.b) < 100:
+            raise ValueError(f"the pressure's curve is {self.a} N · exp({self.b} p), which no tablet has")
+
+    def force(self, pressure: Array) -> Array:
+        """Return the force [N] of pressures in 0 … 1, any shape."""
+        return np.where(pressure > 0, self.a * np.exp(self.b * pressure), 0.0)
+
+
+def fit_pressure(pressure: Array, force: Array) -> PressureCalibration:
+    """Return the curve nearest to pairs of pressure and force in the mean square of force.
+
+    Press the pen on a scale at a few pressures over the whole range, and write down what each of them reads.
+
+    Args:
+        pressure: 0 … 1, above 0 where the pen touches, shape (n,); pairs at 0 say nothing and are left out.
+        force: [N], shape (n,).
+
+    Raises:
+        ValueError: fewer than three pairs, no spread of pressure, or a number that cannot be.
+    """
+    pressure, force = (np.asarray(values, dtype=np.float64) for values in (pressure, force))
+    if pressure.shape != force.shape or pressure.ndim != 1:
+        raise ValueError(f"pressure has shape {pressure.shape} and force {force.shape}, expected (n,) both")
+    if not (np.isfinite(pressure).all() and np.isfinite(force).all()):
+        raise ValueError("a pressure or a force is NaN or infinite")
+    if (pressure < 0).any() or (pressure > 1).any() or (force < 0).any():
+        raise ValueError("expected pressures from 0 to 1 and forces in N, none negative")
+    used = (pressure > 0) & (force > 0)
+    p, f = pressure[used], force[used]
+    if p.size < 3 or np.ptp(p) < 0.1:
+        raise ValueError(
+            f"{p.size} pairs over {np.ptp(p) if p.size else 0:.2g} of pressure, expected three or more, over 0.1 or more"
+        )
+    b, log_a = np.polyfit(p, np.log(f), 1)
+    found, damping = np.array([log_a, b]), 1e-3
+    missed = np.exp(found[0] + found[1] * p) - f
+    for _ in range(_STEPS):  # Levenberg and Marquardt, from the fit of logarithms
+        curve = np.exp(found[0] + found[1] * p)
+        jacobian = np.stack([curve, curve * p], axis=1)
+        normal = jacobian.T @ jacobian
+        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -jacobian.T @ missed)
+        tried = np.exp(found[0] + step[0] + (found[1] + step[1]) * p) - f
+        if not np.square(tried).sum() <= np.square(missed).sum():
+            damping *= 10
+            if damping > 1e12:
+                break
+            continue
+        found, missed, damping = found + step, tried, damping / 10
+        if np.abs(step).max() < 1e-12:
+            break
+    return PressureCalibration(float(np.exp(found[0])), float(found[1]))
+
+
+class Stylus:
+    """A pen on a texture: events from one thread, rendered from another.
+
+        stylus = Stylus(renderer)
+        stylus.push(x_mm, y_mm, pressure, t_s)   # as the tablet tells them
+        block = stylus.render(480)
+
+    Events count from the block on that is rendered after them: render in blocks of 20 ms or less. Positions in whole pixels are
+    heard: tell fractions of them where the device has them.
+
+    What is not finite, late, doubled, out of order or a jump is counted (`stats`) and does no harm. Beside the low-pass of 20 Hz,
+    which recordings went through too, speed comes 2 to 5 ms after the hand at 240 to 60 events a second that are told at
+    once, and force 3 to 10 ms.
+
+    Args:
+        renderer: what is rendered.
+        calibration: of pressure to force.
+    """
+
+    def __init__(self, renderer: Renderer, calibration: PressureCalibration | None = None) -> None:
+        curve = calibration or PressureCalibration()
+        self._renderer = renderer
+        self._stylus = NativeStylus(renderer.native_texture, curve.a, curve.b or _FLAT)
+
+    def push(self, x_mm: float, y_mm: float, pressure: float, t_s: float) -> None:
+        """Tell of an event: position [mm], pressure 0 … 1 (0 is lifted), the device's time [s]."""
+        self._stylus.push(x_mm, y_mm, pressure, t_s)
+
+    def next_hand(self) -> tuple[float, float]:
+        """Return speed [mm/s] and force [N] at the next sample of the texture's own rate, and move on by it."""
+        return self._stylus.next()
+
+    def render_into(self, out: NDArray[np.float32]) -> None:
+        """Fill an array (n,) with the next samples [m/s², or an actuator's drive] at the output rate, without allocation."""
+        self._renderer.native_state.render_stylus(self._stylus, out)
+
+    def render(self, n: int) -> NDArray[np.float32]:
+        """Return n samples [m/s², or an actuator's drive] at the output rate."""
+        out = np.empty(n, dtype=np.float32)
+        self.render_into(out)
+        return out
+
+    @property
+    def stats(self) -> NativeStylusStatistics:
+        """Return what was counted."""
+        return self._stylus.statistics

@@ -1,0 +1,80 @@
+"""A trace ready to be learned from: its split, and its samples in units of the training blocks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.recording.scaling import Scaling, fit_scaling
+from foten.recording.split import Split
+from foten.recording.trace import Trace
+from foten.recording.windows import targets
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ScaledBlocks:
+    """What every stage of training is given.
+
+    Attributes:
+        trace: as it was preprocessed.
+        split: its blocks for training, validation and test.
+        scaling: mean and standard deviation of the training blocks.
+        samples: acceleration, speed and force, scaled, shape (n_blocks, block, 3).
+    """
+
+    trace: Trace
+    split: Split
+    scaling: Scaling
+    samples: Array
+
+    @property
+    def known(self) -> tuple[int, ...]:
+        """Return the numbers of the blocks that training may look at."""
+        return (*self.split.train, *self.split.validation)
+
+    @property
+    def flat(self) -> Array:
+        """Return the samples one after the other, shape (n, 3)."""
+        return self.samples.reshape(-1, 3)
+
+    @property
+    def peak_sd(self) -> float:
+        """Return the largest sample of the training blocks, in standard deviations."""
+        return float(np.abs(self.samples[list(self.split.train), :, 0]).max())
+
+    @property
+    def saturation(self) -> float:
+        """Return what samples are cut to, for safety only: well beyond what was recorded, in standard deviations."""
+        return max(12.0, 1.5 * self.peak_sd)
+
+    def targets(self, m: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the indices of the training and the validation samples that m samples of their block lie before."""
+        train, validation = (
+            targets(blocks, self.trace.block, m) for blocks in (self.split.train, self.split.validation)
+        )
+        return train, validation
+
+    def condition_before(self) -> tuple[Array, Array]:
+        """Return the speed [mm/s] and force [N] that each prediction knows, those of the sample before: (n_blocks, block) each."""
+        trace = self.trace
+        speed, force = (
+            np.concatenate([channel[:1], channel[:-1]]).reshape(trace.n_blocks, trace.block)
+            for channel in (trace.speed, trace.force)
+        )
+        return speed, force
+
+    def path_conditions(self) -> Array:
+        """Return speed and force, scaled, and the speed [mm/s], as the kernel's loop takes them: (n_blocks, block, 3)."""
+        speed = self.trace.blocks(self.trace.speed)
+        return np.concatenate([self.samples[..., 1:], speed[..., None]], axis=2)
+
+
+def scaled_blocks(trace: Trace, split: Split) -> ScaledBlocks:
+    """Return a trace scaled by its training blocks."""
+    scaling = fit_scaling(trace, split.train)
+    samples = scaling.scale(trace.stacked())
+    return ScaledBlocks(trace, split, scaling, samples.reshape(trace.n_blocks, trace.block, 3))

@@ -1,0 +1,284 @@
+"""foten-plus: the linear part and its excitation first, which make a texture; then the network, where it gains."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from foten.dsp.level import FRAME_MS, frame_levels, frame_means
+from foten.families.conditions import FADE_FORCE, FADE_SPEED
+from foten.families.foten_plus import FotenPlusSizes
+from foten.families.texture_file import Texture
+from foten.networks.foten_plus import Corrector
+from foten.networks.scale import Excitation
+from foten.reference.network import Network
+from foten.runtime.native import NativeTexture
+from foten.train.blocks import ScaledBlocks
+from foten.train.closed_loop import ClosedLoop, free_run_distance
+from foten.train.excitation import FittedExcitation, fit_excitation
+from foten.train.export import N_GOLDEN, Draft, Tensors, in_float64, tensors_of
+from foten.train.fit import Progress, TrainingWindows, pick_device, predict
+from foten.train.job import TrainingJob
+from foten.train.linear_part import LinearPart, fit_linear_parts
+
+Array = NDArray[np.float64]
+
+NETWORK_IS_NEARER = 0.98  # times the free run's distance without it
+NETWORK_MAY_BE_NEARER = 1.25  # times that before its level is settled, which moved it by up to a fifth
+LEAST_GAIN = 0.002  # of the one-step error, for the network to be tried in the loop
+TONES_MAY_DISTORT = 1.05  # times the log-spectral distance without them, on the validation blocks
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """A linear part with an excitation, and how far its free run is from the validation blocks.
+
+    Attributes:
+        distance: log-spectral distance and level error [dB].
+        residual: whether the excitation is that of what the network leaves: it is in the loop.
+    """
+
+    part: LinearPart
+    fitted: FittedExcitation
+    distance: tuple[float, float]
+    with_network: bool = False
+
+    @property
+    def nearness(self) -> float:
+        """Return what decides between renderings: log-spectral distance times level error."""
+        return self.distance[0] * self.distance[1]
+
+
+@dataclass
+class FotenPlusTask:
+    """The network of a texture that is playable without it."""
+
+    job: TrainingJob
+    blocks: ScaledBlocks
+    draft: Draft
+    plain: Rendering
+    network: Corrector
+    windows: TrainingWindows
+    tried: dict[str, Any]
+    playable: Texture = field(init=False)
+
+    def __post_init__(self) -> None:
+        linear_mae = _linear_mae(self.windows)
+        progress = {"best_epoch": 0, "n_epochs": 0, "validation_loss": None}
+        self.linear_mae = linear_mae
+        self.playable = self._texture(self.plain, linear_mae, progress, {})
+
+    def finish(self, progress: Progress, on_stage: Callable[[str], None]) -> Texture:
+        """Return the texture with the network that was fitted, in the loop where the free run is nearer so."""
+        best = progress.best
+        told = {"without network": list(self.plain.distance)}
+        chosen = self.plain
+        gained = 1 - best.validation_mae / self.linear_mae
+        if best.epoch and gained >= LEAST_GAIN and self.plain.part.phase is None:
+            on_stage("rendering with the network in the loop")
+            rendering = self._with_network()
+            if rendering is not None:
+                told["with network"] = list(rendering.distance)
+                if rendering.nearness < NETWORK_IS_NEARER * self.plain.nearness:
+                    chosen = rendering
+        epochs = {
+            "best_epoch": best.epoch,
+            "n_epochs": progress.epochs[-1].epoch,
+            "validation_loss": best.validation_loss,
+        }
+        on_stage("proving the texture file")
+        return self._texture(chosen, best.validation_mae, epochs, told)
+
+    def _with_network(self) -> Rendering | None:
+        """Return a rendering with the network in the loop, or None where it is far from any use."""
+        both = np.concatenate([self.windows.train, self.windows.validation])
+        assert self.windows.target is not None
+        left = self.windows.target[both] - predict(self.network, self.windows, both)
+        part = replace(self.plain.part, sizes=replace(self.plain.part.sizes, network_in_loop=True))
+        weights = tensors_of(self.network, "network.")
+        loop = _loop(part, self.draft, self.blocks, weights)
+        width, config = part.sizes.excitation_width, self.job.config
+
+        def may_be_nearer(excitation: Excitation) -> bool:
+            lsd_db, level_error_db = free_run_distance(loop, excitation, config.seed)
+            return lsd_db * level_error_db < NETWORK_MAY_BE_NEARER * self.plain.nearness
+
+        fitted = fit_excitation(width, left, self.windows, loop, config, may_be_nearer)
+        if fitted is None:
+            return None
+        distance = free_run_distance(loop, fitted.excitation, config.seed)
+        return Rendering(part, fitted, distance, with_network=True)
+
+    def _texture(
+        self, chosen: Rendering, mae: float, epochs: dict[str, Any], renderings: dict[str, Any]
+    ) -> Texture:
+        network = self.network.cpu()
+        weights = tensors_of(network, "network.")
+        _check_twin(network, chosen.part.sizes, weights, self.windows)
+        fitted, metrics = chosen.fitted, self.draft_metrics(chosen)
+        metrics |= {**epochs, "validation_mae_scaled": mae, "renderings": renderings}
+        tensors = {**chosen.part.tensors, **weights, **tensors_of(fitted.excitation, "excitation.")}
+        return self.draft.texture(chosen.part.sizes, tensors, metrics, N_GOLDEN).texture
+
+    def draft_metrics(self, chosen: Rendering) -> dict[str, Any]:
+        """Return what the card says of a rendering."""
+        return {
+            "validation_mae_scaled_lattice": self.linear_mae,
+            "linear_part": self.tried,
+            "validation_nll": chosen.fitted.likelihood,
+            "validation_lsd_db": chosen.distance[0],
+            "validation_level_error_db": chosen.distance[1],
+            "tail_gain_nat": chosen.fitted.tail_gain,
+            "level_errors_db": chosen.fitted.level_errors_db,
+            "recorded_peak_sd": self.blocks.peak_sd,
+        }
+
+
+def prepare_foten_plus(job: TrainingJob, on_stage: Callable[[str], None]) -> FotenPlusTask:
+    """Return the linear part with its excitation as a texture, and the windows that a network is to be fitted to.
+
+    Raises:
+        ValueError: the recording does not fit the configuration; the message names the option.
+    """
+    assert isinstance(job.sizes, FotenPlusSizes)
+    blocks, m = job.blocks(), job.sizes.window
+    check_block(blocks, m)
+    _check_frame(blocks, m, job.config.max_order)
+    torch.manual_seed(job.config.seed)
+    samples = TrainingWindows(blocks.flat, *blocks.targets(m), m)
+    parts = fit_linear_parts(job.sizes, samples, blocks, job.config, on_stage)
+    device = pick_device()
+    network = Corrector(job.sizes)
+    card = {**job.card(blocks, device.type), "beyond_exponents": _beyond_exponents(blocks)}
+    draft = Draft(job.model, blocks, card)
+    on_stage("fitting the excitation and settling its level in the closed loop")
+    renderings = [_rendering(part, network, draft, blocks, job) for part in parts]
+    chosen, tried = _chosen(renderings)
+    windows = _innovations(chosen.part, blocks)
+    return FotenPlusTask(job, blocks, draft, chosen, network.to(device), windows, tried)
+
+
+def _rendering(
+    part: LinearPart, network: Corrector, draft: Draft, blocks: ScaledBlocks, job: TrainingJob
+) -> Rendering:
+    """Return a linear part with an excitation."""
+    windows = _innovations(part, blocks, residual=True)
+    assert windows.target is not None
+    loop = _loop(part, draft, blocks, tensors_of(network, "network."))
+    innovations = windows.target[np.concatenate([windows.train, windows.validation])]
+    fitted = fit_excitation(part.sizes.excitation_width, innovations, windows, loop, job.config)
+    assert fitted is not None
+    return Rendering(part, fitted, free_run_distance(loop, fitted.excitation, job.config.seed))
+
+
+def _loop(part: LinearPart, draft: Draft, blocks: ScaledBlocks, weights: Tensors) -> ClosedLoop:
+    def kernel(excitation: Excitation) -> NativeTexture:
+        tensors = {**part.tensors, **weights, **tensors_of(excitation, "excitation.")}
+        return draft.texture(part.sizes, tensors, {"validation_mae_scaled": 0.0}).kernel
+
+    history, block = part.sizes.history, blocks.trace.block
+    return ClosedLoop(blocks, history, kernel, part.power, part.response(block - history))
+
+
+def _chosen(renderings: list[Rendering]) -> tuple[Rendering, dict[str, Any]]:
+    """Return the rendering whose free run is nearest, and what was tried.
+
+    Tones that change the spectrum are none of the surface's, whatever the level.
+    """
+
+    def report(one: Rendering) -> dict[str, Any]:
+        free_run = dict(zip(("lsd_db", "level_error_db"), one.distance, strict=True))
+        return {**one.part.tried, "free_run": free_run}
+
+    allowed = TONES_MAY_DISTORT * renderings[0].distance[0]
+    best = min(
+        (one for one in renderings if one is renderings[0] or one.distance[0] <= allowed),
+        key=lambda one: one.nearness,
+    )
+    rejected = [report(one) for one in renderings if one is not best]
+    return best, {**report(best), **({"rejected": rejected} if rejected else {})}
+
+
+def _innovations(part: LinearPart, blocks: ScaledBlocks, residual: bool = False) -> TrainingWindows:
+    """Return windows of x, speed, force and e, and as targets the lattice's innovations, or those of what the tones leave."""
+    x, e, unit = part.innovations(blocks, residual)
+    samples = np.concatenate([x[..., None], blocks.samples[..., 1:], e[..., None]], axis=2)
+    indices = blocks.targets(part.sizes.history)
+    return TrainingWindows(samples.reshape(-1, 4), *indices, part.sizes.window, e.ravel(), unit.ravel())
+
+
+def _linear_mae(windows: TrainingWindows) -> float:
+    """Return the mean absolute one-step error of the lattice alone on the validation blocks, scaled."""
+    assert windows.target is not None
+    assert windows.unit is not None
+    n = windows.validation
+    return float(np.abs(windows.target[n] * windows.unit[n]).mean())
+
+
+def _check_twin(
+    network: Corrector, sizes: FotenPlusSizes, weights: Tensors, windows: TrainingWindows
+) -> None:
+    """Check that the network in PyTorch and its reference give the same, in float64."""
+    n = windows.validation[:: max(1, len(windows.validation) // 8)]
+    some = windows.samples[n[:, None] + np.arange(-windows.window, 0)]
+    ours = in_float64(network)(some)
+    limit = sizes.correction_limit
+    reference = limit * np.tanh(Network(sizes, weights, "network.")(some) / limit)
+    assert np.abs(ours - reference).max() < 1e-9
+
+
+def check_block(blocks: ScaledBlocks, m: int) -> None:
+    """Check that a block holds enough windows.
+
+    Raises:
+        ValueError: it does not.
+    """
+    block = blocks.trace.block
+    if block < 5 * m:
+        raise ValueError(
+            f"a block of {block} samples is too short for windows of {m}, expected five times as long: "
+            "use a longer --block or a shorter --window"
+        )
+
+
+def _check_frame(blocks: ScaledBlocks, m: int, max_order: int) -> None:
+    """Check that a block holds a frame after its first fifth and after the longest history, for the level to be settled on."""
+    rate, block = blocks.trace.rate_hz, blocks.trace.block
+    frame, history = FRAME_MS * rate / 1000, m + 1 + min(max_order, block // 8)
+    if block - max(0.2 * block, history) >= frame:
+        return
+    enough = max(frame / 0.8, (frame + m + 1) / (1 - 1 / 8))
+    raise ValueError(
+        f"a block of {1000 * block / rate:g} ms holds no frame of {FRAME_MS:g} ms after its first {history} samples, and "
+        f"the level could not be settled: use a --block of {math.ceil(1000 * enough / rate)} ms or more"
+    )
+
+
+def _beyond_exponents(blocks: ScaledBlocks) -> dict[str, float]:
+    """Return the powers of speed and force that the level grows with, from the faster and the firmer half of the training blocks.
+
+    Levels in frames, least squares over their logarithms; 0 where speed or force hardly varies.
+    """
+    trace, chosen = blocks.trace, list(blocks.split.train)
+    if trace.block < FRAME_MS * trace.rate_hz / 1000:
+        return {"speed": 0.0, "force": 0.0}
+    acceleration, speed, force = (
+        trace.blocks(channel)[chosen] for channel in (trace.acceleration, trace.speed, trace.force)
+    )
+    levels = frame_levels(acceleration, trace.rate_hz, float(np.sqrt(np.square(acceleration).mean()))).ravel()
+    speed, force = (frame_means(channel, trace.rate_hz).ravel() for channel in (speed, force))
+    logs = np.log10(np.maximum(np.stack([speed, force]), [[FADE_SPEED], [FADE_FORCE]]))
+    exponents = {}
+    for row, name in enumerate(("speed", "force")):
+        upper = logs[row] >= np.median(logs[row])
+        design = np.stack([np.ones(upper.sum()), *logs[:, upper]], axis=1)
+        varied = upper.sum() >= 20 and np.ptp(np.percentile(logs[row, upper], [10, 90])) >= math.log10(1.2)
+        slope = np.linalg.lstsq(design, levels[upper], rcond=None)[0][1 + row] if varied else 0.0
+        exponents[name] = float(np.clip(slope / 20, 0.0, 1.5))
+    return exponents

@@ -1,0 +1,215 @@
+"""Recording to local linear models: pieces, a filter each, and a mesh between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.dsp.ar import MAX_POLE, burg, stabilised
+from foten.dsp.lattice import polynomial
+from foten.dsp.lsf import line_spectral_frequencies, spread_out
+from foten.dsp.mesh import LEAST_AREA
+from foten.dsp.segmentation import MAX_ORDER, pieces_of
+from foten.families.conditions import FADE_FORCE, FADE_SPEED
+from foten.families.texture_file import Texture
+from foten.recording.preprocess import PreprocessConfig, preprocess
+from foten.recording.recording import Recording
+from foten.recording.split import Split, split_blocks
+from foten.recording.trace import Trace
+from foten.runtime.native import NativeTexture, predict_blocks
+from foten.train.blocks import ScaledBlocks, scaled_blocks
+from foten.train.card import card_of, versions
+from foten.train.export import ProvedTexture
+from foten.train.piecewise_ar_texture import LocalModels, local_texture
+
+Array = NDArray[np.float64]
+
+ORDERS = (4, 6, 8, 10, 12, 14, 16, 18, 20)  # tried for all models of a texture alike
+GRID_S, LONGEST_S = 0.05, 1.0  # between places that a cut is tried at; of a piece, over which a hand changes
+LEAST_SAMPLES = 100  # of a piece that is fitted
+LEAST_POWER = (
+    1e-6  # of a piece, as a share of that of the training blocks: a sensor that dropped out is no texture
+)
+LEAST_LEFT = 1e-9  # of a piece by its filter, as a share: one that hung, or a tone that somebody fed in
+SAME = 0.02  # standard deviations between models that are one
+_GRID = 50  # samples between places, at the least
+_SHARES = (0.0, 0.5, 1.0)  # of the way along the trained range, where models stand around it
+
+
+@dataclass(frozen=True)
+class TrainedPiecewiseAr:
+    """A texture of local models and how it came about."""
+
+    texture: Texture
+    trace: Trace
+    split: Split
+    errors: dict[int, float]
+    """One-step validation error by the order that was tried, scaled."""
+
+
+def train_piecewise_ar(
+    recording: Recording,
+    preprocess_config: PreprocessConfig | None = None,
+    split_method: str = "regrouped",
+    split_seed: int = 0,
+    texture_name: str = "",
+    licence: str = "",
+    on_stage: Callable[[str], None] = lambda stage: None,
+) -> TrainedPiecewiseAr:
+    """Return a texture of local linear models learned from a recording, its order chosen on the validation blocks.
+
+    Raises:
+        ValueError: the recording does not fit the configuration, or holds too little to fit models to.
+    """
+    preprocess_config = preprocess_config or PreprocessConfig()
+    trace = preprocess(recording, preprocess_config)
+    split = split_blocks(trace, split_method, split_seed)
+    blocks = scaled_blocks(trace, split)
+    if trace.block < 2 * MAX_ORDER:
+        raise ValueError(
+            f"a block of {trace.block} samples is too short for filters of order {MAX_ORDER}, expected twice as many: "
+            "use a longer --block"
+        )
+    on_stage("cutting the training blocks into pieces")
+    all_pieces = list(_pieces(blocks))
+    pieces = [piece for piece in all_pieces if _is_of_a_texture(piece[:, 0], blocks.scaling.sd[0])]
+    if len(pieces) < 3:
+        raise ValueError(
+            f"the training blocks hold {len(pieces)} pieces of {LEAST_SAMPLES} samples or more above {FADE_SPEED:g} mm/s and "
+            f"{FADE_FORCE:g} N that vibrate, expected 3 or more: record longer, faster or firmer"
+        )
+    card = card_of(recording, blocks, preprocess_config, texture_name, licence)
+    card |= {"training": {"versions": versions()}}
+    on_stage("choosing the order")
+    tried: dict[int, ProvedTexture] = {}
+    for order in ORDERS:
+        draft = {**card, "metrics": {"validation_mae_scaled": 0.0}}
+        tried[order] = local_texture(fitted(pieces, blocks, order), blocks.scaling, draft)
+    errors = {order: _validation_error(one.kernel, blocks) for order, one in tried.items()}
+    best = min(errors, key=lambda order: errors[order])
+    metrics: dict[str, Any] = {
+        "validation_mae_scaled": errors[best],
+        "validation_mae_scaled_by_order": {str(order): error for order, error in errors.items()},
+        "n_pieces": len(pieces),
+        "n_pieces_left_out": len(all_pieces) - len(pieces),
+        "recorded_peak_sd": blocks.peak_sd,
+    }
+    texture = local_texture(fitted(pieces, blocks, best), blocks.scaling, {**card, "metrics": metrics})
+    return TrainedPiecewiseAr(texture.texture, trace, split, errors)
+
+
+def fitted(pieces: list[Array], blocks: ScaledBlocks, order: int) -> LocalModels:
+    """Return a model for each piece (n, 3) of acceleration [m/s²], speed [mm/s] and force [N], merged, and others around.
+
+    Labels are medians. Models nearer than `SAME` are merged. Around the trained range stand models as loud as the nearest, and
+    silent ones at rest and without force, all with the angles of the nearest.
+    """
+    points, angles, variances, weights = [], [], [], []
+    for piece in pieces:
+        reflections, variance = burg(piece[:, 0] - piece[:, 0].mean(), order)
+        # Burg's poles may lie as near to the unit circle as a tone that never ends.
+        taps = stabilised(-polynomial(reflections, leak=1.0)[:0:-1], MAX_POLE)
+        points.append(np.median(piece[:, 1:], axis=0))
+        angles.append(spread_out(line_spectral_frequencies(np.append(1.0, -taps[::-1]))))
+        variances.append(variance)
+        weights.append(len(piece))
+    scale = np.maximum(np.std(points, axis=0), 1e-3 * np.max(points, axis=0))
+    of = _merged(np.array(points), scale)
+    share = np.zeros((of.max() + 1, len(of)))
+    share[of, np.arange(len(of))] = weights
+    share /= share.sum(axis=1, keepdims=True)
+    own = share @ np.array(points)
+    low, high = _trained_range(blocks)
+    loud = np.array(
+        [[low[0] + v * (high[0] - low[0]), low[1] + f * (high[1] - low[1])] for v in _SHARES for f in _SHARES]
+    )
+    silent = np.array([[v * high[0], 0.0] for v in _SHARES] + [[0.0, f * high[1]] for f in _SHARES[1:]])
+    edge = np.concatenate([loud[(loud == low).any(axis=1) | (loud == high).any(axis=1)], silent])
+    nearest = np.square((edge[:, None] - own) / scale).sum(axis=2).argmin(axis=1)
+    lsf, variance = share @ np.array(angles), share @ np.array(variances)
+    return _meshed(
+        np.concatenate([own, edge]),
+        np.concatenate([lsf, lsf[nearest]]),
+        np.concatenate([variance, np.where((edge > 0).all(axis=1), variance[nearest], 0.0)]),
+        scale,
+    )
+
+
+def _trained_range(blocks: ScaledBlocks) -> tuple[Array, Array]:
+    """Return the lowest and the highest speed and force of the training blocks, where a rendering does not fade."""
+    train, trace = list(blocks.split.train), blocks.trace
+    known = [trace.blocks(channel)[train] for channel in (trace.speed, trace.force)]
+    least = np.array([FADE_SPEED, FADE_FORCE])
+    low, high = (np.maximum([end(channel) for channel in known], least) for end in (np.min, np.max))
+    return low, np.maximum(high, 1.01 * low)
+
+
+def _is_of_a_texture(x: Array, sd: float) -> bool:
+    """Return whether a piece vibrates, and not for ever the same."""
+    power = float(np.square(x - x.mean()).mean())
+    if power <= LEAST_POWER * sd * sd:
+        return False
+    _, left = burg(x - x.mean(), max(ORDERS))
+    return left > LEAST_LEFT * power
+
+
+def _pieces(blocks: ScaledBlocks) -> Iterator[Array]:
+    """Return the pieces of the training blocks that are fitted, each of shape (n, 3)."""
+    trace, rate = blocks.trace, blocks.trace.rate_hz
+    stacked = trace.stacked()
+    train = np.array(sorted(blocks.split.train))
+    grid, longest = max(_GRID, round(GRID_S * rate)), round(LONGEST_S * rate)
+    for run in np.split(train, np.flatnonzero(np.diff(train) > 1) + 1):
+        samples = stacked[run[0] * trace.block : (run[-1] + 1) * trace.block]
+        x = samples[:, 0] - blocks.scaling.mean[0]
+        cuts = pieces_of(x, MAX_ORDER, min(grid, len(x) // 2), longest).cuts
+        for piece in np.split(samples, cuts):
+            speed, force = np.median(piece[:, 1:], axis=0)
+            if len(piece) >= LEAST_SAMPLES and speed >= FADE_SPEED and force >= FADE_FORCE:
+                yield piece
+
+
+def _merged(points: Array, scale: Array) -> NDArray[np.int64]:
+    """Return which model each piece belongs to: one that begins near enough, or one of its own."""
+    seeds: list[Array] = []
+    of = np.empty(len(points), dtype=np.int64)
+    for i, point in enumerate(points / scale):
+        away = [float(np.hypot(*(point - seed))) for seed in seeds]
+        near = int(np.argmin(away)) if away else -1
+        if near < 0 or away[near] > SAME:
+            near = len(seeds)
+            seeds.append(point)
+        of[i] = near
+    return of
+
+
+def _meshed(points: Array, lsf: Array, variance: Array, scale: Array) -> LocalModels:
+    """Return models with Delaunay's triangles over the scaled points, those left out that no triangle has a corner at."""
+    from scipy.spatial import Delaunay
+
+    triangles = Delaunay(points / scale).simplices.astype(np.int64)
+    corners = (points / scale)[triangles]
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    triangles = triangles[np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) > 2 * LEAST_AREA]
+    used, numbered = np.unique(triangles, return_inverse=True)
+    return LocalModels(
+        points[used],
+        lsf[used],
+        variance[used],
+        numbered.reshape(triangles.shape),
+        scale,
+        np.empty((len(used), 0)),
+        np.ones(len(used)),
+    )
+
+
+def _validation_error(kernel: NativeTexture, blocks: ScaledBlocks) -> float:
+    """Return the one-step error on the validation blocks, the same samples whatever the order, scaled."""
+    recorded = blocks.samples[list(blocks.split.validation)]
+    first = MAX_ORDER + 1
+    predicted = predict_blocks(kernel, recorded).sample[:, first - kernel.info.window :]
+    return float(np.abs(predicted - recorded[:, first:, 0]).mean())

@@ -1,0 +1,142 @@
+"""Recording to texture: prepare(job) → fit → finish, the whole left side of the flow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Protocol
+
+from torch import nn
+
+from foten.families.texture_file import Texture
+from foten.train.batched import fit_batched
+from foten.train.blocks import ScaledBlocks
+from foten.train.fit import Epoch, Progress, TrainingWindows, fit, reproducible
+from foten.train.foten_plus import prepare_foten_plus
+from foten.train.job import Trained, TrainingJob
+from foten.train.noise_model import AdversarialTask, prepare_dftnet, prepare_gan
+from foten.train.one_step import prepare_one_step
+
+
+class Task(Protocol):
+    """A family's part of a training, after `prepare`.
+
+    Attributes:
+        network: that is to be fitted, in place.
+        windows: and to what.
+        playable: a texture already, whose network adds nothing yet; None without one.
+        linear_mae: its one-step validation error, scaled.
+    """
+
+    job: TrainingJob
+    blocks: ScaledBlocks
+    windows: TrainingWindows
+    linear_mae: float | None
+
+    @property
+    def network(self) -> nn.Module: ...
+
+    @property
+    def playable(self) -> Texture | None: ...
+
+    def finish(self, progress: Progress, on_stage: Callable[[str], None]) -> Texture:
+        """Return the texture with the fitted network."""
+        ...
+
+
+Stage = Callable[[str], None]
+
+PREPARE: Mapping[str, Callable[[TrainingJob, Stage], Task]] = {
+    "foten-plus": prepare_foten_plus,
+    "dftnet": prepare_dftnet,
+    "gan": prepare_gan,
+    **dict.fromkeys(
+        ("foten", "ten", "ten-mfcc", "ten-wavelet", "foten-d", "fnn", "dstn", "hapinf", "ldhtd", "ldhtd-hop"),
+        prepare_one_step,
+    ),
+}
+
+
+def prepare(job: TrainingJob, on_stage: Stage = lambda stage: None) -> Task:
+    """Return a job's network, what it is to be fitted to, and what is playable without it.
+
+    Raises:
+        ValueError: the recording does not fit the configuration; the message names the option.
+    """
+    if job.sizes.in_graph:  # what is missing is said before training, not after
+        import onnx  # noqa: F401
+        import onnxruntime  # noqa: F401
+    return PREPARE[job.model](job, on_stage)
+
+
+def train(
+    job: TrainingJob,
+    on_epoch: Callable[[Epoch], None] = lambda epoch: None,
+    checkpoint: Path | None = None,
+    resume: bool = False,
+    on_stage: Stage = lambda stage: None,
+    on_playable: Callable[[Texture], None] = lambda texture: None,
+) -> Trained:
+    """Return a texture learned from a recording.
+
+    Args:
+        job: what is to be learned.
+        on_epoch: called after each epoch.
+        checkpoint: file that is written after each epoch.
+        resume: go on from the checkpoint.
+        on_stage: called with what is being done beside epochs.
+        on_playable: called with a valid texture as soon as there is one, long before the network is fitted.
+
+    Raises:
+        ValueError: the recording does not fit the configuration; the message names the option.
+    """
+    with reproducible():
+        task = prepare(job, on_stage)
+        if task.playable is not None:
+            on_playable(task.playable)
+        if isinstance(task, AdversarialTask):
+            progress = task.fit(on_epoch, checkpoint, resume)
+        else:
+            progress = fit(task.network, task.windows, job.config, on_epoch, checkpoint, resume)
+        return _trained(task, progress, on_stage)
+
+
+def train_batched(jobs: Sequence[TrainingJob]) -> list[Trained | Exception]:
+    """Return textures learned from as many recordings, their networks fitted as one batched model; or why one is not.
+
+    Jobs of one model and one recipe; those with as many training windows are fitted as one model: see `fit_batched`.
+    """
+    done: dict[int, Trained | Exception] = {}
+    tasks: dict[int, Task] = {}
+    with reproducible():
+        for k, job in enumerate(jobs):
+            try:
+                tasks[k] = prepare(job)
+            except Exception as error:  # is one recording's, of which the others are independent
+                done[k] = error
+        for n in sorted({len(task.windows.train) for task in tasks.values()}):
+            alike = {k: task for k, task in tasks.items() if len(task.windows.train) == n}
+            try:
+                fitted = fit_batched(
+                    [task.network for task in alike.values()],
+                    [task.windows for task in alike.values()],
+                    [task.job.config for task in alike.values()],
+                )
+            except Exception as error:  # a GPU's memory, say: those of another length are done or to come
+                done |= dict.fromkeys(alike, error)
+                continue
+            for (k, task), progress in zip(alike.items(), fitted, strict=True):
+                try:
+                    done[k] = (
+                        progress
+                        if isinstance(progress, ValueError)
+                        else _trained(task, progress, lambda stage: None)
+                    )
+                except Exception as error:
+                    done[k] = error
+    return [done[k] for k in range(len(jobs))]
+
+
+def _trained(task: Task, progress: Progress, on_stage: Stage) -> Trained:
+    texture = task.finish(progress, on_stage)
+    return Trained(texture, task.blocks.trace, task.blocks.split, progress, task.linear_mae)
