@@ -338,13 +338,13 @@ def inspect(
     """Say what a recording holds and what is wrong with it: units, coverage, clipping, gaps, order."""
     from foten import __version__
     from foten.datasets.hdf5 import load_recording
-    from foten.recording.inspect import inspect_recording
+    from foten.recording.inspection import inspect_recording
 
     recording = load_recording(recording_file)
     inspection = inspect_recording(recording)
     document = {"foten": __version__, "file": recording_file.name, **inspection.to_dict()}
     if output is not None:
-        from foten.recording.pictures import write_pictures
+        from foten.recording.inspection import write_pictures
 
         if output.exists() and not output.is_dir():
             raise ValueError(f"-o {output} is a file, expected a folder")
@@ -447,8 +447,8 @@ def train(
 
     from foten.architecture import ARCHITECTURES, ArArchitecture, architecture_from
     from foten.datasets.hdf5 import load_recording
-    from foten.recording import felt
-    from foten.recording.inspect import inspect_recording
+    from foten.dsp import perception as felt
+    from foten.recording.inspection import inspect_recording
     from foten.recording.preprocess import PreprocessConfig
     from foten.texture_file import write_texture
     from foten.train.config import OWN_RECIPES, RECIPES, check_used

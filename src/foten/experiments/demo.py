@@ -13,8 +13,7 @@ from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.report import write_report
 from foten.experiments.truth import truth_for
-from foten.recording.inspect import inspect_recording
-from foten.recording.pictures import write_pictures
+from foten.recording.inspection import inspect_recording, write_pictures
 from foten.render.renderer import Renderer
 from foten.render.sinks import write_audible, write_rendered
 from foten.render.stroke import recorded_stroke
