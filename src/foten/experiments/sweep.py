@@ -21,8 +21,8 @@ from foten.architecture import ArArchitecture, architecture_from
 from foten.datasets.hdf5 import load_recording
 from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import Judgement, evaluate
-from foten.evaluate.figures import N_WAVEFORM, densities, scored_channels, shown_run, typical_block
 from foten.evaluate.free_run import scored
+from foten.evaluate.report.signals import N_WAVEFORM, densities, scored_channels, shown_run, typical_block
 from foten.experiments.experiment import Experiment, Run
 from foten.experiments.tables import is_whole
 from foten.experiments.truth import truth_for
