@@ -32,11 +32,11 @@ STYLES = {
 def new_figure(width: float, height: float, **options: Any) -> tuple[Figure, Any]:
     """Return a figure of some inches and its panels, in the report's style; `options` as of `Figure.subplots`."""
     # Not pyplot: the user's backend and open figures stay as they are.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
+    FigureCanvasSVG(figure)
     ratios = options.pop("height_ratios", None)
     panels = figure.subplots(**options, gridspec_kw={"height_ratios": ratios} if ratios else None)
     for axes in np.atleast_1d(panels).ravel():
@@ -77,6 +77,10 @@ def inline_svg(figure: Figure, name: str, description: str) -> str:
     """
     import matplotlib
 
+    # The layout alone, at the resolution of SVG: savefig would draw everything once more for it.
+    figure.dpi = 72
+    figure.get_layout_engine().execute(figure)
+    figure.set_layout_engine(None)
     buffer = io.StringIO()
     # Text stays text: it can be searched, takes the page's font and is a tenth of the outlines' size.
     with matplotlib.rc_context({"svg.hashsalt": name, "svg.fonttype": "none", "svg.image_inline": True}):
