@@ -79,7 +79,9 @@ def inline_svg(figure: Figure, name: str, description: str) -> str:
 
     # The layout alone, at the resolution of SVG: savefig would draw everything once more for it.
     figure.dpi = 72
-    figure.get_layout_engine().execute(figure)
+    layout = figure.get_layout_engine()
+    assert layout is not None
+    layout.execute(figure)
     figure.set_layout_engine(None)
     buffer = io.StringIO()
     # Text stays text: it can be searched, takes the page's font and is a tenth of the outlines' size.
