@@ -37,7 +37,7 @@ from foten.evaluate.metrics import (
 from foten.evaluate.metrics import welch as spectra
 from foten.evaluate.references import ORDERS, first_scored, fit_linear
 from foten.experiments.figures import waveforms
-from foten.experiments.tables import read_results
+from foten.experiments.results import read_results
 from foten.experiments.truth import linear_bounds
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.scaling import fit_scaling

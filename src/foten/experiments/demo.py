@@ -1,4 +1,4 @@
-"""Everything once, without data or hardware."""
+"""All stages once, on a simulated recording: inspect, train, evaluate, render."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ def run_demo(
     threads: int,
     say: Callable[[str], None],
 ) -> dict[str, Path]:
-    """Simulate a recording, train on it, judge the texture and render it.
+    """Simulate a recording, train on it, evaluate the texture and render it.
 
     Returns:
-        What to open and listen to, by name.
+        Paths of the files to open and listen to, by name.
     """
     if directory.exists() and not directory.is_dir():
         raise ValueError(f"{directory} is a file, expected a folder")
