@@ -2,7 +2,7 @@
 
     python benchmarks/rates.py [--recordings DIR] [--page docs/fidelity.md]
 
-Of the real four as recorded at 10 kHz, and of sixteen seconds of each simulated texture. `recording.felt` takes a hand to feel
+Of the real four as recorded at 10 kHz, and of sixteen seconds of each simulated texture. `dsp.perception` takes a hand to feel
 acceleration above 250 Hz less by 24 dB an octave; how steep that is, is an assumption, so that the shares are given for half
 of it as well.
 """
@@ -21,7 +21,7 @@ import numpy as np
 from scipy.signal import welch
 
 from foten.datasets.simulate import TEXTURES, simulate
-from foten.recording.felt import HIGHEST_HZ, MOST_SENSITIVE_HZ, USABLE_BAND, carried, smallest_rate
+from foten.dsp.perception import HIGHEST_HZ, MOST_SENSITIVE_HZ, USABLE_BAND, carried, smallest_rate
 from foten.recording.recording import Recording
 from main_table import REAL, between, recording_of
 

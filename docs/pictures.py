@@ -26,6 +26,7 @@ import numpy as np
 from scipy.signal import welch
 
 from foten.datasets.simulate import TEXTURES, second_realisation, simulate
+from foten.dsp.perception import RATES_HZ, carried
 from foten.evaluate.free_run import scored, synthesize, synthesize_linear
 from foten.evaluate.metrics import (
     frame_levels,
@@ -36,9 +37,8 @@ from foten.evaluate.metrics import (
 from foten.evaluate.metrics import welch as spectra
 from foten.evaluate.references import ORDERS, first_scored, fit_linear
 from foten.experiments.figures import waveforms
-from foten.experiments.tables import read_results
+from foten.experiments.results import read_results
 from foten.experiments.truth import linear_bounds
-from foten.recording.felt import RATES_HZ, carried
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.scaling import fit_scaling
 from foten.recording.split import split_blocks

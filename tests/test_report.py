@@ -12,12 +12,17 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from foten.evaluate import figures
 from foten.evaluate.evaluate import FREE_RUN_KEYS, Judgement
 from foten.evaluate.free_run import free_run, scored
 from foten.evaluate.one_step import one_step
 from foten.evaluate.references import Persistence, Zero, fit_linear
-from foten.evaluate.report import AUDIO_HZ, REFERENCES, cautions, page, reason, sounds, verdict, write_report
+from foten.evaluate.report import figures, signals, write_report
+from foten.evaluate.report.over_time import over_time
+from foten.evaluate.report.page import page
+from foten.evaluate.report.sound import AUDIO_HZ, sounds
+from foten.evaluate.report.tables import REFERENCES
+from foten.evaluate.report.verdict import cautions, verdict
+from foten.evaluate.report.wording import reason
 from foten.recording.scaling import fit_scaling
 from foten.recording.trace import Trace
 from foten.recording.windows import targets
@@ -239,9 +244,9 @@ def test_the_same_judgement_gives_the_same_bytes(judged, written, tmp_path):
 
 
 def _players(text):
-    found = re.findall(r'<audio [^>]*src="data:audio/wav;base64,([^"]*)"', text)
+    encoded = re.findall(r'<audio [^>]*src="data:audio/wav;base64,([^"]*)"', text)
     players = []
-    for data in found:
+    for data in encoded:
         with wave.open(io.BytesIO(base64.b64decode(data))) as file:
             assert (file.getframerate(), file.getsampwidth(), file.getnchannels()) == (AUDIO_HZ, 2, 1)
             players.append(np.frombuffer(file.readframes(file.getnframes()), dtype="<i2").astype(float))
@@ -283,18 +288,18 @@ def test_long_recordings_are_cut_to_eight_seconds_and_twelve_blocks(judged):
     )
     first, second, _ = sounds(many, "free_run")
     assert len(first) == len(second) == 44 + 2 * 8 * AUDIO_HZ
-    which = figures.shown_blocks(many)
+    which = signals.shown_blocks(many)
     assert (len(which), which[0], which[-1]) == (12, 0, 59)
 
 
 def test_the_figures_draw_what_was_scored(judged):
     """The pooled spectra give the document's distance, the levels its bias, the bars its bands."""
-    _, pooled = figures.densities(judged)
+    _, pooled = signals.densities(judged)
     floor = 1e-12 * pooled["recorded"].max()
     for name in RUNS:
         ratio = 10 * np.log10(pooled["recorded"] / np.maximum(pooled[name], floor))
         assert np.sqrt(np.square(ratio).mean()) == pytest.approx(judged.document[name]["lsd_long_db"])
-        assert figures.level_errors(judged, name).mean() == pytest.approx(
+        assert signals.level_errors(judged, name).mean() == pytest.approx(
             judged.document[name]["level_bias_db"]
         )
     axes = figures.bands(judged).axes[0]
@@ -306,13 +311,13 @@ def test_the_figures_draw_what_was_scored(judged):
     ]
     assert [bar.get_height() for bar in axes.patches] == pytest.approx(known)
     (line, _), *_ = (axes.lines for axes in figures.waveform(judged).axes)
-    block = judged.blocks[figures.typical_block(judged)]
+    block = judged.blocks[signals.typical_block(judged)]
     np.testing.assert_array_equal(line.get_ydata(), judged.trace.acceleration[2000 * block + 400 :][:400])
 
 
 def test_spectrograms_share_a_scale_and_show_a_tone_where_it_is(judged):
     tone = np.sin(2 * np.pi * 200.0 * np.arange(2000) / 1000.0)
-    figure = figures.over_time(replace(judged, synthesized={"free_run": np.tile(tone, (1, len(TEST), 1))}))
+    figure = over_time(replace(judged, synthesized={"free_run": np.tile(tone, (1, len(TEST), 1))}))
     recorded, synthesized = (axes.images[0] for axes in figure.axes[:2])
     assert recorded.get_clim() == synthesized.get_clim()
     cells = np.asarray(synthesized.get_array())
@@ -336,7 +341,7 @@ def _without(judgement, *names, **changed):
 def test_without_excitation_the_silent_run_stands_in_and_is_called_so(judged):
     judgement = _without(judged, "free_run", model="foten")
     text = page(judgement, _texture())
-    assert figures.shown_run(judgement) == "free_run_deterministic"
+    assert signals.shown_run(judgement) == "free_run_deterministic"
     spectrum, level = verdict(judgement.document)[1:3]
     assert spectrum.tone == level.tone == "bad"
     assert "without excitation" in spectrum.sentence

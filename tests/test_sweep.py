@@ -18,22 +18,14 @@ from scipy.stats import false_discovery_control
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
-from foten.experiments.experiment import find_experiment, read_experiment
+from foten.experiments.comparison import Row, compared, holm, rows_of
+from foten.experiments.experiment_file import experiment_path, read_experiment
 from foten.experiments.figures import figures
+from foten.experiments.findings import findings
 from foten.experiments.paper import PAPER
+from foten.experiments.results import read_results, title_of
 from foten.experiments.sweep import _kept, sweep
-from foten.experiments.tables import (
-    Row,
-    compared,
-    each_run,
-    findings,
-    holm,
-    read_results,
-    rows_of,
-    table,
-    title_of,
-    written,
-)
+from foten.experiments.tables import each_run, table, written
 
 TINY = """
 title = "Two methods"
@@ -428,7 +420,7 @@ def test_what_is_never_better_differs_and_what_is_the_same_does_not() -> None:
 def test_ours_are_read_and_are_as_large_as_the_papers(name: str) -> None:
     n = {"table-1": 12 * 7 * 3, "table-1-small": 12 * 8, "table-2": 12 * 5 * 3, "figure-5": 216}
     n |= {"figure-5-delta": 12 * 6}
-    runs = read_experiment(find_experiment(name)).runs()
+    runs = read_experiment(experiment_path(name)).runs()
     assert len(runs) == n[name]
     paper = [run for run in runs if run.model == "foten" and name in ("table-1", "table-2")]
     assert all(

@@ -14,7 +14,8 @@ from torch import nn
 
 from foten.architecture import ARCHITECTURES, TenArchitecture
 from foten.experiments.experiment import Experiment, Method, Run
-from foten.experiments.sweep import _groups, _guarded, execute, recording_of
+from foten.experiments.run import execute, recording_of
+from foten.experiments.sweep import _groups, _guarded
 from foten.networks import build
 from foten.train.config import RECIPES, TrainConfig
 from foten.train.fit import Data, Progress, fit, reproducible

@@ -1,4 +1,4 @@
-"""Intervals by resampling blocks: samples within one are too alike to count as independent."""
+"""Bootstrap intervals over blocks: samples within a block are correlated and do not count as independent."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ def intervals(
     """Return the 95 % percentile interval of each figure, resampling blocks with replacement.
 
     Args:
-        figures: block numbers → figures, numbers or lists of numbers; what is None in a draw is left out of it.
-        n_blocks: blocks to draw from; with fewer than 4 there are hardly any different draws and the result is empty.
-        seed: of the draw.
+        figures: block numbers → figures, each a number, a list of numbers, or None where a resample has none.
+        n_blocks: blocks to resample; with fewer than 4 there are too few different resamples and the result is empty.
+        seed: of the resamples.
 
     Returns:
-        By figure [low, high]; for a list, one such pair for each entry, None where it never was a number.
+        By figure [low, high]; for a list one such pair for each entry, None where no resample has a number.
     """
     if n_blocks < 4:
         return {}
     rng = np.random.default_rng(seed)
     drawn = [figures(rng.integers(0, n_blocks, n_blocks)) for _ in range(N_RESAMPLES)]
-    found: dict[str, Any] = {}
+    bounds: dict[str, Any] = {}
     for name in drawn[0]:
         values = [draw[name] for draw in drawn if draw[name] is not None]
         if values and isinstance(values[0], float):
-            found[name] = _percentiles(values)
+            bounds[name] = _percentiles(values)
         elif values and isinstance(values[0], list | tuple):
             entries = zip(*values, strict=True)
-            found[name] = [_percentiles([v for v in entry if v is not None]) for entry in entries]
-    return found
+            bounds[name] = [_percentiles([v for v in entry if v is not None]) for entry in entries]
+    return bounds
 
 
 def _percentiles(values: Sequence[float]) -> list[float] | None:

@@ -1,4 +1,4 @@
-"""Figures of merit, on arrays. Each says whether it sees gain, phase or only the spectrum."""
+"""Figures of merit, on arrays. Each docstring says whether it depends on gain, phase or only the spectrum."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def _cosine(a: Array, b: Array) -> float:
 def level_slopes(levels: Array, speed: Array, force: Array) -> tuple[float, float] | None:
     """Return how the level grows with speed and with force [dB per decade], by least squares over frames, any equal shape.
 
-    None where speed or force spans less than a factor of 1.2 (10th to 90th percentile): a slope over nothing is noise.
+    None where speed or force spans less than a factor of 1.2 (10th to 90th percentile), over which a slope is noise.
     """
     moving = (speed > 1.0) & (force > 0.01)
     logs = np.log10(speed[moving]), np.log10(force[moving])
@@ -72,9 +72,10 @@ def level_slopes(levels: Array, speed: Array, force: Array) -> tuple[float, floa
 
 def kurtosis(samples: Array) -> float:
     """Return Pearson's kurtosis over all samples: 3 for a Gaussian, more for a spiky vibration; 0 for silence."""
-    centred = samples - samples.mean()
-    variance = float(np.square(centred).mean())
-    return float((centred**4).mean()) / variance**2 if variance > 0 else 0.0
+    squares = np.square(samples - samples.mean())
+    variance = float(squares.mean())
+    # Not centred**4: a general power made this eight times slower, and intervals call it thousands of times.
+    return float(np.square(squares).mean()) / variance**2 if variance > 0 else 0.0
 
 
 def band_edges(rate_hz: float) -> Array:

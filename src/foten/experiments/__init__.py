@@ -1,1 +1,1 @@
-"""What needs several layers at once: the truth of a simulation for the judge, tables, the demo."""
+"""What needs several layers at once: truth of a simulation, experiments with their tables and figures, the demo."""

@@ -1,4 +1,4 @@
-"""Everything once, without data or hardware."""
+"""All stages once, on a simulated recording: inspect, train, evaluate, render."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.report import write_report
 from foten.experiments.truth import truth_for
-from foten.recording.inspect import inspect_recording
-from foten.recording.pictures import write_pictures
+from foten.recording.inspection import inspect_recording, write_pictures
 from foten.runtime.renderer import Renderer
 from foten.runtime.live.sinks import write_audible, write_rendered
 from foten.runtime.stroke import recorded_stroke
@@ -34,10 +33,10 @@ def run_demo(
     threads: int,
     say: Callable[[str], None],
 ) -> dict[str, Path]:
-    """Simulate a recording, train on it, judge the texture and render it.
+    """Simulate a recording, train on it, evaluate the texture and render it.
 
     Returns:
-        What to open and listen to, by name.
+        Paths of the files to open and listen to, by name.
     """
     if directory.exists() and not directory.is_dir():
         raise ValueError(f"{directory} is a file, expected a folder")

@@ -11,17 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from foten.experiments.experiment import Run
-from foten.experiments.sweep import recording_of
-from foten.experiments.tables import label_of, name_of
+from foten.experiments.results import Results, label_of, name_of
+from foten.experiments.run import recording_of
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.split import split_blocks
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Results = Sequence[Mapping[str, Any]]
-
-# Told apart with any colour vision.
+# Distinct with any colour vision.
 COLOURS = ("#2b83cf", "#e08a1e", "#1a9c72", "#b77ab0", "#c2452d", "#7a6a10", "#4f4fb5", "#12b5cb")
 PARTS = {"train": "#8fd3e8", "validation": "#f3e28a", "test": "#f0a3a0"}
 
@@ -33,40 +31,40 @@ def figures(
 
     Args:
         results: of `read_results`.
-        recordings: folder of those that were learned from; by default they are looked for where they were.
-        say: called with what is left out, and why.
+        recordings: folder of the recordings that were learned from; by default their paths in the results are used.
+        say: called with the figures that are left out, and why.
     """
     try:
         yield "figure-4", split(results[0], recordings)
     except (ValueError, OSError) as error:
         say(f"figure-4 is left out, as it is drawn from the recording: {error}")
-    # Of one method's grid: beside another one, a window of its own says nothing of windows.
+    # One method at a time: between methods more differs than the window.
     methods = list(dict.fromkeys((one["run"]["method"], one["run"]["model"]) for one in results))
     for method, model in methods:
         own = [one for one in results if one["run"]["method"] == method and _of_grid(one) is not None]
         name = model if [other for _, other in methods].count(model) == 1 else _file_name(method)
         alike = [_file_name(other) for other, _ in methods].count(_file_name(method)) > 1
         name += f"-{methods.index((method, model)) + 1}" if alike else ""
-        for rest, some in _apart(own, ("window", "loss")):
+        for others, some in _by_other_settings(own, ("window", "loss")):
             if len({_of_grid(one) for one in some}) > 1:
-                yield f"figure-5-{name}{rest}", windows_and_losses(some)
+                yield f"figure-5-{name}{others}", windows_and_losses(some)
         huber = [one for one in own if one["run"]["train"]["loss"] == "huber"]
-        for rest, some in _apart(huber, ("delta",)):
+        for others, some in _by_other_settings(huber, ("delta",)):
             if len({one["run"]["train"]["delta"] for one in some}) > 1:
-                yield f"figure-5-{name}{rest}-delta", thresholds(some)
+                yield f"figure-5-{name}{others}-delta", thresholds(some)
     with_signals = [one for one in results if one.get("signals")]
     if with_signals:
         yield "figure-6", waveforms(with_signals)
         yield "figure-7", spectra(with_signals)
 
 
-def _apart(results: Results, drawn: Sequence[str]) -> list[tuple[str, list[Mapping[str, Any]]]]:
-    """Return the results by what else of their grid than is drawn tells them apart, and that as part of a file's name."""
-    found: dict[str, list[Mapping[str, Any]]] = {}
+def _by_other_settings(results: Results, drawn: Sequence[str]) -> list[tuple[str, list[Mapping[str, Any]]]]:
+    """Return the results grouped by the settings of their grid that are not drawn, each with a suffix for the file's name."""
+    groups: dict[str, list[Mapping[str, Any]]] = {}
     for one in results:
-        rest = " ".join(f"{k} {v}" for k, v in one["run"].get("cell", {}).items() if k not in drawn)
-        found.setdefault(rest, []).append(one)
-    return [("-" + _file_name(rest) if rest else "", some) for rest, some in found.items()]
+        others = " ".join(f"{k} {v}" for k, v in one["run"].get("cell", {}).items() if k not in drawn)
+        groups.setdefault(others, []).append(one)
+    return [("-" + _file_name(others) if others else "", some) for others, some in groups.items()]
 
 
 def _file_name(method: str) -> str:
@@ -77,8 +75,8 @@ def split(result: Mapping[str, Any], recordings: Path | None = None) -> Figure:
     """Return a recording's acceleration, speed and force over the blocks of its split, as Fig. 4.
 
     Raises:
-        FileNotFoundError: the recording is not there.
-        ValueError: another one is.
+        FileNotFoundError: the recording is missing.
+        ValueError: it is another one than was learned from.
     """
     run = Run(**result["run"])
     if run.seconds is None and recordings is not None:
@@ -112,12 +110,12 @@ def split(result: Mapping[str, Any], recordings: Path | None = None) -> Figure:
         ncols=3,
         frameon=False,
     )
-    panels[0].set_title(f"{_name(run.texture)}, split {run.split_seed}", loc="left")
+    panels[0].set_title(f"{name_of(run.texture)}, split {run.split_seed}", loc="left")
     return figure
 
 
 def _of_grid(result: Mapping[str, Any]) -> tuple[int, str] | None:
-    """Return the window and the loss of a network's run; None of what predicts no sample, or has neither."""
+    """Return the window and the loss of a network's run; None of a model without them or without a one-step error."""
     sizes, train = result["run"]["sizes"], result["run"]["train"]
     if "window" not in sizes or "loss" not in train or result["evaluation"]["one_step"]["mae_scaled"] is None:
         return None
@@ -127,7 +125,7 @@ def _of_grid(result: Mapping[str, Any]) -> tuple[int, str] | None:
 def windows_and_losses(results: Results) -> Figure:
     """Return one-step errors by window and loss, a panel for each texture, as Fig. 5.
 
-    Solid on the test blocks, hollow on the validation blocks, on which to choose.
+    Solid on the test blocks, hollow on the validation blocks, by which settings are chosen.
     """
     textures = list(dict.fromkeys(one["run"]["texture"] for one in results))
     losses = sorted({cell[1] for cell in map(_of_grid, results) if cell is not None})
@@ -144,7 +142,7 @@ def windows_and_losses(results: Results) -> Figure:
             means = np.array([np.mean(points[window], axis=0) for window in windows])
             axes.plot(windows, means[:, 0], "o-", ms=3, lw=1, color=colour, label=loss)
             axes.plot(windows, means[:, 1], "o", ms=4, mfc="none", color=colour)
-        axes.set_title(_name(texture), fontsize=9, loc="left")
+        axes.set_title(name_of(texture), fontsize=9, loc="left")
     panels[0].legend(fontsize=8, frameon=False)
     figure.supxlabel("window [samples]", fontsize=9)
     figure.supylabel("one-step MAE [sd]: test ●, validation ○", fontsize=9)
@@ -152,9 +150,9 @@ def windows_and_losses(results: Results) -> Figure:
 
 
 def thresholds(results: Results) -> Figure:
-    """Return one-step errors by the threshold of the Huber loss, a line for each texture over its mean, and the mean of all.
+    """Return one-step errors by the threshold of the Huber loss, relative to each texture's mean, and the mean of the textures.
 
-    On the test blocks, and below on the validation blocks, on which to choose.
+    Above on the test blocks, below on the validation blocks, by which settings are chosen.
     """
     figure, panels = _figure(6.5, 5.5, nrows=2, sharex=True)
     textures = list(dict.fromkeys(one["run"]["texture"] for one in results))
@@ -191,9 +189,9 @@ def thresholds(results: Results) -> Figure:
 
 
 def waveforms(results: Results) -> Figure:
-    """Return 400 samples of a test block of each texture, recorded and by each method on its own output, as Fig. 6.
+    """Return 400 samples of a test block of each texture, recorded and of each method's free run, as Fig. 6.
 
-    Two strokes over one surface differ as waveforms: what should be alike is how loud, how rough and how spiky they are.
+    The waveforms are independent realisations: compare level and character, not samples.
     """
     textures, methods = _first_split(results)
     figure, panels = _grid_of(len(textures), 3.4, 1.1 + 0.45 * len(methods))
@@ -208,7 +206,7 @@ def waveforms(results: Results) -> Figure:
                 times, run - (k + 1) * step, color=COLOURS[methods.index(method) % len(COLOURS)], lw=0.7
             )
         axes.set_yticks([-k * step for k in range(len(by_method) + 1)], ["recorded", *by_method], fontsize=7)
-        axes.set_title(_name(texture), fontsize=9, loc="left")
+        axes.set_title(name_of(texture), fontsize=9, loc="left")
     figure.supxlabel("time [ms]", fontsize=9)
     return figure
 
@@ -216,7 +214,7 @@ def waveforms(results: Results) -> Figure:
 def spectra(results: Results) -> Figure:
     """Return power spectra of the test blocks of each texture, recorded and of each method's free run, as Fig. 7.
 
-    What is below an axis, of a free run that dies say, runs along its lower edge.
+    Densities below the axis, as of a free run that falls silent, are drawn along its lower edge.
     """
     textures, methods = _first_split(results)
     figure, panels = _grid_of(len(textures), 3.0, 2.2)
@@ -236,7 +234,7 @@ def spectra(results: Results) -> Figure:
             )
         axes.plot(first["frequencies_hz"], recorded, color="#222222", lw=1.2, label="recorded")
         axes.set_ylim(low, high)
-        axes.set_title(_name(texture), fontsize=9, loc="left")
+        axes.set_title(name_of(texture), fontsize=9, loc="left")
     named = {
         label: handle
         for axes in panels
@@ -256,7 +254,7 @@ def spectra(results: Results) -> Figure:
 
 
 def _first_split(results: Results) -> tuple[dict[str, dict[str, Mapping[str, Any]]], list[str]]:
-    """Return the results of each texture's first split by method, and the methods: another split is another recording."""
+    """Return the results of each texture's first split by method, and all methods; another split is another recording."""
     textures: dict[str, dict[str, Mapping[str, Any]]] = {}
     splits: dict[str, int] = {}
     for one in results:
@@ -264,10 +262,6 @@ def _first_split(results: Results) -> tuple[dict[str, dict[str, Mapping[str, Any
         if splits.setdefault(run["texture"], run["split_seed"]) == run["split_seed"]:
             textures.setdefault(run["texture"], {})[label_of(one)] = one
     return textures, list(dict.fromkeys(map(label_of, results)))
-
-
-def _name(texture: str) -> str:
-    return name_of(texture)
 
 
 def _figure(width: float, height: float, **options: Any) -> tuple[Figure, Any]:

@@ -1,4 +1,4 @@
-"""What the paper reports, to be set beside what is measured here. Source: Tables I to III; no unit is stated for its errors."""
+"""The paper's results, to print beside ours. Source: Tables I to III; no unit is stated for its errors."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Every run of an experiment, on one machine or a cluster: Ray spreads them, this process keeps what comes back.
+"""Every run of an experiment, on one machine or a cluster: Ray distributes them, this process writes the results.
 
-A result is one file named by the hash of all that it depends on, written by the process that sweeps, whole or not at all: a sweep
-goes on where it stopped, may be started twice, and survives a worker or a node, whose runs Ray starts elsewhere. A recording
-goes to each node once, through Ray's object store.
+A result is one file, named by the hash of all that it depends on and written atomically by the process that sweeps. So a sweep
+continues where it stopped and may be started twice. Ray restarts the runs of a lost worker or node elsewhere. A recording goes
+to each node once, through Ray's object store.
 """
 
 from __future__ import annotations
@@ -17,36 +17,29 @@ from pathlib import Path
 from typing import Any
 
 import foten
-from foten.architecture import ArArchitecture, architecture_from
-from foten.datasets.hdf5 import load_recording
-from foten.datasets.simulate import simulate
-from foten.evaluate.evaluate import Judgement, evaluate
-from foten.evaluate.figures import N_WAVEFORM, densities, scored_channels, shown_run, typical_block
-from foten.evaluate.free_run import scored
 from foten.experiments.experiment import Experiment, Run
-from foten.experiments.tables import is_whole
-from foten.experiments.truth import truth_for
-from foten.recording.preprocess import PreprocessConfig
+from foten.experiments.results import is_result
+from foten.experiments.run import execute, execute_batched, failure, recording_of
 from foten.recording.recording import Recording
-from foten.families.texture_file import Texture
-from foten.train.config import TrainConfig
 from foten.whole_file import whole_file
 
 Waiting = tuple[int, Run, Path]
 """A run without a result: its place in the experiment, and the path that its result will have."""
 RETRIES = 3  # of a run whose worker or node is lost
-ANSWER_S = 5.0  # that a cluster has to answer in
+ANSWER_S = 5.0  # in which a cluster has to answer
 THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a sweep is.
+    """The progress of a sweep.
 
     Attributes:
         n_done, n_failed, n_left: runs; those of earlier sweeps are not counted.
-        last: the run that ended, its seconds, and why it failed, "" where it did not.
-        left_s: that the rest takes at this pace [s].
+        last: the run that ended.
+        seconds: that it took.
+        why: the reason if it failed, else empty.
+        left_s: estimated time for the remaining runs [s].
     """
 
     n_done: int
@@ -56,105 +49,6 @@ class Progress:
     seconds: float
     why: str
     left_s: float
-
-
-def recording_of(run: Run) -> Recording:
-    """Return what a run learns from."""
-    if run.seconds is None:
-        return load_recording(Path(run.texture))
-    return simulate(run.texture, run.seconds, seed=run.split_seed)
-
-
-def execute(run: Run, recording: Recording) -> dict[str, Any]:
-    """Return the result of one run: what was trained, its figures on the test blocks, and how long both took."""
-    started = time.perf_counter()
-    texture = _trained(run, recording)
-    return _judged(run, recording, texture, time.perf_counter() - started)
-
-
-def execute_together(runs: Sequence[Run], recordings: Sequence[Recording]) -> list[dict[str, Any]]:
-    """Return the results of runs that differ by texture and split alone, trained as one batched model; or why there is none."""
-    from foten.train.train import train_together
-
-    first, started = runs[0], time.perf_counter()
-    architecture = architecture_from(first.model, first.sizes)
-    assert not isinstance(architecture, ArArchitecture)
-    trained = train_together(
-        recordings,
-        first.model,
-        architecture,
-        [TrainConfig(**run.train) for run in runs],
-        PreprocessConfig(**first.preprocess),
-        [run.split_seed for run in runs],
-    )
-    seconds = (time.perf_counter() - started) / len(runs)
-    found = []
-    for run, recording, one in zip(runs, recordings, trained, strict=True):
-        try:
-            if isinstance(one, Exception):
-                raise one
-            found.append(_judged(run, recording, one.texture, seconds, len(runs)))
-        except Exception as error:
-            found.append(_failed(error))
-    return found
-
-
-def _judged(
-    run: Run, recording: Recording, texture: Texture, seconds: float, n_together: int = 1
-) -> dict[str, Any]:
-    trained = time.perf_counter()
-    judgement = evaluate(texture, recording, truth_for(recording, texture))
-    document, metrics = judgement.document, texture.card["metrics"]
-    return {
-        "run": asdict(run),
-        "foten": foten.__version__,
-        "versions": texture.card["training"]["versions"],
-        "recording_sha256": document["recording_sha256"],
-        "seconds": {"training": seconds, "evaluation": time.perf_counter() - trained},
-        "trained_together": n_together,
-        "n_epochs": metrics.get("n_epochs"),
-        "validation_mae_scaled": metrics["validation_mae_scaled"],
-        "file_bytes": len(texture.to_bytes()),
-        "evaluation": document,
-        "signals": _signals(judgement),
-    }
-
-
-def _signals(judgement: Judgement) -> dict[str, Any] | None:
-    """Return what pictures are drawn from: 400 samples of a typical test block, and spectra of all of them."""
-    shown = shown_run(judgement)
-    if shown is None:
-        return None
-    block, part = typical_block(judgement), scored(judgement.trace.block)
-    frequencies, density = densities(judgement)
-    return {
-        "recorded": _rounded(scored_channels(judgement)[0][block, :N_WAVEFORM]),
-        "free_run": _rounded(judgement.synthesized[shown][0, block, part][:N_WAVEFORM]),
-        "frequencies_hz": _rounded(frequencies),
-        "density": {"recorded": _rounded(density["recorded"]), "free_run": _rounded(density[shown])},
-    }
-
-
-def _rounded(values: Any) -> list[float]:
-    """Return numbers as a picture needs them, five digits each."""
-    return [float(f"{value:.5g}") for value in values]
-
-
-def _trained(run: Run, recording: Recording) -> Texture:
-    preprocess = PreprocessConfig(**run.preprocess)
-    if run.model == "ar":
-        from foten.train.local import train_local
-
-        return train_local(recording, preprocess, split_seed=run.split_seed).texture
-    from foten.train.train import train_texture
-
-    architecture = architecture_from(run.model, run.sizes)
-    assert not isinstance(architecture, ArArchitecture)
-    config = TrainConfig(**run.train)
-    trained = train_texture(recording, run.model, architecture, config, preprocess, split_seed=run.split_seed)
-    if trained.progress.interrupted:
-        raise KeyboardInterrupt
-    return trained.texture
 
 
 def sweep(
@@ -172,12 +66,12 @@ def sweep(
     Args:
         experiment: what to run.
         results: folder of the result files.
-        workers: runs at a time on this machine; one a core by default. Each has one thread.
+        workers: runs at a time on this machine; one for each core by default. Each has one thread.
         address: of a Ray cluster, "auto" for the one that this machine is part of; None starts Ray here.
         gpus_per_run: share of a GPU that each run takes.
         on_progress: called after each run.
-        say: called with what goes on.
-        together: textures that are trained as one batched model at most, where the model can be (`TOGETHER`).
+        say: called with messages for the user.
+        together: largest number of textures that are trained as one batched model, of the models in `TOGETHER`.
 
     Returns:
         How many runs were done, and how many failed.
@@ -228,7 +122,7 @@ def sweep(
 
 
 def _about(experiment: Experiment, index: int, run: Run) -> dict[str, Any]:
-    """Return what a result says of its place in an experiment, on which its figures do not depend."""
+    """Return a result's place in an experiment and its names, on which its figures do not depend."""
     return {
         "index": index,
         "experiment": {"title": experiment.title, "note": experiment.note},
@@ -237,14 +131,14 @@ def _about(experiment: Experiment, index: int, run: Run) -> dict[str, Any]:
 
 
 def _kept(path: Path, about: Mapping[str, Any], say: Callable[[str], None]) -> bool:
-    """Return whether a run has a result, which from now on is called as the experiment calls it."""
+    """Return whether a run has a result, and update the names in it to those of the experiment."""
     if not path.exists():
         return False
     try:
         result = json.loads(path.read_bytes())
     except ValueError:
         result = None
-    if not is_whole(result):
+    if not is_result(result):
         say(f"{path.name} is damaged, and is made again")
         return False
     if any(result.get(key) != value for key, value in json.loads(json.dumps(about)).items()):
@@ -261,22 +155,16 @@ def _start_ray(workers: int | None, address: str | None, gpus_per_run: float) ->
     import ray
 
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "error"}
-    # What asks for no GPU sees none: else all workers would be on the first one at once.
+    # Runs that ask for no GPU see none; otherwise all workers would use the first one at once.
     unseen = {} if gpus_per_run > 0 else {"CUDA_VISIBLE_DEVICES": ""}
     environment = {"env_vars": {**THREADS, **unseen}}
     if address is not None:
         _check_answered(address)
+    local: dict[str, Any] = {"num_cpus": workers or os.cpu_count(), "include_dashboard": False}
     try:
-        if address is None:
-            ray.init(
-                address="local",
-                num_cpus=workers or os.cpu_count(),
-                include_dashboard=False,
-                runtime_env=environment,
-                **quiet,
-            )
-        else:
-            ray.init(address=address, runtime_env=environment, **quiet)
+        ray.init(
+            address=address or "local", runtime_env=environment, **quiet, **(local if address is None else {})
+        )
     except (ConnectionError, RuntimeError) as error:
         if address is None:
             raise ValueError(f"Ray does not start here: {str(error).splitlines()[0]}") from error
@@ -288,10 +176,10 @@ def _no_cluster(address: str) -> str:
 
 
 def _check_answered(address: str) -> None:
-    """Check that somebody listens at HOST:PORT: Ray itself would ask for ten minutes, and heed no Ctrl-C.
+    """Check that HOST:PORT accepts connections: Ray itself would try for ten minutes and ignore Ctrl-C.
 
     Raises:
-        ValueError: nobody does.
+        ValueError: it does not.
     """
     host, _, port = address.rpartition(":")
     if "://" in address or not port.isdecimal():
@@ -303,10 +191,10 @@ def _check_answered(address: str) -> None:
 
 
 def _groups(waiting: Sequence[Waiting], together: int) -> list[list[Waiting]]:
-    """Return the runs by what one worker does at a time, in their order: one, or several that can be trained together."""
+    """Return the runs in groups for one worker each, in their order: one run, or up to `together` that can be batched."""
     from foten.train.together import TOGETHER
 
-    found: list[list[Waiting]] = []
+    groups: list[list[Waiting]] = []
     open_groups: dict[str, list[Waiting]] = {}
     for one in waiting:
         run = one[1]
@@ -316,23 +204,18 @@ def _groups(waiting: Sequence[Waiting], together: int) -> list[list[Waiting]]:
         if can and len(open_groups.get(key, ())) % together:
             open_groups[key].append(one)
         else:
-            found.append([one])
-            open_groups[key] = found[-1]
-    return found
+            groups.append([one])
+            open_groups[key] = groups[-1]
+    return groups
 
 
 def _guarded(runs: Sequence[Mapping[str, Any]], *recordings: Recording) -> list[dict[str, Any]]:
-    """Return the runs' results, or why there is none: an error of ours would be the same on another worker."""
+    """Return the runs' results, or the reason why there is none: Ray retries what raises, and an error here would recur."""
     try:
         some = [Run(**run) for run in runs]
-        return execute_together(some, recordings) if len(some) > 1 else [execute(some[0], recordings[0])]
-    except Exception as error:  # is told beside the run, of which the others are independent
-        return [_failed(error)] * len(runs)
-
-
-def _failed(error: Exception) -> dict[str, Any]:
-    said = str(error).splitlines() or [""]
-    return {"failed": f"{type(error).__name__}: {said[0]}"}
+        return execute_batched(some, recordings) if len(some) > 1 else [execute(some[0], recordings[0])]
+    except Exception as error:
+        return [failure(error)] * len(runs)
 
 
 def _collected(

@@ -1,4 +1,4 @@
-"""What the simulator knows of a recording it made, in the form that the judge takes."""
+"""The simulator's truth of a recording, for the evaluation: further realisations, bounds of any predictor."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def truth_for(
 ) -> Truth:
     """Return further realisations of a simulated stroke and, for the linear family, the bounds of any predictor.
 
-    A recording that was not simulated, or by another version of the simulator, has no truth; neither bound holds at another
-    rate than the simulated one or with another high-pass than order 2.
+    A recording that was not simulated, or by another version of the simulator, has no truth. The bounds hold at the simulated
+    rate and with a causal high-pass of order 2 only.
     """
     if recording.simulation is None:
         return Truth()
@@ -52,7 +52,7 @@ def truth_for(
 
 
 def linear_bounds(recording: Recording, trace: Trace, highpass_hz: float, window: int) -> tuple[Array, Array]:
-    """Return the least expected absolute one-step errors [m/s²] of all of the past and of a window [samples], shape (n,) each.
+    """Return the least expected absolute one-step errors [m/s²] from the infinite past and from a window, shape (n,) each.
 
     Args:
         recording: of the linear family.

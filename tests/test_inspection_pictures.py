@@ -1,10 +1,10 @@
-"""Pictures show what was found, with units, for any set of channels."""
+"""Figures show the findings, with units, for any set of channels."""
 
 import numpy as np
 import pytest
 
-from foten.recording.inspect import inspect_recording
-from foten.recording.pictures import coverage, density, overview, write_pictures
+from foten.recording.inspection import inspect_recording
+from foten.recording.inspection.pictures import coverage, density, overview, write_pictures
 from foten.recording.recording import Channel, Recording
 
 N = 12_000
@@ -32,7 +32,7 @@ def test_one_panel_a_channel_with_its_unit_and_its_marks():
     panel = figure.axes[3]
     (marks,) = [line for line in panel.lines if line.get_label() == "spikes"]
     assert marks.get_xdata() == pytest.approx([5.0])
-    assert panel.get_ylim()[1] < 10  # the spike does not hide the rest, and the picture says so
+    assert panel.get_ylim()[1] < 10  # the spike does not hide the signal, and the picture says so
     assert any("to 800 N" in text.get_text() for text in panel.texts)
 
 

@@ -1,9 +1,9 @@
-"""What a rate carries of what a hand feels."""
+"""How much of the perceived power a rate keeps."""
 
 import numpy as np
 import pytest
 
-from foten.recording.felt import carried, in_words, sensitivity, smallest_rate
+from foten.dsp.perception import carried, in_words, sensitivity, smallest_rate
 
 HERTZ = np.arange(1.0, 5000.0)
 
@@ -31,6 +31,6 @@ def test_a_rate_carries_what_lies_below_nearly_half_of_it() -> None:
     assert in_words(shares) == "1 kHz carries 0 %, 2.5 kHz 100 %, 5 kHz 100 %"
 
 
-def test_what_is_not_felt_has_no_share() -> None:
+def test_without_perceived_power_there_are_no_shares() -> None:
     assert carried({"x": lines(3000.0)}, 10_000.0) == {}
     assert carried({}, 10_000.0) == {}

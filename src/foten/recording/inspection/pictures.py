@@ -1,4 +1,4 @@
-"""Pictures of a recording: channels over time, coverage of speed and force, density of the vibration."""
+"""Figures of a recording: channels over time, coverage of speed and force, density of the vibration."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.recording.inspect import CELL_S, HAND_HZ, NOTE, Inspection
+from foten.recording.inspection.hand import HAND_HZ
+from foten.recording.inspection.values import CELL_S, NOTE, Inspection
 from foten.recording.preprocess import times_of
 from foten.recording.recording import UNITS, Recording
 from foten.whole_file import whole_file
@@ -16,7 +17,7 @@ from foten.whole_file import whole_file
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Okabe and Ito's colours, told apart with any colour vision.
+# Okabe and Ito's colours: distinct with any colour vision.
 _COLOURS = {"acceleration": "#0072B2", "speed": "#D55E00", "force": "#009E73", "position": "#CC79A7"}
 _AXIS_COLOURS = {"x": "#0072B2", "y": "#E69F00", "z": "#009E73"}
 _MARKED = ("spikes", "clipping", "gaps", "frozen", "order", "sign", "contact", "jumps")
@@ -24,7 +25,7 @@ _COLUMNS = 3000  # of an envelope: more than pixels, so that no spike is lost
 
 
 def _figure(width: float, height: float, **options: Any) -> tuple[Figure, Any]:
-    # The object interface leaves the user's backend and open figures alone.
+    # Not pyplot: the user's backend and open figures stay as they are.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -43,7 +44,7 @@ def _label(name: str) -> str:
 
 
 def overview(recording: Recording, inspection: Inspection) -> Figure:
-    """Return the channels over time, with marks where something was found."""
+    """Return the channels over time, with a mark at each place that a finding lists."""
     names = [name for name in UNITS if name in recording]
     figure, panels = _figure(10, 1.0 + 1.7 * len(names), nrows=len(names), sharex=True, squeeze=False)
     for axes, name in zip(panels[:, 0], names, strict=True):
@@ -81,7 +82,7 @@ def overview(recording: Recording, inspection: Inspection) -> Figure:
 
 
 def _keep_readable(axes: Any, samples: NDArray[np.float64], unit: str) -> None:
-    """Cut an axis that a few spikes would stretch until nothing else is seen, and say so on it."""
+    """Limit the axis to the usual values where a few spikes are far beyond them, and write their size on it."""
     low, high = np.quantile(samples, [0.002, 0.998])
     margin = max(high - low, 1e-12)
     if samples.max() - samples.min() > 5 * margin:
@@ -100,7 +101,7 @@ def _keep_readable(axes: Any, samples: NDArray[np.float64], unit: str) -> None:
 def _envelope(
     times: NDArray[np.float64], samples: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return times and the lowest and highest sample of each column; a short signal whole, twice."""
+    """Return times and the lowest and highest sample in each of `_COLUMNS` columns; a short signal as it is, twice."""
     if samples.size <= 2 * _COLUMNS:
         return times, samples, samples
     starts = np.linspace(0, samples.size, _COLUMNS, endpoint=False).astype(np.int64)
@@ -108,34 +109,26 @@ def _envelope(
 
 
 def coverage(recording: Recording, inspection: Inspection) -> Figure | None:
-    """Return the seconds spent in each cell of the speed–force plane, or None without both channels."""
+    """Return the seconds spent at each speed and force, or None without both channels."""
     from matplotlib.colors import LogNorm
 
-    plane = inspection.coverage
-    if plane is None:
+    cells = inspection.coverage
+    if cells is None:
         return None
     figure, axes = _figure(7.5, 5)
-    shown = np.ma.masked_less(plane.seconds.T, 1e-9)
-    top = max(float(plane.seconds.max()), 10 * CELL_S)
-    mesh = axes.pcolormesh(
-        plane.speed_edges, plane.force_edges, shown, cmap="viridis", norm=LogNorm(CELL_S / 10, top)
-    )
+    shown = np.ma.masked_less(cells.seconds.T, 1e-9)
+    norm = LogNorm(CELL_S / 10, max(float(cells.seconds.max()), 10 * CELL_S))
+    mesh = axes.pcolormesh(cells.speed_edges, cells.force_edges, shown, cmap="viridis", norm=norm)
     axes.set_facecolor("#eeeeee")
-    for edge in plane.speed_edges:
+    for edge in cells.speed_edges:
         axes.axvline(edge, color="white", linewidth=0.6)
-    for edge in plane.force_edges:
+    for edge in cells.force_edges:
         axes.axhline(edge, color="white", linewidth=0.6)
     figure.colorbar(mesh, label="time spent [s]")
     axes.set_xlabel("scanning speed [mm/s]")
     axes.set_ylabel("normal force [N]")
-    axes.set_title(
-        _title(
-            recording,
-            f"{plane.covered} of {plane.seconds.size} cells visited for {CELL_S * 1000:g} ms or more",
-        )
-        + "\n(grey: never)",
-        fontsize=11,
-    )
+    visited = f"{cells.covered} of {cells.seconds.size} cells visited for {CELL_S * 1000:g} ms or more"
+    axes.set_title(_title(recording, visited) + "\n(grey: never)", fontsize=11)
     return figure
 
 
@@ -145,24 +138,16 @@ def density(recording: Recording, inspection: Inspection) -> Figure | None:
         return None
     figure, axes = _figure(8, 4.5)
     for name, (frequency, power) in inspection.psd.items():
-        colour = (
-            _AXIS_COLOURS.get(name[-1], _COLOURS["acceleration"]) if "_" in name else _COLOURS["acceleration"]
-        )
-        axes.loglog(
-            frequency, np.maximum(power, 1e-30), color=colour, linewidth=1, label=name.replace("_", " ")
-        )
+        colour = _AXIS_COLOURS.get(name.removeprefix("acceleration_"), _COLOURS["acceleration"])
+        shown = np.maximum(power, 1e-30)
+        axes.loglog(frequency, shown, color=colour, linewidth=1, label=name.replace("_", " "))
     lowest = min(frequency[0] for frequency, _ in inspection.psd.values())
     highest = max(frequency[-1] for frequency, _ in inspection.psd.values())
     axes.set_xlim(min(lowest, HAND_HZ / 2), highest * 1.05)
     axes.axvspan(axes.get_xlim()[0], HAND_HZ, color="0.5", alpha=0.15, linewidth=0)
-    axes.text(
-        0.01,
-        0.03,
-        f"grey: below {HAND_HZ:g} Hz, the hand's own movement",
-        transform=axes.transAxes,
-        fontsize=8,
-    )
-    # Where a filter of the sensor has left nothing, rounding would fill ten decades.
+    grey = f"grey: below {HAND_HZ:g} Hz, the hand's own movement"
+    axes.text(0.01, 0.03, grey, transform=axes.transAxes, fontsize=8)
+    # Above a sensor's anti-alias filter only rounding is left, over ten decades.
     top = max(float(power.max()) for _, power in inspection.psd.values())
     axes.set_ylim(bottom=max(axes.get_ylim()[0], top * 1e-9))
     axes.set_xlabel("frequency [Hz]")

@@ -1,4 +1,4 @@
-"""What a recording says of itself: faults that were put in are found, and nothing is found where none is."""
+"""Faults that were put into a recording are reported, and nothing is where there is none."""
 
 import json
 from pathlib import Path
@@ -10,7 +10,7 @@ from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.importing import ImportOptions, import_recording, parse_pairs
 from foten.datasets.simulate import simulate
-from foten.recording.inspect import PROBLEM, inspect_recording
+from foten.recording.inspection import PROBLEM, inspect_recording
 from foten.recording.recording import Channel, Recording
 
 DATA = Path(__file__).parents[1].parent / "shared" / "data"
@@ -78,11 +78,11 @@ def test_the_numbers_of_a_channel():
     )  # what was put in; the estimate's own error is 1 %
 
 
-def test_noise_floor_of_an_accelerometer_at_rest():
+def test_noise_floor_of_an_accelerometer_at_standstill():
     samples = _clean()
-    rest = slice(8000, 11_000)
-    samples["speed"][rest] = 0.5
-    samples["acceleration"][rest] = 9.81 + np.random.default_rng(1).normal(0, 0.03, 3000)
+    still = slice(8000, 11_000)
+    samples["speed"][still] = 0.5
+    samples["acceleration"][still] = 9.81 + np.random.default_rng(1).normal(0, 0.03, 3000)
     report = _inspect(samples).channels[0]
     assert report.noise_floor_from == "rest"
     assert report.noise_floor == pytest.approx(0.03, rel=0.1)
@@ -190,7 +190,7 @@ def test_a_channel_that_starts_late_leaves_the_common_part():
     assert "it lasts 13.00 s" in _text(short, "short")  # of 16 s, the 13 that are common
 
 
-def test_a_still_pen_with_noisy_positions_rests():
+def test_a_still_pen_with_noisy_positions_is_at_a_standstill():
     # 0.05 mm at 1 kHz read 44 mm/s when the norm was taken before the low-pass.
     rng = np.random.default_rng(6)
     samples = _clean()
@@ -258,14 +258,14 @@ def test_coverage_counts_the_seconds_in_each_cell():
     n = 4000
     speed = np.concatenate([np.full(n, 60.0), np.full(n, 210.0), np.full(n, 1.0)])
     force = np.concatenate([np.full(n, 0.7), np.full(n, 2.2), np.full(n, 2.2)])
-    plane = _inspect(
+    coverage = _inspect(
         {"acceleration": np.random.default_rng(0).standard_normal(3 * n), "speed": speed, "force": force}
     ).coverage
-    assert plane.covered == 2  # the third part is at rest
+    assert coverage.covered == 2  # the third part is at rest
     # The low-pass takes 50 ms at the ends of the recording and some 20 ms at the step.
-    assert plane.seconds[2, 1] == pytest.approx(4, abs=0.08)
-    assert plane.seconds[8, 4] == pytest.approx(4, abs=0.08)
-    assert plane.fraction == 2 / plane.seconds.size
+    assert coverage.seconds[2, 1] == pytest.approx(4, abs=0.08)
+    assert coverage.seconds[8, 4] == pytest.approx(4, abs=0.08)
+    assert coverage.fraction == 2 / coverage.seconds.size
 
 
 def test_speed_comes_from_positions_and_force_from_its_normal():
@@ -275,10 +275,10 @@ def test_speed_comes_from_positions_and_force_from_its_normal():
         "position_y": Channel(50 + 40 * np.cos(2 * np.pi * 0.5 * t), 120.0),
         "force_z": Channel(np.full(20_000, -1.3), 1000.0),
     }
-    plane = inspect_recording(Recording(channels)).coverage
+    coverage = inspect_recording(Recording(channels)).coverage
     # A circle of 40 mm radius at half a turn a second: 40·π mm/s; central differences at 120 Hz lose 0.01 %.
-    assert plane.speed_range[0] == pytest.approx(40 * np.pi, rel=0.01)
-    assert plane.force_range == (pytest.approx(1.3), pytest.approx(1.3))
+    assert coverage.speed_range[0] == pytest.approx(40 * np.pi, rel=0.01)
+    assert coverage.force_range == (pytest.approx(1.3), pytest.approx(1.3))
 
 
 def test_ranges_that_were_never_visited_are_said():

@@ -1,0 +1,72 @@
+"""How much of a vibration's perceived power a sampling rate keeps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LOWEST_HZ, HIGHEST_HZ = 20.0, 1000.0  # of texture vibration; of touch
+MOST_SENSITIVE_HZ = 250.0
+USABLE_BAND = 0.45  # of a rate
+RATES_HZ = (1000.0, 2500.0, 10_000.0)
+ENOUGH = 0.95
+
+
+def sensitivity(hertz: Array) -> Array:
+    """Return the weight of acceleration power at each frequency: the inverse square of the threshold, 1 up to 250 Hz.
+
+    The displacement threshold falls by 12 dB per octave from 40 Hz to its minimum near 250 Hz, so the acceleration threshold
+    is flat there. Above the minimum the displacement threshold is taken to rise by the same 12 dB per octave, which makes
+    24 dB per octave of acceleration. Below 40 Hz the displacement threshold is flat and acceleration would weigh more, but
+    much of that band is the hand's own movement; it weighs 1.
+
+    Args:
+        hertz: frequencies [Hz], shape (k,).
+
+    Returns:
+        Weights from 0 to 1, shape (k,); 0 outside 20 to 1000 Hz.
+
+    Source: Verrillo, J. Acoust. Soc. Am. 35 (1963), for large contactors; the slope above 250 Hz is our reading of a U.
+    """
+    steep = np.minimum(MOST_SENSITIVE_HZ / np.maximum(hertz, 1e-9), 1.0) ** 8
+    return np.where((hertz >= LOWEST_HZ) & (hertz <= HIGHEST_HZ), steep, 0.0)
+
+
+def carried(densities: Mapping[str, tuple[Array, Array]], rate_hz: float) -> dict[float, float]:
+    """Return the share of the perceived power that each rate [Hz] keeps: the `RATES_HZ` up to `rate_hz`, and `rate_hz`.
+
+    Args:
+        densities: of each axis of the acceleration, frequency [Hz] (k,) and power density (k,).
+        rate_hz: at which the acceleration was captured.
+
+    Returns:
+        Shares from 0 to 1; empty where no power is perceived.
+    """
+    weighted = [(hertz, density * sensitivity(hertz)) for hertz, density in densities.values()]
+    total = sum(float(np.trapezoid(power, hertz)) for hertz, power in weighted)
+    if not total > 0:
+        return {}
+    return {
+        rate: sum(
+            float(np.trapezoid(np.where(hertz <= USABLE_BAND * rate, power, 0.0), hertz))
+            for hertz, power in weighted
+        )
+        / total
+        for rate in sorted({*(rate for rate in RATES_HZ if rate <= rate_hz), rate_hz})
+    }
+
+
+def smallest_rate(shares: Mapping[float, float]) -> float:
+    """Return the lowest rate that carries 95 % of what the highest carries [Hz]."""
+    most = max(shares.values())
+    return min(rate for rate, share in shares.items() if share >= ENOUGH * most)
+
+
+def in_words(shares: Mapping[float, float]) -> str:
+    """Return the shares as a clause: "1 kHz carries 81 %, 2.5 kHz 99 %"."""
+    texts = [f"{rate / 1000:g} kHz {100 * share:.3g} %" for rate, share in shares.items()]
+    return ", ".join(texts).replace(" kHz ", " kHz carries ", 1)

@@ -1,0 +1,5 @@
+"""The report of a judgement: one self-contained HTML file with verdict, sound, tables and figures."""
+
+from foten.evaluate.report.page import write_report
+
+__all__ = ["write_report"]

@@ -1,0 +1,183 @@
+"""The report as one HTML page, which needs nothing beside it."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from foten.evaluate.evaluate import Judgement
+from foten.evaluate.report import figures
+from foten.evaluate.report.drawing import inline_svg
+from foten.evaluate.report.over_time import over_time
+from foten.evaluate.report.signals import LABELS, N_WAVEFORM, shown_blocks, shown_run, typical_block
+from foten.evaluate.report.sound import AUDIO_HZ, WAV_HEADER, sounds
+from foten.evaluate.report.tables import free_run_section, one_step_section
+from foten.evaluate.report.verdict import cautions, verdict
+from foten.evaluate.report.wording import reason
+from foten.families.texture_file import Texture
+from foten.whole_file import whole_file
+
+_MARKS = {"good": "✓", "even": "≈", "bad": "✗", "unknown": "–"}
+
+
+def write_report(judgement: Judgement, texture: Texture, directory: Path) -> Path:
+    """Write `report.html` into a directory and return its path; the same judgement gives the same bytes.
+
+    Figures, sound and style are inside the file. It loads nothing from a network and has no scripts.
+    """
+    path = directory / "report.html"
+    with whole_file(path) as part:
+        part.write_text(page(judgement, texture), encoding="utf-8", newline="\n")
+    return path
+
+
+def page(judgement: Judgement, texture: Texture) -> str:
+    """Return the report as HTML."""
+    document = judgement.document
+    name = document["texture"] or "unnamed texture"
+    sections = [
+        _header(document, texture, name),
+        _verdict_section(document),
+        _sound_section(judgement),
+        one_step_section(document),
+        free_run_section(document),
+        _figures_section(judgement, texture),
+        _raw_section(document, texture),
+    ]
+    style = Path(__file__).with_name("style.css").read_text(encoding="utf-8")
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        '<meta name="color-scheme" content="light dark">\n'
+        f"<title>{html.escape(name)} – foten evaluate</title>\n<style>\n{style}</style>\n</head>\n<body>\n<main>\n"
+        + "\n".join(section for section in sections if section)
+        + "\n</main>\n</body>\n</html>\n"
+    )
+
+
+def _header(document: Mapping[str, Any], texture: Texture, name: str) -> str:
+    card, block_ms = texture.card, 1000 * document["block"] / document["rate_hz"]
+    split = document["split"]
+    if document["split_sha256"]:
+        split = f"{split} {document['split_sha256'][:10]}"
+    (slow, fast), (light, heavy) = (texture.trained_range(channel) for channel in ("speed", "force"))
+    facts = {
+        "model": document["model"],
+        "rate": f"{document['rate_hz']:g} Hz",
+        "judged": f"{document['n_blocks']} blocks of {block_ms:g} ms",
+        "split": split,
+        "seed": document["seed"],
+        "recorded sd": f"{document['sd_m_s2']:.4g} m/s²",
+        "trained range": f"{slow:.0f}–{fast:.0f} mm/s, {light:.2f}–{heavy:.2f} N",
+        "tool": card["tool"] or "not stated",
+        "sensors": card["sensors"] or "not stated",
+        "notes": card["notes"] or "none",
+        "licence": card["licence"] or "not stated",
+        "texture file": document["texture_sha256"][:10],
+        "recording": document["recording_sha256"][:10],
+    }
+    items = "".join(
+        f"<div><dt>{key}</dt><dd>{html.escape(str(value))}</dd></div>" for key, value in facts.items()
+    )
+    return f"<header><p class=kicker>foten evaluate</p><h1>{html.escape(name)}</h1><dl>{items}</dl></header>"
+
+
+def _verdict_section(document: Mapping[str, Any]) -> str:
+    findings = verdict(document)
+    cards = "".join(
+        f'<div class="card {f.tone}"><h3>{f.title} <span class="mark">{_MARKS[f.tone]}</span></h3>'
+        f"<b>{html.escape(f.figure)}</b><small>{html.escape(f.beside)}</small></div>"
+        for f in findings
+    )
+    sentences = " ".join(html.escape(f.sentence) for f in findings)
+    notes = "".join(f"<li>{html.escape(note)}</li>" for note in cautions(document))
+    listed = f'<ul class="cautions">{notes}</ul>' if notes else ""
+    return f'<section id="verdict"><div class="cards">{cards}</div><p>{sentences}</p>{listed}</section>'
+
+
+def _sound_section(judgement: Judgement) -> str:
+    name = shown_run(judgement)
+    if name is None:
+        return ""
+    recorded, synthesized, full_scale = sounds(judgement, name)
+    players = ""
+    for label, data in (("recorded", recorded), (f"synthesized ({LABELS[name]})", synthesized)):
+        text = base64.b64encode(data).decode("ascii")
+        players += (
+            f"<figure><figcaption>{label}</figcaption>"
+            f'<audio controls loop preload="metadata" src="data:audio/wav;base64,{text}"></audio></figure>'
+        )
+    seconds = (len(recorded) - WAV_HEADER) / 2 / AUDIO_HZ
+    return (
+        f'<section id="sound"><h2>Listen</h2><div class="pair">{players}</div>'
+        f'<p class="notes">{seconds:.1f} s of the judged blocks, joined, in a loop; both at the same gain: full scale is '
+        f"{full_scale:.3g} m/s². A small loudspeaker leaves out the low part: use headphones.</p></section>"
+    )
+
+
+def _figures_section(judgement: Judgement, texture: Texture) -> str:
+    document = judgement.document
+    if shown_run(judgement) is None:
+        why = html.escape(reason(document, "free_run"))
+        return f'<section id="figures"><h2>Figures</h2><p>None: {why}.</p></section>'
+    block = judgement.blocks[typical_block(judgement)]
+    shown, n = len(shown_blocks(judgement)), len(judgement.blocks)
+    some = "" if shown == n else f" {shown} of the {n} blocks, spread evenly."
+    both = {"free_run", "free_run_ar"} <= judgement.synthesized.keys()
+    same = " AR(20) is driven by the same noise." if both else ""
+    drawn = {
+        "waveform": (
+            figures.waveform(judgement),
+            "Waveform",
+            f"The first {N_WAVEFORM} scored samples of block {block}, the one of median level. "
+            f"A free run is another realisation: its character should match, its samples cannot.{same}",
+        ),
+        "spectrum": (
+            figures.spectrum(judgement),
+            "Power spectral density",
+            "Pooled over the scored samples of all judged blocks and all seeds: the spectra that the log-spectral distance "
+            "is measured on.",
+        ),
+        "bands": (
+            figures.bands(judgement),
+            "Error in nine bands",
+            "Energy against the recorded, in bands equal in log frequency; above 0 is too much.",
+        ),
+        "conditions": (
+            figures.conditions(judgement, texture),
+            "Where it is right",
+            "Each judged block at its mean speed and force; red is too loud, blue too soft.",
+        ),
+        "time": (
+            over_time(judgement),
+            "Over time",
+            "Spectrograms of the first seed on one colour scale, level in frames of 40 ms (band: lowest to highest seed), "
+            f"speed and force, on one time axis; lines mark block borders.{some}",
+        ),
+    }
+    parts = {
+        name: f'<figure id="figure-{name}"><h3>{title}</h3>{inline_svg(figure, name, f"{title}. {caption}")}'
+        f"<figcaption>{html.escape(caption)}</figcaption></figure>"
+        for name, (figure, title, caption) in drawn.items()
+        if figure is not None
+    }
+    pair = "".join(parts.pop(name) for name in ("bands", "conditions") if name in parts)
+    time = parts.pop("time")
+    return f'<section id="figures"><h2>Figures</h2>{"".join(parts.values())}<div class="pair">{pair}</div>{time}</section>'
+
+
+def _raw_section(document: Mapping[str, Any], texture: Texture) -> str:
+    def block(title: str, value: Any) -> str:
+        text = html.escape(json.dumps(value, indent=1, ensure_ascii=False))
+        return f"<details><summary>{title}</summary><pre>{text}</pre></details>"
+
+    return (
+        '<section id="raw"><h2>Raw</h2>'
+        + block("All figures (JSON)", dict(document))
+        + block("The texture's card (JSON)", dict(texture.card))
+        + "</section>"
+    )

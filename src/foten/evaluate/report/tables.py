@@ -1,0 +1,238 @@
+"""The report's tables: one-step errors beside references, and figures of the free runs."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from foten.evaluate.evaluate import FREE_RUN_KEYS
+from foten.evaluate.report.signals import LABELS
+from foten.evaluate.report.wording import ar_name, minus, reason, signed
+
+REFERENCES = {
+    "lattice": (
+        "the model without its network",
+        "the lattice; what the network adds is the difference to it",
+    ),
+    "ar": ("AR(20)", "linear, least squares on the training blocks"),
+    "ar_scheduled": ("AR(20) following speed and force", "each coefficient affine in speed and force"),
+    "ar_best": ("best AR", "order and scheduling chosen on the validation blocks"),
+    "persistence": ("persistence", "repeats the last sample"),
+    "zero": ("zero", "predicts the mean"),
+    "bound": ("bound", "the best of any predictor, from the infinite past"),
+    "bound_window": ("bound of a window", "the best of any predictor that sees as many samples as the model"),
+}
+"""One-step references: name and explanation."""
+
+FREE_RUN_FIGURES = {
+    "lsd_db": (
+        "log-spectral distance",
+        "dB",
+        "lower",
+        "RMS over frequency of the difference in dB, mean of blocks; sees gain",
+    ),
+    "lsd_long_db": (
+        "… of pooled spectra",
+        "dB",
+        "lower",
+        "the same on spectra pooled over all blocks: bias without scatter",
+    ),
+    "gfc_raw": (
+        "GFC, raw bins",
+        "0 to 1",
+        "higher",
+        "cosine of amplitude spectra (Eq. 13); two true realisations reach π/4 = 0.785; blind to gain",
+    ),
+    "gfc_welch": (
+        "GFC, smoothed",
+        "0 to 1",
+        "higher",
+        "the same on Welch spectra: the shape of the spectrum; blind to gain",
+    ),
+    "level_bias_db": (
+        "level bias",
+        "dB",
+        "nearer 0",
+        "mean level difference in frames of 40 ms: too loud (+) or too soft (−)",
+    ),
+    "level_error_db": ("level error", "dB", "lower", "mean absolute level difference of the same frames"),
+    "level_corr": (
+        "level correlation",
+        "−1 to 1",
+        "higher",
+        "whether the level rises and falls with the recording's",
+    ),
+    "kurtosis": ("kurtosis", "", "nearer recorded", "3 for a Gaussian, more for a spiky vibration"),
+    "max_sd": (
+        "largest sample",
+        "sd",
+        "no outlier",
+        "peak over the training standard deviation: shows a loop that bursts",
+    ),
+    "modulation_db": (
+        "envelope spectrum",
+        "dB",
+        "lower",
+        "log-spectral distance of the envelope, 2 to 50 Hz: roughness and rhythm",
+    ),
+}
+"""Free-run figures: name, unit, what is better, explanation."""
+
+RUNS = ("free_run", "free_run_deterministic", "free_run_ar", "ceiling")
+
+
+class _Cells:
+    """Number cells of one table: the full value beside its rounding, or a dash with a footnote."""
+
+    def __init__(self, letter: str) -> None:
+        self.letter, self.notes = letter, list[str]()
+
+    def number(
+        self,
+        value: float | None,
+        shown: Callable[[float], str],
+        why: str,
+        interval: list[float] | None = None,
+        digits: int = 3,
+    ) -> str:
+        """Return the cell of a value; `why` is the footnote where there is none."""
+        if value is None:
+            if why not in self.notes:
+                self.notes.append(why)
+            mark = f"{self.letter}{self.notes.index(why) + 1}"
+            return f'<td class="n none"><abbr title="{html.escape(why)}">–</abbr><sup>{mark}</sup></td>'
+        small = ""
+        if interval:
+            small = minus(f"<small>{interval[0]:.{digits}f} … {interval[1]:.{digits}f}</small>")
+        return f'<td class="n"><data value="{value!r}">{shown(value)}</data>{small}</td>'
+
+    def footnotes(self) -> str:
+        """Return the reasons of all dashes as a paragraph, empty without any."""
+        items = (f"<sup>{self.letter}{k}</sup> {html.escape(note)}" for k, note in enumerate(self.notes, 1))
+        return f'<p class="notes">{" · ".join(items)}</p>' if self.notes else ""
+
+
+def one_step_section(document: Mapping[str, Any]) -> str:
+    """Return the table of one-step errors as HTML: the texture's, then the references'."""
+    cells = _Cells("a")
+    references = document["references"]
+    rows = {"one_step": (document["model"], "this texture", document["one_step"])}
+    rows |= {f"references.{k}": (*REFERENCES[k], references[k]) for k in REFERENCES if k in references}
+    errors = [row["mae_scaled"] for *_, row in rows.values() if row["mae_scaled"] is not None]
+    largest = max(errors, default=1.0) or 1.0
+    body = "".join(
+        _one_step_row(document, cells, key, *named, largest=largest) for key, named in rows.items()
+    )
+    return (
+        '<section id="one-step"><h2>One step</h2><p>Predicts each sample from recorded history. Errors are mean '
+        f"absolute errors; 1 sd is {document['sd_m_s2']:.4g} m/s². The first {document['first_scored']} samples of each "
+        "block are history for all. Small print: 95 % interval, resampling blocks. The blocks are the same for all, so two rows "
+        "can differ for certain though their intervals overlap.</p>"
+        '<div class="scroll"><table><thead><tr><th>predictor</th><th colspan="2">error [sd] <i>lower is better</i></th>'
+        "<th>to AR(20)</th><th>error [m/s²]</th><th>GFC <i>higher, blind to gain</i></th></tr></thead>"
+        f"<tbody>{body}</tbody></table></div>{cells.footnotes()}{_excitation(document['one_step'])}</section>"
+    )
+
+
+def _one_step_row(
+    document: Mapping[str, Any],
+    cells: _Cells,
+    key: str,
+    name: str,
+    what: str,
+    row: Mapping[str, Any],
+    largest: float,
+) -> str:
+    if key == "references.ar_best" and row.get("order") is not None:
+        name += f": {ar_name(row)}"
+    family = ("references.ar",) if key.startswith("references.ar") else ()
+    why = reason(document, key, *family, "one_step")
+    mae, linear = row["mae_scaled"], document["references"]["ar"]["mae_scaled"]
+    within = row.get("intervals") or {}
+    bar = "" if mae is None else f'<span class="bar" style="width:{100 * mae / largest:.1f}%"></span>'
+    ratio = f"{signed(100 * (mae / linear - 1), 1)} %" if mae is not None and linear else ""
+    why_gfc = why if mae is None else "a bound on the error says nothing of the spectrum"
+    return (
+        f'<tr id="{key}"{" class=own" if key == "one_step" else ""}>'
+        f'<th scope="row">{html.escape(name)}<small>{html.escape(what)}</small></th>'
+        + cells.number(mae, "{:.4f}".format, why, within.get("mae_scaled"))
+        + f'<td class="bars">{bar}</td><td class="n">{ratio}</td>'
+        + cells.number(row["mae_m_s2"], "{:#.4g}".format, why)
+        + cells.number(row["gfc"], "{:.3f}".format, why_gfc, within.get("gfc"))
+        + "</tr>"
+    )
+
+
+def _excitation(one_step: Mapping[str, Any]) -> str:
+    """Return how well the excitation's distribution fits the errors of a rendering's prediction, as a paragraph."""
+    if one_step.get("nll") is None:
+        return ""
+    return (
+        "<p>The excitation, its scale and tails, against the error of what a rendering expects of the next sample: "
+        f"<b>{100 * one_step['coverage_50']:.0f} %</b> of "
+        f"the samples inside its central 50 %, <b>{100 * one_step['coverage_90']:.0f} %</b> inside its 90 %; errors taken "
+        f"back through scale and tails have standard deviation <b>{one_step['standardised_sd']:.2f}</b> (1 when they are "
+        f"right); negative log-likelihood {minus(format(one_step['nll'], '.3f'))} nat.</p>"
+    )
+
+
+def free_run_section(document: Mapping[str, Any]) -> str:
+    """Return the table of free-run figures as HTML, a column for each run."""
+    cells = _Cells("b")
+    kurtosis = [document[run]["kurtosis_recorded"] for run in RUNS if "kurtosis_recorded" in document[run]]
+    recorded = next((value for value in kurtosis if value is not None), None)
+    body = []
+    for key in [*FREE_RUN_KEYS, *(key for key in FREE_RUN_FIGURES if key not in FREE_RUN_KEYS)]:
+        name, unit, better, what = FREE_RUN_FIGURES.get(key, (key, "", "", ""))
+        own = f" Recorded: {recorded:.2f}." if key == "kurtosis" and recorded is not None else ""
+        title = html.escape(name) + (f" <i>[{html.escape(unit)}]</i>" if unit else "")
+        values = "".join(_free_run_cell(document, cells, run, key) for run in RUNS)
+        body.append(
+            f'<tr id="free_run.{key}"><th scope="row">{title}<small>{html.escape(what)}.{own}</small></th>'
+            f'<td class="better">{better}</td>{values}</tr>'
+        )
+    heads = {
+        "free_run": document["model"],
+        "free_run_deterministic": "the model alone, no noise",
+        "free_run_ar": "AR(20) and white noise of one scale",
+        "ceiling": document["ceiling"].get("of") or "not known",
+    }
+    titles = "".join(
+        f"<th>{html.escape(LABELS[run])}<small>{html.escape(head)}</small></th>"
+        for run, head in heads.items()
+    )
+    return (
+        '<section id="free-run"><h2>Free run</h2><p>Synthesized under the recorded speed and force, its own output as '
+        "history, and compared with what was recorded; the first fifth of each block is not scored. The ceiling says "
+        'what a true vibration of the same texture reaches.</p><div class="scroll"><table><thead><tr><th>figure</th>'
+        f"<th>better</th>{titles}</tr></thead>"
+        f"<tbody>{''.join(body)}</tbody></table></div>{cells.footnotes()}{_slopes(document)}</section>"
+    )
+
+
+def _free_run_cell(document: Mapping[str, Any], cells: _Cells, run: str, key: str) -> str:
+    value = document[run].get(key)
+    digits = 1 if value is not None and abs(value) >= 30 else 2
+
+    def shown(value: float) -> str:
+        if key == "max_sd" and value < 0.01:
+            return f"{value:.1g}"
+        return signed(value, digits) if "bias" in key else minus(f"{value:.{digits}f}")
+
+    why = reason(document, f"{run}.{key}", run, "free_run")
+    interval = (document[run].get("intervals") or {}).get(key)
+    return cells.number(value, shown, why, interval, digits)
+
+
+def _slopes(document: Mapping[str, Any]) -> str:
+    """Return how the level grows with speed and force, as a paragraph, empty where it is not known."""
+    run = document["free_run" if document["free_run"].get("level_slopes") else "free_run_deterministic"]
+    ours, theirs = run.get("level_slopes"), run.get("level_slopes_recorded")
+    if not ours or not theirs:
+        return ""
+    return (
+        f"<p>How the level grows with the hand: <b>{signed(ours[0], 1)}</b> dB per decade of speed (recorded "
+        f"{signed(theirs[0], 1)}), <b>{signed(ours[1], 1)}</b> dB per decade of force (recorded "
+        f"{signed(theirs[1], 1)}).</p>"
+    )

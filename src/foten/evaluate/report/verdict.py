@@ -1,0 +1,158 @@
+"""The verdict: what the figures of a judgement say in plain language."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from foten.evaluate.report.wording import ar_name, minus, reason, signed
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One part of the verdict.
+
+    Attributes:
+        tone: `good`, `even`, `bad` or `unknown`.
+        title: what was judged.
+        figure: the number, with unit.
+        beside: what it is compared with, short.
+        sentence: the same in plain language.
+    """
+
+    tone: str
+    title: str
+    figure: str
+    beside: str
+    sentence: str
+
+
+def verdict(document: Mapping[str, Any]) -> list[Finding]:
+    """Return the findings of a document: one step, then spectrum, level and dynamics of the free run."""
+    return [_one_step(document), *_free_run(document)]
+
+
+def cautions(document: Mapping[str, Any]) -> list[str]:
+    """Return what limits the meaning of the figures."""
+    notes = []
+    if document["split"] == "foreign":
+        notes.append(
+            "This is not the recording that the texture was trained on: all its blocks are judged, and no baseline "
+            "can be fitted beside."
+        )
+    n_blocks = document["n_blocks"]
+    if n_blocks < 5:
+        notes.append(f"Only {n_blocks} block{'s' * (n_blocks != 1)} judged: intervals are missing or coarse.")
+    if document["ceiling"]["lsd_db"] is not None and "training block" in str(document["ceiling"].get("of")):
+        notes.append(
+            "The ceiling is a recorded training block under a similar, not the same, hand: a good run can lie beyond it."
+        )
+    cut = document["free_run"].get("n_saturated") or 0
+    if cut:
+        notes.append(f"The saturator cut {cut} sample{'s' * (cut != 1)} of the free run: the loop bursts.")
+    return notes
+
+
+def _one_step(document: Mapping[str, Any]) -> Finding:
+    error = document["one_step"]["mae_scaled"]
+    if error is None:
+        why = reason(document, "one_step")
+        return Finding("unknown", "One step", "–", "not scored", f"One step: not scored ({why}).")
+    figure = f"{error:.3f} sd"
+    start = f"One step: error {figure} ({document['one_step']['mae_m_s2']:.3g} m/s²)"
+    references = document["references"]
+    bound, linear, best = (references[key]["mae_scaled"] for key in ("bound", "ar", "ar_best"))
+    end = f"; no predictor can reach less than {bound:.3f} sd on this texture." if bound is not None else "."
+    caution = ""
+    if linear is None:
+        naive = {"predicting the mean": "zero", "persistence": "persistence"}
+        errors = {name: references[key]["mae_scaled"] for name, key in naive.items()}
+        name = min(errors, key=lambda k: errors[k])
+        tone, beside = _compared(error, errors[name], name)
+    else:
+        tone, beside = _compared(error, linear, "AR(20)")
+        if tone == "bad":
+            caution = " A linear predictor does this better."
+        elif best is not None and error - best > 0.01 * best:
+            tone, name = "even", ar_name(references["ar_best"])
+            beside += f", {100 * (error / best - 1):.0f} % above {name}"
+            caution = f" The best linear predictor, {name}, does this better."
+    return Finding(tone, "One step", figure, beside, f"{start}, {beside}{end}{caution}")
+
+
+def _compared(error: float, reference: float, name: str) -> tuple[str, str]:
+    """Return the tone and the words of an error beside a reference's; within 1 % is even."""
+    change = 100 * (error / reference - 1) if reference > 0 else 0.0
+    if abs(change) < 1:
+        return "even", f"within 1 % of {name}"
+    return (
+        ("good", f"{-change:.0f} % below {name}") if change < 0 else ("bad", f"{change:.0f} % above {name}")
+    )
+
+
+def _free_run(document: Mapping[str, Any]) -> Iterator[Finding]:
+    """Yield the findings of the run that stands for the texture: with excitation where there is one."""
+    key = "free_run" if document["free_run"]["lsd_db"] is not None else "free_run_deterministic"
+    if document[key]["lsd_db"] is None:
+        why = reason(document, "free_run")
+        yield Finding("unknown", "Free run", "–", "not scored", f"Free run: not scored ({why}).")
+        return
+    yield _spectrum(document, key)
+    yield _level(document[key])
+    yield _dynamics(document, key)
+
+
+def _spectrum(document: Mapping[str, Any], key: str) -> Finding:
+    distance, linear, ceiling = (document[run]["lsd_db"] for run in (key, "free_run_ar", "ceiling"))
+    start = "Free run" if key == "free_run" else "Free run without excitation (the file carries none)"
+    tone, beside, words = "unknown", "no ceiling known", ""
+    if ceiling:
+        ratio = distance / ceiling
+        tone = "good" if ratio <= 1.1 else "even" if ratio <= 1.5 else "bad"
+        beside = f"{ratio:.2f} × the ceiling's {ceiling:.2f} dB"
+        words = f", {ratio:.2f} × the ceiling's ({document['ceiling'].get('of') or 'unknown'})"
+    if linear is not None:
+        how = "above" if distance > linear else "below"
+        words += f", {abs(distance - linear):.2f} dB {how} AR(20) with white noise"
+        if not ceiling:
+            beside = f"AR(20): {linear:.2f} dB"
+            tone = "good" if distance < linear / 1.1 else "even"
+        if distance > 1.1 * linear:
+            tone = "even" if tone == "good" else "bad"
+    sentence = f"{start}: log-spectral distance {distance:.2f} dB{words}."
+    return Finding(tone, "Spectrum", f"{distance:.2f} dB", beside, sentence)
+
+
+def _level(run: Mapping[str, Any]) -> Finding:
+    bias, error = run["level_bias_db"], run["level_error_db"]
+    tone = "good" if abs(bias) <= 1 else "even" if abs(bias) <= 3 else "bad"
+    side = (
+        "right on average" if abs(bias) < 0.05 else f"{abs(bias):.1f} dB too {'high' if bias > 0 else 'low'}"
+    )
+    # Levels below −30 dB count as −30 dB, and a hand pauses: of a silent run the bias alone is too small.
+    silent = " It all but falls silent." if bias < -10 and run["lsd_db"] > 20 else ""
+    return Finding(
+        tone,
+        "Level",
+        f"{signed(bias, 1)} dB",
+        f"{error:.1f} dB off in 40 ms frames",
+        f"Level: {side}, {error:.1f} dB off in a frame of 40 ms.{silent}",
+    )
+
+
+def _dynamics(document: Mapping[str, Any], key: str) -> Finding:
+    correlation, best = document[key]["level_corr"], document["ceiling"]["level_corr"]
+    if correlation is None:
+        why = reason(document, f"{key}.level_corr")
+        return Finding("unknown", "Dynamics", "–", why, f"Dynamics: no correlation of levels ({why}).")
+    target = 1.0 if best is None else best
+    # A ceiling of low correlation is another block under another hand, or a level that is random: no target.
+    if target < 0.3:
+        tone = "unknown"
+    else:
+        tone = "good" if correlation >= target - 0.1 else "even" if correlation >= 0.5 * target else "bad"
+    beside = "1 follows every rise and fall" if best is None else f"the ceiling's is {minus(f'{best:.2f}')}"
+    figure = minus(f"{correlation:.2f}")
+    sentence = f"Dynamics: the level follows the recording's with a correlation of {figure} ({beside})."
+    return Finding(tone, "Dynamics", figure, f"level correlation; {beside}", sentence)

@@ -1,0 +1,131 @@
+"""One run of an experiment: train, judge, and what its result file holds."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import foten
+from foten.architecture import ArArchitecture, architecture_from
+from foten.datasets.hdf5 import load_recording
+from foten.datasets.simulate import simulate
+from foten.evaluate.evaluate import Judgement, evaluate
+from foten.evaluate.free_run import scored
+from foten.evaluate.report.signals import N_WAVEFORM, densities, scored_channels, shown_run, typical_block
+from foten.experiments.experiment import Run
+from foten.experiments.truth import truth_for
+from foten.recording.preprocess import PreprocessConfig
+from foten.recording.recording import Recording
+from foten.families.texture_file import Texture
+from foten.train.config import TrainConfig
+
+
+def recording_of(run: Run) -> Recording:
+    """Return what a run learns from."""
+    if run.seconds is None:
+        return load_recording(Path(run.texture))
+    return simulate(run.texture, run.seconds, seed=run.split_seed)
+
+
+def execute(run: Run, recording: Recording) -> dict[str, Any]:
+    """Return the result of one run: its settings, its figures on the test blocks, and the seconds of both stages."""
+    started = time.perf_counter()
+    texture = _trained(run, recording)
+    return _judged(run, recording, texture, time.perf_counter() - started)
+
+
+def execute_batched(runs: Sequence[Run], recordings: Sequence[Recording]) -> list[dict[str, Any]]:
+    """Return the results of runs that differ in texture and split only, trained as one batched model.
+
+    A run that failed has the reason under `failed` instead.
+    """
+    from foten.train.train import train_together
+
+    first, started = runs[0], time.perf_counter()
+    architecture = architecture_from(first.model, first.sizes)
+    assert not isinstance(architecture, ArArchitecture)
+    trained = train_together(
+        recordings,
+        first.model,
+        architecture,
+        [TrainConfig(**run.train) for run in runs],
+        PreprocessConfig(**first.preprocess),
+        [run.split_seed for run in runs],
+    )
+    seconds = (time.perf_counter() - started) / len(runs)
+    results = []
+    for run, recording, one in zip(runs, recordings, trained, strict=True):
+        try:
+            if isinstance(one, Exception):
+                raise one
+            results.append(_judged(run, recording, one.texture, seconds, len(runs)))
+        except Exception as error:
+            results.append(failure(error))
+    return results
+
+
+def failure(error: Exception) -> dict[str, Any]:
+    """Return the result of a run that failed: the first line of its error."""
+    lines = str(error).splitlines() or [""]
+    return {"failed": f"{type(error).__name__}: {lines[0]}"}
+
+
+def _trained(run: Run, recording: Recording) -> Texture:
+    preprocess = PreprocessConfig(**run.preprocess)
+    if run.model == "ar":
+        from foten.train.local import train_local
+
+        return train_local(recording, preprocess, split_seed=run.split_seed).texture
+    from foten.train.train import train_texture
+
+    architecture = architecture_from(run.model, run.sizes)
+    assert not isinstance(architecture, ArArchitecture)
+    config = TrainConfig(**run.train)
+    trained = train_texture(recording, run.model, architecture, config, preprocess, split_seed=run.split_seed)
+    if trained.progress.interrupted:
+        raise KeyboardInterrupt
+    return trained.texture
+
+
+def _judged(
+    run: Run, recording: Recording, texture: Texture, seconds: float, n_batched: int = 1
+) -> dict[str, Any]:
+    started = time.perf_counter()
+    judgement = evaluate(texture, recording, truth_for(recording, texture))
+    document, metrics = judgement.document, texture.card["metrics"]
+    return {
+        "run": asdict(run),
+        "foten": foten.__version__,
+        "versions": texture.card["training"]["versions"],
+        "recording_sha256": document["recording_sha256"],
+        "seconds": {"training": seconds, "evaluation": time.perf_counter() - started},
+        "trained_together": n_batched,
+        "n_epochs": metrics.get("n_epochs"),
+        "validation_mae_scaled": metrics["validation_mae_scaled"],
+        "file_bytes": len(texture.to_bytes()),
+        "evaluation": document,
+        "signals": _signals(judgement),
+    }
+
+
+def _signals(judgement: Judgement) -> dict[str, Any] | None:
+    """Return what figures are drawn from: 400 samples of a typical test block, and the spectra of all of them."""
+    shown = shown_run(judgement)
+    if shown is None:
+        return None
+    block, part = typical_block(judgement), scored(judgement.trace.block)
+    frequencies, density = densities(judgement)
+    return {
+        "recorded": _rounded(scored_channels(judgement)[0][block, :N_WAVEFORM]),
+        "free_run": _rounded(judgement.synthesized[shown][0, block, part][:N_WAVEFORM]),
+        "frequencies_hz": _rounded(frequencies),
+        "density": {"recorded": _rounded(density["recorded"]), "free_run": _rounded(density[shown])},
+    }
+
+
+def _rounded(values: Any) -> list[float]:
+    """Return numbers with the five digits that a figure needs."""
+    return [float(f"{value:.5g}") for value in values]

@@ -1,0 +1,186 @@
+"""The result of an inspection: numbers of each channel, findings, coverage of speed and force."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.dsp import perception
+from foten.recording.preprocess import times_of
+from foten.recording.recording import Channel
+
+PROBLEM, NOTE = "problem", "note"
+N_PLACES = 200  # that a finding lists
+CELL_S = 0.05  # a cell counts as covered from this time on
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing to know about a recording.
+
+    Attributes:
+        severity: `problem` where training on the recording as it is would learn something false, else `note`.
+        code: a word for programs, e.g. `spikes`.
+        channel: which channel, or empty.
+        text: a sentence for people.
+        places_s: times from the start [s], at most `N_PLACES`.
+    """
+
+    severity: str
+    code: str
+    channel: str
+    text: str
+    places_s: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class ChannelReport:
+    """The numbers of one channel, in the unit of `UNITS`; `low` and `high` are the 1st and 99th percentile.
+
+    `noise_floor` is an RMS, and `noise_floor_from` how it was estimated. Of an acceleration it is the level at `rest`, or as
+    an upper bound that of the `quietest 5 %`. Of a slow signal it comes from third `differences`.
+    """
+
+    name: str
+    unit: str
+    rate_hz: float
+    regular: bool
+    n_samples: int
+    duration_s: float
+    minimum: float
+    maximum: float
+    low: float
+    high: float
+    mean: float
+    rms: float
+    noise_floor: float
+    noise_floor_from: str
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Time spent at each speed and force, while moving in contact.
+
+    Attributes:
+        speed_edges: of the cells [mm/s], shape (i+1,).
+        force_edges: of the cells [N], shape (j+1,).
+        seconds: spent in each cell, shape (i, j).
+        beyond_s: spent outside all cells.
+        speed_range, force_range: 0.1st and 99.9th percentile [mm/s, N].
+    """
+
+    speed_edges: Array
+    force_edges: Array
+    seconds: Array
+    beyond_s: float
+    speed_range: tuple[float, float]
+    force_range: tuple[float, float]
+
+    @property
+    def covered(self) -> int:
+        """Return the number of cells with `CELL_S` or more."""
+        return int((self.seconds >= CELL_S).sum())
+
+    @property
+    def fraction(self) -> float:
+        """Return the covered share of the cells, in [0, 1]."""
+        return self.covered / self.seconds.size
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """The result of `inspect_recording`.
+
+    `psd` maps an acceleration channel to frequency [Hz] and one-sided density [(m/s²)²/Hz].
+    """
+
+    channels: tuple[ChannelReport, ...]
+    findings: tuple[Finding, ...]
+    coverage: Coverage | None
+    psd: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
+    recording_sha256: str = ""
+
+    @property
+    def carried(self) -> dict[float, float]:
+        """Return the share of the perceived power that each rate [Hz] keeps; empty where none is known."""
+        rates = [channel.rate_hz for channel in self.channels if channel.name in self.psd]
+        return perception.carried(self.psd, min(rates)) if rates else {}
+
+    @property
+    def problems(self) -> tuple[Finding, ...]:
+        """Return the findings that are problems."""
+        return tuple(finding for finding in self.findings if finding.severity == PROBLEM)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the inspection as plain values for JSON, without the densities."""
+        coverage = self.coverage and {
+            "covered_cells": self.coverage.covered,
+            "cells": int(self.coverage.seconds.size),
+            "fraction": self.coverage.fraction,
+            "speed_range_mm_s": list(self.coverage.speed_range),
+            "force_range_n": list(self.coverage.force_range),
+            "speed_edges_mm_s": self.coverage.speed_edges.tolist(),
+            "force_edges_n": self.coverage.force_edges.tolist(),
+            "seconds": self.coverage.seconds.tolist(),
+            "beyond_s": self.coverage.beyond_s,
+        }
+        return {
+            "recording_sha256": self.recording_sha256,
+            "channels": [asdict(channel) for channel in self.channels],
+            "coverage": coverage,
+            "findings": [asdict(finding) for finding in self.findings],
+            "carried_by_rate_hz": {f"{rate:g}": share for rate, share in self.carried.items()},
+        }
+
+    def to_text(self) -> str:
+        """Return the inspection as a table of the channels and a line for each finding."""
+        lines = [
+            f"{'channel':<15}{'unit':>6}{'rate':>10}{'samples':>9}{'lasts':>9}{'from':>11}{'to':>11}{'rms':>10}"
+            f"{'noise':>11}"
+        ]
+        for one in self.channels:
+            bound = "<" if one.noise_floor_from == "quietest 5 %" else " "
+            lines.append(
+                f"{one.name:<15}{one.unit:>6}{one.rate_hz:>7.6g} Hz{one.n_samples:>9}{one.duration_s:>7.2f} s"
+                f"{one.minimum:>11.4g}{one.maximum:>11.4g}{one.rms:>10.4g} {bound}{one.noise_floor:>9.3g}"
+            )
+        if self.coverage is not None:
+            cells, speed, force = self.coverage, self.coverage.speed_range, self.coverage.force_range
+            lines.append(
+                f"speed–force plane: {cells.covered} of {cells.seconds.size} cells visited ({cells.fraction:.0%}), "
+                f"speed {speed[0]:.4g} to {speed[1]:.4g} mm/s, force {force[0]:.3g} to {force[1]:.3g} N"
+            )
+        if self.carried:
+            best = perception.smallest_rate(self.carried)
+            lines.append(
+                f"of what a hand feels, {perception.in_words(self.carried)}; train with --rate {best:g}"
+            )
+        for severity in (PROBLEM, NOTE):
+            lines += [f"{severity:<8} {f.text}" for f in self.findings if f.severity == severity]
+        if not self.problems:
+            lines.append("no problem found")
+        return "\n".join(lines)
+
+
+def places(channel: Channel, indices: NDArray[np.int64]) -> tuple[float, ...]:
+    """Return the times of some samples [s], thinned evenly to `N_PLACES`."""
+    if indices.size > N_PLACES:
+        indices = indices[np.linspace(0, indices.size - 1, N_PLACES).astype(np.int64)]
+    return tuple(round(float(t), 6) for t in times_of(channel)[indices])
+
+
+def runs(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return where stretches of True start and where they end, one past the last."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return edges[0::2], edges[1::2]
+
+
+def counted(count: int, what: str) -> str:
+    """Return a number with its noun: "1 gap", "2 gaps"."""
+    return f"{count} {what}{'' if count == 1 else 's'}"
