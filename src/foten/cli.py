@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.exceptions import Abort, TyperException
 
-from foten.whole_file import whole_file
+from foten.atomic_write import atomic_write
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -349,7 +349,7 @@ def inspect(
         if output.exists() and not output.is_dir():
             raise ValueError(f"-o {output} is a file, expected a folder")
         output.mkdir(parents=True, exist_ok=True)
-        with whole_file(output / "inspect.json") as part:
+        with atomic_write(output / "inspect.json") as part:
             part.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
         for path in write_pictures(recording, inspection, output):
             _say(f"wrote {path}")
@@ -674,7 +674,7 @@ def evaluate(
 
         report.mkdir(parents=True, exist_ok=True)
         document = {"foten": __version__, **judgement.document}
-        with whole_file(report / "evaluation.json") as part:
+        with atomic_write(report / "evaluation.json") as part:
             part.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
         _say(f"wrote {write_report(judgement, texture, report)}")
     if as_json:
@@ -1107,13 +1107,13 @@ def tables(
         output.mkdir(parents=True, exist_ok=True)
         for name, one in cells.items():
             for form in FORMATS:
-                with whole_file(output / f"{name}.{form}") as part:
+                with atomic_write(output / f"{name}.{form}") as part:
                     part.write_text(written(one, form), encoding="utf-8")
-        with whole_file(output / "runs.csv") as part:
+        with atomic_write(output / "runs.csv") as part:
             part.write_text(written(each_run(found), "csv"), encoding="utf-8")
     title, said = title_of(found), list(findings(found))
     if output is not None:
-        with whole_file(output / "findings.md") as part:
+        with atomic_write(output / "findings.md") as part:
             part.write_text("\n\n".join([f"# {title}", *said]) + "\n", encoding="utf-8")
     if as_json:
         _print_json({"title": title, "tables": cells, "findings": said})
@@ -1151,7 +1151,7 @@ def figures(
     for name, figure in drawn(found, recordings, _say):
         for form in ("png", "pdf"):
             path = output / f"{name}.{form}"
-            with whole_file(path) as part:
+            with atomic_write(path) as part:
                 figure.savefig(part, format=form, dpi=140)
             made.append(str(path))
     if as_json:

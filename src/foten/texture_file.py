@@ -29,10 +29,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.architecture import Architecture, architecture_from, tensor_shapes
+from foten.atomic_write import atomic_write
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
-from foten.whole_file import whole_file
 
 FORMAT_VERSION = 1
 ONE_STEP_TOLERANCE = 1e-5  # scaled; float32 arithmetic of the network
@@ -132,7 +132,7 @@ class Texture:
 
 def write_texture(texture: Texture, path: Path) -> None:
     """Write a texture file, whole or not at all."""
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         part.write_bytes(texture.to_bytes())
 
 

@@ -30,8 +30,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.atomic_write import atomic_write
 from foten.recording.recording import UNITS, Channel, Recording
-from foten.whole_file import whole_file
 
 FORMAT = "foten-recording"
 VERSION = 1
@@ -42,7 +42,7 @@ def write_recording(recording: Recording, path: Path) -> None:
     """Write a recording, under a temporary name until it is whole."""
     import h5py
 
-    with whole_file(path) as part, h5py.File(part, "w") as file:
+    with atomic_write(path) as part, h5py.File(part, "w") as file:
         file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
         for key in _TEXTS:
             file.attrs[key] = getattr(recording, key)

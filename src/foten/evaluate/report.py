@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.atomic_write import atomic_write
 from foten.dsp.resample import decimate, interpolate
 from foten.evaluate import figures
 from foten.evaluate.evaluate import FREE_RUN_KEYS, Judgement
 from foten.texture_file import Texture
-from foten.whole_file import whole_file
 
 Array = NDArray[np.float64]
 
@@ -127,7 +127,7 @@ def write_report(judgement: Judgement, texture: Texture, directory: Path) -> Pat
     The file needs nothing beside it and nothing from a network: figures, sound and style are inside, scripts are not used.
     """
     path = directory / "report.html"
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         part.write_text(page(judgement, texture), encoding="utf-8", newline="\n")
     return path
 

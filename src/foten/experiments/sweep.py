@@ -18,6 +18,7 @@ from typing import Any
 
 import foten
 from foten.architecture import ArArchitecture, architecture_from
+from foten.atomic_write import atomic_write
 from foten.datasets.hdf5 import load_recording
 from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import Judgement, evaluate
@@ -30,7 +31,6 @@ from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.texture_file import Texture
 from foten.train.config import TrainConfig
-from foten.whole_file import whole_file
 
 Waiting = tuple[int, Run, Path]
 """A run without a result: its place in the experiment, and the path that its result will have."""
@@ -253,7 +253,7 @@ def _kept(path: Path, about: Mapping[str, Any], say: Callable[[str], None]) -> b
 
 
 def _write(path: Path, result: Mapping[str, Any]) -> None:
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         part.write_text(json.dumps(result, indent=1, sort_keys=True) + "\n")
 
 

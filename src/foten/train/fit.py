@@ -19,10 +19,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from foten.atomic_write import atomic_write
 from foten.models.dropout import masks_from, set_dropout
 from foten.recording.windows import window_indices
 from foten.train.config import TrainConfig
-from foten.whole_file import whole_file
 
 
 @dataclass(frozen=True)
@@ -309,7 +309,7 @@ def predict(network: nn.Module, data: Data, n: NDArray[np.int64], batch: int = 4
 
 def write_log(path: Path, epochs: list[Epoch]) -> None:
     """Write the log as CSV."""
-    with whole_file(path) as part, part.open("w", newline="") as file:
+    with atomic_write(path) as part, part.open("w", newline="") as file:
         writer = csv.DictWriter(file, fieldnames=list(Epoch.__dataclass_fields__))
         writer.writeheader()
         writer.writerows(asdict(epoch) for epoch in epochs)
@@ -357,7 +357,7 @@ class Stateful(Protocol):
 
 def save_progress(path: Path, config: TrainConfig, parts: Mapping[str, Stateful], progress: Progress) -> None:
     """Write a checkpoint: the state of every part, and the log."""
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         torch.save(
             {
                 "config": asdict(config),
