@@ -37,8 +37,8 @@ MAY_IMPORT: dict[str, set[str]] = {
 MAY_IMPORT["train"] |= MAY_IMPORT["models"]  # it stands above the models and reads what they read
 MAY_IMPORT["train"].add("datasets")  # models that others have fitted are exported too
 for may in MAY_IMPORT.values():
-    may.add("atomic_write")  # it imports nothing itself
-MAY_IMPORT["atomic_write"] = set()
+    may |= {"atomic_write", "untrusted"}  # they import nothing themselves
+MAY_IMPORT |= {"atomic_write": set(), "untrusted": set()}
 EVERYTHING = {"experiments", "cli", ""}  # the last is the package itself, whose names are looked up lazily
 WITH_TORCH = {"models", "train", "experiments", "cli"}
 WITHOUT_SCIPY = {
