@@ -25,6 +25,7 @@ import torch
 from torch import nn
 
 from foten.architecture import ARCHITECTURES
+from foten.atomic_write import atomic_write
 from foten.datasets.simulate import TEXTURES, simulate
 from foten.networks import build
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -33,7 +34,6 @@ from foten.train.config import RECIPES
 from foten.train.fit import Data, Progress, fit, pick_device, reproducible
 from foten.train.prepared import prepare
 from foten.train.together import TOGETHER, fit_together
-from foten.whole_file import whole_file
 from main_table import between
 
 SAME = 0.01  # of a training loss: an epoch by the paper's learning rate makes that much of rounding
@@ -88,7 +88,7 @@ def main() -> None:
     else:
         result = measure(parser, arguments)
         if arguments.save is not None:
-            with whole_file(arguments.save) as part:
+            with atomic_write(arguments.save) as part:
                 part.write_text(json.dumps(result, indent=1) + "\n")
     between(arguments.page, "batched", table(result))
 

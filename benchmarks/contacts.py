@@ -95,9 +95,9 @@ def main() -> None:
         )
     between(arguments.page, "contacts", "\n".join(lines))
     if arguments.json is not None:
-        from foten.whole_file import whole_file
+        from foten.atomic_write import atomic_write
 
-        with whole_file(arguments.json) as part:
+        with atomic_write(arguments.json) as part:
             part.write_text(json.dumps({"1 kHz": found, "10 kHz": alone}, indent=1) + "\n")
 
 

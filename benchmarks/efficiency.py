@@ -29,6 +29,7 @@ import numpy as np
 import torch
 
 from foten.architecture import ARCHITECTURES, GRAPHS, NETWORKS
+from foten.atomic_write import atomic_write
 from foten.datasets.simulate import simulate
 from foten.experiments.paper import PAPER
 from foten.networks import build
@@ -49,7 +50,6 @@ from foten.train.export import export, graph_of
 from foten.train.fit import Data, fit, reproducible
 from foten.train.goals import ahead, spectra
 from foten.train.prepared import Prepared, prepare
-from foten.whole_file import whole_file
 from main_table import between
 
 MODELS = (
@@ -240,7 +240,7 @@ def main() -> None:
     else:
         result = measure(arguments)
         if arguments.save is not None:
-            with whole_file(arguments.save) as part:
+            with atomic_write(arguments.save) as part:
                 part.write_text(json.dumps(result, indent=1) + "\n")
     between(arguments.page, "efficiency", table(result))
 

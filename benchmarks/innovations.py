@@ -22,13 +22,14 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from scipy import optimize, stats
 
+from foten.atomic_write import atomic_write
 from foten.dsp.noise import gaussianised
 from foten.recording.preprocess import preprocess
 from foten.recording.split import Split
 from foten.runtime.engine import NumpyFotenPlus, engine_for
-from foten.runtime.synthesizer import FADE_FORCE, FADE_SPEED
+from foten.families.conditions import FADE_FORCE, FADE_SPEED
 from foten.families.texture_file import Texture, read_texture
-from foten.whole_file import whole_file
+from foten.atomic_write import atomic_write
 from main_table import SOURCES, between, name_of, recording_of
 
 Array = np.ndarray
@@ -120,7 +121,7 @@ def main() -> None:
         lines.append(f"| {name_of(about, '')} | {found['Gaussian']:.3f} | {' | '.join(gains)} |")
         print(f"{path.stem}: {found}", file=sys.stderr, flush=True)
     if arguments.save is not None:
-        with whole_file(arguments.save) as part:
+        with atomic_write(arguments.save) as part:
             part.write_text(json.dumps(results, indent=1) + "\n")
     between(arguments.page, "innovations", "\n".join(lines))
 

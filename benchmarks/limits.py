@@ -26,6 +26,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from scipy import ndimage, signal
 
+from foten.atomic_write import atomic_write
 from foten.evaluate import metrics
 from foten.evaluate.free_run import scored, synthesize_linear
 from foten.evaluate.references import FIRST_SCORED, ORDERS, first_scored, fit_linear
@@ -33,7 +34,6 @@ from foten.recording.preprocess import preprocess
 from foten.recording.scaling import fit_scaling
 from foten.recording.split import split_blocks
 from foten.recording.windows import targets, windows
-from foten.whole_file import whole_file
 from main_table import REAL, SEEDS, mean_and_error, recording_of
 
 N_RUNS = 20
@@ -166,7 +166,7 @@ def main() -> None:
         for texture in REAL
     }
     if arguments.save is not None:
-        with whole_file(arguments.save) as part:
+        with atomic_write(arguments.save) as part:
             part.write_text(json.dumps(found, indent=1) + "\n")
     print("| LSD [dB], mean over splits | " + " | ".join(REAL) + " | mean | ÷ AR(20) |\n|" + "---|" * 7)
     for name in found[REAL[0]][0]:

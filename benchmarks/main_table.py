@@ -30,6 +30,7 @@ import numpy as np
 
 import foten
 from foten.architecture import ARCHITECTURES, FotenArchitecture, FotenPlusArchitecture, multiply_adds
+from foten.atomic_write import atomic_write
 from foten.datasets.simulate import LINEAR_FAMILY, TEXTURES, simulate
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.metrics import kurtosis
@@ -40,7 +41,6 @@ from foten.recording.trace import Trace
 from foten.families.texture_file import Texture, write_texture
 from foten.train.config import RECIPES
 from foten.train.train import train_texture
-from foten.whole_file import whole_file
 
 
 def source_sha256() -> str:
@@ -201,7 +201,7 @@ def work_through(
             continue
         try:
             document = execute(run)
-            with whole_file(path) as part:
+            with atomic_write(path) as part:
                 part.write_text(json.dumps(document, indent=1) + "\n")
         finally:
             claim.unlink(missing_ok=True)
@@ -245,9 +245,9 @@ def keep(path: Path, found: dict[str, Any]) -> None:
         by_today = made_again.setdefault(SOURCES, {"equal": {}, "differ": {}})
         name = path.stem if path.parent == RESULTS else f"{path.parent.name}/{path.stem}"
         by_today["differ" if differ else "equal"].setdefault(before["source_sha256"], []).append(name)
-        with whole_file(SAME) as part:
+        with atomic_write(SAME) as part:
             part.write_text(json.dumps(made_again, indent=1) + "\n")
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         part.write_text(json.dumps(found, indent=1) + "\n")
 
 
@@ -757,7 +757,7 @@ def between(page: Path | None, name: str, text: str) -> None:
     _, closed, after = rest.partition(end)
     if not found or not closed:
         sys.exit(f"{page.name}: has no {begin} … {end} to put the tables between")
-    with whole_file(page) as part:
+    with atomic_write(page) as part:
         part.write_text(f"{before}{begin}\n{text}\n{end}{after}")
 
 

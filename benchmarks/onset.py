@@ -26,7 +26,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from foten.runtime.synthesizer import FADE_FORCE, FADE_SPEED
+from foten.families.conditions import FADE_FORCE, FADE_SPEED
 from foten.families.texture_file import Texture, read_texture
 from main_table import SOURCES, between, keep, made_earlier, name_of
 from streams import rendered

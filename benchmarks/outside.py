@@ -24,17 +24,17 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from foten.architecture import FotenPlusArchitecture
+from foten.atomic_write import atomic_write
 from foten.datasets.simulate import ACCELEROMETER_NOISE, TEXTURES, vibration
 from foten.datasets.stroking import Stroking, stroking
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Channel, Recording
 from foten.recording.trace import Trace
-from foten.runtime.synthesizer import Synthesizer
+from foten.families.conditions import Synthesizer
 from foten.families.texture_file import Texture
 from foten.train.config import RECIPES
 from foten.train.train import train_texture
-from foten.whole_file import whole_file
 
 RATE_HZ = 10_000.0
 N_STREAMS = 5
@@ -150,7 +150,7 @@ def main() -> None:
     for key in arguments.textures:
         found[key] = judge(key)
         if arguments.save is not None:
-            with whole_file(arguments.save) as part:
+            with atomic_write(arguments.save) as part:
                 part.write_text(json.dumps(found, indent=1) + "\n")
         print(f"{key}: done", flush=True)
     regions = list(found[arguments.textures[0]]["grow"])

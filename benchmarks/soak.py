@@ -231,9 +231,9 @@ def main() -> None:
     ]
     between(arguments.page, "soak", "\n".join(told))
     if arguments.json is not None:
-        from foten.whole_file import whole_file
+        from foten.atomic_write import atomic_write
 
-        with whole_file(arguments.json) as part:
+        with atomic_write(arguments.json) as part:
             part.write_text(json.dumps(found, indent=1) + "\n")
     fine = all(found["counted"][name] == count for name, count in found["expected"].items())
     fine &= found["simulated_s"] >= 3600 * arguments.hours and found["ratio"] >= min(

@@ -329,9 +329,9 @@ def main() -> None:
     arguments = parser.parse_args()
     document = measured(arguments.texture, arguments.n)
     if arguments.json is not None:
-        from foten.whole_file import whole_file
+        from foten.atomic_write import atomic_write
 
-        with whole_file(arguments.json) as part:
+        with atomic_write(arguments.json) as part:
             part.write_text(json.dumps(document, indent=1) + "\n")
     from main_table import between
 

@@ -28,6 +28,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "2")
 import torch
 
 from foten.architecture import ARCHITECTURES
+from foten.atomic_write import atomic_write
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
 from foten.networks import build
@@ -38,7 +39,6 @@ from foten.recording.split import split_blocks
 from foten.recording.windows import targets
 from foten.train.config import RECIPES, TrainConfig
 from foten.train.fit import Data, Epoch, fit, pick_device, reproducible
-from foten.whole_file import whole_file
 
 
 def history(name: str, key: str, data: Data, config: TrainConfig) -> list[Epoch]:
@@ -111,7 +111,7 @@ def main() -> None:
         "arms": {name: asdict_of(arms[name], epochs, lowest) for name, epochs in logs.items()},
     }
     if arguments.save is not None:
-        with whole_file(arguments.save) as part:
+        with atomic_write(arguments.save) as part:
             part.write_text(json.dumps(result, indent=1) + "\n")
     print(
         f"{arguments.model} on {arguments.texture}, {len(data.train)} windows, lowest of the paper's recipe {lowest:.6f}"

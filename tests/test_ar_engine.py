@@ -16,7 +16,7 @@ from foten.runtime.ar import NumpyAr
 from foten.runtime.closed_loop import ClosedLoop
 from foten.runtime.engine import engine_for
 from foten.runtime.native import NativeState, NativeTexture
-from foten.runtime.synthesizer import Synthesizer
+from foten.families.conditions import Synthesizer
 from foten.families.texture_file import Texture
 from foten.train.export_local import LocalModels, export_local
 

@@ -25,7 +25,7 @@ from foten.runtime.engine import engine_for
 from foten.runtime.onnx_predictor import GraphEngine
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.renderer import Renderer
-from foten.runtime.synthesizer import Synthesizer
+from foten.families.conditions import Synthesizer
 from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, Texture, texture_from_bytes, write_texture
 from foten.train.config import OWN_RECIPES, TrainConfig
 from foten.train.local import train_local

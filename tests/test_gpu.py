@@ -10,7 +10,7 @@ from foten.architecture import FotenPlusArchitecture
 from foten.datasets.simulate import simulate
 from foten.recording.preprocess import PreprocessConfig
 from foten.runtime.engine import engine_for
-from foten.runtime.synthesizer import prove
+from foten.families.conditions import prove
 from foten.train.config import TrainConfig
 from foten.train.train import train_texture
 

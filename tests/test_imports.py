@@ -37,11 +37,19 @@ MAY_IMPORT: dict[str, set[str]] = {
 MAY_IMPORT["train"] |= MAY_IMPORT["models"]  # it stands above the models and reads what they read
 MAY_IMPORT["train"].add("datasets")  # models that others have fitted are exported too
 for may in MAY_IMPORT.values():
-    may.add("whole_file")  # it imports nothing itself
-MAY_IMPORT["whole_file"] = set()
+    may |= {"atomic_write", "untrusted"}  # they import nothing themselves
+MAY_IMPORT |= {"atomic_write": set(), "untrusted": set()}
 EVERYTHING = {"experiments", "cli", ""}  # the last is the package itself, whose names are looked up lazily
 WITH_TORCH = {"models", "train", "experiments", "cli"}
-WITHOUT_SCIPY = {"whole_file", "dsp", "architecture", "recording", "texture_file", "render", ""}  # at import
+WITHOUT_SCIPY = {
+    "atomic_write",
+    "dsp",
+    "architecture",
+    "recording",
+    "texture_file",
+    "render",
+    "",
+}  # at import
 
 
 def package(module: str) -> str:

@@ -25,7 +25,7 @@ from foten.architecture import ARCHITECTURES, FotenPlusArchitecture
 from foten.dsp.noise import gaussian
 from foten.runtime.native import NativeState, NativeTexture, isa, noise
 from foten.runtime.renderer import Renderer
-from foten.runtime.synthesizer import Synthesizer
+from foten.families.conditions import Synthesizer
 from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, Texture
 from test_ar_engine import LOCAL
 from test_engine import CASES, PLUS, VARIANTS

@@ -14,7 +14,7 @@ from foten.recording.preprocess import PreprocessConfig
 from foten.runtime.closed_loop import ClosedLoop
 from foten.runtime.engine import engine_for
 from foten.runtime.excitation import Excitation
-from foten.runtime.synthesizer import FADE_FORCE, FADE_SPEED, RenderStatistics, Synthesizer, prove
+from foten.families.conditions import FADE_FORCE, FADE_SPEED, RenderStatistics, Synthesizer, prove
 from foten.runtime.window_state import WindowState
 from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, Texture
 

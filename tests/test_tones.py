@@ -15,7 +15,7 @@ from foten.datasets.simulate import simulate
 from foten.dsp.tones import fitted_phase, audible_share, tone, tone_slope
 from foten.runtime.closed_loop import ClosedLoop
 from foten.runtime.engine import engine_for
-from foten.runtime.synthesizer import Synthesizer
+from foten.families.conditions import Synthesizer
 from foten.train.config import TrainConfig
 from foten.train.lattice import LatticeData
 from foten.train.tones import _unevenness, fit_tones, n_tones, played, wavelength

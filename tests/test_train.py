@@ -30,7 +30,7 @@ from foten.recording.windows import targets, windows
 from foten.runtime.closed_loop import ClosedLoop
 from foten.runtime.engine import engine_for as engine_of_texture
 from foten.runtime.forecast import Forecast
-from foten.runtime.synthesizer import Synthesizer
+from foten.families.conditions import Synthesizer
 from foten.families.texture_file import texture_from_bytes
 from foten.train.config import RECIPES, TrainConfig
 from foten.train.excitation import (

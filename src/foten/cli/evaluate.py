@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from foten.cli.console import JsonOption, print_json, say
-from foten.whole_file import whole_file
+from foten.atomic_write import atomic_write
 
 
 def evaluate(
@@ -55,7 +55,7 @@ def evaluate(
 
         report.mkdir(parents=True, exist_ok=True)
         document = {"foten": __version__, **judgement.document}
-        with whole_file(report / "evaluation.json") as part:
+        with atomic_write(report / "evaluation.json") as part:
             part.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
         say(f"wrote {write_report(judgement, texture, report)}")
     if as_json:

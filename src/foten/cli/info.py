@@ -21,7 +21,7 @@ def info(
     """Show what a texture file holds, and prove it on its golden windows."""
     from foten.architecture import multiply_adds
     from foten.runtime.engine import engine_for
-    from foten.runtime.synthesizer import prove
+    from foten.families.conditions import prove
     from foten.families.texture_file import read_texture
 
     texture = read_texture(texture_file)

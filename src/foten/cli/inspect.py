@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from foten.cli.console import JsonOption, print_json, say
-from foten.whole_file import whole_file
+from foten.atomic_write import atomic_write
 
 
 def inspect(
@@ -39,7 +39,7 @@ def inspect(
         if output.exists() and not output.is_dir():
             raise ValueError(f"-o {output} is a file, expected a folder")
         output.mkdir(parents=True, exist_ok=True)
-        with whole_file(output / "inspect.json") as part:
+        with atomic_write(output / "inspect.json") as part:
             part.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
         for path in write_pictures(recording, inspection, output):
             say(f"wrote {path}")

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from foten.cli.console import JsonOption, print_json, say
-from foten.whole_file import whole_file
+from foten.atomic_write import atomic_write
 
 
 def sweep(
@@ -116,13 +116,13 @@ def tables(
         output.mkdir(parents=True, exist_ok=True)
         for name, rows in cells.items():
             for form in FORMATS:
-                with whole_file(output / f"{name}.{form}") as part:
+                with atomic_write(output / f"{name}.{form}") as part:
                     part.write_text(written(rows, form), encoding="utf-8")
-        with whole_file(output / "runs.csv") as part:
+        with atomic_write(output / "runs.csv") as part:
             part.write_text(written(each_run(records), "csv"), encoding="utf-8")
     title, sentences = title_of(records), list(findings(records))
     if output is not None:
-        with whole_file(output / "findings.md") as part:
+        with atomic_write(output / "findings.md") as part:
             part.write_text("\n\n".join([f"# {title}", *sentences]) + "\n", encoding="utf-8")
     if as_json:
         print_json({"title": title, "tables": cells, "findings": sentences})
@@ -159,7 +159,7 @@ def figures(
     for name, figure in drawn(records, recordings, say):
         for form in ("png", "pdf"):
             path = output / f"{name}.{form}"
-            with whole_file(path) as part:
+            with atomic_write(path) as part:
                 figure.savefig(part, format=form, dpi=140)
             paths.append(str(path))
     if as_json:

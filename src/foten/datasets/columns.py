@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from foten.untrusted import printable
+
+MOST_SAMPLES = 200_000_000  # of a file: half an hour of ten channels at 10 kHz
+MOST_COLUMNS = 4096  # of a matrix
+_INDEX = re.compile(r"\.(\d+)$")
 
 
 @dataclass(frozen=True)
@@ -28,6 +36,10 @@ class Column:
     unit: str = ""
     n_blank: int = 0
     fault: str = ""
+
+    def __post_init__(self) -> None:
+        for text in ("name", "unit", "fault"):
+            object.__setattr__(self, text, printable(getattr(self, text)))
 
     @property
     def n_rows(self) -> int:
@@ -51,8 +63,49 @@ def columns_of_array(name: str, array: NDArray[Any]) -> list[Column]:
     array = np.atleast_1d(np.squeeze(array))
     if array.ndim > 2:
         return [Column(name, np.zeros(0), fault=f"has shape {array.shape}, expected one or two axes")]
+    if array.ndim == 2 and min(array.shape) > MOST_COLUMNS:
+        return [
+            Column(
+                name, np.zeros(0), fault=f"has shape {array.shape}, expected {MOST_COLUMNS} columns at most"
+            )
+        ]
     if array.ndim == 1:
         return [Column(name, array.astype(np.float64))]
     if array.shape[0] < array.shape[1]:
         array = array.T
     return [Column(f"{name}.{k}", array[:, k].astype(np.float64)) for k in range(array.shape[1])]
+
+
+def with_units(columns: list[Column], texts: Mapping[str, str | list[str]]) -> list[Column]:
+    """Return columns with the units that texts beside them state.
+
+    A text `force_unit`, `force.units` or `units.force` is the unit of `force`; one that is called `unit` alone is that of
+    everything beside it. A list of texts has one for each column of a matrix.
+
+    Args:
+        columns: as a file has them; those that state a unit keep it.
+        texts: by name, as the columns are called; `.` or `/` lead into a struct or a group.
+    """
+    by_name = {name.lower(): text for name, text in texts.items() if re.search("units?", name.lower())}
+    if not by_name:
+        return columns
+    return [
+        replace(column, unit=_unit_beside(column.name.lower(), by_name)) if not column.unit else column
+        for column in columns
+    ]
+
+
+def _unit_beside(name: str, texts: Mapping[str, str | list[str]]) -> str:
+    index = _INDEX.search(name)
+    name = _INDEX.sub("", name)
+    leaf = re.split("[./]", name)[-1]
+    parent = name.removesuffix(leaf)
+    words = ("unit", "units")
+    candidates = [f"{parent}{leaf}{mark}{word}" for word in words for mark in "_./"]
+    candidates += [f"{parent}{word}{mark}{leaf}" for word in words for mark in "_./"]
+    candidates += [f"{parent}{word}" for word in words]
+    text = next((texts[one] for one in candidates if one in texts), "")
+    if isinstance(text, str):
+        return text.strip()
+    k = int(index[1]) if index else 0
+    return text[k].strip() if k < len(text) else ""

@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.untrusted import check_regular
+
 Array = NDArray[np.float64]
 
 LARGEST_FILE = 20_000_000  # bytes; the toolkit's have a tenth of a million
@@ -54,8 +56,7 @@ def read_models(path: Path) -> HattModels:
         FileNotFoundError: there is none.
         ValueError: it is not a model file, or what it holds does not fit together.
     """
-    if not path.exists():
-        raise FileNotFoundError(f"no such file: {path}")
+    check_regular(path)
     if path.stat().st_size > LARGEST_FILE:
         raise ValueError(
             f"{path.name} has {path.stat().st_size} bytes, expected a model file of at most {LARGEST_FILE}"
@@ -94,7 +95,7 @@ def _models(root: Xml.Element) -> HattModels:
     ar = _same_length([_values(model, "ARcoeff") for model in models], "ARcoeff")
     ma = [_values(model, "MAcoeff") if model.find("MAcoeff") is not None else np.ones(1) for model in models]
     friction = root.findtext("mu")
-    found = HattModels(
+    models_read = HattModels(
         material=(root.findtext("material") or "").strip(),
         rate_hz=_one(root.findtext("SampleRate"), "SampleRate"),
         friction=np.nan if friction is None else _one(friction, "mu"),
@@ -112,19 +113,19 @@ def _models(root: Xml.Element) -> HattModels:
         ),
         triangles=_triangles(root, len(models)),
     )
-    if not found.rate_hz > 0:
-        raise ValueError(f"<SampleRate> is {found.rate_hz:g} Hz, expected a positive number")
-    for name, coefficients in (("ARcoeff", found.ar), ("MAcoeff", found.ma)):
+    if not models_read.rate_hz > 0:
+        raise ValueError(f"<SampleRate> is {models_read.rate_hz:g} Hz, expected a positive number")
+    for name, coefficients in (("ARcoeff", models_read.ar), ("MAcoeff", models_read.ma)):
         if not np.abs(coefficients[:, 0] - 1).max() < 1e-6:
             raise ValueError(f"<{name}> begins with {coefficients[0, 0]:g}, expected 1")
     for name, values in (
-        ("speedMod or forceMod", found.points),
-        ("var", found.variance),
-        ("gain", found.gain),
+        ("speedMod or forceMod", models_read.points),
+        ("var", models_read.variance),
+        ("gain", models_read.gain),
     ):
         if not (values >= 0).all():
             raise ValueError(f"<{name}> is negative in a model, expected 0 or more")
-    return found
+    return models_read
 
 
 def _triangles(root: Xml.Element, n: int) -> NDArray[np.int64]:
@@ -133,7 +134,7 @@ def _triangles(root: Xml.Element, n: int) -> NDArray[np.int64]:
         raise ValueError("the file has no <tri>, expected triangles between the models")
     triangles = _same_length(corners, "tri")
     if triangles.shape[1] != 3 or not (triangles == np.round(triangles)).all():
-        raise ValueError("a <tri> is not three whole numbers")
+        raise ValueError("a <tri> is not three integers")
     if triangles.min() < 1 or triangles.max() > n:
         raise ValueError(
             f"a <tri> names models {triangles.min():g} to {triangles.max():g}, expected 1 to {n}"

@@ -24,37 +24,58 @@ The same recording always gives the same bytes.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.atomic_write import atomic_write
+from foten.datasets.bounds import check_length, check_size
+from foten.datasets.isolated import read_isolated
 from foten.recording.recording import UNITS, Channel, Recording
-from foten.whole_file import whole_file
+from foten.untrusted import parse_json
 
 FORMAT = "foten-recording"
 VERSION = 1
+LONGEST_TEXT = 60_000  # bytes; HDF5 has room for 65,536 in an attribute and its name
 _TEXTS = ("texture", "tool", "sensors", "notes")
 
 
 def write_recording(recording: Recording, path: Path) -> None:
-    """Write a recording, under a temporary name until it is whole."""
+    """Write a recording, whole or not at all.
+
+    Raises:
+        OSError: no space is left, or the folder cannot be written to.
+        ValueError: a text is too long.
+    """
+    image = _image(recording)
+    with atomic_write(path) as part:
+        part.write_bytes(image)
+
+
+def _image(recording: Recording) -> bytes:
+    """Return the bytes of a recording's file: made in memory, since HDF5 does not survive a full disk."""
     import h5py
 
-    with whole_file(path) as part, h5py.File(part, "w") as file:
+    texts = {key: getattr(recording, key) for key in _TEXTS} | {"history": "\n".join(recording.history)}
+    if recording.simulation is not None:
+        texts["simulation"] = json.dumps(dict(recording.simulation), sort_keys=True)
+    for key, text in texts.items():
+        if len(text.encode()) > LONGEST_TEXT:
+            raise ValueError(f"{key} has {len(text.encode()):,} bytes, expected {LONGEST_TEXT:,} at most")
+    with h5py.File("in memory", "w", driver="core", backing_store=False) as file:
         file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
-        for key in _TEXTS:
-            file.attrs[key] = getattr(recording, key)
-        file.attrs["history"] = "\n".join(recording.history)
-        if recording.simulation is not None:
-            file.attrs["simulation"] = json.dumps(dict(recording.simulation), sort_keys=True)
-        # Attributes of an HDF5 object are limited to 64 KiB, of which texts use little.
+        for key, text in texts.items():
+            file.attrs[key] = text
         for name, channel in sorted(recording.channels.items()):
             dataset = _store(file, f"channels/{name}", _smallest(channel.samples))
             dataset.attrs["rate_hz"], dataset.attrs["unit"] = float(channel.rate_hz), UNITS[name]
             if channel.times_s is not None:
                 _store(file, f"times_s/{name}", channel.times_s)
+        file.flush()
+        return bytes(file.id.get_file_image())
 
 
 def _store(file: Any, name: str, samples: NDArray[Any]) -> Any:
@@ -69,31 +90,9 @@ def _smallest(samples: NDArray[np.float64]) -> NDArray[Any]:
     return single if np.array_equal(single.astype(np.float64), samples) else samples.astype(np.float64)
 
 
-def open_hdf5(path: Path) -> Any:
-    """Return an HDF5 file opened for reading.
-
-    Raises:
-        FileNotFoundError: there is none.
-        ValueError: empty, truncated, or another format.
-    """
-    import h5py
-
-    if not path.exists():
-        raise FileNotFoundError(f"no such file: {path}")
-    if path.is_file() and path.stat().st_size == 0:
-        raise ValueError(f"{path.name} is empty")
-    try:
-        return h5py.File(path, "r")
-    except OSError as error:
-        if "truncated" in str(error):
-            raise ValueError(f"{path.name} is truncated: its end is missing") from None
-        raise ValueError(f"{path.name} is not an HDF5 file, or is damaged") from None
-
-
-def is_recording(path: Path) -> bool:
-    """Return whether an HDF5 file says that it is one of our recordings."""
-    with open_hdf5(path) as file:
-        return _text(file.attrs.get("format", "")) == FORMAT
+def is_recording(attributes: Mapping[str, Any]) -> bool:
+    """Return whether an HDF5 file with such attributes says that it is one of our recordings."""
+    return attributes.get("format") == FORMAT
 
 
 def load_recording(path: Path) -> Recording:
@@ -119,87 +118,78 @@ def read_recording(path: Path) -> Recording:
         ValueError: another format or version, truncated, a channel, unit, rate, time or sample that cannot
             be.
     """
-    with open_hdf5(path) as file:
-        try:
-            return _read(file, path)
-        except OSError as error:  # a damaged chunk shows only when it is read
-            raise ValueError(f"{path.name} is damaged ({' '.join(str(error).split())})") from None
-
-
-def _read(file: Any, path: Path) -> Recording:
-    import h5py
-
     name = path.name
-    if _text(file.attrs.get("format", "")) != FORMAT:
+    contents, arrays = read_isolated("HDF5", path)
+    attributes = contents["attributes"]
+    if not is_recording(attributes):
         raise ValueError(
             f"{name} is HDF5 but not a foten recording (attribute format is not {FORMAT!r}); "
             f"first run: foten import {path} -o {path.stem}-foten.h5"
         )
-    version = _number(file.attrs.get("version"))
+    version = _number(attributes.get("version"))
     if version != VERSION:
         raise ValueError(f"{name} has version {version:g}, expected {VERSION}; a newer foten may read it")
-    group = file.get("channels")
-    if not isinstance(group, h5py.Group) or not len(group):
-        raise ValueError(f"{name} has no channel: the group /channels is missing or empty")
+    objects = {entry["name"]: entry for entry in contents["objects"]}
     channels = {}
-    for channel, item in group.items():
+    for place, entry in objects.items():
+        folder, _, channel = place.rpartition("/")
+        if folder != "channels":
+            continue
         where = f"{name}, channel {channel}"
         if channel not in UNITS:
             raise ValueError(f"{where}: unknown, expected one of {', '.join(UNITS)}")
-        unit = _text(item.attrs.get("unit", ""))
-        if unit != UNITS[channel]:
+        of_channel = entry.get("attributes", {})
+        unit = of_channel.get("unit", "")
+        if unit != UNITS[channel] and "fault" not in entry:
             raise ValueError(f"{where}: unit is {unit!r}, expected {UNITS[channel]!r}; convert the samples")
-        samples = _vector(item, where)
-        rate_hz = _number(item.attrs.get("rate_hz"))
+        samples = _vector(entry, arrays, where)
+        rate_hz = _number(of_channel.get("rate_hz"))
         if not np.isfinite(rate_hz) or rate_hz <= 0:
             raise ValueError(f"{where}: attribute rate_hz is missing or is not a positive number")
         times = None
-        if f"times_s/{channel}" in file:
-            times = _vector(file[f"times_s/{channel}"], f"{where}, times_s")
+        if f"times_s/{channel}" in objects:
+            times = _vector(objects[f"times_s/{channel}"], arrays, f"{where}, times_s")
             if times.size != samples.size:
                 raise ValueError(f"{where}: {times.size} times for {samples.size} samples")
             back = np.flatnonzero(np.diff(times) <= 0)
             if back.size:
                 raise ValueError(f"{where}: the time does not increase at sample {back[0] + 1}")
         channels[channel] = Channel(samples, rate_hz, times)
-    texts = {key: _text(file.attrs.get(key, "")) for key in _TEXTS}
-    history = tuple(line for line in _text(file.attrs.get("history", "")).split("\n") if line)
-    simulation = None
-    if "simulation" in file.attrs:
-        try:
-            simulation = json.loads(_text(file.attrs["simulation"]))
-        except json.JSONDecodeError:
-            simulation = None
-        if not isinstance(simulation, dict):
-            raise ValueError(f"{name}: attribute simulation is not a JSON object")
-    return Recording(channels, **texts, simulation=simulation, history=history)
+        check_length(where, channels[channel])
+    if not channels:
+        raise ValueError(f"{name} has no channel: the group /channels is missing or empty")
+    texts = {key: str(attributes.get(key, "")) for key in _TEXTS}
+    history = tuple(line for line in str(attributes.get("history", "")).split("\n") if line)
+    return Recording(channels, **texts, simulation=_simulation(attributes, name), history=history)
 
 
-def _vector(item: Any, where: str) -> NDArray[np.float64]:
-    import h5py
+def _simulation(attributes: Mapping[str, Any], name: str) -> dict[str, Any] | None:
+    """Return the parameters of the simulator, where it made the recording."""
+    if "simulation" not in attributes:
+        return None
+    try:
+        simulation = parse_json(str(attributes["simulation"]))
+    except ValueError:
+        simulation = None
+    if not isinstance(simulation, dict):
+        raise ValueError(f"{name}: attribute simulation is not a JSON object")
+    return simulation
 
-    if not isinstance(item, h5py.Dataset) or item.dtype.kind not in "iuf" or item.shape is None:
+
+def _vector(entry: Mapping[str, Any], arrays: list[NDArray[np.float64]], where: str) -> NDArray[np.float64]:
+    if "fault" in entry:
+        raise ValueError(f"{where}: {entry['fault']}")
+    if "array" not in entry:
         raise ValueError(f"{where}: expected a dataset of numbers")
-    if item.size == 0 or item.size != max(item.shape, default=0):
-        raise ValueError(f"{where}: has shape {item.shape}, expected (n,) with n > 0")
-    samples = item[()].astype(np.float64).reshape(-1)
+    samples = arrays[entry["array"]]
+    if samples.size == 0 or samples.size != max(entry["shape"], default=0):
+        raise ValueError(f"{where}: has shape {tuple(entry['shape'])}, expected (n,) with n > 0")
     bad = np.flatnonzero(~np.isfinite(samples))
     if bad.size:
         raise ValueError(f"{where}: {bad.size} samples are NaN or infinite, the first at {bad[0]}")
+    check_size(where, samples)
     return samples
 
 
-def _text(value: Any) -> str:
-    """Return an HDF5 text attribute as str; MATLAB and C write bytes or arrays of one."""
-    if isinstance(value, np.ndarray):
-        value = value.reshape(-1)[0] if value.size else ""
-    if isinstance(value, bytes):
-        return value.decode("utf-8", errors="replace").rstrip("\0")
-    return str(value)
-
-
 def _number(value: Any) -> float:
-    try:
-        return float(np.asarray(value).reshape(-1)[0])
-    except (TypeError, ValueError, IndexError):
-        return float("nan")
+    return value if isinstance(value, float) else float("nan")

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from foten.datasets.columns import Column
+from foten.datasets.units import is_unit
+from foten.untrusted import check_regular
 
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
-_UNIT_WORD = re.compile(
-    r"[\[(]?(s|ms|us|µs|ns|(m|mm)/s(\^2|2|²|\*\*2)|g|mg|(m|mm|cm)/s|mm|cm|m|um|µm|N|mN|gf|V|mV)?[\])]?"
-)
+MOST_CELLS = 50_000_000  # of a sheet
+MOST_ROWS = 2_000_000  # of a sheet; a program of tables has 1,048,576
 
 
 def read_delimited(path: Path) -> list[Column]:
-    """Return the columns of a text table; the separator and the decimal comma are found, not asked.
+    """Return the columns of a text table; the separator and the decimal comma are seen from its lines.
 
     Lines before the table, lines that begin with # or %, and a second header row that holds only units are
     understood.
@@ -27,6 +30,7 @@ def read_delimited(path: Path) -> list[Column]:
     Raises:
         ValueError: empty, not text, rows of different widths.
     """
+    check_regular(path)
     raw = path.read_bytes()
     if not raw.strip():
         raise ValueError(f"{path.name} is empty")
@@ -38,7 +42,10 @@ def read_delimited(path: Path) -> list[Column]:
     if delimiter is None:
         rows: list[list[Any]] = [line.lstrip("#% ").split() for line in lines]
     else:
-        rows = [list(row) for row in csv.reader(lines, delimiter=delimiter)]
+        try:
+            rows = [list(row) for row in csv.reader(lines, delimiter=delimiter)]
+        except csv.Error as error:
+            raise ValueError(f"{path.name} is not a table ({error})") from None
         if len(rows) != len(lines):
             raise ValueError(f"{path.name}: a quotation mark opens and never closes; was the file cut off?")
         for i in remarks:
@@ -54,11 +61,9 @@ def read_excel(path: Path) -> list[Column]:
     Raises:
         ValueError: empty, damaged, or the old .xls format.
     """
-    import zipfile
-
     import openpyxl
-    from openpyxl.utils.exceptions import InvalidFileException
 
+    check_regular(path)
     if path.stat().st_size == 0:
         raise ValueError(f"{path.name} is empty")
     sheets: list[tuple[str, list[list[Any]]]] = []
@@ -67,19 +72,21 @@ def read_excel(path: Path) -> list[Column]:
         try:
             for sheet in book.worksheets:
                 sheet.reset_dimensions()  # some writers state a wrong extent; trusting it loses rows
-                rows = [list(row) for row in sheet.iter_rows(values_only=True)]
+                rows = [
+                    list(row) for row in itertools.islice(sheet.iter_rows(values_only=True), MOST_ROWS + 1)
+                ]
+                cells = len(rows) * max((len(row) for row in rows), default=0)
+                if len(rows) > MOST_ROWS or cells > MOST_CELLS:
+                    raise ValueError(
+                        f"sheet {sheet.title} says that it has {len(rows):,} rows or more, {cells:,} cells"
+                    )
                 if any(cell is not None for row in rows for cell in row):
                     sheets.append((sheet.title, rows))
         finally:
             book.close()
     except (
-        zipfile.BadZipFile,
-        InvalidFileException,
-        KeyError,
-        EOFError,
-        SyntaxError,
-        zipfile.error,
-    ) as error:
+        Exception
+    ) as error:  # a damaged file raises a dozen kinds, BadZipFile, SyntaxError and TypeError among them
         raise ValueError(f"{path.name} is truncated or is not an .xlsx workbook ({error})") from None
     if not sheets:
         raise ValueError(f"{path.name} has no filled cell")
@@ -87,12 +94,10 @@ def read_excel(path: Path) -> list[Column]:
     for title, rows in sheets:
         where = path.name if len(sheets) == 1 else f"{path.name}, sheet {title}"
         width = max(_width(row) for row in rows)
-        found = _table([[*row[:width], *[None] * (width - len(row))] for row in rows], where)
+        of_sheet = _table([[*row[:width], *[None] * (width - len(row))] for row in rows], where)
         if len(sheets) > 1:
-            found = [
-                Column(f"{title}.{c.name}", c.samples, c.rate_hz, c.unit, c.n_blank, c.fault) for c in found
-            ]
-        columns += found
+            of_sheet = [replace(column, name=f"{title}.{column.name}") for column in of_sheet]
+        columns += of_sheet
     return columns
 
 
@@ -120,7 +125,7 @@ def _is_number(cell: Any) -> bool:
         return False
     try:
         float(cell)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return False
     return True
 
@@ -176,12 +181,8 @@ def _table(rows: list[list[Any]], where: str, remarks: frozenset[int] = frozense
             )
     names, units = [str(k) for k in range(width)], [""] * width
     heads = [rows[i] for i in worded[-2:] if i >= worded[-1] - 1]
-    if (
-        len(heads) == 2
-        and any(map(_words, heads[1]))
-        and all(_UNIT_WORD.fullmatch(w) for w in map(_words, heads[1]))
-    ):
-        units = [_words(cell).strip("[]()") for cell in heads[1]]
+    if len(heads) == 2 and _are_units(list(map(_words, heads[1]))):
+        units = [_words(cell).strip("[]() ") for cell in heads[1]]
         heads.pop()
     if heads:
         names = [_words(cell) or str(k) for k, cell in enumerate(heads[-1])]
@@ -189,6 +190,14 @@ def _table(rows: list[list[Any]], where: str, remarks: frozenset[int] = frozense
         _column(name, unit, [row[k] for row in rows[start:]], start + 1)
         for k, (name, unit) in enumerate(zip(names, units, strict=True))
     ]
+
+
+def _are_units(words: list[str]) -> bool:
+    """Return whether a second row of words are units: more than half of them are known, or all are in brackets."""
+    filled = [word for word in words if word not in ("", "-", "[]", "()", "[-]")]
+    known = sum(map(is_unit, filled))
+    bracketed = all(word[0] in "[(" and word[-1] in "])" for word in filled)
+    return bool(filled) and (2 * known > len(filled) or bracketed)
 
 
 def _words(cell: Any) -> str:
@@ -203,7 +212,7 @@ def _column(name: str, unit: str, cells: list[Any], first_row: int) -> Column:
     numbers = [float("nan") if _is_blank(cell) else cell for cell in cells]
     try:
         return Column(name, np.array(numbers, dtype=np.float64), unit=unit, n_blank=n_blank)
-    except (TypeError, ValueError):
-        bad = next(i for i, cell in enumerate(numbers) if not _is_number(cell))
+    except (TypeError, ValueError, OverflowError):
+        bad = next((i for i, cell in enumerate(numbers) if not _is_number(cell)), 0)
         fault = f"row {first_row + bad} is {str(cells[bad])!r}, expected a number"
         return Column(name, np.zeros(0), unit=unit, n_blank=n, fault=fault)

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from foten.datasets.columns import Column
+from foten.untrusted import check_regular
+
+_UNITS = ("unit_string", "NI_UnitDescription", "NI_Unit", "unit", "units", "Unit", "Units")
+"""Properties in which programs state a channel's unit; LabVIEW's waveforms have the first."""
 
 
 def read_tdms(path: Path) -> list[Column]:
     """Return the channels of a TDMS file: by their names, or `GROUP/CHANNEL` where two groups share a name.
 
-    The rate is the waveform's (`wf_increment`), the unit the channel's (`unit_string`).
+    The rate is the waveform's (`wf_increment`), the unit the channel's (`unit_string` or the like).
 
     Raises:
         ValueError: empty, truncated, foreign.
     """
+    check_regular(path)
     if path.stat().st_size == 0:
         raise ValueError(f"{path.name} is empty")
     from nptdms import TdmsFile
@@ -37,9 +43,10 @@ def read_tdms(path: Path) -> list[Column]:
     for channel in channels:
         name = channel.name if names.count(channel.name) == 1 else f"{channel.group_name}/{channel.name}"
         samples = np.asarray(channel[:])
-        increment = float(channel.properties.get("wf_increment") or 0)
-        rate_hz = _rate(increment) if increment > 0 else None
-        unit = str(channel.properties.get("unit_string", "")).strip()
+        rate_hz = _rate(channel.properties.get("wf_increment"))
+        unit = next(
+            (str(channel.properties[key]) for key in _UNITS if channel.properties.get(key)), ""
+        ).strip()
         if samples.dtype.kind in "biuf":
             columns.append(Column(name, samples.astype(np.float64), rate_hz, unit))
         else:
@@ -49,7 +56,10 @@ def read_tdms(path: Path) -> list[Column]:
     return columns
 
 
-def _rate(increment_s: float) -> float:
-    rate = 1 / increment_s
+def _rate(increment_s: Any) -> float | None:
+    """Return the rate of a waveform [Hz]; none where the file states no step, or one that cannot be."""
+    if not isinstance(increment_s, int | float | np.number) or not 1e-12 < increment_s < 1e12:
+        return None
+    rate = 1 / float(increment_s)
     # The increment is a rounded double: 1/(1/10000) need not be 10000.
     return float(round(rate)) if abs(rate - round(rate)) < 1e-9 * rate else rate

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from foten.datasets.columns import Column
-
-FULL_SCALE = "of full scale"
-"""The unit of integer samples: fractions of full scale, which mean nothing until someone gives the factor."""
+from foten.datasets.units import FULL_SCALE
+from foten.untrusted import check_regular
 
 
 def read_wav(path: Path) -> list[Column]:
@@ -21,6 +20,7 @@ def read_wav(path: Path) -> list[Column]:
     Raises:
         ValueError: empty, truncated, foreign.
     """
+    check_regular(path)
     if path.stat().st_size == 0:
         raise ValueError(f"{path.name} is empty")
     from scipy.io import wavfile
@@ -32,7 +32,9 @@ def read_wav(path: Path) -> list[Column]:
             )
             warnings.filterwarnings("error", message=".*EOF", category=wavfile.WavFileWarning)
             rate, samples = wavfile.read(path)
-    except (ValueError, wavfile.WavFileWarning, EOFError) as error:
+    except (
+        Exception
+    ) as error:  # a damaged file raises a dozen kinds, struct.error and ZeroDivisionError among them
         raise ValueError(f"{path.name} is truncated or is no WAV file ({error})") from None
     unit = ""
     if samples.dtype.kind == "u":

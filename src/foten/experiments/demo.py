@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from foten.architecture import FotenPlusArchitecture
+from foten.atomic_write import atomic_write
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
@@ -21,7 +22,6 @@ from foten.families.texture_file import write_texture
 from foten.train.config import RECIPES
 from foten.train.fit import Epoch
 from foten.train.train import train_texture
-from foten.whole_file import whole_file
 
 
 def run_demo(
@@ -64,7 +64,7 @@ def run_demo(
     judgement = evaluate(trained.texture, recording, truth_for(recording, trained.texture), seed)
     report = directory / "report"
     report.mkdir(exist_ok=True)
-    with whole_file(report / "evaluation.json") as part:
+    with atomic_write(report / "evaluation.json") as part:
         part.write_text(json.dumps(judgement.document, indent=1, allow_nan=False) + "\n")
     paths["report"] = write_report(judgement, trained.texture, report)
     say("5/5 rendering ten seconds of a fresh hand")

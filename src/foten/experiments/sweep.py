@@ -21,7 +21,7 @@ from foten.experiments.experiment import Experiment, Run
 from foten.experiments.results import is_result
 from foten.experiments.run import execute, execute_batched, failure, recording_of
 from foten.recording.recording import Recording
-from foten.whole_file import whole_file
+from foten.atomic_write import atomic_write
 
 Waiting = tuple[int, Run, Path]
 """A run without a result: its place in the experiment, and the path that its result will have."""
@@ -147,7 +147,7 @@ def _kept(path: Path, about: Mapping[str, Any], say: Callable[[str], None]) -> b
 
 
 def _write(path: Path, result: Mapping[str, Any]) -> None:
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         part.write_text(json.dumps(result, indent=1, sort_keys=True) + "\n")
 
 

@@ -28,12 +28,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.atomic_write import atomic_write
 from foten.families import sizes_of
 from foten.families.sizes import Sizes, shortened
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
-from foten.whole_file import whole_file
 
 FORMAT_VERSION = 2
 ONE_STEP_TOLERANCE = 1e-5  # scaled; float32 arithmetic of the network
@@ -133,7 +133,7 @@ class Texture:
 
 def write_texture(texture: Texture, path: Path) -> None:
     """Write a texture file, whole or not at all."""
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         part.write_bytes(texture.to_bytes())
 
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from foten.atomic_write import atomic_write
 from foten.recording.trace import Trace
-from foten.whole_file import whole_file
 
 METHODS = ("regrouped", "contiguous")
 
@@ -60,7 +60,7 @@ class Split:
     def save(self, path: Path) -> None:
         """Write the split and its digest as JSON."""
         document = {**asdict(self), "sha256": self.sha256()}
-        with whole_file(path) as part:
+        with atomic_write(path) as part:
             part.write_text(json.dumps(document, sort_keys=True, indent=1) + "\n")
 
 

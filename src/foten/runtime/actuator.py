@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.runtime.native import NativeActuator
-from foten.whole_file import whole_file
+from foten.atomic_write import atomic_write
 
 Array = NDArray[np.float64]
 
@@ -81,7 +81,7 @@ class ActuatorProfile:
 
 def write_profile(profile: ActuatorProfile, path: Path) -> None:
     """Write a profile as JSON, whole or not at all."""
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         part.write_text(
             json.dumps({"format": FORMAT, "version": VERSION, **asdict(profile)}, indent=1) + "\n"
         )

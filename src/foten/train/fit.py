@@ -22,7 +22,6 @@ from torch import Tensor, nn
 from foten.networks.dropout import masks_from, set_dropout
 from foten.recording.windows import window_indices
 from foten.train.config import TrainConfig
-from foten.whole_file import whole_file
 
 
 @dataclass(frozen=True)
@@ -294,7 +293,7 @@ def predict(network: nn.Module, data: TrainingWindows, n: NDArray[np.int64], bat
 
 def write_log(path: Path, epochs: list[Epoch]) -> None:
     """Write the log as CSV."""
-    with whole_file(path) as part, part.open("w", newline="") as file:
+    with atomic_write(path) as part, part.open("w", newline="") as file:
         writer = csv.DictWriter(file, fieldnames=list(Epoch.__dataclass_fields__))
         writer.writeheader()
         writer.writerows(asdict(epoch) for epoch in epochs)
@@ -342,7 +341,7 @@ class Stateful(Protocol):
 
 def save_progress(path: Path, config: TrainConfig, parts: Mapping[str, Stateful], progress: Progress) -> None:
     """Write a checkpoint: the state of every part, and the log."""
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         torch.save(
             {
                 "config": asdict(config),

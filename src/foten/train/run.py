@@ -14,8 +14,8 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from foten.atomic_write import atomic_write
 from foten.train.fit import Epoch, write_log
-from foten.whole_file import whole_file
 
 if TYPE_CHECKING:
     from foten.train.train import Trained
@@ -64,7 +64,7 @@ class RunFolder:
         """Add one line to the log on disk."""
         if not self._epochs:
             self.path.mkdir(parents=True, exist_ok=True)
-            with whole_file(self.path / "config.json") as part:
+            with atomic_write(self.path / "config.json") as part:
                 part.write_text(self._config)
             self._events = _tensorboard(self.path)
         self._epochs.append(epoch)
@@ -121,7 +121,7 @@ def _draw_curves(path: Path, trained: Trained) -> None:
     for axes in (loss, error):
         axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, frameon=False)
         axes.xaxis.get_major_locator().set_params(integer=True)
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         figure.savefig(part, format="png", dpi=120, metadata={"Software": None})
 
 

@@ -19,7 +19,7 @@ from foten.evaluate.report.tables import free_run_section, one_step_section
 from foten.evaluate.report.verdict import cautions, verdict
 from foten.evaluate.report.wording import reason
 from foten.families.texture_file import Texture
-from foten.whole_file import whole_file
+from foten.atomic_write import atomic_write
 
 _MARKS = {"good": "✓", "even": "≈", "bad": "✗", "unknown": "–"}
 
@@ -30,7 +30,7 @@ def write_report(judgement: Judgement, texture: Texture, directory: Path) -> Pat
     Figures, sound and style are inside the file. It loads nothing from a network and has no scripts.
     """
     path = directory / "report.html"
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         part.write_text(page(judgement, texture), encoding="utf-8", newline="\n")
     return path
 

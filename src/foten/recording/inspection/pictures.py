@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.atomic_write import atomic_write
 from foten.recording.inspection.hand import HAND_HZ
 from foten.recording.inspection.values import CELL_S, NOTE, Inspection
 from foten.recording.preprocess import times_of
 from foten.recording.recording import UNITS, Recording
-from foten.whole_file import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -169,7 +169,7 @@ def write_pictures(recording: Recording, inspection: Inspection, folder: Path) -
     written = []
     for name, figure in drawn.items():
         if figure is not None:
-            with whole_file(folder / name) as part:
+            with atomic_write(folder / name) as part:
                 figure.savefig(
                     part, format="png", metadata={"Software": None, "Source": inspection.recording_sha256}
                 )

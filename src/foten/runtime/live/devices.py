@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.whole_file import whole_file
+from foten.atomic_write import atomic_write
 
 Samples = NDArray[np.float32]
 Read = Callable[[Samples], None]
@@ -121,7 +121,7 @@ class WavSink(Paced):
             {"unit": "m/s^2", "rate_hz": rate_hz, **(about or {})}, sort_keys=True
         ).encode()
         self._stack = ExitStack()
-        self._file = self._stack.enter_context(self._stack.enter_context(whole_file(path)).open("wb"))
+        self._file = self._stack.enter_context(self._stack.enter_context(atomic_write(path)).open("wb"))
         self._n = 0
         self._file.write(self._header())
 

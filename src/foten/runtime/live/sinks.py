@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.atomic_write import atomic_write
 from foten.dsp.resample import interpolate, rate_ratio
-from foten.whole_file import whole_file
 
 Array = NDArray[np.float64]
 
@@ -40,16 +40,16 @@ def write_rendered(
     """
     suffix = path.suffix.lower()
     if suffix == ".wav":
-        with whole_file(path) as part:
+        with atomic_write(path) as part:
             part.write_bytes(_float_wav(acceleration, rate_hz, about))
     elif suffix == ".csv":
-        with whole_file(path) as part:
+        with atomic_write(path) as part:
             _write_csv(part, acceleration, rate_hz)
     elif suffix == ".npz":
-        with whole_file(path) as part:
+        with atomic_write(path) as part:
             _write_npz(part, acceleration, speed, force, rate_hz, about)
     elif suffix == ".png":
-        with whole_file(path) as part:
+        with atomic_write(path) as part:
             _write_picture(part, acceleration, speed, force, rate_hz, about)
     else:
         check_suffix(path)
@@ -72,7 +72,7 @@ def write_audible(path: Path, acceleration: Array, rate_hz: float) -> float:
     gain = AUDIBLE_PEAK / peak if peak > 0 else 1.0
     pcm = np.round(sound * gain * 32767).astype("<i2").tobytes()
 
-    with whole_file(path) as part, wave.open(str(part), "wb") as file:
+    with atomic_write(path) as part, wave.open(str(part), "wb") as file:
         file.setnchannels(1)
         file.setsampwidth(2)
         file.setframerate(AUDIBLE_HZ)

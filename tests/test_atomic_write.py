@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from foten.whole_file import whole_file
+from foten.atomic_write import atomic_write
 
 
 def test_a_file_appears_when_it_is_whole(tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         part.write_text("one")
         assert not path.exists()
     assert path.read_text() == "one"
@@ -23,7 +23,7 @@ def test_what_stood_there_stays_when_writing_fails(tmp_path: Path) -> None:
     path.write_text("old")
 
     def interrupted() -> None:
-        with whole_file(path) as part:
+        with atomic_write(path) as part:
             part.write_text("half")
             raise KeyboardInterrupt
 
@@ -35,7 +35,7 @@ def test_what_stood_there_stays_when_writing_fails(tmp_path: Path) -> None:
 
 def test_two_writers_of_one_path_do_not_mix(tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
-    with whole_file(path) as first, whole_file(path) as second:
+    with atomic_write(path) as first, atomic_write(path) as second:
         assert first != second
         first.write_text("first")
         second.write_text("second, longer")

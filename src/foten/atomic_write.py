@@ -1,0 +1,36 @@
+"""Files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+@contextmanager
+def atomic_write(path: Path) -> Iterator[Path]:
+    """Give a temporary name beside a path to write to: it takes the path's place at the end, and goes where writing fails.
+
+    Raises:
+        OSError: with the path's own name, where the system refuses: no space is left, or the folder is read-only.
+    """
+    # A name of its own, so that two programs that write one path cannot mix their bytes.
+    part = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}.part")
+    try:
+        if path.exists() and not path.is_file():
+            raise OSError(None, "is a folder, a pipe or a device, expected a file or nothing", str(path))
+        yield part
+        part.replace(path)
+    except OSError as error:
+        # A full disk names no file, and a refused folder names the temporary one, which says nothing to the user.
+        if error.filename in (str(part), part) or (error.filename is None and error.errno in _FULL):
+            raise OSError(error.errno, error.strerror, str(path)) from error
+        raise
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)

@@ -1,0 +1,169 @@
+"""What HDF5 and MATLAB files hold, as plain values and arrays; `isolated` runs this in a process of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.datasets.columns import MOST_SAMPLES, columns_of_array
+from foten.datasets.isolated import Contents, RefusedError
+from foten.untrusted import printable
+
+MOST_OBJECTS = 10_000  # groups and datasets of a file
+MOST_TEXTS = 64  # of an attribute or a dataset; those of units have one for each column
+_ELSEWHERE = "keeps its samples in another place, which is not opened"
+
+
+def hdf5_contents(path: Path) -> Contents:
+    """Return `{"attributes": …, "objects": […]}` of an HDF5 file, objects in the order of their names.
+
+    An object has a name, attributes, and `group` true; or the index and shape of its array; or its texts; or the fault for
+    which it was not read. Links and samples in other files are never followed: they could lead to any file of this machine.
+    """
+    import h5py
+
+    try:
+        file = h5py.File(path, "r")
+    except OSError as error:
+        if "truncated" in str(error):
+            raise RefusedError(f"{path.name} is truncated: its end is missing") from None
+        raise RefusedError(f"{path.name} is not an HDF5 file, or is damaged") from None
+    arrays: list[NDArray[np.float64]] = []
+    with file:
+        objects: list[dict[str, Any]] = []
+        left = MOST_SAMPLES
+        for name, item in _objects(file):
+            if len(objects) == MOST_OBJECTS:
+                raise RefusedError(f"{path.name} holds more than {MOST_OBJECTS} groups and datasets")
+            entry: dict[str, Any] = {"name": printable(name)}
+            objects.append(entry)
+            if isinstance(item, h5py.Group):
+                entry |= {"group": True, "attributes": _attributes(item)}
+            elif isinstance(item, h5py.Dataset):
+                entry |= {"attributes": _attributes(item), **_dataset(item, left)}
+                if "fault" not in entry and "texts" not in entry:
+                    array = np.asarray(item[()], dtype=np.float64)
+                    entry |= {"array": len(arrays), "shape": array.shape}
+                    arrays.append(array)
+                    left -= array.size
+            else:
+                entry["fault"] = _ELSEWHERE
+        return {"attributes": _attributes(file), "objects": objects}, arrays
+
+
+def _objects(file: Any) -> Iterator[tuple[str, Any]]:
+    """Return the names of all groups and datasets, each once, and None in place of those that are links."""
+    import h5py
+
+    seen = {h5py.h5o.get_info(file.id).addr}
+    waiting = [("", file)]
+    while waiting:
+        name, item = waiting.pop()
+        if name:
+            yield name, item
+        if isinstance(item, h5py.Group):
+            inner = []
+            for key in item:
+                where = f"{name}/{key}" if name else key
+                if not isinstance(item.get(key, getlink=True), h5py.HardLink):
+                    inner.append((where, None))
+                    continue
+                below = item[key]
+                address = h5py.h5o.get_info(below.id).addr
+                if address not in seen and not isinstance(below, h5py.Datatype):
+                    seen.add(address)
+                    inner.append((where, below))
+            waiting += reversed(inner)
+
+
+def _dataset(item: Any, left: int) -> dict[str, Any]:
+    """Return the fault for which a dataset is not read, or its texts; nothing where it holds numbers."""
+    import h5py
+
+    if item.is_virtual or item.id.get_create_plist().get_external_count():
+        return {"fault": _ELSEWHERE}
+    try:
+        kind, is_text = item.dtype.kind, h5py.check_string_dtype(item.dtype) is not None
+    except TypeError:  # a type that NumPy does not have
+        kind, is_text = "", False
+    if is_text and item.shape is not None and item.size <= MOST_TEXTS:
+        return {"texts": [_plain(text) for text in np.atleast_1d(item[()]).ravel()]}
+    if kind not in "biuf" or not kind or item.shape is None:
+        return {"fault": "holds no plain numbers"}
+    if item.size > left:
+        return {"fault": f"says that it holds {item.size:,} samples, expected {left:,} at most"}
+    return {}
+
+
+def _attributes(item: Any) -> dict[str, Any]:
+    """Return the texts and numbers among the attributes of an object."""
+    plain = {}
+    for name in item.attrs:
+        attribute = item.attrs.get_id(name)
+        if attribute.get_storage_size() <= 1 << 20:
+            try:
+                value = _plain(item.attrs[name])
+            except (TypeError, OverflowError, ValueError):  # a type that NumPy does not have
+                continue
+            if value is not None:
+                plain[printable(name)] = value
+    return plain
+
+
+def _plain(value: Any) -> Any:
+    """Return a text, a number, or a list of a few texts; None for anything else."""
+    if isinstance(value, np.ndarray):
+        if value.size > 1 and value.dtype.kind in "OSU":
+            return [text for text in map(_plain, value.ravel()[:MOST_TEXTS]) if isinstance(text, str)]
+        return _plain(value.ravel()[0]) if value.size else ""
+    if isinstance(value, bytes):
+        value = value.decode("utf-8", errors="replace").rstrip("\0")
+    if isinstance(value, str):
+        return "\n".join(printable(line) for line in value.split("\n"))
+    if isinstance(value, np.number | bool | int | float) and np.isrealobj(value):
+        return float(value)
+    return None
+
+
+def matlab_contents(path: Path) -> Contents:
+    """Return the variables of a .mat file as `{"columns": [{"name", "fault"}, …], "texts": {name: text}}`.
+
+    Arrays are the columns' samples, in their order; fields of structs are `struct.field`.
+    """
+    from pymatreader import read_mat
+
+    columns: list[dict[str, Any]] = []
+    texts: dict[str, Any] = {}
+    arrays: list[NDArray[np.float64]] = []
+    left = MOST_SAMPLES
+    waiting: list[tuple[str, Any]] = [("", read_mat(str(path)))]
+    while waiting:
+        name, value = waiting.pop()
+        if isinstance(value, dict):
+            for key, below in reversed(value.items()):
+                if not key.startswith(("__", "#")):
+                    waiting.append((f"{name}.{key}" if name else key, below))
+            continue
+        if isinstance(value, bytes | str) or (
+            isinstance(value, list) and all(isinstance(v, str) for v in value)
+        ):
+            texts[printable(name)] = _plain(np.array(value)) if isinstance(value, list) else _plain(value)
+        if isinstance(value, list | str | bytes) or value is None:
+            columns.append({"name": name, "fault": "holds text or cells, expected numbers"})
+            arrays.append(np.zeros(0))
+            continue
+        array = np.asarray(value)
+        if array.size > left:
+            fault = f"says that it holds {array.size:,} samples, expected {left:,} at most"
+            columns.append({"name": name, "fault": fault})
+            arrays.append(np.zeros(0))
+            continue
+        left -= array.size
+        for column in columns_of_array(name, array):
+            columns.append({"name": column.name, "fault": column.fault})
+            arrays.append(column.samples)
+    return {"columns": columns, "texts": texts}, arrays

@@ -1,0 +1,188 @@
+"""Which column is which channel: as the user says, or as the headers leave no doubt about."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from foten.datasets.columns import Column
+from foten.datasets.options import ImportOptions
+from foten.datasets.timing import rate_of
+from foten.datasets.units import factor_of, quantity, split_header
+from foten.recording.recording import AXES
+
+Files = Mapping[Path, list[Column]]
+
+_GUESSES: Mapping[str, frozenset[str]] = {
+    "time": frozenset({"time", "t", "times", "timestamp", "time_s", "seconds"}),
+    "acceleration": frozenset({"acceleration", "accel", "acc", "a"}),
+    "speed": frozenset({"speed", "velocity", "vel", "v"}),
+    "force": frozenset({"force", "normal_force", "normalforce", "fn", "f"}),
+} | {
+    f"{quantity}_{axis}": frozenset(
+        {f"{name}{mark}{axis}" for name in names for mark in ("_", "", ".")}
+        | {f"{name}.{AXES.index(axis)}" for name in names if len(name) > 1}
+    )
+    for quantity, names in {
+        "acceleration": ("acceleration", "accel", "acc", "a"),
+        "position": ("position", "pos", "p"),
+        "force": ("force", "f"),
+    }.items()
+    for axis in AXES
+}
+
+
+def guessed_mapping(files: Files, options: ImportOptions) -> tuple[tuple[str, str], ...]:
+    """Return the mapping that the headers alone leave no doubt about."""
+    places: dict[str, list[tuple[Path, Column]]] = {}
+    for path, columns in files.items():
+        for column in columns:
+            for channel, aliases in _GUESSES.items():
+                if _alias(column.name, quantity(channel)) in aliases and column.n_rows > 1:
+                    places.setdefault(channel, []).append((path, column))
+    # Sound files carry no names; beside a table they are the accelerometer.
+    sounds = {path: columns for path, columns in files.items() if path.suffix.lower() == ".wav"}
+    if len(sounds) == 1 and not any(quantity(channel) == "acceleration" for channel in places):
+        [(path, columns)] = sounds.items()
+        names = ["acceleration"] if len(columns) == 1 else [f"acceleration_{axis}" for axis in AXES]
+        if len(columns) == len(names):
+            places.update({name: [(path, column)] for name, column in zip(names, columns, strict=True)})
+    if options.rate_hz is not None:
+        for path, column in places.pop("time", []):
+            times = column.samples * factor_of("time", column.name, column.unit, options.units.get("time"))[0]
+            if times.size > 1 and (np.diff(times) > 0).all():
+                own = rate_of(times)
+                if abs(own - options.rate_hz) > 0.01 * own:
+                    raise ValueError(
+                        f"{path.name}: the column {column.name} says {own:g} Hz and --rate {options.rate_hz:g}; "
+                        "leave out --rate, or map the other columns with --map to use it"
+                    )
+    for channel, candidates in places.items():
+        per_file = [path for path, _ in candidates]
+        if channel == "time" and len(set(per_file)) == len(per_file):
+            continue
+        if len(candidates) > 1:
+            could = ", ".join(name_of(files, *place) for place in candidates)
+            raise ValueError(f"{channel} could be any of {could}; say which, e.g. --map {_example(files)}")
+    if not set(places) - {"time"}:
+        raise ValueError(
+            f"no header says which column is which; found {_listing(files)}; say so, e.g. --map "
+            f"{_example(files)}"
+        )
+    return tuple(
+        (channel, name_of(files, *place)) for channel, candidates in places.items() for place in candidates
+    )
+
+
+def _alias(header: str, kind: str) -> str:
+    """Return a header as `_GUESSES` spells it: `Acc [g]`, `acc_g` → `acc`."""
+    return split_header(header, kind)[0].lower().replace(" ", "_")
+
+
+def name_of(files: Files, path: Path, column: Column) -> str:
+    """Return what a column goes by: its name, with several files `FILE:COLUMN`."""
+    return column.name if len(files) == 1 else f"{path.name}:{column.name}"
+
+
+def _listing(files: Files) -> str:
+    names = [name_of(files, path, c) for path, columns in files.items() for c in columns]
+    return ", ".join(names[:20]) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
+
+
+def _example(files: Files) -> str:
+    """Return a mapping that could be meant: a clock by how it runs, the rest by words in file and column names, else in order."""
+    left = {
+        name_of(files, path, c): (path, c)
+        for path, columns in files.items()
+        for c in columns
+        if c.n_rows > 1 and not c.fault
+    }
+    pairs = []
+    clock = next((name for name, (_, column) in left.items() if _runs_steadily(column)), None)
+    if clock is not None:
+        pairs.append(f"time={clock}")
+        del left[clock]
+    words_of = {
+        "acceleration": ("acc", "besch"),
+        "speed": ("speed", "vel", "gesch"),
+        "force": ("force", "kraft"),
+    }
+    for channel, words in words_of.items():
+        if left:
+            place = next(
+                (one for one in left if any(word in one.lower() for word in words)), next(iter(left))
+            )
+            del left[place]
+            pairs.append(f"{channel}={place}")
+    return ",".join(pairs)
+
+
+def _runs_steadily(column: Column) -> bool:
+    """Return whether a column looks like a clock: always rising, by steps that are nearly alike."""
+    steps = np.diff(column.samples)
+    return bool(steps.size > 10 and (steps > 0).all() and steps.std() < 0.2 * steps.mean())
+
+
+def _split(files: Files, reference: str) -> tuple[list[Path], str]:
+    """Return the files that `FILE:COLUMN` or `COLUMN` may mean, and the column."""
+    for path in files:
+        for name in (str(path), path.name, path.stem):
+            if reference.startswith(f"{name}:"):
+                same = [other for other in files if name in (str(other), other.name, other.stem)]
+                if len(same) > 1:
+                    raise ValueError(f"{name} is the name of {len(same)} files, write out their paths")
+                return [path], reference[len(name) + 1 :]
+    return list(files), reference
+
+
+def _lookup(columns: Sequence[Column], name: str) -> Column | None:
+    """Return a column by header, else by number from 0, else none."""
+    exact = [column for column in columns if column.name == name]
+    if len(exact) > 1:
+        raise ValueError(f"{len(exact)} columns are called {name!r}; give the column's number from 0")
+    if exact:
+        return exact[0]
+    if name.isdecimal() and int(name) < len(columns):
+        return columns[int(name)]
+    return None
+
+
+def column_of(files: Files, channel: str, reference: str) -> tuple[Path, Column]:
+    """Return the file and the column that a reference means.
+
+    Raises:
+        ValueError: there is none, there are several, or it holds no numbers.
+    """
+    paths, name = _split(files, reference)
+    hits = [(path, column) for path in paths if (column := _lookup(files[path], name)) is not None]
+    if len(hits) > 1:
+        options = " or ".join(f"{path.name}:{name}" for path, _ in hits)
+        raise ValueError(f"{channel}={reference} is in {len(hits)} files; write {options}")
+    if not hits:
+        there = {path: files[path] for path in paths}
+        close = difflib.get_close_matches(
+            name, [c.name for cs in there.values() for c in cs], n=1, cutoff=0.5
+        )
+        hint = f"; did you mean {close[0]}?" if close else ""
+        where = paths[0].name if len(paths) == 1 else "the files"
+        raise ValueError(f"{channel}: no column {name!r} in {where}, which has {_listing(there)}{hint}")
+    path, column = hits[0]
+    if column.fault:
+        raise ValueError(f"{channel}: {path.name}, column {column.name}: {column.fault}")
+    if not column.samples.size:
+        raise ValueError(f"{channel}: {path.name}, column {column.name} is empty")
+    return path, column
+
+
+def clocks_of(files: Files, reference: str) -> list[tuple[Path, Column]]:
+    """Return the time columns that a reference means: without `FILE:`, that of each file which has it."""
+    paths, name = _split(files, reference)
+    if name.isdecimal():
+        paths = [column_of(files, "time", reference)[0]]
+    hits = [path for path in paths if _lookup(files[path], name) is not None]
+    if not hits:
+        column_of(files, "time", reference)  # raises
+    return [column_of({path: files[path]}, "time", name) for path in hits]

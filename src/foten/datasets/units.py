@@ -1,0 +1,292 @@
+"""Units: what one is worth, and where a header states one.
+
+Each unit that a reader meets passes `factor_of`: it is converted or refused, and never dropped.
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Mapping
+
+import numpy as np
+
+from foten.recording.recording import UNITS
+
+G = 9.80665  # m/s², standard gravity
+POUND_KG = 0.45359237
+FULL_SCALE = "of full scale"
+"""The unit of integer samples of sound: fractions of full scale, which mean nothing until someone gives the factor."""
+
+_LENGTHS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3, "nm": 1e-6, "in": 25.4, "ft": 304.8}
+
+FACTORS: Mapping[str, Mapping[str, float]] = {
+    "acceleration": {
+        "m/s^2": 1.0,
+        "g": G,
+        "mg": G / 1000,
+        "Gal": 0.01,
+        **{f"{unit}/s^2": mm / 1000 for unit, mm in _LENGTHS_MM.items() if unit != "m"},
+    },
+    "speed": {
+        **{f"{unit}/s": mm for unit, mm in _LENGTHS_MM.items()},
+        "mm/min": 1 / 60,
+        "m/min": 1000 / 60,
+        "km/h": 1000 / 3.6,
+    },
+    "position": _LENGTHS_MM,
+    "force": {
+        "N": 1.0,
+        "mN": 1e-3,
+        "kN": 1000.0,
+        "gf": G / 1000,
+        "kgf": G,
+        "lbf": POUND_KG * G,
+        "ozf": POUND_KG * G / 16,
+        "dyn": 1e-5,
+    },
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
+}
+"""For each quantity, what a number in a unit is multiplied by to give the unit of `UNITS` (time: seconds)."""
+
+_MASSES: Mapping[str, str] = {"g": "gf", "gram": "gf", "kg": "kgf", "lb": "lbf", "oz": "ozf"}
+"""Units of mass, each with the force that a sensor of weight may mean by it."""
+
+_RAW = frozenset(
+    ["V", "mV", "uV", "A", "mA", "uA", "V/V", "mV/V", "count", "LSB", "ADC", "bit", "digit", "%"]
+)
+"""What converters and amplifiers give: nothing without a sensitivity."""
+
+_SPELLINGS: Mapping[str, str] = {
+    "s": "sec secs second seconds",
+    "ms": "msec msecs millisecond milliseconds",
+    "us": "usec usecs microsecond microseconds",
+    "ns": "nsec nsecs nanosecond nanoseconds",
+    "min": "mins minute minutes",
+    "h": "hr hrs hour hours",
+    "m": "meter meters metre metres",
+    "mm": "millimeter millimeters millimetre millimetres",
+    "cm": "centimeter centimeters centimetre centimetres",
+    "um": "micron microns micrometer micrometers micrometre micrometres",
+    "in": "inch inches",
+    "ft": "foot feet",
+    "m/s^2": "mps2",
+    "m/s": "mps",
+    "mm/s": "mmps",
+    "in/s": "ips",
+    "km/h": "kmh kph",
+    "g": "gn g0 gee gees gs g's",
+    "mg": "milli-g millig milligee milligees",
+    "Gal": "gals",
+    "N": "newton newtons",
+    "mN": "millinewton millinewtons",
+    "kN": "kilonewton kilonewtons",
+    "gf": "gram-force grams-force",
+    "kgf": "kp kilopond kiloponds kilogram-force kilograms-force",
+    "lbf": "lb-f lbsf pound-force pounds-force",
+    "ozf": "oz-f ounce-force ounces-force",
+    "dyn": "dyne dynes",
+    "gram": "grams",
+    "kg": "kgs kilogram kilograms",
+    "lb": "lbs pound pounds",
+    "oz": "ounce ounces",
+    "V": "volt volts",
+    "mV": "millivolt millivolts",
+    "A": "amp amps ampere amperes",
+    "mA": "milliamp milliamps",
+    "count": "counts",
+    "bit": "bits",
+    "digit": "digits",
+}
+_UNITS = frozenset(unit for known in FACTORS.values() for unit in known) | set(_MASSES) | _RAW
+_WORDS = {unit.lower(): unit for unit in _UNITS} | {
+    spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings.split()
+}
+"""What a word in small letters stands for; case counts only where M may be mega, not milli."""
+
+_QUOTIENT = re.compile(
+    r"(?P<over>[a-z'-]+)[/ .·*]\(?(?P<under>s|sec|second|seconds|min|minute|h|hr|hour)"
+    r"(?P<power>\^?\(?-?[12]\)?| squared|/s|/sec|/second)?\)?",
+    re.IGNORECASE,
+)
+_BRACKETS = re.compile(r"\s*(?P<open>[\[(])(?P<words>[^\[\]()]*)(?:[\])]|$)")
+_AXIS = re.compile(r"(?P<name>.+?)(?P<axis>[_.](?:[xyz]|\d+))?")
+_BEFORE_A_UNIT = re.compile(r"\s+in\s+|\s*[/,]\s*|[_\s]+")
+
+_REMARKS = frozenset(
+    [
+        "x",
+        "y",
+        "z",
+        "normal",
+        "tangential",
+        "lateral",
+        "vertical",
+        "horizontal",
+        "filtered",
+        "smoothed",
+    ]
+)
+"""Words in brackets that are no unit."""
+
+_NAMES = frozenset(["in", "ft", "min", "h", "n", "v", "a", "s", "m", "g's", "gs", "count", "bit", "digit"])
+"""Units that at the end of a name rather belong to it (input, force-torque, minimum, normal), but to their own quantity."""
+
+
+def quantity(channel: str) -> str:
+    """Return what a channel measures: `force_x` → `force`."""
+    return channel.split("_")[0]
+
+
+def canonical(text: str) -> str:
+    """Return a unit as `FACTORS` spells it: `m/s²`, `m s-2`, `m_s2`, `metres/second^2` → `m/s^2`; an unknown one as it is."""
+    unit = unicodedata.normalize("NFKC", text).replace("−", "-").replace("μ", "u").replace("**", "^")
+    unit = re.sub(r"(?:\b|_)per(?:\b|_)", "/", unit).replace("_", " ")
+    unit = re.sub(r"\s*/\s*", "/", " ".join(unit.split()))
+    unit = re.sub(r"^([a-z]+)(s\^?\(?-[12]\)?)$", r"\1 \2", unit)  # ms-2 has no blank
+    quotient = _QUOTIENT.fullmatch(unit)
+    if quotient:
+        over, under = _word(quotient["over"]), _word(quotient["under"])
+        power = quotient["power"] or ""
+        rate = f"{over}/{under}{'^2' * ('2' in power or '/' in power or 'squared' in power)}"
+        if rate in _UNITS:
+            return rate
+    return _word(unit)
+
+
+def _word(text: str) -> str:
+    small = text.lower()
+    return text if small not in _WORDS or text in ("MN", "MV", "MA") else _WORDS[small]
+
+
+def is_unit(text: str) -> bool:
+    """Return whether a word, in brackets or not, is a unit of some quantity or of a converter."""
+    return canonical(text.strip(" []()")) in _UNITS
+
+
+def split_header(header: str, kind: str) -> tuple[str, str]:
+    """Return a header without its unit, and the unit as it is written: `Acc [g]`, `acc_g`, `Acc / g` → `Acc`, `g`.
+
+    What stands in brackets is a unit, whatever it is, but for a remark in parentheses. The end of a name is one where it
+    is known as such.
+
+    Args:
+        header: of a column.
+        kind: the quantity that the column is taken for.
+    """
+    name = _BRACKETS.sub("", header).strip()
+    brackets = [_stated(match["open"], match["words"]) for match in _BRACKETS.finditer(header)]
+    stated = [unit for unit in brackets if unit]
+    if stated:
+        return name.rstrip(" /,_"), next(filter(is_unit, stated), stated[-1])
+    parts = _AXIS.fullmatch(name)
+    if parts is None:
+        return name, ""
+    for before in _BEFORE_A_UNIT.finditer(parts["name"]):
+        unit = parts["name"][before.end() :]
+        if before.start() and _ends_a_name(unit, kind):
+            return parts["name"][: before.start()] + (parts["axis"] or ""), unit
+    return name, ""
+
+
+def _stated(bracket: str, words: str) -> str:
+    """Return what brackets in a header state as a unit, or nothing of a remark."""
+    words = words.strip()
+    if words.lower() in _REMARKS or is_unit(words):
+        return "" if words.lower() in _REMARKS else words
+    several = words.split()
+    of_a_unit = any(is_unit(word) or word.lower() in ("unit", "units", "raw") for word in several)
+    return "" if bracket == "(" and len(several) > 1 and not of_a_unit else words
+
+
+def _ends_a_name(text: str, kind: str) -> bool:
+    unit = canonical(text)
+    if text.lower() in _NAMES:
+        return text == unit and ((unit in FACTORS[kind] and unit not in ("in", "ft")) or text == "V")
+    return unit in _UNITS and (
+        len(text) > 1 or unit in FACTORS[kind] or (kind == "force" and unit in _MASSES)
+    )
+
+
+def factor_of(channel: str, header: str, stated: str = "", given: str | None = None) -> tuple[float, str]:
+    """Return what to multiply a column by to get the unit of `UNITS`, and a sentence where that changes something.
+
+    Args:
+        channel: or `time`.
+        header: the column's name.
+        stated: the unit that the file states beside the header: in a row of units, or as an attribute.
+        given: by the user, before all others: a unit, `*FACTOR` or `LABEL*FACTOR`.
+
+    Raises:
+        ValueError: the unit is not one of the quantity's, or two are stated.
+    """
+    kind, target = quantity(channel), UNITS.get(channel, "s")
+    known = FACTORS[kind]
+    in_header = split_header(header, kind)[1]
+    if given is None and stated and in_header and canonical(stated) != canonical(in_header):
+        raise ValueError(
+            f"{channel}: column {header!r} is in {in_header} by its name and in {stated} by its unit; say which: "
+            f"--unit {channel}={in_header}"
+        )
+    of_file = stated or in_header
+    text = of_file if given is None else given
+    if not text:
+        end = re.search(r"[_\s](in|ft)(?:[_.]\w)?$", header)
+        if kind == "position" and end:
+            raise ValueError(
+                f"{channel}: column {header!r} ends in {end[1]!r}; if that is its unit: --unit {channel}={end[1]}, "
+                f"else --unit {channel}={target}"
+            )
+        return 1.0, ""
+    label = canonical(text)
+    if given is not None and label not in known and "*" in text:
+        return _sensitivity(channel, text, known, target)
+    if label in known:
+        factor = known[label]
+        overruled = canonical(of_file) if of_file and canonical(of_file) != label else ""
+        if overruled:
+            return factor, f"{channel} was taken as {label}, where its file states {of_file}"
+        return factor, "" if factor == 1 else f"{channel} was converted from {label} to {target}"
+    if label == FULL_SCALE:
+        raise ValueError(
+            f"{channel}: the samples of {header} are fractions of full scale; say how many {target} full scale is, "
+            f"e.g. --unit {channel}=*50"
+        )
+    raise ValueError(_refusal(channel, header, text, label, known, target, given is None))
+
+
+def _refusal(
+    channel: str, header: str, text: str, label: str, known: Mapping[str, float], target: str, of_file: bool
+) -> str:
+    """Return why a unit is refused: what came, what is expected, what may be meant."""
+    kind = quantity(channel)
+    mass = _MASSES.get(label) if kind == "force" else None
+    if mass:
+        hint = f"that is a mass: if the sensor shows the weight on it, --unit {channel}={mass}"
+    elif kind == "time":
+        hint = f"for another, --unit {channel}=*FACTOR; or leave time out and give --rate"
+    elif label in _RAW:
+        hint = f"say how many {target} one {label} is, e.g. --unit {channel}={label}*4.9"
+    else:
+        hint = f"for a sensitivity write e.g. --unit {channel}=V*4.9 (4.9 {target} per volt)"
+    place = f" of column {header!r}" if of_file else ""
+    otherwise = f"; if it is no unit, --unit {channel}={target}" if of_file else ""
+    return f"{channel}: unit {text!r}{place} is not one of {', '.join(known)}; {hint}{otherwise}"
+
+
+def _sensitivity(channel: str, text: str, known: Mapping[str, float], target: str) -> tuple[float, str]:
+    """Return the factor of `LABEL*FACTOR`, and a sentence."""
+    label, _, number = text.rpartition("*")
+    label = canonical(label)
+    try:
+        factor = float(number)
+    except ValueError:
+        factor = float("nan")
+    if not np.isfinite(factor) or factor == 0:
+        raise ValueError(f"{channel}: unit {text!r}: {number!r} is not a factor, e.g. {channel}=V*4.9")
+    if label in known and label != target:
+        raise ValueError(
+            f"{channel}: {label} is a known unit and takes no factor; write {channel}={label}, or "
+            f"{channel}=*{known[label] * factor:g} to get {target}"
+        )
+    return factor, f"{channel} was multiplied by {factor:g} to get {target}" + f" from {label}" * bool(label)
