@@ -9,20 +9,15 @@ import numpy as np
 import pytest
 import torch
 
-from foten.architecture import (
-    ARCHITECTURES,
-    ArArchitecture,
-    Architecture,
-    GraphArchitecture,
-    TenArchitecture,
-)
+from foten.families import FAMILIES, FotenPlusSizes, PiecewiseArSizes
+from foten.families.sizes import Sizes
+from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
-from foten.families.texture_file import Texture
 
 if TYPE_CHECKING:
-    from foten.train.export_local import LocalModels
+    from foten.train.piecewise_ar_texture import LocalModels
 
 torch.set_num_threads(1)  # small matrices only lose by more
 
@@ -37,10 +32,10 @@ SMALL: dict[str, Any] = {
 """Sizes of a network that is quick to run and has every part."""
 
 
-def architecture_with(key: str, wanted: dict[str, Any]) -> Architecture:
-    """Return a model's architecture with those of the sizes that it has."""
-    has = {field.name for field in fields(ARCHITECTURES[key])}
-    return ARCHITECTURES[key](**{name: value for name, value in wanted.items() if name in has})
+def sizes_with(model: str, wanted: dict[str, Any]) -> Sizes:
+    """Return a model's sizes with those that are wanted and that it has."""
+    has = {field.name for field in fields(FAMILIES[model])}
+    return FAMILIES[model](**{name: value for name, value in wanted.items() if name in has})
 
 
 SCALING = Scaling(mean=(0.1, 100.0, 1.0), sd=(2.0, 60.0, 0.5))
@@ -51,7 +46,7 @@ CARD: dict[str, Any] = {
     "saturation": 12.0,
     "lowpass_hz": 20.0,
     "delay_ms": 11.3,
-    "warm_start": {"asked": {"speed": 45.0, "force": 0.8}, "found": {"speed": 45.0, "force": 0.8}},
+    "warm_start": {"asked": {"speed": 45.0, "force": 0.8}, "recorded": {"speed": 45.0, "force": 0.8}},
     "texture": "untrained",
     "tool": "",
     "sensors": "",
@@ -73,63 +68,85 @@ def resonance(hz: float, radius: float, m: int, rate_hz: float = 1000.0) -> np.n
     return taps
 
 
-def reflections_of(taps: np.ndarray) -> torch.Tensor:
-    """Return the two reflections of an AR(2), taps oldest first."""
+def reflections_of(taps: np.ndarray) -> np.ndarray:
+    """Return the two reflection coefficients of an AR(2), taps oldest first."""
     second, first = -taps
-    return torch.tensor([first / (1 + second), second])
+    return np.array([first / (1 + second), second])
 
 
-def untrained(
-    key: str, architecture: TenArchitecture | GraphArchitecture | None = None, seed: int = 0
-) -> Any:
-    """Return a seeded network whose every tensor matters; foten-plus resonates near 120 Hz through its lattice."""
+def untrained(model: str, sizes: Sizes | None = None, seed: int = 0) -> Any:
+    """Return a seeded network in PyTorch whose every parameter matters."""
     import torch
 
     from foten.networks import build
-    from foten.networks.excited import Excited
 
     torch.manual_seed(seed)
-    architecture = architecture or ARCHITECTURES[key]()
-    network = build(key, architecture)
+    network = build(model, sizes or FAMILIES[model]())
     with torch.no_grad():
         for parameter in network.parameters():
             parameter += 0.1 * torch.randn_like(parameter)
-        if architecture.excited and key != "foten-plus":
-            network = Excited(network, architecture)
-            network.excitation.swell.copy_(torch.tensor([0.98, 0.3]))
-            scales = [network.excitation]
-        elif key == "foten-plus":
-            network.network.head_3.weight *= 0.1  # else the correction drowns the excitation
-            scales = [network.excitation]
-            network.excitation.swell.copy_(torch.tensor([0.98, 0.3]))
-            for lattice in (network.lattice, *([network.rest] if architecture.n_tones else [])):
-                lattice.reflections.copy_(0.02 * torch.randn_like(lattice.reflections))
-                if lattice.reflections.shape[1] > 1:
-                    lattice.reflections[:, :2] += reflections_of(resonance(120.0, 0.95, 2))
-                lattice.speed_knots.copy_(torch.linspace(10.0, 200.0, len(lattice.speed_knots)))
-                lattice.force_knots.copy_(torch.linspace(-1.0, 0.9, len(lattice.force_knots)))
-                scales.append(lattice.level)
-            if architecture.n_tones:
-                network.tones.speed_knots.copy_(torch.linspace(10.0, 200.0, len(network.tones.speed_knots)))
-                network.tones.force_knots.copy_(torch.linspace(-1.0, 0.9, len(network.tones.force_knots)))
-                network.tones.values.copy_(torch.randn_like(network.tones.values))
-                network.tones.motion.copy_(torch.tensor([2 * np.pi / 2.5 / 1000, 0.03, 2e-3]))
-        if architecture.excited:
-            for scale in scales:
-                scale.mean.copy_(torch.tensor(SCALING.mean[1:]))
-                scale.sd.copy_(torch.tensor(SCALING.sd[1:]))
-                scale.out.weight *= 0.3
-                scale.out.bias.fill_(0.0 if scale is network.excitation else float(np.log(0.3)))
-                scale.power_law.weight.copy_(torch.tensor([[0.7, 0.4, 0.0, 0.0, 0.0]]))
+        if model == "foten-plus":
+            network.head_3.weight *= 0.1  # else the correction drowns the excitation
     return network.eval()
 
 
-def local_models(architecture: ArArchitecture) -> LocalModels:
+def untrained_tensors(model: str, sizes: Sizes, network: Any, seed: int = 0) -> dict[str, np.ndarray]:
+    """Return a network's tensors and seeded ones of all else; foten-plus resonates near 120 Hz through its lattice."""
+    from foten.networks.scale import Excitation, Scale
+    from foten.runtime.onnx_predictor import GRAPH
+    from foten.train.export import graph_of, tensors_of
+
+    torch.manual_seed(seed + 1)
+
+    def filled(scale: Scale, level: float) -> Scale:
+        with torch.no_grad():
+            for parameter in scale.parameters():
+                parameter += 0.1 * torch.randn_like(parameter)
+            scale.mean.copy_(torch.tensor(SCALING.mean[1:]))
+            scale.sd.copy_(torch.tensor(SCALING.sd[1:]))
+            scale.out.weight *= 0.3
+            scale.out.bias.fill_(level)
+            scale.power_law.weight.copy_(torch.tensor([[0.7, 0.4, 0.0, 0.0, 0.0]]))
+            if isinstance(scale, Excitation):
+                scale.volatility.copy_(torch.tensor([0.98, 0.3]))
+        return scale
+
+    tensors: dict[str, np.ndarray]
+    if sizes.in_graph:
+        tensors = {GRAPH: graph_of(network, sizes.window)}
+    else:
+        tensors = tensors_of(network, "network." if model == "foten-plus" else "")
+    if sizes.excited:
+        width = sizes.excitation_width
+        tensors |= tensors_of(filled(Excitation(width), 0.0), "excitation.")
+    if isinstance(sizes, FotenPlusSizes):
+        rng = np.random.default_rng(seed)
+        prefixes = ["lattice.", *(["residual."] if sizes.n_tones else [])]
+        for prefix in prefixes:
+            tensors |= tensors_of(filled(Scale(width), float(np.log(0.3))), f"{prefix}level.")
+        for prefix in [*prefixes, *(["tones."] if sizes.n_tones else [])]:
+            for name, shape in sizes.tensor_shapes().items():
+                if name == f"{prefix}speed_knots":
+                    tensors[name] = np.linspace(10.0, 200.0, shape[0])
+                elif name == f"{prefix}force_knots":
+                    tensors[name] = np.linspace(-1.0, 0.9, shape[0])
+                elif name == f"{prefix}reflections":
+                    tensors[name] = 0.02 * rng.standard_normal(shape)
+                    if shape[1] > 1:
+                        tensors[name][:, :2] += reflections_of(resonance(120.0, 0.95, 2))
+                elif name == "tones.values":
+                    tensors[name] = rng.standard_normal(shape)
+                elif name == "tones.motion":
+                    tensors[name] = np.array([2 * np.pi / 2.5 / 1000, 0.03, 2e-3])
+    return tensors
+
+
+def local_models(sizes: PiecewiseArSizes) -> LocalModels:
     """Return seeded local models, silent at rest, over a fan of triangles; the first stands in the middle."""
-    from foten.train.export_local import LocalModels
+    from foten.train.piecewise_ar_texture import LocalModels
 
     rng = np.random.default_rng(2)
-    n, p, q = architecture.n_models, architecture.order, architecture.ma
+    n, p, q = sizes.n_models, sizes.order, sizes.ma
     turn = 2 * np.pi * np.arange(n - 1) / (n - 1)
     rim = np.stack([110 + 109 * np.cos(turn), 1.3 + 1.2 * np.sin(turn)], axis=1)
     lsf, ma_lsf = (np.pi * (np.arange(1, k + 1) + rng.uniform(-0.4, 0.4, (n, k))) / (k + 1) for k in (p, q))
@@ -140,30 +157,39 @@ def local_models(architecture: ArArchitecture) -> LocalModels:
         np.concatenate([[[110.0, 1.3]], rim]),
         lsf,
         variance,
-        fan[: architecture.n_triangles],
+        fan[: sizes.n_triangles],
         np.array([60.0, 0.5]),
         ma_lsf,
         rng.uniform(0.5, 1.5, n) if q else np.ones(n),
     )
 
 
-def exported(key: str, architecture: Architecture | None = None, **card: Any) -> Texture:
-    """Return an untrained network, or local models that nobody fitted, as a proved texture."""
-    from foten.train.export import export
-    from foten.train.export_local import export_local
+def exported(
+    model: str, sizes: Sizes | None = None, tensors: dict[str, np.ndarray] | None = None, **card: Any
+) -> Texture:
+    """Return an untrained network, or local models that nobody fitted, as a proved texture.
 
-    if key == "ar":
-        architecture = architecture or ARCHITECTURES[key](n_models=9, n_triangles=8)
-        assert isinstance(architecture, ArArchitecture)
-        return export_local(local_models(architecture), SCALING, {**CARD, **card})
-    architecture = architecture or ARCHITECTURES[key]()
-    assert not isinstance(architecture, ArArchitecture)
+    Args:
+        model: its key.
+        sizes: the family's own by default.
+        tensors: in place of some of its tensors.
+        card: in place of some entries of `CARD`.
+    """
+    from foten.train.export import in_float64, proved
+    from foten.train.piecewise_ar_texture import local_texture
+
+    if model == "ar":
+        sizes = sizes or FAMILIES[model](n_models=9, n_triangles=8)
+        assert isinstance(sizes, PiecewiseArSizes)
+        return local_texture(local_models(sizes), SCALING, {**CARD, **card}).texture
+    sizes = sizes or FAMILIES[model]()
+    network = untrained(model, sizes)
+    made = {**untrained_tensors(model, sizes, network), **(tensors or {})}
     rng = np.random.default_rng(1)
-    windows = rng.standard_normal((64, architecture.history, 3))
-    warm_start = 0.5 * rng.standard_normal((architecture.history, 3))
-    return export(
-        untrained(key, architecture), key, architecture, SCALING, windows, warm_start, {**CARD, **card}
-    )
+    windows = rng.standard_normal((32, sizes.history, 3))
+    warm_start = 0.5 * rng.standard_normal((sizes.history, 3))
+    predict = in_float64(network) if sizes.in_graph else None
+    return proved(model, sizes, made, SCALING, windows, warm_start, {**CARD, **card}, predict).texture
 
 
 @pytest.fixture(scope="session")
@@ -171,11 +197,11 @@ def texture() -> Texture:
     """Return a foten-plus texture: rings at 120 Hz, excited, trained for 8–220 mm/s and 0.3–2.5 N."""
     return exported(
         "foten-plus",
-        ARCHITECTURES["foten-plus"](**{**SMALL, "n_layers": 1, "order": 6, "n_speed": 3, "n_force": 2}),
+        FAMILIES["foten-plus"](**{**SMALL, "n_layers": 1, "order": 6, "n_speed": 3, "n_force": 2}),
     )
 
 
 @pytest.fixture(scope="session")
 def plain_texture() -> Texture:
     """Return a texture of the paper's network, without excitation."""
-    return exported("foten", ARCHITECTURES["foten"](**SMALL))
+    return exported("foten", FAMILIES["foten"](**SMALL))

@@ -12,6 +12,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from foten.families.texture_file import Texture as Texture
+    from foten.families.texture_file import read_texture as read_texture
     from foten.recording.recording import Channel as Channel
     from foten.recording.recording import Recording as Recording
     from foten.recording.trace import Trace as Trace
@@ -21,8 +23,6 @@ if TYPE_CHECKING:
     from foten.runtime.stylus import PressureCalibration as PressureCalibration
     from foten.runtime.stylus import Stylus as Stylus
     from foten.runtime.stylus import fit_pressure as fit_pressure
-    from foten.families.texture_file import Texture as Texture
-    from foten.families.texture_file import read_texture as read_texture
 
 __version__ = "0.1.0"
 

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from foten.cli.console import JsonOption, print_json, say
 from foten.atomic_write import atomic_write
+from foten.cli.console import JsonOption, print_json, say
 
 
 def evaluate(

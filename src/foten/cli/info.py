@@ -19,26 +19,24 @@ def info(
     as_json: JsonOption = False,
 ) -> None:
     """Show what a texture file holds, and prove it on its golden windows."""
-    from foten.architecture import multiply_adds
-    from foten.runtime.engine import engine_for
-    from foten.families.conditions import prove
     from foten.families.texture_file import read_texture
+    from foten.runtime.native import NativeTexture
 
     texture = read_texture(texture_file)
-    prove(texture, engine_for(texture))
+    NativeTexture(texture.to_bytes())  # which replays the golden windows
     if as_json:
         print_json({"sha256": texture.sha256(), **texture.card})
         return
     card = texture.card
     own = {name: t for name, t in texture.tensors.items() if not name.startswith(("golden.", "warm_start"))}
-    if texture.architecture.in_graph:
+    if texture.sizes.in_graph:
         cost, holds = card["metrics"]["multiply_adds"], f"{own['graph'].size:,} bytes for ONNX Runtime"
     else:
-        cost = multiply_adds(texture.architecture)
+        cost = texture.sizes.multiply_adds()
         holds = f"{sum(t.size for t in own.values())} numbers"
     rows = {
         "texture": card["texture"] or "(unnamed)",
-        "model": f"{card['model']}, {holds}, hears {card['window']} samples",
+        "model": f"{card['model']}, {holds}, predicts from {card['window']} samples",
         **_linear_part(texture),
         "cost": f"{cost:,} multiply-adds a rendered sample",
         "rate": f"{texture.rate_hz:g} Hz",
@@ -68,16 +66,15 @@ def _linear_part(texture: Texture) -> dict[str, str]:
         return {}
     vertices = sizes["n_speed"] * sizes["n_force"]
     over = "for all speeds and forces" if vertices == 1 else f"over {vertices} speeds and forces"
-    driven = ", driven by the level" if sizes["level_drives"] else ""
-    rows = {"lattice": f"{sizes['order']} samples, {over}{driven}", "tones": "none"}
-    rows["network"] = (
-        "is heard" if sizes["network_heard"] and not sizes["n_tones"] else "predicts, and is not heard"
-    )
+    gain = ", gain before the filter" if sizes["gain_before_filter"] else ""
+    rows = {"lattice": f"{sizes['order']} samples, {over}{gain}", "tones": "none"}
+    in_loop = sizes["network_in_loop"] and not sizes["n_tones"]
+    rows["network"] = "in the loop" if in_loop else "predicts, and is not in the loop"
     if sizes["n_tones"]:
         length = (metrics.get("linear_part") or {}).get("wavelength_mm")
         every = f", the surface repeats every {length:.3g} mm" if length else ""
         rows["tones"] = (
-            f"{sizes['n_tones']} multiples{every}; of the rest a lattice of {sizes['rest_order']} samples"
-            f"{', driven by the level' if sizes['rest_level_drives'] else ''}"
+            f"{sizes['n_tones']} multiples{every}; for the residual a lattice of {sizes['residual_order']} samples"
+            f"{', gain before the filter' if sizes['residual_gain_before_filter'] else ''}"
         )
     return rows

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from foten.cli.console import JsonOption, print_json, say
 from foten.atomic_write import atomic_write
+from foten.cli.console import JsonOption, print_json, say
 
 
 def inspect(
@@ -28,13 +28,13 @@ def inspect(
     """Say what a recording holds and what is wrong with it: units, coverage, clipping, gaps, order."""
     from foten import __version__
     from foten.datasets.hdf5 import load_recording
-    from foten.recording.inspect import inspect_recording
+    from foten.recording.inspection import inspect_recording
 
     recording = load_recording(recording_file)
     inspection = inspect_recording(recording)
     document = {"foten": __version__, "file": recording_file.name, **inspection.to_dict()}
     if output is not None:
-        from foten.recording.pictures import write_pictures
+        from foten.recording.inspection import write_pictures
 
         if output.exists() and not output.is_dir():
             raise ValueError(f"-o {output} is a file, expected a folder")

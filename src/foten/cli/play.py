@@ -60,13 +60,13 @@ def play(
     as_json: JsonOption = False,
 ) -> None:
     """Play a texture live: to the sound card, a file, an NI-DAQ or another program."""
+    from foten.families.texture_file import read_texture
     from foten.runtime.actuator import read_profile
     from foten.runtime.example import EXAMPLE
     from foten.runtime.live.live import LEAD_MS
     from foten.runtime.live.play import along, circling, gain_for, holding, rate_for, sink_of
     from foten.runtime.live.play import play as play_live
     from foten.runtime.renderer import Renderer
-    from foten.families.texture_file import read_texture
 
     texture_file = texture_file or EXAMPLE
     if not texture_file.exists():

@@ -10,8 +10,8 @@ import typer
 from foten.cli.console import JsonOption, check_folders, print_json, say
 
 if TYPE_CHECKING:
-    from foten.runtime.stroke import Stroke
     from foten.families.texture_file import Texture
+    from foten.runtime.stroke import Stroke
 
 
 def render(
@@ -39,10 +39,10 @@ def render(
     as_json: JsonOption = False,
 ) -> None:
     """Render vibration from a texture and a stroke."""
+    from foten.families.texture_file import read_texture
     from foten.runtime.live import sinks
     from foten.runtime.renderer import Renderer
     from foten.runtime.stroke import constant_stroke, read_stroke, recorded_stroke
-    from foten.families.texture_file import read_texture
 
     for path in output:
         sinks.check_suffix(path)

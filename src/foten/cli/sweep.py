@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from foten.cli.console import JsonOption, print_json, say
 from foten.atomic_write import atomic_write
+from foten.cli.console import JsonOption, print_json, say
 
 
 def sweep(
@@ -48,9 +48,9 @@ def sweep(
     as_json: JsonOption = False,
 ) -> None:
     """Train and judge every method of an experiment on every texture and split; goes on where it stopped."""
-    from foten.experiments.experiment import find_experiment, read_experiment
+    from foten.experiments.experiment_file import experiment_path, read_experiment
 
-    experiment = read_experiment(find_experiment(experiment_file))
+    experiment = read_experiment(experiment_path(experiment_file))
     runs = experiment.runs()
     if dry_run:
         if as_json:
@@ -95,16 +95,9 @@ def tables(
     as_json: JsonOption = False,
 ) -> None:
     """Set the results of a sweep beside references and beside the paper's figures."""
-    from foten.experiments.tables import (
-        FIGURES,
-        FORMATS,
-        each_run,
-        findings,
-        read_results,
-        table,
-        title_of,
-        written,
-    )
+    from foten.experiments.findings import findings
+    from foten.experiments.results import read_results, title_of
+    from foten.experiments.tables import FIGURES, FORMATS, each_run, table, written
 
     if not results.is_dir():
         raise ValueError(f"there is no folder {results}")
@@ -147,7 +140,7 @@ def figures(
 ) -> None:
     """Draw the paper's figures from the results of a sweep: split, windows and losses, waveforms, spectra."""
     from foten.experiments.figures import figures as drawn
-    from foten.experiments.tables import read_results
+    from foten.experiments.results import read_results
 
     if not results.is_dir():
         raise ValueError(f"there is no folder {results}")

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from foten.cli.console import JsonOption, check_folders, say
+from foten.cli.console import JsonOption, check_folders
 from foten.cli.training_result import print_training_result
+
+if TYPE_CHECKING:
+    from foten.recording.recording import Recording
 
 
 def train(
@@ -71,8 +75,7 @@ def train(
             "--set",
             metavar="SIZE=VALUE",
             help="Another size or reading of the network; repeatable: d_model, n_heads, n_layers, d_feedforward, head=[256,64], "
-            "spectral_width (1 is the literal reading), pre_norm=false, bins=half, phase_input=cos_sin, "
-            "magnitude_input=log, bin_embedding=true.",
+            "spectral_width (1 is the literal reading), pre_norm=false, bins=half.",
         ),
     ] = None,
     zero_phase: Annotated[
@@ -95,19 +98,17 @@ def train(
     as_json: JsonOption = False,
 ) -> None:
     """Learn a texture file from a recording. Ctrl-C keeps the best so far."""
-    from foten.architecture import ARCHITECTURES, ArArchitecture, architecture_from
     from foten.datasets.hdf5 import load_recording
-    from foten.recording import felt
-    from foten.recording.inspect import inspect_recording
+    from foten.families import FAMILIES, sizes_of
+    from foten.families.texture_file import Texture, write_texture
     from foten.recording.preprocess import PreprocessConfig
-    from foten.families.texture_file import write_texture
     from foten.train.config import OWN_RECIPES, RECIPES, check_used
-    from foten.train.local import train_local
+    from foten.train.job import TrainingJob
+    from foten.train.pipeline import train as train_texture
     from foten.train.run import RunFolder, TrainingDisplay
-    from foten.train.train import train_texture
 
-    if model not in ARCHITECTURES:
-        raise ValueError(f"unknown model {model!r}, expected one of {', '.join(ARCHITECTURES)}")
+    if model not in FAMILIES:
+        raise ValueError(f"unknown model {model!r}, expected one of {', '.join(FAMILIES)}")
     if recipe not in RECIPES:
         raise ValueError(f"unknown recipe {recipe!r}, expected one of {', '.join(RECIPES)}")
     if output.suffix != ".foten":
@@ -149,85 +150,76 @@ def train(
             raise ValueError(
                 f"--{given[0].replace('_', '-')} is for networks, and --model ar is none: leave it out"
             )
-        fitted = train_local(
-            recording,
-            preprocess_config,
-            split,
-            split_seed,
-            texture,
-            licence,
-            on_stage=lambda stage: say(f"{stage} …"),
-        )
-        write_texture(fitted.texture, output)
-        print_training_result(fitted.texture, fitted.trace, output, recording_file, as_json)
-        return
-    if excitation and ARCHITECTURES[model].of_noise:
+    if excitation and FAMILIES[model].from_noise:
         raise ValueError(
-            f"--excitation is for models that predict samples, and {model} is made of chance: leave it out"
+            f"--excitation is for models that predict samples, and {model} is made of noise: leave it out"
         )
     check_used(model, [name for name, value in asked.items() if value is not None])
-    architecture = architecture_from(model, own if window is None else {"window": window, **own})
-    assert not isinstance(architecture, ArArchitecture)
-    folder = RunFolder(run_folder or output.with_suffix(".run"))
-    folder.open(
-        {
-            "model": model,
-            "train": dataclasses.asdict(config),
-            "preprocess": dataclasses.asdict(preprocess_config),
-            "architecture": dataclasses.asdict(architecture),
-            "split": split,
-            "split_seed": split_seed,
-            "recording_sha256": recording.sha256(),
-        },
-        resume,
+    sizes = sizes_of(model, own if window is None else {"window": window, **own})
+    job = TrainingJob(
+        recording,
+        model,
+        sizes,
+        config,
+        preprocess_config,
+        split,
+        split_seed,
+        texture or recording.texture,
+        licence,
     )
-    inspection = inspect_recording(recording)
-    problems, shares = inspection.problems, inspection.carried
-    with TrainingDisplay(config.epochs, "nat" if architecture.of_noise else "sd") as display:
+    folder = RunFolder(run_folder or output.with_suffix(".run"))
+    if model != "ar":
+        folder.open(
+            {
+                "model": model,
+                "train": dataclasses.asdict(config),
+                "preprocess": dataclasses.asdict(preprocess_config),
+                "sizes": sizes.to_card(),
+                "split": split,
+                "split_seed": split_seed,
+                "recording_sha256": recording.sha256(),
+            },
+            resume,
+        )
+    with TrainingDisplay(config.epochs, "nat" if sizes.from_noise else "sd") as display:
+
+        def on_playable(playable: Texture) -> None:
+            write_texture(playable, output)
+            display.note(f"wrote {output}, playable without its network; it is replaced by a better one")
 
         def on_epoch(line: Any) -> None:
-            # Only once the recording was taken: a refusal is one line.
-            if line.epoch == 0 and problems:
-                many = f"{len(problems)} problem{'s' * (len(problems) > 1)}"
-                display.note(
-                    f"foten inspect finds {many} in {recording_file.name}, the first: {problems[0].text}"
-                )
-            if line.epoch == 0 and shares and preprocess_config.rate_hz < felt.smallest_rate(shares):
-                display.note(
-                    f"of what a hand feels of {recording_file.name}, {felt.in_words(shares)}: "
-                    f"--rate {felt.smallest_rate(shares):g} would hold more of it"
-                )
+            if line.epoch == 0:  # once the recording was taken: a refusal is one line
+                for note in _notes(recording, preprocess_config.rate_hz):
+                    display.note(note)
             display.show(line)
             folder.log(line)
 
-        trained = train_texture(
-            recording,
-            model,
-            architecture,
-            config,
-            preprocess_config,
-            split,
-            split_seed,
-            on_epoch,
-            folder.checkpoint,
-            resume,
-            texture or recording.texture,
-            licence,
-            on_stage=display.stage,
-        )
+        trained = train_texture(job, on_epoch, folder.checkpoint, resume, display.stage, on_playable)
     write_texture(trained.texture, output)
-    folder.close(trained)
-    print_training_result(
-        trained.texture,
-        trained.trace,
-        output,
-        recording_file,
-        as_json,
-        trained.progress.interrupted,
-        folder.path,
-    )
-    if trained.progress.interrupted:
+    interrupted = trained.progress.interrupted
+    if model != "ar":
+        folder.close(trained)
+    made = None if model == "ar" else folder.path
+    print_training_result(trained.texture, trained.trace, output, recording_file, as_json, interrupted, made)
+    if interrupted:
         raise typer.Exit(130)
+
+
+def _notes(recording: Recording, rate_hz: float) -> Iterator[str]:
+    """Return what the inspection of a recording has to say to its training."""
+    from foten.dsp import perception
+    from foten.recording.inspection import inspect_recording
+
+    inspection = inspect_recording(recording)
+    problems, shares = inspection.problems, inspection.carried
+    if problems:
+        many = f"{len(problems)} problem{'s' * (len(problems) > 1)}"
+        yield f"foten inspect finds {many} in the recording, the first: {problems[0].text}"
+    if shares and rate_hz < perception.smallest_rate(shares):
+        yield (
+            f"of what can be felt of it, {perception.in_words(shares)}: "
+            f"--rate {perception.smallest_rate(shares):g} would hold more of it"
+        )
 
 
 def _settings(pairs: list[str]) -> dict[str, Any]:

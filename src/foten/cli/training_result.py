@@ -10,8 +10,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from foten.recording.trace import Trace
     from foten.families.texture_file import Texture
+    from foten.recording.trace import Trace
 
 
 def print_training_result(

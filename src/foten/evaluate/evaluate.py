@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from foten.evaluate import free_run as runs
 from foten.evaluate.one_step import TexturePredictor, excitation_scores, one_step
 from foten.evaluate.references import Linear, Persistence, Zero, best_linear, first_scored, fit_linear
+from foten.families.conditions import FADE_FORCE, FADE_SPEED
+from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
 from foten.recording.scaling import Scaling
@@ -19,8 +21,6 @@ from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.recording.windows import targets
 from foten.runtime.native import NativeTexture
-from foten.families.conditions import FADE_FORCE, FADE_SPEED
-from foten.families.texture_file import Texture
 
 Array = NDArray[np.float64]
 

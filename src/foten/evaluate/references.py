@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import product
@@ -102,7 +103,7 @@ def fit_linear(
     coefficients = solved(gram, moment)
     missed = power - 2 * coefficients @ moment + coefficients @ gram @ coefficients
     shaped = coefficients.reshape(3, order + 1) if scheduled else coefficients
-    return Linear(shaped, float(np.sqrt(max(0.0, missed) / n)))
+    return Linear(shaped, math.sqrt(max(0.0, float(missed)) / n))
 
 
 def _design(block: Array, order: int, scheduled: bool) -> Array:

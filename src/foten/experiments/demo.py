@@ -7,21 +7,22 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-from foten.architecture import FotenPlusArchitecture
 from foten.atomic_write import atomic_write
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.report import write_report
 from foten.experiments.truth import truth_for
-from foten.recording.inspection import inspect_recording, write_pictures
-from foten.runtime.renderer import Renderer
-from foten.runtime.live.sinks import write_audible, write_rendered
-from foten.runtime.stroke import recorded_stroke
+from foten.families import FotenPlusSizes
 from foten.families.texture_file import write_texture
+from foten.recording.inspection import inspect_recording, write_pictures
+from foten.runtime.live.sinks import write_audible, write_rendered
+from foten.runtime.renderer import Renderer
+from foten.runtime.stroke import recorded_stroke
 from foten.train.config import RECIPES
 from foten.train.fit import Epoch
-from foten.train.train import train_texture
+from foten.train.job import TrainingJob
+from foten.train.pipeline import train
 
 
 def run_demo(
@@ -56,9 +57,8 @@ def run_demo(
             f"    epoch {line.epoch}: one-step validation error {line.validation_mae:.4f} sd, {line.seconds:.1f} s"
         )
 
-    trained = train_texture(
-        recording, "foten-plus", FotenPlusArchitecture(), config, on_epoch=on_epoch, texture_name=key
-    )
+    job = TrainingJob(recording, "foten-plus", FotenPlusSizes(), config, texture_name=key)
+    trained = train(job, on_epoch, on_stage=lambda stage: say(f"    {stage}"))
     write_texture(trained.texture, paths["texture"])
     say("4/5 judging it on its test blocks")
     judgement = evaluate(trained.texture, recording, truth_for(recording, trained.texture), seed)

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
-from foten.architecture import ArArchitecture, architecture_from, sizes
+from foten.families import sizes_of
 from foten.recording.preprocess import PreprocessConfig
 from foten.train.config import OWN_RECIPES, RECIPES, TrainConfig, check_used
 
@@ -134,10 +134,9 @@ class Experiment:
             if method.model == "ar":
                 if method.sizes or method.train or method.recipe:
                     raise ValueError("'ar' is fitted without a recipe and finds its sizes: leave them out")
-                architecture, train = None, {}
+                sizes, train = {}, {}
             else:
-                architecture = architecture_from(method.model, own_sizes)
-                assert not isinstance(architecture, ArArchitecture)
+                sizes = sizes_of(method.model, own_sizes).to_card()
                 check_used(method.model, {**method.train, **changed})
                 given = {**self.train, **method.train, **changed}
                 own = OWN_RECIPES.get(method.model, {})
@@ -151,7 +150,7 @@ class Experiment:
             texture,
             None if texture.endswith(RECORDED) else self.seconds,
             method.model,
-            {} if architecture is None else sizes(architecture),
+            sizes,
             train,
             asdict(preprocess),
             split_seed,

@@ -9,9 +9,9 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from foten.architecture import ARCHITECTURES
 from foten.datasets.simulate import LINEAR_FAMILY, TEXTURES
 from foten.experiments.experiment import OF_TRAINING, RECORDED, Experiment, Method
+from foten.families import FAMILIES
 from foten.recording.preprocess import PreprocessConfig
 from foten.train.config import RECIPES
 
@@ -90,7 +90,7 @@ def _experiment(content: dict[str, Any], folder: Path) -> Experiment:
     if type(seconds) not in (int, float) or not 1 <= seconds <= 3600:
         raise ValueError(f"seconds is {seconds!r}, expected 1 to 3600")
     networks = [method.model for method in methods if method.model != "ar"]
-    sizes = {one.name for model in networks for one in fields(ARCHITECTURES[model])}
+    sizes = {one.name for model in networks for one in fields(FAMILIES[model])}
     _check_keys(grid, OF_TRAINING | sizes, "[grid]")
     resolved = {
         "textures": textures,
@@ -111,10 +111,8 @@ def _method(content: object) -> Method:
     _check_types(content, ("model", "name", "recipe"), str, "a text", " of a method")
     _check_types(content, ("train", "sizes"), dict, "a table", " of a method")
     _check_keys(content.get("train", {}), OF_TRAINING, "'train' of a method")
-    if content.get("model") not in ARCHITECTURES:
-        raise ValueError(
-            f"unknown model {content.get('model')!r}, expected one of {', '.join(ARCHITECTURES)}"
-        )
+    if content.get("model") not in FAMILIES:
+        raise ValueError(f"unknown model {content.get('model')!r}, expected one of {', '.join(FAMILIES)}")
     if content.get("recipe") is not None and content["recipe"] not in RECIPES:
         raise ValueError(f"unknown recipe {content['recipe']!r}, expected one of {', '.join(RECIPES)}")
     return Method(**content)

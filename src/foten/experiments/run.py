@@ -6,10 +6,9 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import foten
-from foten.architecture import ArArchitecture, architecture_from
 from foten.datasets.hdf5 import load_recording
 from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import Judgement, evaluate
@@ -17,10 +16,14 @@ from foten.evaluate.free_run import scored
 from foten.evaluate.report.signals import N_WAVEFORM, densities, scored_channels, shown_run, typical_block
 from foten.experiments.experiment import Run
 from foten.experiments.truth import truth_for
+from foten.families import sizes_of
+from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
-from foten.families.texture_file import Texture
 from foten.train.config import TrainConfig
+
+if TYPE_CHECKING:
+    from foten.train.job import TrainingJob
 
 
 def recording_of(run: Run) -> Recording:
@@ -42,19 +45,10 @@ def execute_batched(runs: Sequence[Run], recordings: Sequence[Recording]) -> lis
 
     A run that failed has the reason under `failed` instead.
     """
-    from foten.train.train import train_together
+    from foten.train.pipeline import train_batched
 
-    first, started = runs[0], time.perf_counter()
-    architecture = architecture_from(first.model, first.sizes)
-    assert not isinstance(architecture, ArArchitecture)
-    trained = train_together(
-        recordings,
-        first.model,
-        architecture,
-        [TrainConfig(**run.train) for run in runs],
-        PreprocessConfig(**first.preprocess),
-        [run.split_seed for run in runs],
-    )
+    started = time.perf_counter()
+    trained = train_batched([_job(*one) for one in zip(runs, recordings, strict=True)])
     seconds = (time.perf_counter() - started) / len(runs)
     results = []
     for run, recording, one in zip(runs, recordings, trained, strict=True):
@@ -73,18 +67,23 @@ def failure(error: Exception) -> dict[str, Any]:
     return {"failed": f"{type(error).__name__}: {lines[0]}"}
 
 
+def _job(run: Run, recording: Recording) -> TrainingJob:
+    from foten.train.job import TrainingJob
+
+    return TrainingJob(
+        recording,
+        run.model,
+        sizes_of(run.model, run.sizes),
+        TrainConfig(**run.train),
+        PreprocessConfig(**run.preprocess),
+        split_seed=run.split_seed,
+    )
+
+
 def _trained(run: Run, recording: Recording) -> Texture:
-    preprocess = PreprocessConfig(**run.preprocess)
-    if run.model == "ar":
-        from foten.train.local import train_local
+    from foten.train.pipeline import train
 
-        return train_local(recording, preprocess, split_seed=run.split_seed).texture
-    from foten.train.train import train_texture
-
-    architecture = architecture_from(run.model, run.sizes)
-    assert not isinstance(architecture, ArArchitecture)
-    config = TrainConfig(**run.train)
-    trained = train_texture(recording, run.model, architecture, config, preprocess, split_seed=run.split_seed)
+    trained = train(_job(run, recording))
     if trained.progress.interrupted:
         raise KeyboardInterrupt
     return trained.texture

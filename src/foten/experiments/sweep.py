@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import Any
 
 import foten
+from foten.atomic_write import atomic_write
 from foten.experiments.experiment import Experiment, Run
 from foten.experiments.results import is_result
 from foten.experiments.run import execute, execute_batched, failure, recording_of
 from foten.recording.recording import Recording
-from foten.atomic_write import atomic_write
 
 Waiting = tuple[int, Run, Path]
 """A run without a result: its place in the experiment, and the path that its result will have."""
@@ -71,7 +71,7 @@ def sweep(
         gpus_per_run: share of a GPU that each run takes.
         on_progress: called after each run.
         say: called with messages for the user.
-        together: largest number of textures that are trained as one batched model, of the models in `TOGETHER`.
+        together: largest number of textures that are trained as one batched model, of the models in `BATCHED`.
 
     Returns:
         How many runs were done, and how many failed.
@@ -192,7 +192,7 @@ def _check_answered(address: str) -> None:
 
 def _groups(waiting: Sequence[Waiting], together: int) -> list[list[Waiting]]:
     """Return the runs in groups for one worker each, in their order: one run, or up to `together` that can be batched."""
-    from foten.train.together import TOGETHER
+    from foten.train.batched import BATCHED
 
     groups: list[list[Waiting]] = []
     open_groups: dict[str, list[Waiting]] = {}
@@ -200,7 +200,7 @@ def _groups(waiting: Sequence[Waiting], together: int) -> list[list[Waiting]]:
         run = one[1]
         alike = {"sizes": run.sizes, "train": {**run.train, "seed": 0}, "preprocess": run.preprocess}
         key = json.dumps({"model": run.model, **alike}, sort_keys=True)
-        can = run.model in TOGETHER and run.train["threads"] == 1 and run.train["average"] == 0
+        can = run.model in BATCHED and run.train["threads"] == 1
         if can and len(open_groups.get(key, ())) % together:
             open_groups[key].append(one)
         else:

@@ -12,10 +12,10 @@ from foten.datasets.simulate import second_realisation
 from foten.dsp.filters import butterworth
 from foten.evaluate.evaluate import Truth, trace_for
 from foten.evaluate.free_run import N_SEEDS
+from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.recording.trace import Trace
-from foten.families.texture_file import Texture
 
 Array = NDArray[np.float64]
 

@@ -45,7 +45,9 @@ class FotenPlusSizes(SpectralSizes):
     n_speed: int = 1  # its vertices over speed
     n_force: int = 1  # and over force
     gain_before_filter: bool = False  # where the level enters the lattice
-    n_tones: int = 0  # multiples of the path's frequency; none for a surface that does not repeat, nor what follows
+    n_tones: int = (
+        0  # multiples of the path's frequency; none for a surface that does not repeat, nor what follows
+    )
     n_tone_speed: int = 1  # vertices of their amplitudes over speed
     n_tone_force: int = 1  # and over force
     residual_order: int = 1  # of the lattice of what tones leave
@@ -98,9 +100,7 @@ class FotenPlusSizes(SpectralSizes):
         shapes |= excitation_shapes(width)
         shapes |= lattice_shapes("lattice", self.n_speed, self.n_force, self.order, width)
         if self.n_tones:
-            shapes |= table_shapes(
-                "tones", self.n_tone_speed, self.n_tone_force, "values", 2 * self.n_tones
-            )
+            shapes |= table_shapes("tones", self.n_tone_speed, self.n_tone_force, "values", 2 * self.n_tones)
             shapes["tones.motion"] = (3,)
             shapes |= lattice_shapes(
                 "residual", self.n_residual_speed, self.n_residual_force, self.residual_order, width

@@ -62,9 +62,7 @@ class Sizes:
 
     def to_card(self) -> dict[str, Any]:
         """Return the sizes as plain JSON values."""
-        return {
-            name: list(size) if isinstance(size, tuple) else size for name, size in asdict(self).items()
-        }
+        return {name: list(size) if isinstance(size, tuple) else size for name, size in asdict(self).items()}
 
 
 def sizes_from_card(kind: type[Sizes], model: str, card: Mapping[str, Any]) -> Sizes:

@@ -9,8 +9,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from foten.families import TenMfccSizes, TenWaveletSizes
 from foten.dsp.spectrum import dft_matrices
+from foten.families import TenMfccSizes, TenWaveletSizes
 
 QUIETEST = (
     1e-3  # power of a band, scaled, below which its logarithm no longer falls: 40 dB below the vibration

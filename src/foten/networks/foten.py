@@ -7,10 +7,10 @@ import math
 import torch
 from torch import Tensor, nn
 
+from foten.dsp.spectrum import WEAKEST_BIN, dft_matrices, last_sample_row, position_encoding
 from foten.families import FotenDSizes, TenMfccSizes, TenWaveletSizes
 from foten.families.foten import SpectralSizes
 from foten.families.ten import TransformerSizes
-from foten.dsp.spectrum import WEAKEST_BIN, dft_matrices, last_sample_row, position_encoding
 from foten.networks.decoder import DecoderLayer
 from foten.networks.dropout import Dropout
 from foten.networks.encoder import EncoderLayer

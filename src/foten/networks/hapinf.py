@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from foten.families import HapinfSizes
 from foten.dsp.spectrum import position_encoding
+from foten.families import HapinfSizes
 from foten.networks.decoder import DecoderLayer
 from foten.networks.dropout import Dropout
 from foten.networks.encoder import EncoderLayer

@@ -25,9 +25,7 @@ Array = NDArray[np.float64]
 class Lattice:
     """A level ℓ and reflection coefficients k over speed and force."""
 
-    def __init__(
-        self, tensors: Mapping[str, NDArray[Any]], prefix: str, gain_before_filter: bool
-    ) -> None:
+    def __init__(self, tensors: Mapping[str, NDArray[Any]], prefix: str, gain_before_filter: bool) -> None:
         w = Weights(tensors, prefix)
         check_reflections(w["reflections"])
         self.order, self._gain_before_filter = w["reflections"].shape[1], gain_before_filter

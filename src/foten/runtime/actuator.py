@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.runtime.native import NativeActuator
 from foten.atomic_write import atomic_write
+from foten.runtime.native import NativeActuator
 
 Array = NDArray[np.float64]
 

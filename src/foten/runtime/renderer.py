@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from foten.families.texture_file import Texture
 from foten.runtime.actuator import ActuatorProfile
 from foten.runtime.native import NativeState, NativeStatistics, NativeTexture
-from foten.families.texture_file import Texture
 
 
 class Renderer:

@@ -20,9 +20,9 @@ from foten.networks.dropout import mask, masks_given, set_dropout, shapes_told
 from foten.recording.windows import window_indices
 from foten.train.config import TrainConfig
 from foten.train.fit import (
-    TrainingWindows,
     Epoch,
     Progress,
+    TrainingWindows,
     epoch_seed,
     loss_of,
     mask_seed,
@@ -125,7 +125,9 @@ def fit_batched(
     return [texture.error or texture.progress for texture in textures]
 
 
-def _of_device(network: nn.Module, data: TrainingWindows, config: TrainConfig, device: torch.device) -> _Texture:
+def _of_device(
+    network: nn.Module, data: TrainingWindows, config: TrainConfig, device: torch.device
+) -> _Texture:
     samples = torch.from_numpy(data.samples).to(device, torch.float32)
     goal = samples[:, 0] if data.target is None else torch.from_numpy(data.target).to(device, torch.float32)
     unit = torch.ones(len(samples)) if data.unit is None else torch.from_numpy(data.unit)

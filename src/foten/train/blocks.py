@@ -59,7 +59,7 @@ class ScaledBlocks:
         return train, validation
 
     def condition_before(self) -> tuple[Array, Array]:
-        """Return the speed [mm/s] and force [N] that each prediction knows, those of the sample before: (n_blocks, block) each."""
+        """Return the speed [mm/s] and force [N] of the sample before, which a prediction knows: (n_blocks, block) each."""
         trace = self.trace
         speed, force = (
             np.concatenate([channel[:1], channel[:-1]]).reshape(trace.n_blocks, trace.block)

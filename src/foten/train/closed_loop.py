@@ -158,9 +158,7 @@ def _filtered(power: Array, response: Array | None) -> Array:
 
     n = power.shape[1]
     held = np.pad(power, ((0, 0), (n, 0), (0, 0)), mode="edge")  # before the first sample as at the first
-    return np.asarray(
-        fftconvolve(held, response[None, :n, None] / response[:n].sum(), axes=1)[:, n : 2 * n]
-    )
+    return np.asarray(fftconvolve(held, response[None, :n, None] / response[:n].sum(), axes=1)[:, n : 2 * n])
 
 
 def _louder(rendered: Array, recorded: Array) -> tuple[float, float]:
@@ -183,7 +181,7 @@ def fit_volatility(loop: ClosedLoop, excitation: Excitation, seed: int) -> None:
 
     exp(4s²) is the ratio of their kurtoses over all training and validation blocks, its logarithm shrunk by how little it is
     known: with all of it, a cardboard whose ratio was hardly more than its standard error had 1.39 of the ceiling's level
-    error, and 1.12 without volatility. A kurtosis is made by a few large samples, so s² is at most twice what the levels of frames
+    error, and 1.12 without volatility. A kurtosis is made by a few large samples, so s² is at most twice what levels of frames
     vary beyond the free runs' (`_level_variance`), less what errors of the level may explain: without that, nine of 36 simulated
     recordings had volatility by chance, and up to 1.7 of the ceiling's level error.
 
@@ -200,9 +198,7 @@ def fit_volatility(loop: ClosedLoop, excitation: Excitation, seed: int) -> None:
     recorded, runs = loop.free_runs(excitation, loop.blocks.known, seed, VOLATILITY_STREAM, N_RUNS)
     rendered = np.concatenate(runs, axis=1)  # every run of a block beside it
     spikier = _beyond_chance(*_spikier(recorded, rendered))
-    varied = _beyond_chance(
-        *_level_variance(recorded, runs, _moving(loop.blocks, recorded.shape[1]), rate)
-    )
+    varied = _beyond_chance(*_level_variance(recorded, runs, _moving(loop.blocks, recorded.shape[1]), rate))
     sd = min(LARGEST_SD, math.sqrt(min(spikier / 4, 2 * max(0.0, varied - LEVEL_ERRORS))))
     lasts = _lasts_s(recorded, rendered, rate)
     excitation.volatility.copy_(torch.tensor([math.exp(-1 / (lasts * rate)), sd]))
@@ -220,7 +216,9 @@ def _moving(blocks: ScaledBlocks, n: int) -> NDArray[np.bool_]:
     return np.asarray((speed >= FADE_SPEED) & (force >= FADE_FORCE))
 
 
-def _level_variance(recorded: Array, runs: Array, moving: NDArray[np.bool_], rate_hz: float) -> tuple[float, float]:
+def _level_variance(
+    recorded: Array, runs: Array, moving: NDArray[np.bool_], rate_hz: float
+) -> tuple[float, float]:
     """Return by how much more recorded levels vary about free runs' mean than free runs do, and its jackknifed standard error.
 
     The variance of the log of loudness in frames of 10 ms, under the same condition: what is loud when fast, or spiky within

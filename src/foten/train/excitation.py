@@ -70,7 +70,9 @@ def fit_excitation(
     errors = settle_level(loop, excitation, windows.train, config.seed)
     if config.volatility:
         fit_volatility(loop, excitation, config.seed)
-    return FittedExcitation(excitation, errors, tail_gain, _likelihood_of(excitation, innovations, windows, loop))
+    return FittedExcitation(
+        excitation, errors, tail_gain, _likelihood_of(excitation, innovations, windows, loop)
+    )
 
 
 def _likelihood_of(
@@ -87,7 +89,9 @@ def _likelihood_of(
     return float(nats[counted].mean()) if counted.any() else None
 
 
-def fit_scale(scale: Scale, windows: TrainingWindows, scaling: Scaling, residual: NDArray[np.float64], seed: int) -> float:
+def fit_scale(
+    scale: Scale, windows: TrainingWindows, scaling: Scaling, residual: NDArray[np.float64], seed: int
+) -> float:
     """Fit the scale over speed and force of a vibration or of residuals, by Gaussian maximum likelihood.
 
     The shape of log σ over speed and force is fitted on the training blocks, and how much of it is kept, from none to all, is
@@ -160,7 +164,10 @@ def _likelihood(sigma: torch.Tensor, squared: torch.Tensor) -> torch.Tensor:
 
 
 def fit_tail(
-    excitation: Excitation, windows: TrainingWindows, residual: NDArray[np.float64], sigma: NDArray[np.float64]
+    excitation: Excitation,
+    windows: TrainingWindows,
+    residual: NDArray[np.float64],
+    sigma: NDArray[np.float64],
 ) -> float:
     """Give a fitted excitation the tails that its residuals have, where validation agrees.
 

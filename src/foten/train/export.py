@@ -23,7 +23,7 @@ from foten.recording.windows import targets, windows
 from foten.reference import model_of
 from foten.reference.stream import run
 from foten.runtime.native import NativeTexture
-from foten.runtime.onnx_predictor import GRAPH, INPUT, OUTPUT
+from foten.runtime.onnx_predictor import INPUT, OUTPUT
 from foten.train.blocks import ScaledBlocks
 from foten.train.config import WARM_START
 
@@ -90,7 +90,7 @@ def proved(
 
     Args:
         model: its key.
-        sizes, tensors: of the model, as `Sizes.tensor_shapes` names them; of a graph `GRAPH`.
+        sizes, tensors: of the model, as `Sizes.tensor_shapes` names them; of a graph that.
         scaling: of the trace.
         golden: scaled windows, shape (b, m, 3); one at rest and one far outside the recording are added.
         warm_start: scaled, shape (m, 3).
@@ -211,6 +211,3 @@ def multiply_adds(network: nn.Module, m: int) -> int:
         ):
             copy.deepcopy(network).cpu().float().eval().requires_grad_(False)(torch.zeros(1, m, 3))
     return int(counter.get_total_flops()) // 2
-
-
-

@@ -19,6 +19,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from foten.atomic_write import atomic_write
 from foten.networks.dropout import masks_from, set_dropout
 from foten.recording.windows import window_indices
 from foten.train.config import TrainConfig
@@ -278,7 +279,9 @@ def run_epochs(
     return progress
 
 
-def predict(network: nn.Module, data: TrainingWindows, n: NDArray[np.int64], batch: int = 4096) -> NDArray[np.float64]:
+def predict(
+    network: nn.Module, data: TrainingWindows, n: NDArray[np.int64], batch: int = 4096
+) -> NDArray[np.float64]:
     """Return a network's predictions of the samples n, shape (k,), scaled: of several at once the first."""
     device = next(network.parameters()).device
     network.eval()

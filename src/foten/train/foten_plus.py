@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +25,7 @@ from foten.train.export import N_GOLDEN, Draft, Tensors, in_float64, tensors_of
 from foten.train.fit import Progress, TrainingWindows, pick_device, predict
 from foten.train.job import TrainingJob
 from foten.train.linear_part import LinearPart, fit_linear_parts
+from foten.train.task import NetworkTask, Stage
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ class Rendering:
 
     Attributes:
         distance: log-spectral distance and level error [dB].
-        residual: whether the excitation is that of what the network leaves: it is in the loop.
+        with_network: whether the excitation is that of what the network leaves: it is in the loop.
     """
 
     part: LinearPart
@@ -55,36 +55,37 @@ class Rendering:
         return self.distance[0] * self.distance[1]
 
 
-@dataclass
-class FotenPlusTask:
-    """The network of a texture that is playable without it."""
+@dataclass(kw_only=True)
+class FotenPlusTask(NetworkTask):
+    """The network of a texture that is playable without it.
 
-    job: TrainingJob
-    blocks: ScaledBlocks
+    Attributes:
+        draft: of the texture.
+        plain: the rendering without the network.
+        tried: of linear parts.
+    """
+
     draft: Draft
     plain: Rendering
-    network: Corrector
-    windows: TrainingWindows
     tried: dict[str, Any]
-    playable: Texture = field(init=False)
 
     def __post_init__(self) -> None:
-        linear_mae = _linear_mae(self.windows)
-        progress = {"best_epoch": 0, "n_epochs": 0, "validation_loss": None}
-        self.linear_mae = linear_mae
-        self.playable = self._texture(self.plain, linear_mae, progress, {})
+        self.linear_mae = _linear_mae(self.windows)
+        epochs = {"best_epoch": 0, "n_epochs": 0, "validation_loss": None}
+        self.playable = self._texture(self.plain, self.linear_mae, epochs, {})
 
-    def finish(self, progress: Progress, on_stage: Callable[[str], None]) -> Texture:
+    def finish(self, progress: Progress, on_stage: Stage) -> Texture:
         """Return the texture with the network that was fitted, in the loop where the free run is nearer so."""
         best = progress.best
-        told = {"without network": list(self.plain.distance)}
+        assert self.linear_mae is not None
+        renderings = {"without network": list(self.plain.distance)}
         chosen = self.plain
         gained = 1 - best.validation_mae / self.linear_mae
         if best.epoch and gained >= LEAST_GAIN and self.plain.part.phase is None:
             on_stage("rendering with the network in the loop")
             rendering = self._with_network()
             if rendering is not None:
-                told["with network"] = list(rendering.distance)
+                renderings["with network"] = list(rendering.distance)
                 if rendering.nearness < NETWORK_IS_NEARER * self.plain.nearness:
                     chosen = rendering
         epochs = {
@@ -93,7 +94,7 @@ class FotenPlusTask:
             "validation_loss": best.validation_loss,
         }
         on_stage("proving the texture file")
-        return self._texture(chosen, best.validation_mae, epochs, told)
+        return self._texture(chosen, best.validation_mae, epochs, renderings)
 
     def _with_network(self) -> Rendering | None:
         """Return a rendering with the network in the loop, or None where it is far from any use."""
@@ -119,14 +120,15 @@ class FotenPlusTask:
         self, chosen: Rendering, mae: float, epochs: dict[str, Any], renderings: dict[str, Any]
     ) -> Texture:
         network = self.network.cpu()
+        assert isinstance(network, Corrector)
         weights = tensors_of(network, "network.")
         _check_twin(network, chosen.part.sizes, weights, self.windows)
-        fitted, metrics = chosen.fitted, self.draft_metrics(chosen)
+        fitted, metrics = chosen.fitted, self._metrics(chosen)
         metrics |= {**epochs, "validation_mae_scaled": mae, "renderings": renderings}
         tensors = {**chosen.part.tensors, **weights, **tensors_of(fitted.excitation, "excitation.")}
         return self.draft.texture(chosen.part.sizes, tensors, metrics, N_GOLDEN).texture
 
-    def draft_metrics(self, chosen: Rendering) -> dict[str, Any]:
+    def _metrics(self, chosen: Rendering) -> dict[str, Any]:
         """Return what the card says of a rendering."""
         return {
             "validation_mae_scaled_lattice": self.linear_mae,
@@ -140,7 +142,7 @@ class FotenPlusTask:
         }
 
 
-def prepare_foten_plus(job: TrainingJob, on_stage: Callable[[str], None]) -> FotenPlusTask:
+def prepare_foten_plus(job: TrainingJob, on_stage: Stage) -> FotenPlusTask:
     """Return the linear part with its excitation as a texture, and the windows that a network is to be fitted to.
 
     Raises:
@@ -161,7 +163,15 @@ def prepare_foten_plus(job: TrainingJob, on_stage: Callable[[str], None]) -> Fot
     renderings = [_rendering(part, network, draft, blocks, job) for part in parts]
     chosen, tried = _chosen(renderings)
     windows = _innovations(chosen.part, blocks)
-    return FotenPlusTask(job, blocks, draft, chosen, network.to(device), windows, tried)
+    return FotenPlusTask(
+        job=job,
+        blocks=blocks,
+        network=network.to(device),
+        windows=windows,
+        draft=draft,
+        plain=chosen,
+        tried=tried,
+    )
 
 
 def _rendering(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from foten.families.sizes import Sizes
@@ -32,7 +32,7 @@ class TrainingJob:
     model: str
     sizes: Sizes
     config: TrainConfig
-    preprocess: PreprocessConfig = PreprocessConfig()
+    preprocess: PreprocessConfig = field(default_factory=PreprocessConfig)
     split_method: str = "regrouped"
     split_seed: int = 0
     texture_name: str = ""

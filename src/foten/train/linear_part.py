@@ -83,7 +83,7 @@ class LinearPart:
         return x, e, unit
 
     def power(self, condition: Array) -> tuple[Array, Array]:
-        """Return the mean squares, under a steady condition (k, 2) scaled, of what a unit of σ adds and of the tones, (k,) each."""
+        """Return the mean squares of what a unit of σ adds and of the tones, under conditions (k, 2) scaled: (k,) each."""
         unit = np.square(self.excited_lattice.level(condition))
         if self.phase is None:
             return unit, np.zeros_like(unit)

@@ -22,28 +22,22 @@ from foten.train.foten_plus import check_block
 from foten.train.job import TrainingJob
 from foten.train.one_step import network_tensors
 from foten.train.targets import log_spectra
+from foten.train.task import NetworkTask, Stage
 
 NAT_DB = 20 / math.log(10)
 
 
-@dataclass
-class NoiseModelTask:
+@dataclass(kw_only=True)
+class NoiseModelTask(NetworkTask):
     """A model of spectra.
 
     Attributes:
-        renderer: what makes samples of noise, the network included.
-        network: the part that is fitted.
+        renderer: what makes samples of noise; the network is a part of it.
     """
 
-    job: TrainingJob
-    blocks: ScaledBlocks
     renderer: nn.Module
-    network: nn.Module
-    windows: TrainingWindows
-    playable: Texture | None = None
-    linear_mae: float | None = None
 
-    def finish(self, progress: Progress, on_stage: Callable[[str], None]) -> Texture:
+    def finish(self, progress: Progress, on_stage: Stage) -> Texture:
         """Return the texture."""
         job, best = self.job, progress.best
         device = next(self.network.parameters()).device.type
@@ -62,32 +56,30 @@ class NoiseModelTask:
         return draft.texture(job.sizes, tensors, metrics, N_GOLDEN).texture
 
 
-@dataclass
 class AdversarialTask(NoiseModelTask):
     """A generator, which a discriminator fits."""
 
-    def fit(
-        self, on_epoch: Callable[[Epoch], None], checkpoint: Path | None, resume: bool
-    ) -> Progress:
+    def fit(self, on_epoch: Callable[[Epoch], None], checkpoint: Path | None, resume: bool) -> Progress:
         """Train the generator in place."""
         assert isinstance(self.network, Gan)
         m, config = self.job.sizes.window, self.job.config
         return fit_adversarial(self.network, m, self.blocks, config, on_epoch, checkpoint, resume)
 
 
-def prepare_dftnet(job: TrainingJob, on_stage: Callable[[str], None]) -> NoiseModelTask:
+def prepare_dftnet(job: TrainingJob, on_stage: Stage) -> NoiseModelTask:
     """Return the network of spectra and the frames that it is to be fitted to."""
     blocks, windows = _windows(job)
     network = build(job.model, job.sizes).to(pick_device())
     assert isinstance(network, Dftnet)
-    return NoiseModelTask(job, blocks, network, network.spectrum, log_spectra(windows, blocks))
+    spectra = log_spectra(windows, blocks)
+    return NoiseModelTask(job=job, blocks=blocks, network=network.spectrum, windows=spectra, renderer=network)
 
 
-def prepare_gan(job: TrainingJob, on_stage: Callable[[str], None]) -> AdversarialTask:
+def prepare_gan(job: TrainingJob, on_stage: Stage) -> AdversarialTask:
     """Return the generator, on the CPU."""
     blocks, windows = _windows(job)
     network = build(job.model, job.sizes)
-    return AdversarialTask(job, blocks, network, network, windows)
+    return AdversarialTask(job=job, blocks=blocks, network=network, windows=windows, renderer=network)
 
 
 def _windows(job: TrainingJob) -> tuple[ScaledBlocks, TrainingWindows]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,28 +14,29 @@ from foten.families.texture_file import Texture
 from foten.networks import build
 from foten.networks.scale import Excitation
 from foten.runtime.native import NativeTexture
-from foten.train.blocks import ScaledBlocks
+from foten.runtime.onnx_predictor import GRAPH
 from foten.train.closed_loop import ClosedLoop, free_run_distance
 from foten.train.excitation import fit_excitation
-from foten.train.export import GRAPH, N_GOLDEN, Draft, Tensors, graph_of, in_float64, multiply_adds, tensors_of
+from foten.train.export import (
+    N_GOLDEN,
+    Draft,
+    Tensors,
+    graph_of,
+    in_float64,
+    multiply_adds,
+    tensors_of,
+)
 from foten.train.fit import Progress, TrainingWindows, pick_device, predict
 from foten.train.foten_plus import check_block
 from foten.train.job import TrainingJob
 from foten.train.targets import distilled, multi_step
+from foten.train.task import NetworkTask, Stage
 
 
-@dataclass
-class OneStepTask:
+class OneStepTask(NetworkTask):
     """A network that is to be fitted to recorded samples."""
 
-    job: TrainingJob
-    blocks: ScaledBlocks
-    network: nn.Module
-    windows: TrainingWindows
-    playable: Texture | None = None
-    linear_mae: float | None = None
-
-    def finish(self, progress: Progress, on_stage: Callable[[str], None]) -> Texture:
+    def finish(self, progress: Progress, on_stage: Stage) -> Texture:
         """Return the texture, with an excitation where one was asked for."""
         job, sizes, best = self.job, self.job.sizes, progress.best
         device = next(self.network.parameters()).device.type
@@ -104,7 +104,7 @@ def network_tensors(network: nn.Module, job: TrainingJob) -> tuple[Tensors, Call
     return {GRAPH: graph_of(network, job.sizes.window)}, in_float64(network)
 
 
-def prepare_one_step(job: TrainingJob, on_stage: Callable[[str], None]) -> OneStepTask:
+def prepare_one_step(job: TrainingJob, on_stage: Stage) -> OneStepTask:
     """Return a network and the windows that it is to be fitted to.
 
     Raises:
@@ -119,4 +119,4 @@ def prepare_one_step(job: TrainingJob, on_stage: Callable[[str], None]) -> OneSt
     network = build(job.model, job.sizes).to(pick_device())
     if job.sizes.n_ahead > 1:
         windows = multi_step(windows, blocks, job.sizes.n_ahead)
-    return OneStepTask(job, blocks, network, windows)
+    return OneStepTask(job=job, blocks=blocks, network=network, windows=windows)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -15,16 +14,13 @@ from foten.dsp.lsf import line_spectral_frequencies, spread_out
 from foten.dsp.mesh import LEAST_AREA
 from foten.dsp.segmentation import MAX_ORDER, pieces_of
 from foten.families.conditions import FADE_FORCE, FADE_SPEED
-from foten.families.texture_file import Texture
-from foten.recording.preprocess import PreprocessConfig, preprocess
-from foten.recording.recording import Recording
-from foten.recording.split import Split, split_blocks
-from foten.recording.trace import Trace
 from foten.runtime.native import NativeTexture, predict_blocks
-from foten.train.blocks import ScaledBlocks, scaled_blocks
-from foten.train.card import card_of, versions
+from foten.train.blocks import ScaledBlocks
+from foten.train.card import versions
 from foten.train.export import ProvedTexture
+from foten.train.job import TrainingJob
 from foten.train.piecewise_ar_texture import LocalModels, local_texture
+from foten.train.task import Stage, Task
 
 Array = NDArray[np.float64]
 
@@ -40,35 +36,14 @@ _GRID = 50  # samples between places, at the least
 _SHARES = (0.0, 0.5, 1.0)  # of the way along the trained range, where models stand around it
 
 
-@dataclass(frozen=True)
-class TrainedPiecewiseAr:
-    """A texture of local models and how it came about."""
-
-    texture: Texture
-    trace: Trace
-    split: Split
-    errors: dict[int, float]
-    """One-step validation error by the order that was tried, scaled."""
-
-
-def train_piecewise_ar(
-    recording: Recording,
-    preprocess_config: PreprocessConfig | None = None,
-    split_method: str = "regrouped",
-    split_seed: int = 0,
-    texture_name: str = "",
-    licence: str = "",
-    on_stage: Callable[[str], None] = lambda stage: None,
-) -> TrainedPiecewiseAr:
+def prepare_piecewise_ar(job: TrainingJob, on_stage: Stage) -> Task:
     """Return a texture of local linear models learned from a recording, its order chosen on the validation blocks.
 
     Raises:
         ValueError: the recording does not fit the configuration, or holds too little to fit models to.
     """
-    preprocess_config = preprocess_config or PreprocessConfig()
-    trace = preprocess(recording, preprocess_config)
-    split = split_blocks(trace, split_method, split_seed)
-    blocks = scaled_blocks(trace, split)
+    blocks = job.blocks()
+    trace = blocks.trace
     if trace.block < 2 * MAX_ORDER:
         raise ValueError(
             f"a block of {trace.block} samples is too short for filters of order {MAX_ORDER}, expected twice as many: "
@@ -82,8 +57,8 @@ def train_piecewise_ar(
             f"the training blocks hold {len(pieces)} pieces of {LEAST_SAMPLES} samples or more above {FADE_SPEED:g} mm/s and "
             f"{FADE_FORCE:g} N that vibrate, expected 3 or more: record longer, faster or firmer"
         )
-    card = card_of(recording, blocks, preprocess_config, texture_name, licence)
-    card |= {"training": {"versions": versions()}}
+    card = {**job.card(blocks, "cpu"), "training": {"versions": versions()}}
+    del card["beyond_exponents"]  # those of the mesh
     on_stage("choosing the order")
     tried: dict[int, ProvedTexture] = {}
     for order in ORDERS:
@@ -99,7 +74,7 @@ def train_piecewise_ar(
         "recorded_peak_sd": blocks.peak_sd,
     }
     texture = local_texture(fitted(pieces, blocks, best), blocks.scaling, {**card, "metrics": metrics})
-    return TrainedPiecewiseAr(texture.texture, trace, split, errors)
+    return Task(job=job, blocks=blocks, playable=texture.texture)
 
 
 def fitted(pieces: list[Array], blocks: ScaledBlocks, order: int) -> LocalModels:

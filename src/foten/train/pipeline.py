@@ -4,52 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Protocol
-
-from torch import nn
 
 from foten.families.texture_file import Texture
 from foten.train.batched import fit_batched
-from foten.train.blocks import ScaledBlocks
-from foten.train.fit import Epoch, Progress, TrainingWindows, fit, reproducible
+from foten.train.fit import Epoch, Progress, reproducible
 from foten.train.foten_plus import prepare_foten_plus
 from foten.train.job import Trained, TrainingJob
-from foten.train.noise_model import AdversarialTask, prepare_dftnet, prepare_gan
+from foten.train.noise_model import prepare_dftnet, prepare_gan
 from foten.train.one_step import prepare_one_step
-
-
-class Task(Protocol):
-    """A family's part of a training, after `prepare`.
-
-    Attributes:
-        network: that is to be fitted, in place.
-        windows: and to what.
-        playable: a texture already, whose network adds nothing yet; None without one.
-        linear_mae: its one-step validation error, scaled.
-    """
-
-    job: TrainingJob
-    blocks: ScaledBlocks
-    windows: TrainingWindows
-    linear_mae: float | None
-
-    @property
-    def network(self) -> nn.Module: ...
-
-    @property
-    def playable(self) -> Texture | None: ...
-
-    def finish(self, progress: Progress, on_stage: Callable[[str], None]) -> Texture:
-        """Return the texture with the fitted network."""
-        ...
-
-
-Stage = Callable[[str], None]
+from foten.train.piecewise_ar import prepare_piecewise_ar
+from foten.train.task import NetworkTask, Stage, Task
 
 PREPARE: Mapping[str, Callable[[TrainingJob, Stage], Task]] = {
     "foten-plus": prepare_foten_plus,
     "dftnet": prepare_dftnet,
     "gan": prepare_gan,
+    "ar": prepare_piecewise_ar,
     **dict.fromkeys(
         ("foten", "ten", "ten-mfcc", "ten-wavelet", "foten-d", "fnn", "dstn", "hapinf", "ldhtd", "ldhtd-hop"),
         prepare_one_step,
@@ -94,11 +64,7 @@ def train(
         task = prepare(job, on_stage)
         if task.playable is not None:
             on_playable(task.playable)
-        if isinstance(task, AdversarialTask):
-            progress = task.fit(on_epoch, checkpoint, resume)
-        else:
-            progress = fit(task.network, task.windows, job.config, on_epoch, checkpoint, resume)
-        return _trained(task, progress, on_stage)
+        return _trained(task, task.fit(on_epoch, checkpoint, resume), on_stage)
 
 
 def train_batched(jobs: Sequence[TrainingJob]) -> list[Trained | Exception]:
@@ -107,11 +73,13 @@ def train_batched(jobs: Sequence[TrainingJob]) -> list[Trained | Exception]:
     Jobs of one model and one recipe; those with as many training windows are fitted as one model: see `fit_batched`.
     """
     done: dict[int, Trained | Exception] = {}
-    tasks: dict[int, Task] = {}
+    tasks: dict[int, NetworkTask] = {}
     with reproducible():
         for k, job in enumerate(jobs):
             try:
-                tasks[k] = prepare(job)
+                task = prepare(job)
+                assert isinstance(task, NetworkTask), job.model
+                tasks[k] = task
             except Exception as error:  # is one recording's, of which the others are independent
                 done[k] = error
         for n in sorted({len(task.windows.train) for task in tasks.values()}):

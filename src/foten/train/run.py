@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import json
 import math
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
-from rich.live import Live
-from rich.table import Table
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from foten.atomic_write import atomic_write
 from foten.train.fit import Epoch, write_log
 
 if TYPE_CHECKING:
-    from foten.train.train import Trained
+    from foten.train.job import Trained
 
 
 class RunFolder:
@@ -97,8 +102,8 @@ def _tensorboard(path: Path) -> Any:
 def _draw_curves(path: Path, trained: Trained) -> None:
     from matplotlib.figure import Figure
 
-    epochs, lattice_mae = trained.progress.epochs, trained.lattice_mae
-    of_spectra = trained.texture.architecture.of_noise
+    epochs, linear_mae = trained.progress.epochs, trained.linear_mae
+    of_spectra = trained.texture.sizes.from_noise
     figure = Figure(figsize=(8, 4), layout="constrained")
     loss, error = figure.subplots(1, 2)
     numbers = [line.epoch for line in epochs]
@@ -114,8 +119,8 @@ def _draw_curves(path: Path, trained: Trained) -> None:
     error.plot(
         numbers, [line.validation_mae for line in epochs], "s-", ms=3, color="#D55E00", label="network"
     )
-    if lattice_mae is not None:
-        error.axhline(lattice_mae, ls="--", color="#009E73", label="without the network")
+    if linear_mae is not None:
+        error.axhline(linear_mae, ls="--", color="#009E73", label="without the network")
     what = "validation error of spectra [nat]" if of_spectra else "one-step validation error, scaled"
     error.set(xlabel="epoch", ylabel=what)
     for axes in (loss, error):
@@ -126,69 +131,62 @@ def _draw_curves(path: Path, trained: Trained) -> None:
 
 
 class TrainingDisplay:
-    """A live table of the training on stderr: on a terminal the last lines, elsewhere one line an epoch."""
+    """The training on stderr: on a terminal a bar with the remaining time, elsewhere a line for each stage and epoch.
+
+    Args:
+        epochs: at most.
+        unit: of the validation error.
+    """
 
     def __init__(self, epochs: int, unit: str = "sd") -> None:
-        self._epochs = epochs
-        self._unit = unit
+        self._epochs, self._unit = epochs, unit
         self._console = Console(stderr=True)
-        self._live = Live(console=self._console, auto_refresh=False, transient=False)
-        self._lines: list[Epoch] = []
-        self._started = time.perf_counter()
-        self._stage = "reading"
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[error]}"),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            console=self._console,
+        )
+        self._task = self._bar.add_task("reading", total=None, error="")
 
     def __enter__(self) -> TrainingDisplay:
         if self._console.is_terminal:
-            self._live.start()
+            self._bar.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._console.is_terminal:
-            self._live.stop()
+            self._bar.stop()
 
     def note(self, text: str) -> None:
-        """Print a line that stays above the table."""
+        """Print a line that stays."""
         self._console.print(text, highlight=False, soft_wrap=True)
 
     def stage(self, name: str) -> None:
         """Say what is being done beside epochs."""
-        self._stage = name
-        self._refresh(f"{name} …")
+        self._bar.update(self._task, description=name)
+        if not self._console.is_terminal:
+            self.note(f"{name} …")
 
     def show(self, line: Epoch) -> None:
         """Show one more epoch."""
-        self._lines.append(line)
-        self._stage = "training"
         train = "        " if math.isnan(line.train_loss) else f"{line.train_loss:.6f}"
-        self._refresh(
-            f"epoch {line.epoch:3d}/{self._epochs}  loss {train} {line.validation_loss:.6f}  "
-            f"error {line.validation_mae:.4f} {self._unit}  {line.seconds:5.1f} s{'  best' if line.best else ''}"
+        error = f"error {line.validation_mae:.4f} {self._unit}"
+        self._bar.update(
+            self._task,
+            description="training the network",
+            total=self._epochs,
+            completed=line.epoch,
+            error=f"{error}, best" if line.best else error,
         )
-
-    def _refresh(self, plain: str) -> None:
         if not self._console.is_terminal:
-            self._console.print(plain, highlight=False)
-            return
-        table = Table(
-            box=None,
-            title=f"{self._stage}, {time.perf_counter() - self._started:.0f} s",
-            title_justify="left",
-        )
-        for column in ("epoch", "training loss", "validation loss", f"error [{self._unit}]", "seconds", ""):
-            table.add_column(column, justify="right")
-        best = [line for line in self._lines if line.best][-1:]
-        shown = self._lines[-8:]
-        for line in [*(b for b in best if b not in shown), *shown]:
-            train = "" if math.isnan(line.train_loss) else f"{line.train_loss:.6f}"
-            mark = "best" if line in best else ""
-            table.add_row(
-                f"{line.epoch}/{self._epochs}",
-                train,
-                f"{line.validation_loss:.6f}",
-                f"{line.validation_mae:.4f}",
-                f"{line.seconds:.1f}",
-                mark,
+            self.note(
+                f"epoch {line.epoch:3d}/{self._epochs}  loss {train} {line.validation_loss:.6f}  "
+                f"{error}  {line.seconds:5.1f} s{'  best' if line.best else ''}"
             )
-        self._live.update(table, refresh=True)

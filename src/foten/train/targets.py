@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from foten.families import HapinfSizes
 from foten.networks import build
 from foten.networks.noise_filter import log_magnitudes
+from foten.train.blocks import ScaledBlocks
 from foten.train.config import TrainConfig
 from foten.train.fit import TrainingWindows, fit, pick_device, predict
-from foten.train.blocks import ScaledBlocks
 
 _AT_ONCE = 65536  # frames
 
@@ -54,7 +54,9 @@ def log_spectra(windows: TrainingWindows, blocks: ScaledBlocks) -> TrainingWindo
         for i in range(0, len(n), _AT_ONCE):
             some = n[i : i + _AT_ONCE]
             around = torch.from_numpy(some % block - m // 2)[:, None] + torch.arange(m)
-            target[some] = log_magnitudes(acceleration[torch.from_numpy(some // block)[:, None], around]).numpy()
+            target[some] = log_magnitudes(
+                acceleration[torch.from_numpy(some // block)[:, None], around]
+            ).numpy()
     return replace(windows, train=train, validation=validation, target=target)
 
 

@@ -230,7 +230,9 @@ def _filtered(whitener: Array, x: Array) -> Array:
     return np.asarray(signal.lfilter(whitener, [1.0], x, axis=-1))
 
 
-def _fitted(data: LatticeData, table: SpeedForceTable, phase: Array, whitener: Array, fastest: float) -> SpeedForceTable:
+def _fitted(
+    data: LatticeData, table: SpeedForceTable, phase: Array, whitener: Array, fastest: float
+) -> SpeedForceTable:
     """Return the coefficients that leave the least whitened error, neighbours held together.
 
     Where speed times multiple exceeds `fastest` [mm/s] they are zero: the rate does not hold that frequency.

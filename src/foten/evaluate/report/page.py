@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from foten.atomic_write import atomic_write
 from foten.evaluate.evaluate import Judgement
 from foten.evaluate.report import figures
 from foten.evaluate.report.drawing import inline_svg
@@ -19,7 +20,6 @@ from foten.evaluate.report.tables import free_run_section, one_step_section
 from foten.evaluate.report.verdict import cautions, verdict
 from foten.evaluate.report.wording import reason
 from foten.families.texture_file import Texture
-from foten.atomic_write import atomic_write
 
 _MARKS = {"good": "✓", "even": "≈", "bad": "✗", "unknown": "–"}
 
