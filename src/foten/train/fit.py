@@ -264,6 +264,8 @@ def run_epochs(
         if not progress.epochs:
             finish(0, math.nan, time.perf_counter())
         for epoch in range(len(progress.epochs), config.epochs + 1):
+            if not progress.best_state:  # of a validation that is not finite, nothing that follows is
+                break
             best_epoch = max(line.epoch for line in progress.epochs if line.best)
             if epoch - 1 - best_epoch >= config.patience:
                 break
