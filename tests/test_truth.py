@@ -1,4 +1,4 @@
-"""What the judge is told of a simulated recording."""
+"""What the judge knows of a simulated recording beyond its samples."""
 
 from __future__ import annotations
 
@@ -6,23 +6,28 @@ import dataclasses
 
 import numpy as np
 
-from foten.architecture import FotenPlusArchitecture
 from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.experiments.truth import truth_for
+from foten.families import FotenPlusSizes
 from foten.recording.preprocess import PreprocessConfig
+from foten.recording.recording import Recording
 from foten.train.config import TrainConfig
-from foten.train.train import train_texture
+from foten.train.job import Trained, TrainingJob
+from foten.train.pipeline import train
 
-SMALL = FotenPlusArchitecture(
+SMALL = FotenPlusSizes(
     window=20, d_model=8, n_heads=2, n_layers=1, d_feedforward=16, head=(16, 8), spectral_width=8
 )
 
 
+def trained_on(recording: Recording, config: TrainConfig) -> Trained:
+    return train(TrainingJob(recording, "foten-plus", SMALL, config, PreprocessConfig(block_ms=1000)))
+
+
 def test_a_linear_process_is_predicted_at_its_bound_and_synthesized_at_its_ceiling() -> None:
     recording = simulate("linear-hum", 24.0)
-    config = TrainConfig(epochs=1, batch=512, threads=1)
-    trained = train_texture(recording, "foten-plus", SMALL, config, PreprocessConfig(block_ms=1000))
+    trained = trained_on(recording, TrainConfig(epochs=1, batch=512, threads=1))
     truth = truth_for(recording, trained.texture)
     assert len(truth.realisations) == 5
     document = evaluate(trained.texture, recording, truth).document
@@ -37,8 +42,7 @@ def test_a_linear_process_is_predicted_at_its_bound_and_synthesized_at_its_ceili
 
 def test_a_recording_that_was_not_simulated_has_no_truth() -> None:
     recording = dataclasses.replace(simulate("linear-hum", 24.0), simulation=None)
-    config = TrainConfig(epochs=0, threads=1)
-    trained = train_texture(recording, "foten-plus", SMALL, config, PreprocessConfig(block_ms=1000))
+    trained = trained_on(recording, TrainConfig(epochs=0, threads=1, max_order=20, table=False))
     truth = truth_for(recording, trained.texture)
     assert truth.bound is None
     assert not truth.realisations
@@ -50,9 +54,7 @@ def test_a_recording_that_was_not_simulated_has_no_truth() -> None:
 
 def test_parameters_that_cannot_be_used_cost_the_truth_and_no_more() -> None:
     recording = simulate("linear-hum", 24.0)
-    trained = train_texture(
-        recording, "foten-plus", SMALL, TrainConfig(epochs=0, threads=1), PreprocessConfig(block_ms=1000)
-    )
+    trained = trained_on(recording, TrainConfig(epochs=0, threads=1, max_order=20, table=False))
     for broken in ({"key": "linear-hum"}, {**(recording.simulation or {}), "version": 0}):
         truth = truth_for(dataclasses.replace(recording, simulation=broken), trained.texture)
         assert not truth.realisations
