@@ -16,6 +16,7 @@ from foten.families.texture_file import Texture, texture_from_bytes
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.runtime.renderer import Renderer
+from foten.train.blocks import ScaledBlocks
 from foten.train.config import TrainConfig
 from foten.train.fit import Epoch
 from foten.train.job import Trained, TrainingJob
@@ -63,7 +64,9 @@ def test_every_family_is_prepared() -> None:
 
 def test_the_network_starts_at_the_linear_part(recording: Recording) -> None:
     unfitted = train(job_of(recording, epochs=0))
-    assert unfitted.progress.epochs[0].validation_mae == pytest.approx(unfitted.linear_mae, rel=1e-5)  # float32
+    assert unfitted.progress.epochs[0].validation_mae == pytest.approx(
+        unfitted.linear_mae, rel=1e-5
+    )  # float32
 
 
 @pytest.mark.parametrize("model", ["foten", "ten"])
@@ -186,3 +189,31 @@ def test_blocks_shorter_than_five_windows_are_refused(recording: Recording) -> N
     preprocess = PreprocessConfig(trim_ms=0, block_ms=40)
     with pytest.raises(ValueError, match="longer --block or a shorter --window"):
         train(TrainingJob(recording, "foten", FotenSizes(), QUICK, preprocess))
+
+
+@pytest.mark.parametrize("model", ["foten-plus", "ar", "fnn", "dftnet"])
+def test_the_test_blocks_have_no_say(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch, model: str
+) -> None:
+    """Their samples are others, a hundred times as loud, under another hand: the texture is the same to the last digit."""
+    config = dataclasses.replace(QUICK, epochs=1)
+    sizes = sizes_with(model, SMALL) if model == "foten-plus" else FAMILIES[model]()
+    job = TrainingJob(recording, model, sizes, config, PreprocessConfig(trim_ms=0, block_ms=1000))
+    expected = train(job).texture
+    blocks_of = TrainingJob.blocks
+
+    def spoilt(job: TrainingJob) -> ScaledBlocks:
+        blocks = blocks_of(job)
+        samples, trace, rng = blocks.samples.copy(), blocks.trace, np.random.default_rng(0)
+        acceleration, speed, force = (
+            trace.blocks(channel).copy() for channel in (trace.acceleration, trace.speed, trace.force)
+        )
+        for number in blocks.split.test:
+            samples[number] = 100 * rng.standard_normal(samples[number].shape)
+            acceleration[number], speed[number], force[number] = 100.0, 300.0, 9.0
+        channels = {"acceleration": acceleration, "speed": speed, "force": force}
+        other = dataclasses.replace(trace, **{name: channel.ravel() for name, channel in channels.items()})
+        return dataclasses.replace(blocks, trace=other, samples=samples)
+
+    monkeypatch.setattr(TrainingJob, "blocks", spoilt)
+    assert train(job).texture.to_bytes() == expected.to_bytes()
