@@ -190,8 +190,8 @@ def _check_answered(address: str) -> None:
         raise ValueError(f"{_no_cluster(address)} ({error})") from error
 
 
-def _groups(waiting: Sequence[Waiting], together: int) -> list[list[Waiting]]:
-    """Return the runs in groups for one worker each, in their order: one run, or up to `together` that can be batched."""
+def _groups(waiting: Sequence[Waiting], largest: int) -> list[list[Waiting]]:
+    """Return the runs in groups for one worker each, in their order: one run, or up to `largest` that can be batched."""
     from foten.train.together import TOGETHER
 
     groups: list[list[Waiting]] = []
@@ -201,7 +201,7 @@ def _groups(waiting: Sequence[Waiting], together: int) -> list[list[Waiting]]:
         alike = {"sizes": run.sizes, "train": {**run.train, "seed": 0}, "preprocess": run.preprocess}
         key = json.dumps({"model": run.model, **alike}, sort_keys=True)
         can = run.model in TOGETHER and run.train["threads"] == 1 and run.train["average"] == 0
-        if can and len(open_groups.get(key, ())) % together:
+        if can and len(open_groups.get(key, ())) % largest:
             open_groups[key].append(one)
         else:
             groups.append([one])
