@@ -9,7 +9,7 @@ import numpy as np
 from foten.evaluate import metrics
 from foten.evaluate.evaluate import Judgement
 from foten.evaluate.free_run import scored
-from foten.evaluate.report.drawing import COLOURS, INK, STYLES, log_hertz, new_figure
+from foten.evaluate.report.drawing import COLOURS, INK, STYLES, log_hertz, new_figure, style_colorbar
 from foten.evaluate.report.signals import (
     LABELS,
     N_WAVEFORM,
@@ -150,10 +150,7 @@ def conditions(judgement: Judgement, texture: Texture) -> Figure | None:
         linestyle=(0, (4, 3)),
         label="trained range",
     )
-    bar = figure.colorbar(points, ax=axes, pad=0.02, aspect=28)
-    bar.set_label("level error [dB]", color=INK)
-    bar.outline.set_visible(False)
-    bar.ax.tick_params(color=INK, labelcolor=INK, labelsize=8)
+    style_colorbar(figure.colorbar(points, ax=axes, pad=0.02, aspect=28), "level error [dB]")
     axes.set_xlabel("mean speed [mm/s]")
     axes.set_ylabel("mean force [N]")
     axes.margins(0.08, 0.12)
