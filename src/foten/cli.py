@@ -768,7 +768,7 @@ def render(
         sinks.audible_factor(rate)
         if audible.suffix.lower() != ".wav":
             raise ValueError(f"sound is written as .wav, got --audible {audible.name}")
-    written = [path.resolve() for path in (*output, *([audible] if audible else []))]
+    written = [os.path.realpath(path) for path in (*output, *([audible] if audible else []))]
     if len(set(written)) < len(written):
         raise ValueError("two outputs have the same name")
     constants = (speed, force, seconds)
