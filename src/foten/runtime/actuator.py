@@ -12,11 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.atomic_write import atomic_write
+<<<<<<< HEAD:src/foten/runtime/actuator.py
 from foten.runtime.native import NativeActuator
+=======
+from foten.render.native import NativeActuator
+from foten.untrusted import check_regular, parse_json
+>>>>>>> audit:src/foten/render/actuator.py
 
 Array = NDArray[np.float64]
 
 FORMAT, VERSION = "foten-actuator", 1
+LARGEST = 1e9  # of any figure: no actuator has more
 _NEAR_S = (
     0.02  # of the delay at which drive and acceleration are most alike, within which the best is looked for
 )
@@ -58,8 +64,11 @@ class ActuatorProfile:
             if field.name not in ("name", "unit")
         }
         for name, value in numbers.items():
-            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-                raise ValueError(f"{name} of the actuator is {value!r}, expected a number")
+            # The comparison holds for integers of any number of digits, and for NaN it does not.
+            if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
+                raise ValueError(
+                    f"{name} of the actuator is {value!r:.30}, expected a number below {LARGEST:g}"
+                )
             if name != "gain" and value < 0:
                 raise ValueError(f"{name} of the actuator is {value}, expected 0 or more")
         if self.gain == 0:
@@ -94,11 +103,10 @@ def read_profile(path: Path) -> ActuatorProfile:
         FileNotFoundError: there is none.
         ValueError: it is no profile, or a figure cannot be.
     """
-    if not path.exists():
-        raise FileNotFoundError(f"no such file: {path}")
+    check_regular(path)
     try:
-        found: Any = json.loads(path.read_text())
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        found: Any = parse_json(path.read_bytes())
+    except ValueError as error:
         raise ValueError(f"{path.name} is not JSON ({error}), expected an actuator's profile") from error
     if not isinstance(found, dict) or found.pop("format", None) != FORMAT:
         raise ValueError(f"{path.name} is not an actuator's profile, expected 'format': {FORMAT!r}")
