@@ -205,10 +205,7 @@ def texture() -> Texture:
 @pytest.fixture(scope="session")
 def plain_texture() -> Texture:
     """Return a texture of the paper's network, without excitation."""
-<<<<<<< HEAD
     return exported("foten", FAMILIES["foten"](**SMALL))
-=======
-    return exported("foten", ARCHITECTURES["foten"](**SMALL))
 
 
 TINY = """
@@ -229,4 +226,3 @@ def experiment(folder: Path, text: str = TINY) -> Path:
     path = folder / "experiment.toml"
     path.write_text(text)
     return path
->>>>>>> reports

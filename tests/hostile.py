@@ -30,7 +30,7 @@ from scipy.io import savemat, wavfile
 
 from foten.datasets.hdf5 import write_recording
 from foten.recording.recording import Channel, Recording
-from foten.texture_file import Texture
+from foten.families.texture_file import Texture
 
 LONGEST_S = 60.0  # of one command, on a busy machine; without one, none takes 5
 DEEP = 100_000

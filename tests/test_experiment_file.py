@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from conftest import TINY, experiment
-from foten.cli import _status
+from foten.cli.command_line import _status
 from foten.experiments.experiment_file import experiment_path, read_experiment
 
 

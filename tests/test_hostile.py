@@ -6,7 +6,7 @@ import pytest
 
 from conftest import exported
 from foten.architecture import ARCHITECTURES
-from foten.texture_file import Texture
+from foten.families.texture_file import Texture
 from hostile import KINDS, Generator, run_commands, run_hostile
 
 N_ALWAYS, N_SLOW, BATCH = 100, 2000, 200

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
-from foten.cli import _status
+from foten.cli.command_line import _status
 from foten.datasets import isolated
 from foten.datasets.arrays import read_hdf5
 from foten.datasets.hdf5 import read_recording, write_recording

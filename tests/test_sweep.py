@@ -14,12 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-<<<<<<< HEAD
-from foten.cli.command_line import _status
-=======
 from conftest import TINY, experiment
-from foten.cli import _status
->>>>>>> reports
+from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
 from foten.experiments.comparison import rows_of

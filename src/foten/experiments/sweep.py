@@ -190,15 +190,9 @@ def _check_answered(address: str) -> None:
         raise ValueError(f"{_no_cluster(address)} ({error})") from error
 
 
-<<<<<<< HEAD
-def _groups(waiting: Sequence[Waiting], together: int) -> list[list[Waiting]]:
-    """Return the runs in groups for one worker each, in their order: one run, or up to `together` that can be batched."""
-    from foten.train.batched import BATCHED
-=======
 def _groups(waiting: Sequence[Waiting], largest: int) -> list[list[Waiting]]:
     """Return the runs in groups for one worker each, in their order: one run, or up to `largest` that can be batched."""
-    from foten.train.together import TOGETHER
->>>>>>> reports
+    from foten.train.batched import BATCHED
 
     groups: list[list[Waiting]] = []
     open_groups: dict[str, list[Waiting]] = {}
@@ -206,13 +200,8 @@ def _groups(waiting: Sequence[Waiting], largest: int) -> list[list[Waiting]]:
         run = one[1]
         alike = {"sizes": run.sizes, "train": {**run.train, "seed": 0}, "preprocess": run.preprocess}
         key = json.dumps({"model": run.model, **alike}, sort_keys=True)
-<<<<<<< HEAD
         can = run.model in BATCHED and run.train["threads"] == 1
-        if can and len(open_groups.get(key, ())) % together:
-=======
-        can = run.model in TOGETHER and run.train["threads"] == 1 and run.train["average"] == 0
         if can and len(open_groups.get(key, ())) % largest:
->>>>>>> reports
             open_groups[key].append(one)
         else:
             groups.append([one])

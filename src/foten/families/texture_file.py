@@ -213,18 +213,12 @@ def check_card(card: Any) -> None:
         if not isinstance(card[key], kind) or isinstance(card[key], bool):
             expected = "a number" if kind == (int, float) else getattr(kind, "__name__", "dict or null")
             raise ValueError(f"{key!r} in the card is {card[key]!r}, expected {expected}")
-<<<<<<< HEAD:src/foten/families/texture_file.py
-    sizes = sizes_of(card["model"], card["sizes"])
-    if sizes.history != card["window"]:
-        raise ValueError(f"the card has window {shortened(card['window'])} and the network {sizes.history}")
-=======
     try:
-        architecture = architecture_from(card["model"], card["sizes"])
+        sizes = sizes_of(card["model"], card["sizes"])
     except (TypeError, OverflowError) as error:  # a list where a number belongs
         raise ValueError(f"the sizes in the card do not fit together ({error})") from error
-    if architecture.history != card["window"]:
-        raise ValueError(f"the card has window {card['window']} and the network {architecture.history}")
->>>>>>> audit:src/foten/texture_file.py
+    if sizes.history != card["window"]:
+        raise ValueError(f"the card has window {shortened(card['window'])} and the network {sizes.history}")
     for key in ("rate_hz", "saturation", "lowpass_hz"):
         if not (_are_numbers([card[key]], 1) and card[key] > 0):
             raise ValueError(f"{key!r} in the card is {card[key]}, expected a positive number")
@@ -256,11 +250,7 @@ def check_card(card: Any) -> None:
         )
     if card["split"] is None:
         return
-<<<<<<< HEAD:src/foten/families/texture_file.py
     needed = "validation_spectrum_db" if sizes.from_noise else "validation_mae_scaled"
-=======
-    needed = "validation_spectrum_db" if architecture.of_noise else "validation_mae_scaled"
->>>>>>> audit:src/foten/texture_file.py
     if not _are_numbers([card["metrics"].get(needed)], 1):
         raise ValueError(f"the card has no {needed!r} among its metrics")
     for name in ("validation_mae_scaled", "validation_mae_scaled_lattice", "validation_mae_scaled_hop"):

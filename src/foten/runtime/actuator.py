@@ -12,12 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.atomic_write import atomic_write
-<<<<<<< HEAD:src/foten/runtime/actuator.py
 from foten.runtime.native import NativeActuator
-=======
-from foten.render.native import NativeActuator
 from foten.untrusted import check_regular, parse_json
->>>>>>> audit:src/foten/render/actuator.py
 
 Array = NDArray[np.float64]
 
