@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 from typer.exceptions import Abort, TyperException
 
+from foten.atomic_write import reason
 from foten.cli.bench import bench
 from foten.cli.console import say
 from foten.cli.demo import demo
@@ -113,12 +114,6 @@ def _status(arguments: list[str]) -> int:
             raise
         say(f"foten: this needs {package}, which is not installed: pip install 'foten[{_EXTRAS[package]}]'")
     except (ValueError, OSError) as error:
-        say(f"foten: {' '.join(_reason(error).split())}")
+        text = reason(error) if isinstance(error, OSError) else str(error) or type(error).__name__
+        say(f"foten: {' '.join(text.split())}")
     return 2
-
-
-def _reason(error: Exception) -> str:
-    """Return what went wrong: of the system's own errors the file first, and no number."""
-    if isinstance(error, OSError) and error.strerror and error.filename is not None:
-        return f"{error.filename}: {error.strerror[:1].lower()}{error.strerror[1:]}"
-    return str(error) or type(error).__name__

@@ -167,7 +167,8 @@ def train(
         texture or recording.texture,
         licence,
     )
-    folder = RunFolder(run_folder or output.with_suffix(".run"))
+    display = TrainingDisplay(config.epochs, "nat" if sizes.from_noise else "sd")
+    folder = RunFolder(run_folder or output.with_suffix(".run"), display.note)
     if model != "ar":
         folder.open(
             {
@@ -181,7 +182,7 @@ def train(
             },
             resume,
         )
-    with TrainingDisplay(config.epochs, "nat" if sizes.from_noise else "sd") as display:
+    with display:
 
         def on_playable(playable: Texture) -> None:
             write_texture(playable, output)
@@ -195,6 +196,8 @@ def train(
             folder.log(line)
 
         trained = train_texture(job, on_epoch, folder.checkpoint, resume, display.stage, on_playable)
+        for note in trained.progress.notes:
+            display.note(note)
     write_texture(trained.texture, output)
     interrupted = trained.progress.interrupted
     if model != "ar":

@@ -57,7 +57,7 @@ def print_training_result(
         print(f"{trace.n_uncovered} samples that not every channel covers were left out")
     if trace.n_dropped:
         print(f"{trace.n_dropped} samples at the end did not fill a block and were left out")
-    condition = card["warm_start"]["found"]
+    condition = card["warm_start"]["recorded"]
     origin = "modelled" if card["model"] == "ar" else "recorded"
     print(
         f"warm start {origin} at {condition['speed']:.0f} mm/s and {condition['force']:.2f} N (asked: 45 mm/s, 0.8 N)"

@@ -59,18 +59,26 @@ class ScaledBlocks:
         return train, validation
 
     def condition_before(self) -> tuple[Array, Array]:
-        """Return the speed [mm/s] and force [N] of the sample before, which a prediction knows: (n_blocks, block) each."""
-        trace = self.trace
-        speed, force = (
-            np.concatenate([channel[:1], channel[:-1]]).reshape(trace.n_blocks, trace.block)
-            for channel in (trace.speed, trace.force)
-        )
-        return speed, force
+        """Return the speed [mm/s] and force [N] of the sample before, which a prediction knows: (n_blocks, block) each.
+
+        Of a block's first sample, which nothing in its block comes before and which is never predicted, its own.
+        """
+        speed, force = (self.trace.blocks(channel) for channel in (self.trace.speed, self.trace.force))
+        return _before(speed), _before(force)
+
+    def scaled_condition_before(self) -> Array:
+        """Return the same scaled, one sample after the other, shape (n, 2)."""
+        return _before(self.samples[..., 1:]).reshape(-1, 2)
 
     def path_conditions(self) -> Array:
         """Return speed and force, scaled, and the speed [mm/s], as the kernel's loop takes them: (n_blocks, block, 3)."""
         speed = self.trace.blocks(self.trace.speed)
         return np.concatenate([self.samples[..., 1:], speed[..., None]], axis=2)
+
+
+def _before(channel: Array) -> Array:
+    """Return each block's samples, its first one twice and without its last: (n_blocks, block, …)."""
+    return np.concatenate([channel[:, :1], channel[:, :-1]], axis=1)
 
 
 def scaled_blocks(trace: Trace, split: Split) -> ScaledBlocks:

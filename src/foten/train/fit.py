@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 import os
 import pickle
@@ -19,7 +20,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from foten.atomic_write import atomic_write
+from foten.atomic_write import atomic_write, reason
 from foten.networks.dropout import masks_from, set_dropout
 from foten.recording.windows import window_indices
 from foten.train.config import TrainConfig
@@ -64,12 +65,17 @@ class Epoch:
 
 @dataclass
 class Progress:
-    """Everything that a run needs to go on where it stopped."""
+    """Everything that a run needs to go on where it stopped.
+
+    Attributes:
+        notes: what went wrong on the way without ending it, a line each.
+    """
 
     epochs: list[Epoch] = field(default_factory=list)
     best_loss: float = math.inf
     best_state: dict[str, Tensor] = field(default_factory=dict)
     interrupted: bool = False
+    notes: list[str] = field(default_factory=list)
 
     @property
     def best(self) -> Epoch:
@@ -262,6 +268,8 @@ def run_epochs(
         if not progress.epochs:
             finish(0, math.nan, time.perf_counter())
         for epoch in range(len(progress.epochs), config.epochs + 1):
+            if not progress.best_state:  # of a validation that is not finite, nothing that follows is
+                break
             best_epoch = max(line.epoch for line in progress.epochs if line.best)
             if epoch - 1 - best_epoch >= config.patience:
                 break
@@ -271,7 +279,7 @@ def run_epochs(
             if not math.isfinite(progress.epochs[-1].train_loss):
                 raise ValueError("the training loss is not finite; is the acceleration full of outliers?")
             if checkpoint is not None:
-                save_progress(checkpoint, config, parts, progress)
+                _keep(checkpoint, config, parts, progress)
     except KeyboardInterrupt:
         progress.interrupted = True
     if not progress.best_state:
@@ -346,19 +354,34 @@ class Stateful(Protocol):
     def load_state_dict(self, state: dict[str, Any], /) -> Any: ...
 
 
+def _keep(path: Path, config: TrainConfig, parts: Mapping[str, Stateful], progress: Progress) -> None:
+    """Write a checkpoint; on a full disk, say, note once that there is none of this epoch: the training is worth more."""
+    try:
+        save_progress(path, config, parts, progress)
+    except OSError as error:
+        if not progress.notes:
+            progress.notes.append(f"{reason(error)}; the training went on without its checkpoint")
+
+
 def save_progress(path: Path, config: TrainConfig, parts: Mapping[str, Stateful], progress: Progress) -> None:
-    """Write a checkpoint: the state of every part, and the log."""
+    """Write a checkpoint: the state of every part, and the log.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    saved = io.BytesIO()  # PyTorch's own writer says of a full disk only that its archive is inconsistent
+    torch.save(
+        {
+            "config": asdict(config),
+            "parts": {name: one.state_dict() for name, one in parts.items()},
+            "epochs": [asdict(epoch) for epoch in progress.epochs],
+            "best_loss": progress.best_loss,
+            "best_state": progress.best_state,
+        },
+        saved,
+    )
     with atomic_write(path) as part:
-        torch.save(
-            {
-                "config": asdict(config),
-                "parts": {name: one.state_dict() for name, one in parts.items()},
-                "epochs": [asdict(epoch) for epoch in progress.epochs],
-                "best_loss": progress.best_loss,
-                "best_state": progress.best_state,
-            },
-            part,
-        )
+        part.write_bytes(saved.getbuffer())
 
 
 def load_progress(path: Path, config: TrainConfig, parts: Mapping[str, Stateful]) -> Progress:

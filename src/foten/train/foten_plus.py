@@ -119,7 +119,7 @@ class FotenPlusTask(NetworkTask):
     def _texture(
         self, chosen: Rendering, mae: float, epochs: dict[str, Any], renderings: dict[str, Any]
     ) -> Texture:
-        network = self.network.cpu()
+        network = self.network
         assert isinstance(network, Corrector)
         weights = tensors_of(network, "network.")
         _check_twin(network, chosen.part.sizes, weights, self.windows)

@@ -143,8 +143,7 @@ def fit_linear_parts(
         level = Scale(sizes.excitation_width).requires_grad_(False)
         both = np.concatenate([windows.train, windows.validation])
         fit_scale(level, windows, blocks.scaling, signal[both], config.seed)
-        condition = np.concatenate([blocks.flat[:1, 1:], blocks.flat[:-1, 1:]])
-        scale = LevelOf(tensors_of(level), "")(condition)
+        scale = LevelOf(tensors_of(level), "")(blocks.scaled_condition_before())
         x, unit = ((values).reshape(speed.shape) for values in (signal / scale, scale))
         return level, LatticeData(x, unit, speed, force, split.train, split.validation)
 

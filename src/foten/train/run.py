@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from foten.atomic_write import atomic_write
+from foten.atomic_write import atomic_write, reason
 from foten.train.fit import Epoch, write_log
 
 if TYPE_CHECKING:
@@ -31,11 +31,16 @@ class RunFolder:
 
     ``config.json``, ``log.csv`` and, at the end, ``split.json`` and ``curves.png``; ``checkpoint.pt`` while
     it runs; TensorBoard events where tensorboard is installed.
+
+    Args:
+        path: of the folder.
+        on_note: called with a line where a later line of the log cannot be written: the training is worth more.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, on_note: Callable[[str], None] = lambda text: None) -> None:
         self.path = path
         self.checkpoint = path / "checkpoint.pt"
+        self._on_note, self._noted = on_note, False
         self._config = ""
         self._epochs: list[Epoch] = []
         self._events: Any = None
@@ -66,14 +71,25 @@ class RunFolder:
             )
 
     def log(self, epoch: Epoch) -> None:
-        """Add one line to the log on disk."""
+        """Add one line to the log on disk.
+
+        Raises:
+            OSError: the first line cannot be written.
+        """
         if not self._epochs:
             self.path.mkdir(parents=True, exist_ok=True)
             with atomic_write(self.path / "config.json") as part:
                 part.write_text(self._config)
             self._events = _tensorboard(self.path)
         self._epochs.append(epoch)
-        write_log(self.path / "log.csv", self._epochs)
+        try:
+            write_log(self.path / "log.csv", self._epochs)
+        except OSError as error:
+            if len(self._epochs) == 1:
+                raise
+            if not self._noted:
+                self._on_note(f"{reason(error)}; the training goes on without its log")
+            self._noted = True
         if self._events is not None:
             for name in ("train_loss", "validation_loss", "validation_mae"):
                 if not math.isnan(getattr(epoch, name)):
