@@ -84,7 +84,7 @@ static void some_rows(int rows, int vectors, int inputs, const float *w, const f
     else switch (rows) { EACH_ROWS(NARROW) }
 }
 
-/* n tokens through a linear map; what they are padded with up to whole vectors comes out as zeros. */
+/* n tokens through a linear map; what they are padded with up to full vectors comes out as zeros. */
 static void apply(const linear *l, int n, const float *in, int in_stride, float *out, int out_stride, int rectified) {
     int padded = (l->outputs + LANES - 1) / LANES * LANES;
     for (int o = 0; o < padded; o += 2 * LANES) {

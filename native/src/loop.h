@@ -5,7 +5,7 @@
 #include "model.h"
 #include "noise.h"
 
-/* All that must survive a sample: this, and the arrays that it points to, which lie behind it in one block. Each kind of loop uses its part. */
+/* All that must survive a sample: this, and the arrays that it points to, which follow it in one block. Each kind of loop uses its part. */
 struct loop {
     condition condition;         /* of the last sample, which the next one goes by */
     lattice_state lattice;       /* foten-plus, piecewise AR */

@@ -150,25 +150,25 @@ static void spectral_of(maker *m, network *n, const network_sizes *s) {
     n->spectral_embedding = linear_of(m, "spectral_embedding", (size_t)s->d_model, 1);
 }
 
-/* Floats from `at` on, for n of them; `at` moves behind them, to the next cache line. */
+/* Floats from `at` on, for n of them; `at` moves past them, to the next cache line. */
 static size_t reserve(size_t *at, size_t n) {
     size_t from = *at, line = ALIGNED / sizeof(float);
     *at = (from + n + line - 1) / line * line;
     return from;
 }
 
-/* Lay out what an encoder layer of at most n tokens needs from `begin` on; returns where that ends. */
-static size_t lay_out_encoder(encoder *e, size_t n, size_t begin, size_t queries) {
+/* Lay out what an encoder layer of n tokens needs from `begin` on, where the last `asked` are asked for; returns where that ends. */
+static size_t lay_out_encoder(encoder *e, size_t n, size_t asked, size_t begin, size_t queries) {
     size_t attending = begin, feeding, stride = (size_t)e->stride, size = (size_t)(e->width / e->heads);
     e->at.normed = reserve(&attending, n * stride);
     feeding = attending;
     e->at.packed = reserve(&attending, 3 * n * stride);
-    e->at.mixed = reserve(&attending, n * stride);
+    e->at.mixed = reserve(&attending, asked * stride);
     e->at.query = reserve(&attending, size * queries);
     e->at.share = reserve(&attending, n * queries);
     e->at.weighted = reserve(&attending, size * queries);
-    e->at.hidden = reserve(&feeding, n * (size_t)e->hidden_stride);
-    e->at.fed = reserve(&feeding, n * stride);
+    e->at.hidden = reserve(&feeding, asked * (size_t)e->hidden_stride);
+    e->at.fed = reserve(&feeding, asked * stride);
     return attending > feeding ? attending : feeding;
 }
 
@@ -176,15 +176,17 @@ static size_t larger(size_t a, size_t b) { return a > b ? a : b; }
 
 /* Lay out the scratch memory of a step. */
 static void lay_out(network *n, encoder *layers, const isa *isa) {
-    size_t window = (size_t)n->window, bins = (size_t)n->n_bins, queries = (size_t)isa->queries, at = 0, most, doubles = sizeof(double) / sizeof(float);
+    size_t window = (size_t)n->window, bins = (size_t)n->n_bins, queries = (size_t)isa->queries, double_size = sizeof(double) / sizeof(float);
+    size_t at = 0, most;
     network_scratch *s = &n->scratch;
     s->tokens = reserve(&at, window * (size_t)n->d_stride);
-    size_t behind = at;
-    most = behind;
-    for (int i = 0; i < n->n_layers; i++) most = larger(most, lay_out_encoder(&layers[i], window, behind, queries));
+    size_t after_tokens = at;
+    most = after_tokens;
+    for (int i = 0; i < n->n_layers; i++)
+        most = larger(most, lay_out_encoder(&layers[i], window, i == n->n_layers - 1 ? 1 : window, after_tokens, queries));
     if (n->fourier) {
-        s->real = reserve(&at, bins * doubles);
-        s->imaginary = reserve(&at, bins * doubles);
+        s->real = reserve(&at, bins * double_size);
+        s->imaginary = reserve(&at, bins * double_size);
         s->magnitude = reserve(&at, bins);
         s->phase = reserve(&at, bins);
         s->magnitude_out = reserve(&at, bins);
@@ -193,10 +195,10 @@ static void lay_out(network *n, encoder *layers, const isa *isa) {
         size_t layer = at;
         s->numbers = reserve(&at, bins * (size_t)isa->lanes); /* after the layer */
         most = larger(most, at);
-        most = larger(most, lay_out_encoder(&n->magnitude, (size_t)n->n_magnitudes, layer, queries));
-        most = larger(most, lay_out_encoder(&n->phase, bins, layer, queries));
+        most = larger(most, lay_out_encoder(&n->magnitude, (size_t)n->n_magnitudes, (size_t)n->n_magnitudes, layer, queries));
+        most = larger(most, lay_out_encoder(&n->phase, bins, bins, layer, queries));
     }
-    at = behind;
+    at = after_tokens;
     s->features = reserve(&at, (size_t)n->n_features + 2);
     s->first = reserve(&at, larger((size_t)n->head_1.outputs, (size_t)n->d_stride)); /* the spectral token before that */
     s->second = reserve(&at, (size_t)n->head_2.outputs);

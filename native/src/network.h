@@ -39,8 +39,8 @@ typedef struct {
     int n_inputs, fourier; /* fourier: whether there is a spectral branch */
 } network_sizes;
 
-/* Where a step's numbers lie in the scratch memory, in floats from its beginning, and how many floats there are. Behind the temporal tokens lie
- * one after the other in time: the temporal layers, the spectral branch, the head. */
+/* Where a step's numbers lie in the scratch memory, in floats from its beginning, and how many floats there are. After the tokens the
+ * temporal layers, the spectral branch and the head use the same memory in turn. */
 typedef struct {
     size_t tokens;
     size_t real, imaginary, magnitude, phase, magnitude_out, phase_out, bins, numbers; /* of the spectral branch */
