@@ -59,7 +59,7 @@
 #define FOTEN_NOISE_LINEAR 0.97846856 /* foten.dsp.noise._LINEAR */
 #define FOTEN_NOISE_CUBIC 0.00750807 /* foten.dsp.noise._CUBIC */
 #define FOTEN_MEAN_SIZE 0.7978845608028654 /* foten.dsp.noise._MEAN_SIZE */
-#define FOTEN_SIZE_SD 0.60281027498907660 /* foten.dsp.noise._SIZE_SD */
+#define FOTEN_SIZE_SD 0.6028102749890869 /* foten.dsp.noise._SIZE_SD */
 #define FOTEN_HEAVIEST_TAIL 0.25 /* foten.families.excitation.HEAVIEST_TAIL */
 #define FOTEN_LARGEST_SHOCK 4.0 /* foten.dsp.noise.LARGEST_SHOCK */
 #define FOTEN_LARGEST_VOLATILITY 3.0 /* foten.dsp.noise.LARGEST_VOLATILITY */
