@@ -65,13 +65,16 @@ static double correction(const foten_model *m, loop *l) {
     return m->correction_limit * tanh(predictor_predict(&m->predictor, &l->predictor) / m->correction_limit);
 }
 
-/* With tones nothing but the lattice of the vibration predicts: the phase is not known. */
+/* The lattice of the vibration and the network predict, with tones as well: the phase of a recording is not known. The scale is
+ * that of a rendering, and so known only where that predicts the same. */
 static void predict(const foten_model *m, loop *l, foten_prediction_part part, foten_prediction *out) {
     int with_network = part == FOTEN_PREDICT_MODEL || (part == FOTEN_PREDICT_RENDERING && m->network_in_loop);
     double unit = l->lattice.all_cosines * l->lattice.level;
-    *out = (foten_prediction){lattice_predict(&l->lattice, m->lattice.order) * gain_after(&m->lattice, &l->lattice), 0, l->excitation.tail};
+    *out = (foten_prediction){lattice_predict(&l->lattice, m->lattice.order) * gain_after(&m->lattice, &l->lattice), 0, 0};
     if (with_network) out->sample += unit * correction(m, l);
-    if (!m->tones.n && with_network == m->network_in_loop) out->scale = unit * l->excitation.sigma;
+    if (m->tones.n) return;
+    if (with_network == m->network_in_loop) out->scale = unit * l->excitation.sigma;
+    out->tail = l->excitation.tail;
 }
 
 static void push(const foten_model *m, loop *l, const double *sample) {
