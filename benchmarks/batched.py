@@ -22,18 +22,19 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import torch
+from foten.architecture import ARCHITECTURES
+from foten.train.prepared import prepare
+from foten.train.together import TOGETHER, fit_together
 from torch import nn
 
-from foten.architecture import ARCHITECTURES
 from foten.atomic_write import atomic_write
 from foten.datasets.simulate import TEXTURES, simulate
 from foten.networks import build
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.split import split_blocks
 from foten.train.config import RECIPES
-from foten.train.fit import Data, Progress, fit, pick_device, reproducible
-from foten.train.prepared import prepare
-from foten.train.together import TOGETHER, fit_together
+from foten.train.epochs import Progress
+from foten.train.fit import Data, fit, pick_device, reproducible
 from main_table import between
 
 SAME = 0.01  # of a training loss: an epoch by the paper's learning rate makes that much of rounding

@@ -27,11 +27,14 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import torch
-
 from foten.architecture import ARCHITECTURES, GRAPHS, NETWORKS
+from foten.train.goals import ahead, spectra
+from foten.train.prepared import Prepared, prepare
+
 from foten.atomic_write import atomic_write
 from foten.datasets.simulate import simulate
 from foten.experiments.paper import PAPER
+from foten.families.texture_file import Texture
 from foten.networks import build
 from foten.networks.dftnet import Dftnet
 from foten.networks.foten_plus import FotenPlus
@@ -40,16 +43,13 @@ from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.scaling import fit_scaling
 from foten.recording.split import split_blocks
 from foten.recording.windows import targets
-from foten.runtime.onnx_predictor import GRAPH, GraphEngine
 from foten.runtime.native import NativeState, NativeTexture
-from foten.families.texture_file import Texture
+from foten.runtime.onnx_predictor import GRAPH, GraphEngine
 from foten.train.adversarial import STEPS, fit_adversarial
 from foten.train.card import card_of
 from foten.train.config import OWN_RECIPES, RECIPES
 from foten.train.export import export, graph_of
 from foten.train.fit import Data, fit, reproducible
-from foten.train.goals import ahead, spectra
-from foten.train.prepared import Prepared, prepare
 from main_table import between
 
 MODELS = (

@@ -29,20 +29,20 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import numpy as np
-
 import foten.train.train as train_module
+import numpy as np
 from foten.architecture import ARCHITECTURES, sizes
+from foten.runtime.engine import engine_for
+from foten.train.train import Trained, train_texture
+
 from foten.datasets.simulate import LINEAR_FAMILY, TEXTURES
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.one_step import one_step
 from foten.experiments.truth import truth_for
 from foten.recording.windows import targets
-from foten.runtime.engine import engine_for
 from foten.train.config import RECIPES, TrainConfig
 from foten.train.linear_part import LinearPart, fit_linear_parts
-from foten.train.train import Trained, train_texture
-from main_table import REAL, SOURCES, alike, at, between, audible_share, recording_of, work_through
+from main_table import REAL, SOURCES, alike, at, audible_share, between, recording_of, work_through
 from main_table import RESULTS as MAIN
 from self_forced import fine_tuning
 

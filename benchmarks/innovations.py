@@ -20,16 +20,15 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from foten.runtime.engine import NumpyFotenPlus, engine_for
 from scipy import optimize, stats
 
 from foten.atomic_write import atomic_write
 from foten.dsp.noise import gaussianised
-from foten.recording.preprocess import preprocess
-from foten.recording.split import Split
-from foten.runtime.engine import NumpyFotenPlus, engine_for
 from foten.families.conditions import FADE_FORCE, FADE_SPEED
 from foten.families.texture_file import Texture, read_texture
-from foten.atomic_write import atomic_write
+from foten.recording.preprocess import preprocess
+from foten.recording.split import Split
 from main_table import SOURCES, between, name_of, recording_of
 
 Array = np.ndarray

@@ -26,8 +26,8 @@ N_BLOCKS = 9
 
 def at_once(states: np.ndarray, reflections: np.ndarray, innovation: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return the states after a sample, shape (p, s), and that sample, shape (s,)."""
-    foreseen, gain = forecast(states, reflections)
-    x = foreseen + gain * innovation
+    expected, gain = predict(states, reflections)
+    x = expected + gain * innovation
     return push(states, reflections, x)[0], x
 
 

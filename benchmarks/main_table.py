@@ -27,20 +27,20 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from foten.architecture import ARCHITECTURES, FotenArchitecture, FotenPlusArchitecture, multiply_adds
+from foten.train.train import train_texture
 
 import foten
-from foten.architecture import ARCHITECTURES, FotenArchitecture, FotenPlusArchitecture, multiply_adds
 from foten.atomic_write import atomic_write
 from foten.datasets.simulate import LINEAR_FAMILY, TEXTURES, simulate
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.metrics import kurtosis
 from foten.experiments.truth import truth_for
+from foten.families.texture_file import Texture, write_texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Channel, Recording
 from foten.recording.trace import Trace
-from foten.families.texture_file import Texture, write_texture
 from foten.train.config import RECIPES
-from foten.train.train import train_texture
 
 
 def source_sha256() -> str:

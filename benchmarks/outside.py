@@ -22,19 +22,19 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-
 from foten.architecture import FotenPlusArchitecture
+from foten.train.train import train_texture
+
 from foten.atomic_write import atomic_write
 from foten.datasets.simulate import ACCELEROMETER_NOISE, TEXTURES, vibration
 from foten.datasets.stroking import Stroking, stroking
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
+from foten.families.conditions import Synthesizer
+from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Channel, Recording
 from foten.recording.trace import Trace
-from foten.families.conditions import Synthesizer
-from foten.families.texture_file import Texture
 from foten.train.config import RECIPES
-from foten.train.train import train_texture
 
 RATE_HZ = 10_000.0
 N_STREAMS = 5

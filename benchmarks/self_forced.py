@@ -14,17 +14,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import foten.train.train as train_module
 import numpy as np
 import torch
+from foten.train.prepared import Prepared
 from torch import Tensor
 
-import foten.train.train as train_module
 from foten.networks.foten_plus import FotenPlus
 from foten.recording.windows import window_indices
 from foten.train.config import TrainConfig
 from foten.train.excitation import fit_excitation, free_run_distance
 from foten.train.fit import Data, predict
-from foten.train.prepared import Prepared
 
 N_UPDATES = 60
 N_STREAMS, N_GROUPS = 32, 4

@@ -34,15 +34,15 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-
 from foten.architecture import HEAVIEST_TAIL
+from foten.runtime.closed_loop import ClosedLoop
+from foten.runtime.engine import ToneState, engine_for
+
 from foten.datasets.stroking import stroking
 from foten.dsp.lattice import LEAK
 from foten.dsp.noise import LARGEST_VOLATILITY
-from foten.runtime.closed_loop import ClosedLoop
-from foten.runtime.engine import ToneState, engine_for
 from foten.families.texture_file import Texture, read_texture
-from main_table import SOURCES, between, audible_share, keep, made_earlier, name_of
+from main_table import SOURCES, audible_share, between, keep, made_earlier, name_of
 from streams import rendered
 
 LARGEST_NOISE = 5.68  # standard deviations, of the counter-based generator

@@ -257,7 +257,6 @@ def peaks(folder: Path) -> dict[str, float]:
 def measured(path: Path | None, n: int) -> dict[str, Any]:
     """Return the document: times by engine [µs], ratios of the best native build, and what it was measured on."""
     import torch
-
     from foten.architecture import multiply_adds
 
     texture, data = texture_of(path)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from foten.runtime.native import NativeState, NativeTexture
 from foten.families.texture_file import Texture
+from foten.runtime.native import NativeState, NativeTexture
 
 
 def rendered(texture: Texture, seed: int, speed: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, int]:

@@ -26,8 +26,8 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "2")
 
 import torch
-
 from foten.architecture import ARCHITECTURES
+
 from foten.atomic_write import atomic_write
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
@@ -38,7 +38,8 @@ from foten.recording.scaling import fit_scaling
 from foten.recording.split import split_blocks
 from foten.recording.windows import targets
 from foten.train.config import RECIPES, TrainConfig
-from foten.train.fit import Data, Epoch, fit, pick_device, reproducible
+from foten.train.epochs import Epoch
+from foten.train.fit import Data, fit, pick_device, reproducible
 
 
 def history(name: str, key: str, data: Data, config: TrainConfig) -> list[Epoch]:

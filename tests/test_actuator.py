@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.signal import bilinear, lfilter
 
+from foten.families.texture_file import Texture
 from foten.runtime.actuator import ActuatorProfile, identify, read_profile, sweep, write_profile
 from foten.runtime.renderer import Renderer
-from foten.families.texture_file import Texture
 
 
 def driven(texture: Texture, profile: ActuatorProfile, rate: float, n: int) -> tuple[np.ndarray, np.ndarray]:

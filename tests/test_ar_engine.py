@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from conftest import CARD, SCALING, exported, local_models
 from foten.architecture import ArArchitecture
-from foten.dsp.lattice import LEAK, predict, reflections_of
-from foten.dsp.lsf import line_spectral_frequencies, polynomial_of
 from foten.runtime.ar import NumpyAr
 from foten.runtime.closed_loop import ClosedLoop
 from foten.runtime.engine import engine_for
-from foten.runtime.native import NativeState, NativeTexture
+from foten.train.export_local import LocalModels, export_local
+
+from conftest import CARD, SCALING, exported, local_models
+from foten.dsp.lattice import LEAK, reflections_of
+from foten.dsp.lsf import line_spectral_frequencies, polynomial_of
 from foten.families.conditions import Synthesizer
 from foten.families.texture_file import Texture
-from foten.train.export_local import LocalModels, export_local
+from foten.runtime.native import NativeState, NativeTexture
 
 LOCAL: dict[str, dict[str, Any]] = {
     "models": {"order": 20, "n_models": 9, "n_triangles": 8},

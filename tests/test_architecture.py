@@ -5,8 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-
-from conftest import architecture_with
 from foten.architecture import (
     ARCHITECTURES,
     NETWORKS,
@@ -17,6 +15,8 @@ from foten.architecture import (
     sizes,
     tensor_shapes,
 )
+
+from conftest import architecture_with
 from foten.networks import build
 
 VARIANTS: list[dict[str, Any]] = [

@@ -2,11 +2,11 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
+from foten.runtime.closed_loop import ClosedLoop
+from foten.runtime.window_state import WindowState
 from scipy.signal import lfilter
 
 from conftest import resonance
-from foten.runtime.closed_loop import ClosedLoop
-from foten.runtime.window_state import WindowState
 
 
 @dataclass

@@ -19,7 +19,8 @@ from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.reference import model_of
 from foten.reference.stream import run
-from foten.runtime.native import NativeTexture, run_loops
+from foten.runtime.loops import run_loops
+from foten.runtime.native import NativeTexture
 from foten.train import closed_loop
 from foten.train.blocks import ScaledBlocks
 from foten.train.closed_loop import (
@@ -50,7 +51,9 @@ def model(before: bool = False) -> tuple[FotenPlusSizes, Tensors]:
 
 def excitation_of(tensors: Tensors) -> Excitation:
     excitation = Excitation(len(tensors["excitation.hidden.bias"])).requires_grad_(False)
-    state = {name: torch.from_numpy(tensors[f"excitation.{name}"]).clone() for name in excitation.state_dict()}
+    state = {
+        name: torch.from_numpy(tensors[f"excitation.{name}"]).clone() for name in excitation.state_dict()
+    }
     excitation.load_state_dict(state)
     return excitation
 

@@ -11,25 +11,25 @@ from pathlib import Path
 import numpy as np
 import onnx
 import pytest
+from foten.architecture import ARCHITECTURES, GRAPHS
+from foten.runtime.engine import engine_for
+from foten.train.local import train_local
+from foten.train.train import train_texture
 
 from conftest import architecture_with
-from foten.architecture import ARCHITECTURES, GRAPHS
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate, to_text
+from foten.families.conditions import Synthesizer
+from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, Texture, texture_from_bytes, write_texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.runtime.bench import INSTRUCTION_SETS, time_all
-from foten.runtime.engine import engine_for
-from foten.runtime.onnx_predictor import GraphEngine
 from foten.runtime.native import NativeState, NativeTexture
+from foten.runtime.onnx_predictor import GraphEngine
 from foten.runtime.renderer import Renderer
-from foten.families.conditions import Synthesizer
-from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, Texture, texture_from_bytes, write_texture
 from foten.train.config import OWN_RECIPES, TrainConfig
-from foten.train.local import train_local
-from foten.train.train import train_texture
 
 SMALL = {
     **{"d_model": 8, "n_heads": 2, "n_layers": 1, "d_feedforward": 16, "head": (16, 8), "spectral_width": 8},

@@ -4,14 +4,14 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-
-from conftest import SMALL, architecture_with, exported, untrained
 from foten.architecture import ARCHITECTURES, GRAPHS, NETWORKS, FotenArchitecture, FotenPlusArchitecture
-from foten.evaluate.one_step import excitation_scores
-from foten.networks import MODELS
 from foten.runtime.engine import ENGINES, engine_for
 from foten.runtime.forecast import excitation_fit
+
+from conftest import SMALL, architecture_with, exported, untrained
+from foten.evaluate.one_step import excitation_scores
 from foten.families.texture_file import ONE_STEP_TOLERANCE, Texture, texture_from_bytes
+from foten.networks import MODELS
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "default": {},

@@ -128,7 +128,9 @@ def test_a_heavy_tailed_number_is_taken_back_to_its_gaussian() -> None:
     np.testing.assert_allclose(slope, step, rtol=1e-5)
 
 
-def innovations_of(loop: ClosedLoop, excitation: Excitation, heavy: bool = False) -> tuple[np.ndarray, TrainingWindows]:
+def innovations_of(
+    loop: ClosedLoop, excitation: Excitation, heavy: bool = False
+) -> tuple[np.ndarray, TrainingWindows]:
     """Return innovations as the excitation makes them, and the windows that they are missed from."""
     rng = np.random.default_rng(4)
     windows = TrainingWindows(loop.blocks.flat, *loop.blocks.targets(loop.history), loop.history)

@@ -3,11 +3,11 @@ import math
 import numpy as np
 import pytest
 import torch
+from foten.architecture import FotenArchitecture, FotenPlusArchitecture
 from torch import Tensor
 from torch.nn.functional import layer_norm, linear
 
 from conftest import SMALL, reflections_of, untrained
-from foten.architecture import FotenArchitecture, FotenPlusArchitecture
 from foten.dsp.lattice import LEAK
 from foten.networks import build
 from foten.networks.foten_plus import Excitation

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-
 from foten.architecture import FotenPlusArchitecture
-from foten.datasets.simulate import simulate
-from foten.recording.preprocess import PreprocessConfig
 from foten.runtime.engine import engine_for
-from foten.families.conditions import prove
-from foten.train.config import TrainConfig
 from foten.train.train import train_texture
+
+from foten.datasets.simulate import simulate
+from foten.families.conditions import prove
+from foten.recording.preprocess import PreprocessConfig
+from foten.train.config import TrainConfig
 
 pytestmark = [
     pytest.mark.gpu,

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 import pytest
+from foten.architecture import ARCHITECTURES
 
 from conftest import exported
-from foten.architecture import ARCHITECTURES
 from foten.families.texture_file import Texture
 from hostile import KINDS, Generator, run_commands, run_hostile
 

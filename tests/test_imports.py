@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import foten
-from foten.runtime.renderer import Renderer
 from foten.families.texture_file import Texture, write_texture
+from foten.runtime.renderer import Renderer
 
 ROOT = Path(foten.__file__).parent
 MODULES = sorted(

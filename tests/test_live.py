@@ -19,15 +19,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, lfilter
 
+from foten.families.texture_file import Texture
 from foten.runtime import devices
 from foten.runtime.actuator import ActuatorProfile
 from foten.runtime.live.devices import DaqSink, NullSink, OscSink, SoundSink, UdpSink, WavSink
 from foten.runtime.live.live import Live, LiveStatistics, Timing
 from foten.runtime.live.play import along, circling, gain_for, rate_for, rendering, sink_of
-from foten.runtime.renderer import Renderer
 from foten.runtime.live.ring import Ring
+from foten.runtime.renderer import Renderer
 from foten.runtime.stroke import Stroke
-from foten.families.texture_file import Texture
 
 
 @given(size=st.integers(1, 20), steps=st.lists(st.tuples(st.booleans(), st.integers(0, 25)), max_size=60))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from foten.train.local import ORDERS, LocallyTrained, fitted, train_local
 
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
@@ -14,11 +15,10 @@ from foten.datasets.simulate import simulate
 from foten.dsp.lsf import LEAST_GAP
 from foten.evaluate.evaluate import evaluate
 from foten.experiments.truth import truth_for
+from foten.families.texture_file import read_texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Channel, Recording
 from foten.runtime.native import NativeState, NativeTexture
-from foten.families.texture_file import read_texture
-from foten.train.local import ORDERS, LocallyTrained, fitted, train_local
 
 SHORT = PreprocessConfig(trim_ms=0, block_ms=1000)
 
@@ -100,9 +100,10 @@ def test_a_sensor_that_drops_out_is_left_out(dropout: str | None) -> None:
 
 
 def test_models_in_one_place_are_one(recording: Recording) -> None:
+    from foten.train.prepared import prepare
+
     from foten.recording.preprocess import preprocess
     from foten.recording.split import split_blocks
-    from foten.train.prepared import prepare
 
     trace = preprocess(recording, SHORT)
     prepared = prepare(trace, split_blocks(trace, "regrouped", 1))

@@ -15,19 +15,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from foten.architecture import ARCHITECTURES, FotenPlusArchitecture
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, lfilter
 
 import foten
 from conftest import SCALING, SMALL, architecture_with, exported
-from foten.architecture import ARCHITECTURES, FotenPlusArchitecture
 from foten.dsp.noise import gaussian
+from foten.families.conditions import Synthesizer
+from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, Texture
 from foten.runtime.binding import isa, noise
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.renderer import Renderer
-from foten.families.conditions import Synthesizer
-from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, Texture
 from test_ar_engine import LOCAL
 from test_engine import CASES, PLUS, VARIANTS
 from test_synthesizer import stroke

@@ -7,9 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from scipy.fft import dct
-from scipy.signal import welch
-
 from foten.architecture import (
     GRAPHS,
     DftnetArchitecture,
@@ -19,8 +16,13 @@ from foten.architecture import (
     TenWaveletArchitecture,
     architecture_from,
 )
-from foten.networks import build
 from foten.networks.excited import Excited
+from foten.train.goals import ahead, spectra, taught
+from foten.train.prepared import Prepared, prepare
+from scipy.fft import dct
+from scipy.signal import welch
+
+from foten.networks import build
 from foten.networks.features import MfccBranch, WaveletBranch, cosine_transform, mel_bands, wavelet_transform
 from foten.networks.fnn import EDGES, lagged_bands
 from foten.networks.gan import Gan
@@ -30,10 +32,9 @@ from foten.recording.trace import Trace
 from foten.train import adversarial
 from foten.train.adversarial import fit_adversarial
 from foten.train.config import OWN_RECIPES, RECIPES, TrainConfig, check_used
+from foten.train.epochs import Epoch, Progress, load_progress
 from foten.train.export import _multiply_adds
-from foten.train.fit import Data, Epoch, Progress, fit, load_progress
-from foten.train.goals import ahead, spectra, taught
-from foten.train.prepared import Prepared, prepare
+from foten.train.fit import Data, fit
 
 
 def test_bands_add_up_to_the_vibration() -> None:

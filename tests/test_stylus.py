@@ -10,10 +10,10 @@ from scipy.signal import sosfilt
 
 from foten.datasets.stroking import stroking
 from foten.dsp.filters import butterworth
+from foten.families.texture_file import Texture
 from foten.runtime.native import NativeStylus, NativeTexture
 from foten.runtime.renderer import Renderer
 from foten.runtime.stylus import PressureCalibration, Stylus, fit_pressure
-from foten.families.texture_file import Texture
 
 RATE = 1000.0
 CURVE = PressureCalibration()

@@ -5,18 +5,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from foten.architecture import FotenPlusArchitecture
+from foten.runtime.closed_loop import ClosedLoop
+from foten.runtime.engine import engine_for
+from foten.runtime.excitation import Excitation
+from foten.runtime.window_state import WindowState
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conftest import SCALING, SMALL, exported
-from foten.architecture import FotenPlusArchitecture
-from foten.recording.preprocess import PreprocessConfig
-from foten.runtime.closed_loop import ClosedLoop
-from foten.runtime.engine import engine_for
-from foten.runtime.excitation import Excitation
 from foten.families.conditions import FADE_FORCE, FADE_SPEED, RenderStatistics, Synthesizer, prove
-from foten.runtime.window_state import WindowState
 from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, Texture
+from foten.recording.preprocess import PreprocessConfig
 
 LOW, HIGH = (8.0, 0.3), (220.0, 2.5)  # the trained range of the fixtures
 
@@ -353,8 +353,9 @@ def test_the_level_follows_the_excitation(texture: Texture) -> None:
 
 def proved_again(texture: Texture) -> Texture:
     """Return a texture with the golden outputs of its own engine, to look at the loop apart from the proof."""
-    from foten.dsp.noise import gaussian
     from foten.runtime.closed_loop import ClosedLoop
+
+    from foten.dsp.noise import gaussian
 
     engine: Any = engine_for(texture)
     tensors = dict(texture.tensors)

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from foten.architecture import FotenPlusArchitecture
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from safetensors.numpy import save
 
 from conftest import SCALING, SMALL
-from foten.architecture import FotenPlusArchitecture
 from foten.families.texture_file import Texture, read_texture, texture_from_bytes, write_texture
 
 

@@ -10,16 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from foten.architecture import ARCHITECTURES, TenArchitecture
+from foten.train.together import TOGETHER, fit_together
 from torch import nn
 
-from foten.architecture import ARCHITECTURES, TenArchitecture
 from foten.experiments.experiment import Experiment, Method, Run
 from foten.experiments.run import execute, recording_of
 from foten.experiments.sweep import _groups, _guarded
 from foten.networks import build
 from foten.train.config import RECIPES, TrainConfig
-from foten.train.fit import Data, Progress, fit, reproducible
-from foten.train.together import TOGETHER, fit_together
+from foten.train.epochs import Progress
+from foten.train.fit import Data, fit, reproducible
 
 SMALL = TenArchitecture(window=6, d_model=8, n_heads=2, d_feedforward=8, n_layers=1, head=(8, 4))
 QUICK = TrainConfig(epochs=3, batch=16, threads=1, learning_rate=1e-4)

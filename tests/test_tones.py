@@ -7,19 +7,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from foten.architecture import FotenPlusArchitecture
+from foten.runtime.closed_loop import ClosedLoop
+from foten.runtime.engine import engine_for
+from foten.train.train import train_texture
 from scipy.signal import lfilter
 
 from conftest import SCALING, SMALL, exported
-from foten.architecture import FotenPlusArchitecture
 from foten.datasets.simulate import simulate
-from foten.dsp.tones import fitted_phase, audible_share, tone, tone_slope
-from foten.runtime.closed_loop import ClosedLoop
-from foten.runtime.engine import engine_for
+from foten.dsp.tones import audible_share, fitted_phase, tone, tone_slope
 from foten.families.conditions import Synthesizer
 from foten.train.config import TrainConfig
 from foten.train.lattice import LatticeData
 from foten.train.tones import _unevenness, fit_tones, n_tones, played, wavelength
-from foten.train.train import train_texture
 
 RATE = 1000.0
 LENGTH = 1.7  # mm

@@ -11,13 +11,20 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from foten.architecture import FotenArchitecture, FotenPlusArchitecture
+from foten.runtime.closed_loop import ClosedLoop
+from foten.runtime.engine import engine_for as engine_of_texture
+from foten.runtime.forecast import Forecast
+from foten.train.prepared import Prepared, prepare
+from foten.train.train import Trained, _beyond_exponents, _innovations, pick_warm_start, train_texture
 from scipy.signal import lfilter
 
 from conftest import architecture_with
-from foten.architecture import FotenArchitecture, FotenPlusArchitecture
 from foten.datasets.simulate import simulate
 from foten.dsp.lattice import polynomial
 from foten.dsp.noise import heavy_tailed
+from foten.families.conditions import Synthesizer
+from foten.families.texture_file import texture_from_bytes
 from foten.networks import build
 from foten.networks.dropout import Dropout, set_dropout
 from foten.networks.foten_plus import Excitation, FotenPlus
@@ -27,12 +34,8 @@ from foten.recording.scaling import Scaling
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.recording.windows import targets, windows
-from foten.runtime.closed_loop import ClosedLoop
-from foten.runtime.engine import engine_for as engine_of_texture
-from foten.runtime.forecast import Forecast
-from foten.families.conditions import Synthesizer
-from foten.families.texture_file import texture_from_bytes
 from foten.train.config import RECIPES, TrainConfig
+from foten.train.epochs import Epoch
 from foten.train.excitation import (
     _jackknifed,
     _lasts_s,
@@ -47,10 +50,8 @@ from foten.train.excitation import (
     gaussianised,
     settle_level,
 )
-from foten.train.fit import Data, Epoch, fit, loss_of, predict
-from foten.train.prepared import Prepared, prepare
+from foten.train.fit import Data, fit, loss_of, predict
 from foten.train.run import RunFolder
-from foten.train.train import Trained, _beyond_exponents, _innovations, pick_warm_start, train_texture
 
 SMALL = {
     "d_model": 8,

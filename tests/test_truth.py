@@ -5,14 +5,14 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-
 from foten.architecture import FotenPlusArchitecture
+from foten.train.train import train_texture
+
 from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.experiments.truth import truth_for
 from foten.recording.preprocess import PreprocessConfig
 from foten.train.config import TrainConfig
-from foten.train.train import train_texture
 
 SMALL = FotenPlusArchitecture(
     window=20, d_model=8, n_heads=2, n_layers=1, d_feedforward=16, head=(16, 8), spectral_width=8

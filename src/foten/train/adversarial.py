@@ -15,7 +15,7 @@ from foten.networks.gan import Discriminator, Gan
 from foten.networks.noise_filter import log_magnitudes
 from foten.train.blocks import ScaledBlocks
 from foten.train.config import TrainConfig
-from foten.train.fit import Epoch, Progress, Stateful, run_epochs
+from foten.train.epochs import Epoch, Progress, Stateful, run_epochs
 
 FRAMES = 56  # of a spectrogram; Table III
 STEPS = 50  # in an epoch

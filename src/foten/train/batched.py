@@ -19,9 +19,8 @@ from torch.func import functional_call, grad_and_value, stack_module_state, vmap
 from foten.networks.dropout import mask, mask_shapes, masks_given, set_dropout
 from foten.recording.windows import window_indices
 from foten.train.config import TrainConfig
+from foten.train.epochs import Epoch, Progress, goes_on
 from foten.train.fit import (
-    Epoch,
-    Progress,
     TrainingWindows,
     epoch_seed,
     loss_of,
@@ -31,6 +30,7 @@ from foten.train.fit import (
     schedule_of,
     validated,
 )
+from foten.train.optimiser import Optimiser
 
 BATCHED = ("foten", "foten-plus", "ten", "ten-mfcc", "ten-wavelet", "foten-d", "fnn")
 """Models that are faster so; those with recurrent layers would be taken apart again."""
@@ -107,7 +107,9 @@ def fit_batched(
     live = [texture for texture in textures if texture.error is None]
     stack = _Stack(live, config, rate, criterion, offsets) if live else None
     for epoch in range(1, config.epochs + 1):
-        going = [k for k, texture in enumerate(live) if _goes_on(texture, epoch)]
+        going = [
+            k for k, texture in enumerate(live) if texture.error is None and goes_on(texture.progress, config)
+        ]
         if not going or stack is None:
             break
         if len(going) < len(live):
@@ -136,13 +138,6 @@ def _of_device(
     return _Texture(network, config, samples, goal, unit, train, validation, Progress())
 
 
-def _goes_on(texture: _Texture, epoch: int) -> bool:
-    if texture.error is not None:
-        return False
-    best = max(line.epoch for line in texture.progress.epochs if line.best)
-    return epoch - 1 - best < texture.config.patience
-
-
 class _Stack:
     """The weights of several networks in one tensor a parameter, of which each network's own are views, and their optimiser."""
 
@@ -162,7 +157,7 @@ class _Stack:
         weights, self._fixed = stack_module_state([texture.network for texture in textures])
         self._weights = {name: nn.Parameter(weight.detach()) for name, weight in weights.items()}
         self._share()
-        self._optimiser = self._adamw()
+        self._optimiser = Optimiser(self._weights, config, stacked=True)
 
         def loss(
             weights: dict[str, Tensor],
@@ -178,12 +173,6 @@ class _Stack:
 
         self._gradients = vmap(grad_and_value(loss))
 
-    def _adamw(self) -> torch.optim.AdamW:
-        config = self._config
-        return torch.optim.AdamW(
-            self._weights.values(), lr=config.learning_rate, weight_decay=config.weight_decay, fused=True
-        )
-
     def _share(self) -> None:
         for k, texture in enumerate(self._textures):
             for name, parameter in texture.network.named_parameters():
@@ -191,17 +180,12 @@ class _Stack:
 
     def leave(self, kept: Sequence[int], textures: Sequence[_Texture]) -> None:
         """Go on with those networks alone; the others have what weights they have."""
-        before, old = self._optimiser.state, self._weights
         remaining = torch.tensor(kept, device=self._device)
         self._textures = textures
         self._fixed = {name: fixed[remaining] for name, fixed in self._fixed.items()}
-        self._weights = {name: nn.Parameter(weight.data[remaining]) for name, weight in old.items()}
+        self._weights = {name: nn.Parameter(weight.data[remaining]) for name, weight in self._weights.items()}
         self._share()
-        self._optimiser = self._adamw()
-        for name, weight in self._weights.items():
-            self._optimiser.state[weight] = {
-                key: value if key == "step" else value[remaining] for key, value in before[old[name]].items()
-            }
+        self._optimiser = self._optimiser.keep(self._weights, remaining)
 
     def epoch(self, epoch: int) -> list[float]:
         """Train all for an epoch, and return the mean loss of each."""
@@ -238,9 +222,7 @@ class _Stack:
             gradients = {name: one * scale.view(-1, *[1] * (one.ndim - 1)) for name, one in gradients.items()}
         for name, weight in self._weights.items():
             weight.grad = gradients[name]
-        for group in self._optimiser.param_groups:
-            group["lr"] = self._config.learning_rate * self._rate(self._n_steps)
-        self._optimiser.step()
+        self._optimiser.step(self._rate(self._n_steps))
         self._n_steps += 1
         return losses.detach()
 

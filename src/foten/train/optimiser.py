@@ -11,7 +11,9 @@ from torch import Tensor, nn
 from foten.train.config import TrainConfig
 
 MOMENTUM = 0.95
-LEAST_SIDE = 4  # a matrix is wider and taller than that: of what is narrower little is left by orthogonalisation
+LEAST_SIDE = (
+    4  # a matrix is wider and taller than that: of what is narrower little is left by orthogonalisation
+)
 _COEFFICIENTS = 3.4445, -4.7750, 2.0315  # of the quintic that pushes singular values towards 1
 _STEPS = 5
 
@@ -69,7 +71,8 @@ class Optimiser:
         new = [one for group in other._adam.param_groups for one in group["params"]]
         for before, after in zip(old, new, strict=True):
             other._adam.state[after] = {
-                key: value if key == "step" else value[kept] for key, value in self._adam.state[before].items()
+                key: value if key == "step" else value[kept]
+                for key, value in self._adam.state[before].items()
             }
         return other
 
@@ -103,6 +106,4 @@ def orthogonalised(matrices: Tensor) -> Tensor:
 def clipped(gradients: Iterable[Tensor], limit: float) -> None:
     """Scale gradients in place so that their norm is at most `limit`; 0 for no limit."""
     if limit > 0:
-        torch.nn.utils.clip_grads_with_norm_(
-            gradients, limit, torch.nn.utils.get_total_norm(gradients)
-        )
+        torch.nn.utils.clip_grads_with_norm_(gradients, limit, torch.nn.utils.get_total_norm(gradients))
