@@ -137,7 +137,7 @@ def _clock() -> Check:
 
 
 def _sound() -> Check:
-    from foten.runtime.live.devices import sound_library
+    from foten.runtime.live.sound import sound_library
 
     try:
         sounddevice: Any = sound_library()

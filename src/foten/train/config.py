@@ -108,9 +108,10 @@ There dense layers begin with Glorot's uniform weights and zero biases, here wit
 OWN_RECIPES: dict[str, dict[str, Any]] = {
     "ten": {"delta": 2.0},
     "ten-wavelet": {"loss": "mse"},
-    **dict.fromkeys(
-        ("fnn", "dstn", "hapinf", "ldhtd", "ldhtd-hop", "dftnet"), {"loss": "mse", "optimiser": "adamw"}
-    ),
+    **{
+        model: {"loss": "mse", "optimiser": "adamw"}
+        for model in ("fnn", "dstn", "hapinf", "ldhtd", "ldhtd-hop", "dftnet")
+    },
     # Its epochs are of 50 steps, not of all windows.
     "gan": {"epochs": 60, "patience": 60, "batch": 64, "learning_rate": 2e-4},
 }

@@ -67,8 +67,8 @@ class Stateful(Protocol):
 def goes_on(progress: Progress, config: TrainConfig) -> bool:
     """Return whether another epoch may gain anything; where none has, the progress says so in a note.
 
-    None does where the last `patience` epochs brought no better loss, or where the first `probation` ones lowered the error by less
-    than `least_gain`: what a lattice leaves of a linear process is noise, and a network learns nothing from it however long.
+    None does where the last `patience` epochs brought no better loss, or where the first `probation` ones lowered the error by
+    less than `least_gain`: what a lattice leaves of a linear process is noise, and a network learns nothing from it however long.
     """
     epoch, first = progress.epochs[-1].epoch, progress.epochs[0].validation_mae
     if epoch - progress.best.epoch >= config.patience:
