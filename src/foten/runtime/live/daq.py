@@ -9,11 +9,9 @@ from contextlib import suppress
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from foten.runtime.live.paced import check_gain
+from foten.runtime.live.paced import Read, check_gain
 
-Samples = NDArray[np.float32]
 _DAQ_BUFFERED_MS = 20.0
 
 

@@ -5,13 +5,7 @@ from __future__ import annotations
 import socket
 import struct
 
-import numpy as np
-from numpy.typing import NDArray
-
-from foten.runtime.live.paced import Paced
-
-Samples = NDArray[np.float32]
-PACKET_MS = 4.0
+from foten.runtime.live.paced import Paced, Samples
 
 
 class UdpSink(Paced):

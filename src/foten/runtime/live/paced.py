@@ -7,7 +7,7 @@ import math
 import struct
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,9 @@ from numpy.typing import NDArray
 from foten.atomic_write import atomic_write
 
 Samples = NDArray[np.float32]
+Read = Callable[[Samples], None]
+
+PACKET_MS = 4.0
 _LARGEST_WAV = 2**32 - 4096  # bytes
 
 

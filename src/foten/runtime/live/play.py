@@ -13,17 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.runtime.actuator import ActuatorProfile
-from foten.runtime.live.devices import (
-    SOUND_RATE_HZ,
-    DaqSink,
-    NullSink,
-    OscSink,
-    Samples,
-    SoundSink,
-    UdpSink,
-    WavSink,
-)
+from foten.runtime.live.daq import DaqSink
 from foten.runtime.live.live import Live, LiveStatistics, Sink
+from foten.runtime.live.network import OscSink, UdpSink
+from foten.runtime.live.paced import NullSink, Samples, WavSink
+from foten.runtime.live.sound import SOUND_RATE_HZ, SoundSink
 from foten.runtime.renderer import Renderer
 from foten.runtime.stroke import Stroke
 

@@ -6,11 +6,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from foten.runtime.live.paced import check_gain
+from foten.runtime.live.paced import Read, Samples, check_gain
 
-Samples = NDArray[np.float32]
 SOUND_RATE_HZ = 48_000.0
 _SOUND_BLOCK_MS = 5.0
 
