@@ -25,7 +25,7 @@ class TrainConfig:
     least_gain: float = 1e-3  # of the one-step validation error, over the network before training
     batch: int = 128  # windows
     optimiser: str = "muon"  # orthogonalised momentum for matrices (`train.optimiser`); or "adamw" for all
-    matrix_learning_rate: float = 4e-3  # of that, at its highest
+    matrix_learning_rate: float = 3e-3  # of that, at its highest
     # Of AdamW, at its highest. What a lattice leaves is nearly white: from 1e-3 on AdamW alone learned nothing of a mesh
     # in 16 epochs.
     learning_rate: float = 5e-4
