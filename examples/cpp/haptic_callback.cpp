@@ -64,7 +64,7 @@ private:
     struct FreeState { void operator()(foten_state *state) const { foten_state_free(state); } };
     std::unique_ptr<foten_model, FreeModel> model_; // outlives the state
     std::unique_ptr<foten_state, FreeState> state_;
-    double mass_; // what the hand moves with the tool: newtons for m/s2
+    double mass_; // that moves with the tool: newtons for m/s2
     double most_; // N
     double rate_ = 0, due_ = 0;
     float acceleration_ = 0;

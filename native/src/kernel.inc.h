@@ -15,6 +15,7 @@ typedef float vec __attribute__((vector_size(4 * LANES)));
 typedef int32_t vec_bits __attribute__((vector_size(4 * LANES)));
 typedef float lane __attribute__((vector_size(4 * SHORT)));
 typedef int32_t lane_bits __attribute__((vector_size(4 * SHORT)));
+typedef uint32_t lane_word __attribute__((vector_size(4 * SHORT)));
 
 #define INLINE static inline __attribute__((always_inline))
 
@@ -47,7 +48,7 @@ INLINE lane exp_of(lane x) {
     p = p * r + 1.6666665459e-1f;
     p = p * r + 5.0000001201e-1f;
     p = p * (r * r) + r + 1.0f;
-    lane_bits power = ((lane_bits)shifted << 23) + 0x3F800000;
+    lane_word power = ((lane_word)shifted << 23) + 0x3F800000u; /* unsigned: of what is no number it may overflow */
     return p * (lane)power;
 }
 

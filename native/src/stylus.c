@@ -8,7 +8,7 @@
 #include "filter.h"
 #include "model.h"
 
-enum { WAITING = 256, RESTARTED = 8 };      /* events; late ones in succession after which the device's clock has begun anew */
+enum { WAITING = 256, RESTARTED = 8 };      /* events; late ones in succession after which the device has restarted its clock */
 static const double FASTEST = 5000;         /* mm/s; faster is a pen that was lifted */
 static const double HOLE = 10, HOLE_S = 0.04; /* usual steps without an event that are a pen out of reach, and that long at least */
 static const double SHORTEST_STEP_S = 0.0005; /* of a usual one: events that waited somewhere and came at once are none to go by */
