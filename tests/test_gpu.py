@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from foten.architecture import FotenPlusArchitecture
-from foten.runtime.engine import engine_for
-from foten.train.train import train_texture
 
 from foten.datasets.simulate import simulate
-from foten.families.conditions import prove
+from foten.families import FotenPlusSizes
 from foten.recording.preprocess import PreprocessConfig
+from foten.runtime.renderer import Renderer
 from foten.train.config import TrainConfig
+from foten.train.job import TrainingJob
+from foten.train.pipeline import prepare, train
+from foten.train.task import NetworkTask
 
 pytestmark = [
     pytest.mark.gpu,
@@ -20,29 +21,31 @@ pytestmark = [
 ]
 
 
-def test_a_gpu_gives_the_same_file_twice_and_the_engine_proves_it() -> None:
-    recording = simulate("linear-twin", 24.0)
-    config = TrainConfig(epochs=2)
-    files = [
-        train_texture(
-            recording, "foten-plus", FotenPlusArchitecture(), config, PreprocessConfig(block_ms=1000)
-        ).texture
-        for _ in range(2)
-    ]
+def job(texture: str, epochs: int) -> TrainingJob:
+    preprocess = PreprocessConfig(block_ms=1000)
+    return TrainingJob(
+        simulate(texture, 24.0), "foten-plus", FotenPlusSizes(), TrainConfig(epochs=epochs), preprocess
+    )
+
+
+def test_what_is_playable_before_leaves_the_network_on_the_gpu() -> None:
+    task = prepare(job("linear-twin", 0))
+    assert isinstance(task, NetworkTask)
+    assert task.playable is not None
+    assert next(task.network.parameters()).device.type == "cuda"
+
+
+def test_a_gpu_gives_the_same_file_twice_and_the_kernel_proves_it() -> None:
+    files = [train(job("linear-twin", 2)).texture for _ in range(2)]
     assert files[0].to_bytes() == files[1].to_bytes()
     assert files[0].card["training"]["device"] == "cuda"
-    prove(files[0], engine_for(files[0]))
+    assert np.isfinite(Renderer(files[0]).render(100.0, 1.0, 500)).all()
 
 
 def test_a_gpu_learns_what_a_cpu_learns(monkeypatch: pytest.MonkeyPatch) -> None:
-    recording = simulate("towel", 24.0)
-    config = TrainConfig(epochs=3)
     errors = []
     for available in (True, False):
-        monkeypatch.setattr(torch.cuda, "is_available", lambda found=available: found)
-        trained = train_texture(
-            recording, "foten-plus", FotenPlusArchitecture(), config, PreprocessConfig(block_ms=1000)
-        )
-        errors.append(trained.texture.card["metrics"]["validation_mae_scaled"])
+        monkeypatch.setattr(torch.cuda, "is_available", lambda known=available: known)
+        errors.append(train(job("towel", 3)).texture.card["metrics"]["validation_mae_scaled"])
     # Sums in another order lead training along another path to much the same place.
     assert np.ptp(errors) < 0.05 * errors[1]

@@ -10,45 +10,45 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from foten.architecture import ARCHITECTURES, TenArchitecture
-from foten.train.together import TOGETHER, fit_together
 from torch import nn
 
 from foten.experiments.experiment import Experiment, Method, Run
 from foten.experiments.run import execute, recording_of
 from foten.experiments.sweep import _groups, _guarded
+from foten.families import FAMILIES, TenSizes
 from foten.networks import build
+from foten.networks.foten_plus import Corrector
+from foten.train.batched import BATCHED, fit_batched
 from foten.train.config import RECIPES, TrainConfig
-from foten.train.epochs import Progress
-from foten.train.fit import Data, fit, reproducible
+from foten.train.fit import Progress, TrainingWindows, fit, reproducible
 
-SMALL = TenArchitecture(window=6, d_model=8, n_heads=2, d_feedforward=8, n_layers=1, head=(8, 4))
+SMALL = TenSizes(window=6, d_model=8, n_heads=2, d_feedforward=8, n_layers=1, head=(8, 4))
 QUICK = TrainConfig(epochs=3, batch=16, threads=1, learning_rate=1e-4)
 
 
-def some_data(seed: int, n: int = 200, window: int = 6) -> Data:
+def some_windows(seed: int, n: int = 200, window: int = 6) -> TrainingWindows:
     rng = np.random.default_rng(seed)
     samples = rng.standard_normal((n, 3))
     samples[1:, 0] += 0.8 * samples[:-1, 0]
     numbers = np.arange(window, n)
-    return Data(samples, numbers[:120], numbers[120:], window)
+    return TrainingWindows(samples, numbers[:120], numbers[120:], window)
 
 
 def both(
-    configs: list[TrainConfig], data: list[Data]
+    configs: list[TrainConfig], data: list[TrainingWindows]
 ) -> tuple[list[nn.Module], list[nn.Module], list[Progress]]:
-    """Return networks fitted one by one and together, from the same weights, and what came of the latter."""
-    found = []
+    """Return networks fitted one by one and batched, from the same weights, and what came of the latter."""
+    fitted = []
     for _ in range(2):
         networks: list[nn.Module] = []
         for config in configs:
             torch.manual_seed(config.seed)
             networks.append(build("ten", SMALL))
-        found.append(networks)
+        fitted.append(networks)
     with reproducible():
-        logs = [fit(one, of, config) for one, of, config in zip(found[0], data, configs, strict=True)]
-        together = fit_together(found[1], data, configs)
-    for alone, log in zip(logs, together, strict=True):
+        logs = [fit(one, of, config) for one, of, config in zip(fitted[0], data, configs, strict=True)]
+        batched = fit_batched(fitted[1], data, configs)
+    for alone, log in zip(logs, batched, strict=True):
         assert isinstance(log, Progress)
         assert len(log.epochs) == len(alone.epochs)
         np.testing.assert_allclose(
@@ -62,7 +62,7 @@ def both(
             rtol=1e-4,
         )
         assert [line.best for line in log.epochs] == [line.best for line in alone.epochs]
-    return found[0], found[1], together  # type: ignore[return-value]
+    return fitted[0], fitted[1], batched  # type: ignore[return-value]
 
 
 @pytest.mark.parametrize(
@@ -77,46 +77,46 @@ def both(
 )
 def test_networks_are_fitted_as_if_alone(changed: dict[str, object]) -> None:
     configs = [dataclasses.replace(QUICK, seed=seed, **changed) for seed in (1, 2, 3)]
-    alone, together, _ = both(configs, [some_data(seed) for seed in (1, 2, 3)])
-    for one, other in zip(alone, together, strict=True):
+    alone, batched, _ = both(configs, [some_windows(seed) for seed in (1, 2, 3)])
+    for one, other in zip(alone, batched, strict=True):
         assert not other.training
-        for (name, expected), found in zip(
+        for (name, expected), weights in zip(
             one.state_dict().items(), other.state_dict().values(), strict=True
         ):
-            torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-5, msg=name)
+            torch.testing.assert_close(weights, expected, rtol=1e-3, atol=1e-5, msg=name)
     windows = torch.randn(4, 6, 3)
-    assert not torch.allclose(together[0](windows), together[1](windows))
+    assert not torch.allclose(batched[0](windows), batched[1](windows))
 
 
 def test_a_network_that_gets_no_better_leaves_the_others_to_go_on() -> None:
     """Noise is not to be predicted: its network stops, the optimiser of the others keeps its moments."""
-    noise = some_data(5)
+    noise = some_windows(5)
     rng = np.random.default_rng(0)
     noise.samples[:, 0] = 3 * rng.standard_normal(len(noise.samples))
     configs = [
         dataclasses.replace(QUICK, seed=seed, epochs=8, patience=1, learning_rate=2e-3) for seed in (1, 2, 3)
     ]
-    _, _, logs = both(configs, [some_data(1), noise, some_data(3)])
+    _, _, logs = both(configs, [some_windows(1), noise, some_windows(3)])
     lengths = [len(log.epochs) for log in logs]
     assert lengths[1] < max(lengths)
 
 
 def test_where_one_generator_draws_an_epochs_masks_each_has_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     """As on a GPU: `fit` draws from PyTorch's own generator there, seeded for each epoch."""
-    for module in ("fit", "together"):
+    for module in ("fit", "batched"):
         monkeypatch.setattr(f"foten.train.{module}.masks_of", lambda seed, device: None)
     configs = [dataclasses.replace(QUICK, seed=seed, dropout=0.3) for seed in (1, 2, 3)]
-    both(configs, [some_data(seed) for seed in (1, 2, 3)])
+    both(configs, [some_windows(seed) for seed in (1, 2, 3)])
 
 
-def test_what_is_not_finite_is_told_of_that_texture_alone() -> None:
-    bad = some_data(2)
+def test_what_is_not_finite_is_the_error_of_that_texture_alone() -> None:
+    bad = some_windows(2)
     bad.samples[150:, 0] = np.nan
-    worse = some_data(3)
+    worse = some_windows(3)
     worse.samples[40, 0] = np.inf
     networks = [build("ten", SMALL) for _ in range(3)]
     configs = [dataclasses.replace(QUICK, seed=seed) for seed in (1, 2, 3)]
-    good, first, second = fit_together(networks, [some_data(1), bad, worse], configs)
+    good, first, second = fit_batched(networks, [some_windows(1), bad, worse], configs)
     assert isinstance(good, Progress)
     assert len(good.epochs) == 4
     for error in (first, second):
@@ -125,38 +125,36 @@ def test_what_is_not_finite_is_told_of_that_texture_alone() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "n"), [({"threads": 2}, 200), ({"average": 0.9}, 200), ({"batch": 8}, 200), ({}, 190)]
+    ("change", "n"), [({"threads": 2}, 200), ({"clip_norm": 0.5}, 200), ({"batch": 8}, 200), ({}, 190)]
 )
-def test_what_cannot_be_fitted_together_is_refused(change: dict[str, object], n: int) -> None:
-    other = some_data(2, n)
+def test_what_cannot_be_fitted_as_one_model_is_refused(change: dict[str, object], n: int) -> None:
+    other = some_windows(2, n)
     if n != 200:
         other = dataclasses.replace(other, train=other.train[:-1])
     configs = [QUICK, dataclasses.replace(QUICK, **change)]
-    with pytest.raises(ValueError, match="fitted together by one recipe"):
-        fit_together([build("ten", SMALL) for _ in range(2)], [some_data(1), other], configs)
+    with pytest.raises(ValueError, match="fitted as one model by one recipe"):
+        fit_batched([build("ten", SMALL) for _ in range(2)], [some_windows(1), other], configs)
 
 
-def test_every_model_that_is_said_to_be_faster_can_be() -> None:
-    for key in TOGETHER:
-        architecture = ARCHITECTURES[key]()
-        networks = [build(key, architecture) for _ in range(2)]
-        if key == "foten-plus":
-            networks = [network.network for network in networks]  # type: ignore[misc]
-        m, channels = architecture.window, 4 if key == "foten-plus" else 3
+def test_every_model_that_is_batched_can_be() -> None:
+    for key in BATCHED:
+        sizes = FAMILIES[key]()
+        networks = [build(key, sizes) for _ in range(2)]
+        m, channels = sizes.window, 4 if isinstance(networks[0], Corrector) else 3
         data = []
         for seed in (1, 2):
-            of = some_data(seed, 4 * m, m)
+            of = some_windows(seed, 4 * m, m)
             samples = np.concatenate([of.samples, of.samples], axis=1)[:, :channels]
             data.append(
                 dataclasses.replace(of, samples=samples, train=of.train[:32], validation=of.train[:8])
             )
         config = dataclasses.replace(RECIPES["paper"], epochs=1)
-        found = fit_together(networks, data, [config, config])
-        assert all(isinstance(one, Progress) and np.isfinite(one.best_loss) for one in found), key
+        logs = fit_batched(networks, data, [config, config])
+        assert all(isinstance(one, Progress) and np.isfinite(one.best_loss) for one in logs), key
 
 
 ASKED = Experiment(
-    title="together",
+    title="batched",
     textures=("linear-cloth", "linear-twin"),
     methods=(
         Method("ten", sizes={"d_model": 8, "n_heads": 2, "d_feedforward": 8, "head": [8, 4]}),
@@ -170,7 +168,7 @@ ASKED = Experiment(
 )
 
 
-def test_runs_are_grouped_by_what_tells_them_apart() -> None:
+def test_runs_are_grouped_by_what_differs_between_them() -> None:
     waiting = [(index, run, Path(str(index))) for index, run in enumerate(ASKED.runs())]
     alone = _groups(waiting, 1)
     assert [len(one) for one in alone] == [1] * 12
@@ -182,11 +180,11 @@ def test_runs_are_grouped_by_what_tells_them_apart() -> None:
     assert all(len({json.dumps(one[1].sizes) for one in some}) == 1 for some in groups)
 
 
-def test_results_together_are_those_of_one_by_one_and_fail_alone() -> None:
+def test_batched_results_are_those_of_one_by_one_and_fail_alone() -> None:
     runs = [run for run in ASKED.runs() if run.model == "ten" and run.split_seed == 1]
     recordings = [recording_of(run) for run in runs]
-    found = _guarded([asdict(run) for run in runs], *recordings)
-    for run, recording, one in zip(runs, recordings, found, strict=True):
+    results = _guarded([asdict(run) for run in runs], *recordings)
+    for run, recording, one in zip(runs, recordings, results, strict=True):
         assert one["trained_together"] == 2
         alone = execute(run, recording)
         assert Run(**one["run"]) == run
@@ -206,12 +204,12 @@ def test_a_group_that_cannot_be_fitted_leaves_those_of_another_length(
     runs = [run for run in ASKED.runs() if run.model == "fnn" and run.split_seed == 1]
     recordings = [recording_of(runs[0]), recording_of(dataclasses.replace(runs[1], seconds=12.0))]
 
-    def full(networks: list[nn.Module], data: list[Data], configs: list[TrainConfig]) -> object:
+    def full(networks: list[nn.Module], data: list[TrainingWindows], configs: list[TrainConfig]) -> object:
         if len(data[0].train) > 5000:
             raise RuntimeError("out of memory")
-        return fit_together(networks, data, configs)
+        return fit_batched(networks, data, configs)
 
-    monkeypatch.setattr("foten.train.train.fit_together", full)
+    monkeypatch.setattr("foten.train.pipeline.fit_batched", full)
     good, failed = _guarded([asdict(run) for run in runs], *recordings)
     assert "evaluation" in good
     assert failed == {"failed": "RuntimeError: out of memory"}

@@ -1,0 +1,110 @@
+"""From tensors to a texture: the warm start is a recorded window, and what the kernel does not reproduce is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from conftest import CARD, SCALING, SMALL, sizes_with, untrained, untrained_tensors
+from foten.families.texture_file import MIN_GOLDEN
+from foten.recording.split import Split
+from foten.recording.trace import Trace
+from foten.recording.windows import windows
+from foten.runtime.native import NativeTexture, run_loops
+from foten.train.blocks import ScaledBlocks, scaled_blocks
+from foten.train.export import Draft, pick_warm_start, proved
+
+
+@pytest.fixture(scope="module")
+def speeding_up() -> ScaledBlocks:
+    """Return noise under a hand that speeds up through 45 mm/s; a burst ends where it is at 45."""
+    rng = np.random.default_rng(0)
+    n = 12_000
+    speed, force = np.linspace(20.0, 75.0, n) + 1e-4 * rng.standard_normal(n), np.full(n, 0.8)
+    force += 1e-4 * rng.standard_normal(n)
+    acceleration = rng.standard_normal(n)
+    nearest = int(np.abs(speed - 45.0).argmin())
+    acceleration[nearest - 9 : nearest + 1] *= 30.0
+    assert 100 < nearest % 1000 < 900
+    trace = Trace(acceleration, speed, force, 1000.0, 1000)
+    return scaled_blocks(trace, Split(tuple(range(2, 10)), (0, 11), (1, 10), 12, 1000, "contiguous", 0))
+
+
+def test_the_warm_start_is_a_training_window_near_45_mm_s_whose_end_is_neither_loud_nor_soft(
+    speeding_up: ScaledBlocks,
+) -> None:
+    blocks, m = speeding_up, 30
+    speed, force = blocks.trace.speed, blocks.trace.force
+    window, condition = pick_warm_start(blocks, m)
+    ends = blocks.targets(m)[0]
+    mean, sd = np.array([45.0, 0.8]), np.array(blocks.scaling.sd[1:])
+    away = np.hypot(*((np.stack([speed, force])[:, ends - 1].T - mean) / sd).T)
+    near = ends[np.argsort(away)[: len(ends) // 100]]
+    all_windows = windows(blocks.flat, near, m)
+    (chosen,) = np.flatnonzero((all_windows == window).all(axis=(1, 2)))
+    assert condition["asked"] == {"speed": 45.0, "force": 0.8}
+    assert condition["recorded"] == {"speed": speed[near[chosen] - 1], "force": force[near[chosen] - 1]}
+    power = np.square(all_windows[:, -20:, 0]).mean(axis=1)
+    assert abs(int((power < power[chosen]).sum()) - int((power > power[chosen]).sum())) <= 1
+    assert power.max() > 50 * power[chosen]  # the burst was among them
+
+
+def test_the_warm_start_is_from_the_training_blocks_even_where_others_are_nearer(
+    speeding_up: ScaledBlocks,
+) -> None:
+    """The hand is at 45 mm/s in a block that is for validation now; the nearest training windows are a block away."""
+    at_45 = int(np.abs(speeding_up.trace.speed - 45.0).argmin()) // 1000
+    train = tuple(k for k in range(2, 10) if k != at_45)
+    split = Split(train, (at_45,), (0, 1, 10, 11), 12, 1000, "contiguous", 0)
+    blocks = scaled_blocks(speeding_up.trace, split)
+    _, condition = pick_warm_start(blocks, 30)
+    number = int(np.abs(blocks.trace.speed - condition["recorded"]["speed"]).argmin()) // 1000
+    assert number in (at_45 - 1, at_45 + 1)
+
+
+def test_a_draft_goes_on_from_its_warm_start_and_is_proved_on_validation_windows(
+    speeding_up: ScaledBlocks,
+) -> None:
+    blocks, sizes = speeding_up, sizes_with("foten", SMALL)
+    tensors = untrained_tensors("foten", sizes, untrained("foten", sizes))
+    card = {name: value for name, value in CARD.items() if name not in ("warm_start", "metrics")}
+    texture = Draft("foten", blocks, card).texture(sizes, tensors, CARD["metrics"]).texture
+    window, condition = pick_warm_start(blocks, sizes.window)
+    assert texture.card["warm_start"] == condition
+    np.testing.assert_allclose(texture.tensors["warm_start"], window, rtol=1e-6)
+    golden = texture.tensors["golden.windows"]
+    assert len(golden) == MIN_GOLDEN
+    validation = windows(blocks.flat, blocks.targets(sizes.window)[1], sizes.window)
+    for one in golden[:-2]:
+        assert np.abs(validation - one).max(axis=(1, 2)).min() < 1e-6
+    assert not golden[-2].any()
+    # The deterministic loop that the file proves begins at the warm start.
+    steady = np.repeat(texture.tensors["golden.condition"][None].astype(float), 1, axis=0)
+    path = np.maximum(steady[..., :1] * blocks.scaling.sd[1] + blocks.scaling.mean[1], 0.0)
+    kernel = NativeTexture(texture.to_bytes())
+    start = texture.tensors["warm_start"][None].astype(float)
+    rendered = run_loops(kernel, start, np.concatenate([steady, path], axis=2), None)
+    np.testing.assert_allclose(rendered[0], texture.tensors["golden.closed_loop"], atol=1e-4)
+
+
+def test_what_the_kernel_does_not_reproduce_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reference that is wrong by a thousandth of a standard deviation, ten times what a file may be off."""
+    from foten.train import export
+
+    sizes, rng = sizes_with("foten", SMALL), np.random.default_rng(0)
+    tensors = untrained_tensors("foten", sizes, untrained("foten", sizes))
+    reference = export.model_of
+
+    class Wrong:
+        def __init__(self, *given: object) -> None:
+            self._model = reference(*given)  # type: ignore[arg-type]
+            self.start = self._model.start
+
+        def predict(self, some: np.ndarray) -> np.ndarray:
+            return self._model.predict(some) + 1e-3
+
+    golden = rng.standard_normal((8, sizes.window, 3))
+    proved("foten", sizes, tensors, SCALING, golden, golden[0], CARD)
+    monkeypatch.setattr(export, "model_of", Wrong)
+    with pytest.raises(ValueError, match=r"golden|proof|reproduce"):
+        proved("foten", sizes, tensors, SCALING, golden, golden[0], CARD)

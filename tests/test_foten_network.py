@@ -1,0 +1,238 @@
+"""The paper's network in PyTorch and in NumPy, beside its equations."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+from torch.nn.functional import layer_norm, linear
+
+from conftest import SMALL, untrained
+from foten.families import FotenPlusSizes, FotenSizes
+from foten.networks import build
+from foten.reference.network import Network
+from foten.train.export import tensors_of
+
+SIZES = {
+    "paper": FotenSizes(),
+    "post-norm": FotenSizes(**SMALL, pre_norm=False),
+    "literal-width": FotenSizes(**{**SMALL, "spectral_width": 1}),
+    "literal-width-post-norm": FotenSizes(**{**SMALL, "spectral_width": 1}, pre_norm=False),
+    "window-5": FotenSizes(**SMALL, window=5),
+    "window-30": FotenSizes(**SMALL, window=30),
+    "one-layer": FotenSizes(**{**SMALL, "n_layers": 1}),
+}
+
+
+class Equations:
+    """Eq. 2 to 11 as they are written: all m queries of every layer, the whole complex inverse transform, all tokens.
+
+    They share nothing with either network but the names of its parameters.
+    """
+
+    def __init__(self, network: torch.nn.Module, sizes: FotenSizes) -> None:
+        self.w = network.state_dict()
+        self.sizes = sizes
+
+    def affine(self, name: str, x: Tensor) -> Tensor:
+        return linear(x, self.w[f"{name}.weight"], self.w[f"{name}.bias"])
+
+    def norm(self, name: str, x: Tensor) -> Tensor:
+        weight = self.w[f"{name}.weight"]
+        return layer_norm(x, weight.shape, weight, self.w[f"{name}.bias"], 1e-5)
+
+    def attention(self, name: str, x: Tensor) -> Tensor:
+        """Eq. 3 to 5, one head after the other."""
+        width = x.shape[-1]
+        n_heads = self.sizes.n_heads if width % self.sizes.n_heads == 0 else 1
+        query, key, value = self.affine(f"{name}.attention_in", x).split(width, dim=-1)
+        heads = []
+        for head in range(n_heads):
+            part = slice(head * width // n_heads, (head + 1) * width // n_heads)
+            scores = query[..., part] @ key[..., part].transpose(1, 2) / math.sqrt(width // n_heads)
+            heads.append(torch.softmax(scores, dim=-1) @ value[..., part])
+        return self.affine(f"{name}.attention_out", torch.cat(heads, dim=-1))
+
+    def layer(self, name: str, x: Tensor) -> Tensor:
+        def feedforward(x: Tensor) -> Tensor:
+            return self.affine(
+                f"{name}.feedforward_out", torch.relu(self.affine(f"{name}.feedforward_in", x))
+            )
+
+        if self.sizes.pre_norm:
+            x = x + self.attention(name, self.norm(f"{name}.norm_1", x))
+            return x + feedforward(self.norm(f"{name}.norm_2", x))
+        x = self.norm(f"{name}.norm_1", x + self.attention(name, x))
+        return self.norm(f"{name}.norm_2", x + feedforward(x))
+
+    def temporal(self, a: Tensor) -> Tensor:
+        m, d = a.shape[1], self.sizes.d_model
+        positions = torch.zeros(m, d, dtype=torch.float64)
+        for pos in range(m):
+            for i in range(d // 2):
+                positions[pos, 2 * i] = math.sin(pos * 10000 ** (-2 * i / d))
+                positions[pos, 2 * i + 1] = math.cos(pos * 10000 ** (-2 * i / d))
+        x = self.affine("temporal.embedding", a[..., None]) + positions
+        for i in range(self.sizes.n_layers):
+            x = self.layer(f"temporal.layers.{i}", x)
+        return self.norm("temporal.norm", x) if self.sizes.pre_norm else x
+
+    def encode(self, name: str, tokens: Tensor) -> Tensor:
+        if self.sizes.spectral_width > 1:
+            tokens = self.affine(f"spectral.{name}_in", tokens)
+        tokens = self.layer(f"spectral.{name}_layer", tokens)
+        if self.sizes.spectral_width > 1:
+            tokens = self.affine(f"spectral.{name}_out", tokens)
+        return tokens[..., 0]
+
+    def spectral(self, a: Tensor) -> Tensor:
+        z = torch.fft.fft(a)  # Eq. 6
+        magnitude, phase = (
+            z.abs(),
+            torch.atan2(z.imag + 0.0, z.real),
+        )  # Eq. 7; a real bin's angle is 0 or π, not −π
+        encoded = torch.polar(torch.ones_like(phase), self.encode("phase", phase[..., None]))
+        encoded = self.encode("magnitude", magnitude[..., None]) * encoded  # Eq. 8
+        return torch.fft.ifft(encoded).real  # Eq. 9
+
+    def __call__(self, windows: Tensor) -> Tensor:
+        a = windows[..., 0]
+        e_s = self.affine("spectral_embedding", self.spectral(a)[..., None])  # Eq. 10
+        fused = torch.cat([self.temporal(a), e_s, windows[..., 1:]], dim=-1)  # Eq. 11
+        x = fused[:, -1]
+        for name in ("head_1", "head_2"):
+            x = torch.relu(self.affine(name, x))
+        return self.affine("head_3", x)[:, 0]
+
+
+def windows(sizes: FotenSizes, n: int = 40, seed: int = 0) -> Tensor:
+    rng = np.random.default_rng(seed)
+    return torch.from_numpy(rng.standard_normal((n, sizes.window, 3)))
+
+
+@pytest.mark.parametrize("name", SIZES)
+def test_the_pruned_network_is_the_papers(name: str) -> None:
+    """Oracle: an unpruned network of the paper's equations, in float64; the reference in NumPy is beside it too."""
+    sizes = SIZES[name]
+    network = untrained("foten", sizes).double()
+    given = windows(sizes)
+    with torch.no_grad():
+        predicted = network(given)
+    expected = Equations(network, sizes)(given)
+    assert expected.std() > 1e-3  # or there would be nothing to compare
+    # Rounding through six layers, and √(|Z|² + 1e-16), which is 5e-17/|Z| off.
+    np.testing.assert_allclose(predicted, expected, atol=1e-10)
+    np.testing.assert_allclose(Network(sizes, tensors_of(network))(given.numpy()), expected, atol=1e-10)
+
+
+def n_parameters(network: torch.nn.Module) -> int:
+    return sum(parameter.numel() for parameter in network.parameters())
+
+
+def test_it_has_the_papers_sizes() -> None:
+    def dense(inputs: int, outputs: int) -> int:
+        return inputs * outputs + outputs
+
+    layer = (
+        4 * dense(32, 32) + dense(32, 128) + dense(128, 32) + 2 * 64
+    )  # Eq. 3 to 5, feed-forward, two norms
+    temporal = dense(1, 32) + 3 * layer + 64  # embedding, three layers, the last norm
+    spectral = 2 * (dense(1, 32) + layer + dense(32, 1)) + dense(1, 32)
+    head = dense(2 * 32 + 2, 256) + dense(256, 64) + dense(64, 1)
+    n = n_parameters(build("foten", FotenSizes()))
+    assert n == temporal + spectral + head
+    assert n == pytest.approx(97_500, rel=0.005)
+    assert n == sum(math.prod(shape) for shape in FotenSizes().tensor_shapes().values())
+
+
+def test_positions_and_matrices_are_not_parameters() -> None:
+    kept = set(build("foten", FotenSizes()).state_dict())
+    assert not {name for name in kept if "positions" in name or name.endswith(("real", "imaginary", "sine"))}
+
+
+@pytest.mark.parametrize("pre_norm", [True, False])
+def test_the_literal_width_of_one_is_degenerate(pre_norm: bool) -> None:
+    """A layer normalisation over one feature gives its bias, so the encoders add a constant, or are one."""
+    sizes = FotenSizes(**{**SMALL, "spectral_width": 1}, pre_norm=pre_norm)
+    branch = untrained("foten", sizes).double().spectral
+    given = torch.from_numpy(np.random.default_rng(0).uniform(0, 9, (30, sizes.window)))
+    for name in ("magnitude", "phase"):
+        with torch.no_grad():
+            left = branch._encode(name, given) - given * pre_norm
+        assert left.std() < 1e-12  # rounding
+    wide = untrained("foten", FotenSizes(**SMALL, pre_norm=pre_norm)).double().spectral
+    with torch.no_grad():
+        assert (wide._encode("magnitude", given) - given * pre_norm).std() > 1e-3
+
+
+@pytest.mark.parametrize("name", ["magnitude", "phase"])
+def test_the_spectral_encoders_do_not_know_which_bin_is_which(name: str) -> None:
+    """Sec. IV-d leaves positions out."""
+    order = torch.randperm(20, generator=torch.Generator().manual_seed(0))
+    bins = windows(FotenSizes())[..., 0]
+    branch = untrained("foten", FotenSizes(**SMALL)).double().spectral
+    with torch.no_grad():
+        difference = branch._encode(name, bins[:, order]) - branch._encode(name, bins)[:, order]
+    assert difference.abs().max() < 1e-13  # sums in another order: rounding
+
+
+def test_the_temporal_branch_knows_the_order() -> None:
+    branch = untrained("foten").double().temporal
+    a = windows(FotenSizes())[..., :1]
+    swapped = a[:, [1, 0, *range(2, 20)]]
+    with torch.no_grad():
+        assert (branch(a) - branch(swapped)).abs().max() > 1e-3
+
+
+def test_only_the_last_speed_and_force_matter() -> None:
+    network = untrained("foten").double()
+    given = windows(FotenSizes())
+    before, last = given.clone(), given.clone()
+    before[:, :-1, 1:] += 5.0
+    last[:, -1, 1:] += 5.0
+    with torch.no_grad():
+        torch.testing.assert_close(network(before), network(given), rtol=0, atol=0)
+        assert (network(last) - network(given)).abs().min() > 0
+
+
+@pytest.mark.parametrize("model", ["foten", "foten-plus"])
+@pytest.mark.parametrize("fields", [{}, {"pre_norm": False}, {"spectral_width": 1}])
+def test_silence_has_finite_gradients(model: str, fields: dict[str, object]) -> None:
+    """|Z| = 0 is where √ has no derivative and the angle none either."""
+    sizes = (FotenSizes if model == "foten" else FotenPlusSizes)(**fields)  # type: ignore[arg-type]
+    network = untrained(model, sizes).train()
+    network(torch.zeros(4, sizes.window, 3 if model == "foten" else 4)).sum().backward()
+    gradients = [p.grad for p in network.parameters() if p.requires_grad]
+    assert all(gradient is not None and torch.isfinite(gradient).all() for gradient in gradients)
+    assert any(gradient.abs().max() > 0 for gradient in gradients if gradient is not None)
+
+
+def test_the_network_of_foten_plus_adds_nothing_at_first_and_a_bounded_correction_later() -> None:
+    """Windows of x, speed, force and e, as well in NumPy."""
+    sizes = FotenPlusSizes(**SMALL)
+    given = torch.from_numpy(np.random.default_rng(0).standard_normal((200, sizes.window, 4)))
+    torch.manual_seed(0)
+    network = build("foten-plus", sizes).double().eval()
+    with torch.no_grad():
+        assert not network(given).any()
+        network.head_3.weight.normal_(std=100.0)
+        correction = network(given).numpy()
+    limit = sizes.correction_limit
+    assert np.abs(correction).max() <= limit
+    assert np.abs(correction).max() > 0.99 * limit
+    reference = Network(sizes, tensors_of(network))(given.numpy())
+    np.testing.assert_allclose(limit * np.tanh(reference / limit), correction, atol=1e-9)
+
+
+def test_the_tokens_of_foten_plus_hold_the_condition_where_they_are_said_to() -> None:
+    for in_tokens in (True, False):
+        sizes = FotenPlusSizes(**SMALL, condition_in_tokens=in_tokens)
+        network = untrained("foten-plus", sizes).double()
+        given = torch.from_numpy(np.random.default_rng(0).standard_normal((20, sizes.window, 4)))
+        before = given.clone()
+        before[:, :-1, 1:3] += 1.0
+        with torch.no_grad():
+            assert ((network(before) - network(given)).abs().max() > 1e-6) == in_tokens

@@ -1,0 +1,94 @@
+"""foten-plus as its family describes it: the reference, held to direct forms; the kernel is held to the reference elsewhere."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from conftest import SMALL, reflections_of, untrained, untrained_tensors
+from foten.dsp.lattice import LEAK
+from foten.families import FotenPlusSizes
+from foten.reference import model_of
+from foten.reference.foten_plus import FotenPlus
+from foten.train.export import Tensors
+
+
+def made(**sizes: object) -> tuple[FotenPlusSizes, Tensors]:
+    made_sizes = FotenPlusSizes(**{**SMALL, **sizes})  # type: ignore[arg-type]
+    return made_sizes, untrained_tensors("foten-plus", made_sizes, untrained("foten-plus", made_sizes))
+
+
+def model(sizes: FotenPlusSizes, tensors: Tensors) -> FotenPlus:
+    of = model_of(sizes, tensors)
+    assert isinstance(of, FotenPlus)
+    return of
+
+
+def windows(n: int, m: int) -> np.ndarray:
+    return np.random.default_rng(0).standard_normal((n, m, 3))
+
+
+@pytest.mark.parametrize("before", [False, True])
+def test_a_prediction_takes_no_more_than_its_history(before: bool) -> None:
+    """Innovations that the network sees need the lattice's order before them, and a level the sample before that.
+
+    With the gain before the filter the lattice is of the acceleration itself, whose first sample needs no level.
+    """
+    sizes, tensors = made(window=5, order=4, n_speed=3, gain_before_filter=before)
+    predictor, m = model(sizes, tensors), sizes.history
+    longer = windows(30, m + 3)
+    changed, first = longer.copy(), longer.copy()
+    changed[:, :3] += 1.0
+    first[:, 3, 1:] += 1.0
+    expected = predictor.predict(longer)
+    np.testing.assert_allclose(predictor.predict(changed), expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(predictor.predict(longer[:, 3:]), expected, rtol=1e-9, atol=1e-9)
+    moved = np.abs(predictor.predict(first) - expected).max() > 1e-8  # rounding is 1e-14 of 30
+    assert moved != before
+
+
+def test_it_starts_as_its_lattice() -> None:
+    """Oracle: the direct form of an AR(2); the network's last layer is zero."""
+    sizes, tensors = made(order=2)
+    for name in ("out.weight", "out.bias", "power_law.weight"):
+        tensors[f"lattice.level.{name}"] = np.zeros_like(tensors[f"lattice.level.{name}"])
+    for name in ("weight", "bias"):
+        tensors[f"network.head_3.{name}"] = np.zeros_like(tensors[f"network.head_3.{name}"])
+    tensors["lattice.reflections"] = reflections_of(np.array([-0.9, 1.6]))[None]
+    given = windows(40, sizes.history)
+    expected = given[:, -2:, 0] @ (np.array([-0.9, 1.6]) * LEAK ** np.array([2, 1]))
+    np.testing.assert_allclose(model(sizes, tensors).predict(given), expected, atol=1e-12)
+
+
+def test_the_correction_is_bounded_in_innovations() -> None:
+    """In the unit that the excitation's σ has, whatever the network says."""
+    sizes, tensors = made(order=6)
+    tensors["excitation.volatility"] = np.zeros(2)  # which scales the excitation alone
+    given = windows(200, sizes.history)
+    silent = {**tensors, "network.head_3.weight": 0 * tensors["network.head_3.weight"]}
+    silent["network.head_3.bias"] = tensors["network.head_3.bias"] * 0
+    loud = {**silent, "network.head_3.weight": 1e3 * tensors["network.head_3.weight"]}
+    linear, whole = (model(sizes, some).start(given).predict() for some in (silent, loud))
+    assert whole.scale is not None
+    sigma = model(sizes, tensors).excitation.sigma(given[:, -1, 1:])
+    share = (whole.sample - linear.sample) * sigma / whole.scale
+    limit = sizes.correction_limit
+    assert np.abs(share).max() <= limit * (1 + 1e-9)  # tanh; rounding of the difference
+    assert np.abs(share).max() > 0.99 * limit
+
+
+@pytest.mark.parametrize("before", [False, True])
+def test_the_network_sees_a_vibration_of_unit_size_whatever_the_level(before: bool) -> None:
+    """Twice the level and twice the vibration: twice the prediction."""
+    sizes, tensors = made(order=6, gain_before_filter=before)
+    given = windows(40, sizes.history)
+    doubled = given.copy()
+    doubled[..., 0] *= 2
+    louder = {
+        **tensors,
+        "lattice.level.out.bias": tensors["lattice.level.out.bias"].astype(float) + math.log(2),
+    }
+    expected = 2 * model(sizes, tensors).predict(given)
+    np.testing.assert_allclose(model(sizes, louder).predict(doubled), expected, rtol=1e-9)  # rounding
