@@ -19,7 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, lfilter
 
-from foten.runtime import devices
+from foten.runtime.live import devices
 from foten.runtime.actuator import ActuatorProfile
 from foten.runtime.live.devices import DaqSink, NullSink, OscSink, SoundSink, UdpSink, WavSink
 from foten.runtime.live.live import Live, LiveStatistics, Timing
