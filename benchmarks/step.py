@@ -37,7 +37,8 @@ PERCENTILES = {"p50": 50.0, "p99": 99.0, "p999": 99.9}
 CHILD = """
 import sys, time, json
 import numpy as np
-from foten.runtime.native import NativeState, NativeTexture, isa
+from foten.runtime.binding import isa
+from foten.runtime.native import NativeState, NativeTexture
 texture = NativeTexture(open(sys.argv[1], "rb").read())
 state, out = NativeState(texture, excitation=False), np.empty(1, dtype=np.float32)
 state.set_hand(*map(float, sys.argv[2:4]))

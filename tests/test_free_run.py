@@ -11,7 +11,8 @@ from foten.evaluate.free_run import free_run, nearest_training_blocks, scored, s
 from foten.evaluate.references import fit_linear
 from foten.recording.scaling import Scaling
 from foten.recording.trace import Trace
-from foten.runtime.native import NativeTexture, predict_blocks
+from foten.runtime.loops import predict_blocks
+from foten.runtime.native import NativeTexture
 from foten.families.texture_file import ONE_STEP_TOLERANCE, Texture
 
 RATE_HZ, BLOCK = 1000.0, 2000

@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 from conftest import exported
-from foten.runtime.native import NativeTexture, library
+from foten.runtime.binding import library
+from foten.runtime.native import NativeTexture
 from foten.runtime.renderer import Renderer
 
 ROOT = Path(__file__).parents[1]

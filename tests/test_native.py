@@ -23,7 +23,8 @@ import foten
 from conftest import SCALING, SMALL, architecture_with, exported
 from foten.architecture import ARCHITECTURES, FotenPlusArchitecture
 from foten.dsp.noise import gaussian
-from foten.runtime.native import NativeState, NativeTexture, isa, noise
+from foten.runtime.binding import isa, noise
+from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.renderer import Renderer
 from foten.families.conditions import Synthesizer
 from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, Texture

@@ -9,7 +9,7 @@ import pytest
 from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
-from foten.cli import _status
+from foten.cli.command_line import _status
 from foten.datasets.importing import ImportOptions, import_recording
 from foten.datasets.units import FACTORS, canonical, factor_of, split_header
 

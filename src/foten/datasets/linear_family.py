@@ -29,12 +29,12 @@ class LinearParameters:
     """What defines one member of the linear family.
 
     y[n] = Σ aᵢ y[n-i] + σ(v, f) e[n], e standard normal, with
-    σ = level (rest_share + v / 100 mm/s)^speed_exponent (f / 1 N)^force_exponent.
+    σ = level (least_share + v / 100 mm/s)^speed_exponent (f / 1 N)^force_exponent.
 
     Attributes:
         coefficients: a₁ … a_p, for each sample whatever the rate.
         level: σ at 100 mm/s and 1 N [m/s²], up to the rest share.
-        rest_share: what is left of the reference speed at rest, so that σ is never zero.
+        least_share: what is left of the reference speed at rest, so that σ is never zero.
     """
 
     description: str
@@ -42,19 +42,19 @@ class LinearParameters:
     level: float
     speed_exponent: float = 0.8
     force_exponent: float = 0.4
-    rest_share: float = 0.01
+    least_share: float = 0.01
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "coefficients", tuple(self.coefficients))
         radius = np.abs(np.roots([1.0, *(-a for a in self.coefficients)])).max()
         if not radius < 0.995:
             raise ValueError(f"the largest pole has radius {radius:.4f}, expected less than 0.995")
-        if self.level <= 0 or self.rest_share <= 0:
-            raise ValueError("level and rest_share must be positive")
+        if self.level <= 0 or self.least_share <= 0:
+            raise ValueError("level and least_share must be positive")
 
     def sigma(self, speed: Signal, force: Signal) -> Signal:
         """Return the standard deviation of the innovation [m/s²] at speeds [mm/s] and forces [N]."""
-        stroked = self.rest_share + np.maximum(speed, 0) / REFERENCE_SPEED
+        stroked = self.least_share + np.maximum(speed, 0) / REFERENCE_SPEED
         return self.level * stroked**self.speed_exponent * np.maximum(force, 0) ** self.force_exponent
 
 

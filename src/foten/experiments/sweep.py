@@ -59,7 +59,7 @@ def sweep(
     gpus_per_run: float = 0.0,
     on_progress: Callable[[Progress], None] = lambda progress: None,
     say: Callable[[str], None] = lambda text: None,
-    together: int = 1,
+    batched: int = 1,
 ) -> tuple[int, int]:
     """Execute the runs of an experiment that have no result yet, and keep one file each.
 
@@ -71,7 +71,7 @@ def sweep(
         gpus_per_run: share of a GPU that each run takes.
         on_progress: called after each run.
         say: called with messages for the user.
-        together: largest number of textures that are trained as one batched model, of the models in `BATCHED`.
+        batched: largest number of textures that are trained as one batched model, of the models in `BATCHED`.
 
     Returns:
         How many runs were done, and how many failed.
@@ -114,7 +114,7 @@ def sweep(
         task = ray.remote(num_cpus=1, num_gpus=gpus_per_run, max_retries=RETRIES)(_guarded)
         pending = {
             task.remote([asdict(run) for _, run, _ in some], *(kept[run.source] for _, run, _ in some)): some
-            for some in _groups(waiting, together)
+            for some in _groups(waiting, batched)
         }
         return _collected(experiment, pending, on_progress)
     finally:
@@ -190,8 +190,8 @@ def _check_answered(address: str) -> None:
         raise ValueError(f"{_no_cluster(address)} ({error})") from error
 
 
-def _groups(waiting: Sequence[Waiting], together: int) -> list[list[Waiting]]:
-    """Return the runs in groups for one worker each, in their order: one run, or up to `together` that can be batched."""
+def _groups(waiting: Sequence[Waiting], largest: int) -> list[list[Waiting]]:
+    """Return the runs in groups for one worker each, in their order: one run, or up to `largest` that can be batched."""
     from foten.train.batched import BATCHED
 
     groups: list[list[Waiting]] = []
@@ -201,7 +201,7 @@ def _groups(waiting: Sequence[Waiting], together: int) -> list[list[Waiting]]:
         alike = {"sizes": run.sizes, "train": {**run.train, "seed": 0}, "preprocess": run.preprocess}
         key = json.dumps({"model": run.model, **alike}, sort_keys=True)
         can = run.model in BATCHED and run.train["threads"] == 1
-        if can and len(open_groups.get(key, ())) % together:
+        if can and len(open_groups.get(key, ())) % largest:
             open_groups[key].append(one)
         else:
             groups.append([one])

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.func import functional_call, grad_and_value, stack_module_state, vmap
 
-from foten.networks.dropout import mask, masks_given, set_dropout, shapes_told
+from foten.networks.dropout import mask, mask_shapes, masks_given, set_dropout
 from foten.recording.windows import window_indices
 from foten.train.config import TrainConfig
 from foten.train.fit import (
@@ -192,15 +192,15 @@ class _Stack:
     def leave(self, kept: Sequence[int], textures: Sequence[_Texture]) -> None:
         """Go on with those networks alone; the others have what weights they have."""
         before, old = self._optimiser.state, self._weights
-        rest = torch.tensor(kept, device=self._device)
+        remaining = torch.tensor(kept, device=self._device)
         self._textures = textures
-        self._fixed = {name: fixed[rest] for name, fixed in self._fixed.items()}
-        self._weights = {name: nn.Parameter(weight.data[rest]) for name, weight in old.items()}
+        self._fixed = {name: fixed[remaining] for name, fixed in self._fixed.items()}
+        self._weights = {name: nn.Parameter(weight.data[remaining]) for name, weight in old.items()}
         self._share()
         self._optimiser = self._adamw()
         for name, weight in self._weights.items():
             self._optimiser.state[weight] = {
-                key: value if key == "step" else value[rest] for key, value in before[old[name]].items()
+                key: value if key == "step" else value[remaining] for key, value in before[old[name]].items()
             }
 
     def epoch(self, epoch: int) -> list[float]:
@@ -230,14 +230,14 @@ class _Stack:
         goals = torch.stack([one.goal[n] for one, n in of])
         seeds = [mask_seed(one.config.seed, epoch, number) for one in self._textures]
         weights = {name: weight.detach() for name, weight in self._weights.items()}
-        found, losses = self._gradients(weights, self._fixed, windows, goals, self._masks(windows, seeds))
+        gradients, losses = self._gradients(weights, self._fixed, windows, goals, self._masks(windows, seeds))
         limit = self._config.clip_norm
         if limit > 0:  # each network's own, as `torch.nn.utils.clip_grad_norm_`
-            squares = torch.stack([one.flatten(1).square().sum(1) for one in found.values()])
+            squares = torch.stack([one.flatten(1).square().sum(1) for one in gradients.values()])
             scale = (limit / (squares.sum(0).sqrt() + 1e-6)).clamp(max=1.0)
-            found = {name: one * scale.view(-1, *[1] * (one.ndim - 1)) for name, one in found.items()}
+            gradients = {name: one * scale.view(-1, *[1] * (one.ndim - 1)) for name, one in gradients.items()}
         for name, weight in self._weights.items():
-            weight.grad = found[name]
+            weight.grad = gradients[name]
         for group in self._optimiser.param_groups:
             group["lr"] = self._config.learning_rate * self._rate(self._n_steps)
         self._optimiser.step()
@@ -250,11 +250,11 @@ class _Stack:
         if p == 0:
             return []
         if b not in self._shapes:
-            with shapes_told() as shapes, torch.no_grad():
+            with mask_shapes() as shapes, torch.no_grad():
                 self._textures[0].network(windows[0])
             self._shapes[b] = list(shapes)
         drawn = []
-        for seed, whole_epoch in zip(seeds, self._generators, strict=True):
-            generator = masks_of(seed, self._device) or whole_epoch
+        for seed, of_epoch in zip(seeds, self._generators, strict=True):
+            generator = masks_of(seed, self._device) or of_epoch
             drawn.append([mask(shape, p, generator, self._device) for shape in self._shapes[b]])
         return [torch.stack(masks) for masks in zip(*drawn, strict=True)]

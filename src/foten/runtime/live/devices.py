@@ -478,10 +478,10 @@ class OscSink(Paced):
 
 def _address(host: str, port: int) -> tuple[str, int]:
     try:
-        found = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
+        address = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
     except socket.gaierror as error:
         raise OSError(f"no host {host!r} is known ({error.strerror})") from error
-    return str(found[0]), int(found[1])
+    return str(address[0]), int(address[1])
 
 
 def _osc_text(text: str) -> bytes:
