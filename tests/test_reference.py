@@ -176,12 +176,16 @@ def test_every_tensor_of_a_model_is_needed() -> None:
         sizes = sizes_for(key, variant)
         tensors = exported(key, sizes).tensors
         windows = np.random.default_rng(0).standard_normal((1, sizes.history, 3))
+
+        def use(given: dict[str, np.ndarray], sizes: Any = sizes, windows: np.ndarray = windows) -> None:
+            model = model_of(sizes, given)
+            model.predict(windows)
+            model.start(windows).begin(np.zeros((1, 3)), np.ones((1, 99)))
+
         for name in sizes.tensor_shapes():
             without = {other: tensor for other, tensor in tensors.items() if other != name}
             with pytest.raises(ValueError, match="has no tensor"):
-                model = model_of(sizes, without)
-                model.predict(windows)
-                model.start(windows).begin(np.zeros((1, 3)), np.ones((1, 99)))
+                use(without)
 
 
 @dataclass
@@ -341,7 +345,10 @@ def test_the_correction_is_bounded_in_innovations() -> None:
     tensors = dict(exported("foten-plus", sizes).tensors)
     windows = np.random.default_rng(0).standard_normal((200, sizes.history, 3))
     louder = {**tensors, "network.head_3.weight": 1e3 * tensors["network.head_3.weight"]}
-    silent = {**tensors, **{f"network.head_3.{part}": 0 * tensors[f"network.head_3.{part}"] for part in ("weight", "bias")}}
+    silent = {
+        **tensors,
+        **{f"network.head_3.{part}": 0 * tensors[f"network.head_3.{part}"] for part in ("weight", "bias")},
+    }
     linear, corrected = (model_of(sizes, some).start(windows).predict() for some in (silent, louder))
     excitation = ReferenceExcitation(tensors)
     assert corrected.scale is not None
