@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from foten.architecture import FotenPlusArchitecture
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from safetensors.numpy import save
 
 from conftest import SCALING, SMALL
+from foten.families import FotenPlusSizes
 from foten.families.texture_file import Texture, read_texture, texture_from_bytes, write_texture
 
 
@@ -68,7 +68,7 @@ def test_a_header_of_any_length_is_read(texture: Texture) -> None:
 def test_it_says_what_it_holds(texture: Texture, plain_texture: Texture) -> None:
     assert (texture.rate_hz, texture.window) == (1000.0, 20 + 6 + 1)
     sizes = {**SMALL, "n_layers": 1, "order": 6, "n_speed": 3, "n_force": 2}
-    assert texture.architecture == FotenPlusArchitecture(**sizes)
+    assert texture.sizes == FotenPlusSizes(**sizes)
     assert texture.scaling == SCALING
     assert texture.trained_range("speed") == (8.0, 220.0)
     assert texture.trained_range("force") == (0.3, 2.5)
@@ -161,7 +161,8 @@ def test_every_key_of_the_card_is_needed_and_has_its_type(texture: Texture) -> N
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"format_version": 2}, "format version 2, expected 1; update foten"),
+        ({"format_version": 3}, "format version 3, expected 2: update foten"),
+        ({"format_version": 1}, "format version 1, expected 2: train it again"),
         ({"format_version": None}, "format version None"),
         ({"model": "wavenet"}, "unknown model 'wavenet', expected one of foten-plus, foten, ten, ar"),
         ({"window": 21}, "window 21 and the network 27"),
