@@ -21,11 +21,11 @@ def _by_name(columns):
 
 def test_npz(tmp_path):
     np.savez(tmp_path / "a.npz", force=FORCE.astype(np.float32), acc=AXES, fs=10_000)
-    found = _by_name(read_numpy(tmp_path / "a.npz"))
-    assert list(found) == ["force", "acc.0", "acc.1", "acc.2", "fs"]
-    np.testing.assert_array_equal(found["acc.2"], AXES[:, 2])
-    np.testing.assert_array_equal(found["force"], FORCE.astype(np.float32))
-    assert found["fs"].tolist() == [10_000]
+    by_name = _by_name(read_numpy(tmp_path / "a.npz"))
+    assert list(by_name) == ["force", "acc.0", "acc.1", "acc.2", "fs"]
+    np.testing.assert_array_equal(by_name["acc.2"], AXES[:, 2])
+    np.testing.assert_array_equal(by_name["force"], FORCE.astype(np.float32))
+    assert by_name["fs"].tolist() == [10_000]
 
 
 def test_npy_of_one_and_of_several_columns(tmp_path):
@@ -68,10 +68,10 @@ def test_matlab_v5_with_a_struct(tmp_path):
     variables = {"trial": {"acc": AXES, "force": FORCE[:, None], "note": "two strokes"}, "fs": 10_000.0}
     scipy.io.savemat(tmp_path / "a.mat", variables)
     columns = read_matlab(tmp_path / "a.mat")
-    found = _by_name(columns)
-    np.testing.assert_array_equal(found["trial.acc.1"], AXES[:, 1])
-    np.testing.assert_array_equal(found["trial.force"], FORCE)
-    assert found["fs"].tolist() == [10_000]
+    by_name = _by_name(columns)
+    np.testing.assert_array_equal(by_name["trial.acc.1"], AXES[:, 1])
+    np.testing.assert_array_equal(by_name["trial.force"], FORCE)
+    assert by_name["fs"].tolist() == [10_000]
     assert next(column for column in columns if column.name == "trial.note").fault
 
 
@@ -82,9 +82,9 @@ def test_matlab_v73(tmp_path):
             dataset.attrs["MATLAB_class"] = np.bytes_("double")
     with (tmp_path / "a.mat").open("r+b") as raw:  # the block before the HDF5 part says what it is
         raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
-    found = _by_name(read_matlab(tmp_path / "a.mat"))
-    np.testing.assert_array_equal(found["acc.2"], AXES[:, 2])
-    np.testing.assert_array_equal(found["force"], FORCE)
+    by_name = _by_name(read_matlab(tmp_path / "a.mat"))
+    np.testing.assert_array_equal(by_name["acc.2"], AXES[:, 2])
+    np.testing.assert_array_equal(by_name["force"], FORCE)
 
 
 def test_truncated_and_foreign_matlab_files_are_refused(tmp_path):

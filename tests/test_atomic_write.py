@@ -12,7 +12,7 @@ import pytest
 from foten.atomic_write import atomic_write
 
 
-def test_a_file_appears_when_it_is_whole(tmp_path: Path) -> None:
+def test_a_file_appears_when_it_is_complete(tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
     with atomic_write(path) as part:
         part.write_text("one")

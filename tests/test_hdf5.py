@@ -110,8 +110,8 @@ def test_what_is_wrong_in_a_file_is_named(tmp_path, spoil, message):
 
 def test_truncated_foreign_and_missing_files_are_refused(tmp_path):
     write_recording(_recording(), tmp_path / "a.h5")
-    whole = (tmp_path / "a.h5").read_bytes()
-    (tmp_path / "cut.h5").write_bytes(whole[: len(whole) // 2])
+    data = (tmp_path / "a.h5").read_bytes()
+    (tmp_path / "cut.h5").write_bytes(data[: len(data) // 2])
     with pytest.raises(ValueError, match=r"cut.h5 is truncated"):
         read_recording(tmp_path / "cut.h5")
     (tmp_path / "text.h5").write_text("time,force\n0,1\n")

@@ -77,7 +77,7 @@ def test_the_tone_of_a_mesh_moves_with_speed(key: str, speed: float) -> None:
 
 
 @pytest.mark.parametrize("key", TEXTURES)
-def test_the_level_rises_with_speed_and_force_and_rest_is_silent(key: str) -> None:
+def test_the_level_rises_with_speed_and_force_and_standstill_is_silent(key: str) -> None:
     parameters = TEXTURES[key]
 
     def at(speed: float, force: float) -> float:
@@ -216,7 +216,7 @@ def test_the_command_writes_what_the_function_returns(
         lambda s: s.pop("stroke_seed"),
         lambda s: s["parameters"].update(level=[None]),
         lambda s: s["parameters"].update(level=1e300),
-        lambda s: s["parameters"].update(rest_share=0.1),  # of an earlier version
+        lambda s: s["parameters"].update({"rest_share": 0.1}),  # of an earlier version
         lambda s: s["parameters"].update(harmonics=[1.0] * 1000, coefficients=[0.0] * 1000),
     ],
 )

@@ -153,8 +153,8 @@ def test_several_sheets_name_their_columns(tmp_path):
 
 def test_a_truncated_or_foreign_workbook_is_refused(tmp_path):
     _workbook(tmp_path / "a.xlsx", data=[["force"], *([k] for k in range(500))])
-    whole = (tmp_path / "a.xlsx").read_bytes()
-    for name, content in {"cut": whole[:-200], "text": b"force\n1\n2\n", "none": b""}.items():
+    data = (tmp_path / "a.xlsx").read_bytes()
+    for name, content in {"cut": data[:-200], "text": b"force\n1\n2\n", "none": b""}.items():
         (tmp_path / f"{name}.xlsx").write_bytes(content)
         with pytest.raises(ValueError, match=f"{name}.xlsx is (truncated|empty)"):
             read_excel(tmp_path / f"{name}.xlsx")

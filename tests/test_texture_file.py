@@ -34,13 +34,13 @@ def with_tensor(texture: Texture, name: str, tensor: np.ndarray) -> bytes:
 def test_a_round_trip_keeps_everything(texture: Texture, tmp_path: Path) -> None:
     path = tmp_path / "mesh.foten"
     write_texture(texture, path)
-    found = read_texture(path)
-    assert found.card == texture.card
-    assert set(found.tensors) == set(texture.tensors)
+    back = read_texture(path)
+    assert back.card == texture.card
+    assert set(back.tensors) == set(texture.tensors)
     for name, tensor in texture.tensors.items():
-        assert found.tensors[name].dtype == tensor.dtype
-        np.testing.assert_array_equal(found.tensors[name], tensor)
-    assert found.sha256() == texture.sha256()
+        assert back.tensors[name].dtype == tensor.dtype
+        np.testing.assert_array_equal(back.tensors[name], tensor)
+    assert back.sha256() == texture.sha256()
     assert [p.name for p in tmp_path.iterdir()] == ["mesh.foten"]
     assert read_texture(str(path)).sha256() == texture.sha256()
 

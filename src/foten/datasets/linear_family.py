@@ -51,7 +51,7 @@ class LinearParameters:
 
     Attributes:
         coefficients: a₁ … a_p, for each sample whatever the rate.
-        level: σ at 100 mm/s and 1 N [m/s²], up to the rest share.
+        level: σ at 100 mm/s and 1 N [m/s²], but for the share at standstill.
         standstill_share: added to the speed, in reference speeds, so that σ is never zero.
     """
 

@@ -101,20 +101,20 @@ def read_profile(path: Path) -> ActuatorProfile:
     """
     check_regular(path)
     try:
-        found: Any = parse_json(path.read_bytes())
+        profile: Any = parse_json(path.read_bytes())
     except ValueError as error:
         raise ValueError(f"{path.name} is not JSON ({error}), expected an actuator's profile") from error
-    if not isinstance(found, dict) or found.pop("format", None) != FORMAT:
+    if not isinstance(profile, dict) or profile.pop("format", None) != FORMAT:
         raise ValueError(f"{path.name} is not an actuator's profile, expected 'format': {FORMAT!r}")
-    version = found.pop("version", None)
+    version = profile.pop("version", None)
     if version != VERSION:
         raise ValueError(f"{path.name} has version {version}, expected {VERSION}; update foten?")
     known = {field.name for field in fields(ActuatorProfile)}
-    unknown = sorted(set(found) - known)
+    unknown = sorted(set(profile) - known)
     if unknown:
         raise ValueError(f"{path.name} has {unknown[0]!r}, expected some of {', '.join(sorted(known))}")
     try:
-        return ActuatorProfile(**found)
+        return ActuatorProfile(**profile)
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error
 
