@@ -138,9 +138,9 @@ def test_what_is_no_model_file_is_refused(
 ) -> None:
     source, out = _edited(written(tmp_path / "m.xml"), old, new), tmp_path / "m.foten"
     assert _status(["import", str(source), "-o", str(out)]) == 2
-    told = capsys.readouterr().err.strip()
-    assert match in told
-    assert "\n" not in told
+    said = capsys.readouterr().err.strip()
+    assert match in said
+    assert "\n" not in said
     assert not out.exists()
 
 

@@ -16,6 +16,7 @@ from foten.datasets.arrays import read_hdf5
 from foten.datasets.hdf5 import read_recording, write_recording
 from foten.datasets.isolated import read_isolated
 from foten.recording.recording import Channel, Recording
+from foten.texture_file import Texture, write_texture
 
 FORCE = np.linspace(0, 3, 400)
 
@@ -166,3 +167,21 @@ def test_the_process_ends_with_the_program(recording: Path) -> None:
     with pytest.raises(ProcessLookupError):
         os.kill(int(done.stdout), 0)
     assert done.stderr == ""
+
+
+def test_a_loop_of_links_as_output_is_one_line_or_replaced(
+    texture: Texture, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_texture(texture, tmp_path / "t.foten")
+    (tmp_path / "loop.wav").symlink_to(tmp_path / "loop.wav")
+    (tmp_path / "folder").symlink_to(tmp_path / "folder")
+    hand = ["--speed", "50", "--force", "1", "--seconds", "0.1"]
+    assert _status(["render", str(tmp_path / "t.foten"), *hand, "-o", str(tmp_path / "loop.wav")]) == 0
+    assert (tmp_path / "loop.wav").stat().st_size > 100
+    capsys.readouterr()
+    assert (
+        _status(["render", str(tmp_path / "t.foten"), *hand, "-o", str(tmp_path / "folder" / "a.wav")]) == 2
+    )
+    assert capsys.readouterr().err.count("\n") == 1
+    assert _status(["info", str(tmp_path / "folder")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1

@@ -52,6 +52,20 @@ def _inside(value: Any) -> Iterable[Any]:
     return value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
 
 
+def check_numbers(value: Any, what: str) -> None:
+    """Check that each number in a JSON value is one that a float64 or an int64 holds.
+
+    Raises:
+        ValueError: one is not finite, or too large.
+    """
+    waiting = [value]
+    while waiting:
+        one = waiting.pop()
+        waiting += _inside(one)
+        if isinstance(one, int | float) and not abs(one) < 2**63:
+            raise ValueError(f"{what} holds a number that is not finite, or not below 2^63")
+
+
 def printable(text: str) -> str:
     """Return text with a question mark for each character that would not be printed as itself, such as an escape or a newline."""
     return "".join(mark if mark.isprintable() else "?" for mark in text)

@@ -51,7 +51,7 @@ def read_numpy(path: Path) -> list[Column]:
     except (
         Exception
     ) as error:  # a damaged file raises a dozen kinds, zlib.error and NotImplementedError among them
-        if "pickle" in str(error) or "Object arrays" in str(error):
+        if _PICKLE in str(error):
             raise ValueError(f"{path.name} {_PICKLE}") from None
         raise ValueError(f"{path.name} is truncated or is no NumPy file ({brief(error)})") from None
     if not columns:

@@ -34,7 +34,7 @@ from foten.families.sizes import Sizes, shortened
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
-from foten.untrusted import check_regular, parse_json
+from foten.untrusted import check_numbers, check_regular, parse_json
 
 FORMAT_VERSION = 2
 ONE_STEP_TOLERANCE = 1e-5  # scaled; float32 arithmetic of the network
@@ -186,7 +186,7 @@ def texture_from_bytes(data: bytes) -> Texture:
     except (ValueError, TypeError) as error:
         raise ValueError(f"the card is not JSON ({error})") from error
     check_card(card)
-    _check_numbers(card)
+    check_numbers(card, "the card")
     texture = Texture(card=card, tensors=tensors)
     _check_tensors(texture)
     return texture
@@ -256,23 +256,6 @@ def check_card(card: Any) -> None:
     for name in ("validation_mae_scaled", "validation_mae_scaled_lattice", "validation_mae_scaled_hop"):
         if card["metrics"].get(name) is not None and not _are_numbers([card["metrics"][name]], 1):
             raise ValueError(f"{name!r} among the card's metrics is no number")
-
-
-def _check_numbers(card: Mapping[str, Any]) -> None:
-    """Check that each number in a card is one that a float64 or an int64 holds.
-
-    Raises:
-        ValueError: one is not finite, or too large.
-    """
-    waiting: list[Any] = [card]
-    while waiting:
-        value = waiting.pop()
-        if isinstance(value, Mapping):
-            waiting += value.values()
-        elif isinstance(value, list):
-            waiting += value
-        elif isinstance(value, int | float) and not abs(value) < 2**63:
-            raise ValueError("the card holds a number that is not finite, or not below 2^63")
 
 
 def _are_numbers(values: Any, n: int) -> bool:
