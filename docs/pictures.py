@@ -23,6 +23,7 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 import numpy as np
+from foten.runtime.engine import engine_for
 from scipy.signal import welch
 
 from foten.datasets.simulate import TEXTURES, second_realisation, simulate
@@ -39,12 +40,11 @@ from foten.evaluate.references import ORDERS, first_scored, fit_linear
 from foten.experiments.figures import waveforms
 from foten.experiments.results import read_results
 from foten.experiments.truth import linear_bounds
+from foten.families.texture_file import read_texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.scaling import fit_scaling
 from foten.recording.split import split_blocks
 from foten.recording.windows import targets, windows
-from foten.runtime.engine import engine_for
-from foten.families.texture_file import read_texture
 
 HERE = Path(__file__).parent
 RESULTS = HERE.parent / "benchmarks" / "results"

@@ -66,7 +66,7 @@ def test_a_full_disk_leaves_nothing_and_names_the_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize("most_bytes", [0, 1000, 100_000])
 def test_simulate_on_a_full_disk_is_one_line(tmp_path: Path, most_bytes: int) -> None:
     (tmp_path / "a.h5").write_bytes(b"") if most_bytes else None
-    code = "from foten.cli import _status; raise SystemExit(_status('simulate towel -o a.h5 --seconds 2'.split()))"
+    code = "from foten.cli.command_line import _status; raise SystemExit(_status('simulate towel -o a.h5 --seconds 2'.split()))"
     done = _limited(code, tmp_path, most_bytes)
     assert (done.returncode, done.stderr) == (2, "foten: a.h5: file too large\n")
     assert [path.name for path in tmp_path.iterdir()] == ["a.h5"] * (most_bytes > 0)  # what stood there stays

@@ -15,8 +15,8 @@ from foten.datasets import isolated
 from foten.datasets.arrays import read_hdf5
 from foten.datasets.hdf5 import read_recording, write_recording
 from foten.datasets.isolated import read_isolated
+from foten.families.texture_file import Texture, write_texture
 from foten.recording.recording import Channel, Recording
-from foten.texture_file import Texture, write_texture
 
 FORCE = np.linspace(0, 3, 400)
 

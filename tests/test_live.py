@@ -19,15 +19,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, lfilter
 
-from foten.runtime.live import devices
-from foten.runtime.actuator import ActuatorProfile
-from foten.runtime.live.devices import DaqSink, NullSink, OscSink, SoundSink, UdpSink, WavSink
-from foten.runtime.live.live import Live, LiveStatistics, Timing
-from foten.runtime.live.play import along, circling, gain_for, rate_for, rendering, sink_of
-from foten.runtime.renderer import Renderer
-from foten.runtime.live.ring import Ring
-from foten.runtime.stroke import Stroke
 from foten.families.texture_file import Texture
+from foten.runtime.actuator import ActuatorProfile
+from foten.runtime.live import devices
+from foten.runtime.live.daq import DaqSink
+from foten.runtime.live.live import Live, LiveStatistics, Timing
+from foten.runtime.live.network import OscSink, UdpSink
+from foten.runtime.live.paced import NullSink, WavSink
+from foten.runtime.live.play import along, circling, gain_for, rate_for, rendering, sink_of
+from foten.runtime.live.ring import Ring
+from foten.runtime.live.sound import SoundSink
+from foten.runtime.renderer import Renderer
+from foten.runtime.stroke import Stroke
 
 
 @given(size=st.integers(1, 20), steps=st.lists(st.tuples(st.booleans(), st.integers(0, 25)), max_size=60))
@@ -218,7 +221,7 @@ def test_a_program_that_ends_without_stopping_ends_well(texture: Texture, tmp_pa
     path = tmp_path / "t.foten"
     path.write_bytes(texture.to_bytes())
     program = (
-        "import sys, foten\nfrom foten.runtime.live.devices import NullSink\n"
+        "import sys, foten\nfrom foten.runtime.live.paced import NullSink\n"
         "r = foten.Renderer(sys.argv[1], rate=48000)\nr.native_state.set_hand(80, 0.8)\n"
         "live = foten.Live(r.native_state.render, NullSink(48000, ratio=50))\nlive.start()\n"
     )

@@ -19,6 +19,9 @@ from foten.architecture import ARCHITECTURES, FotenPlusArchitecture
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, lfilter
+from test_ar_engine import LOCAL
+from test_engine import CASES, PLUS, VARIANTS
+from test_synthesizer import stroke
 
 import foten
 from conftest import SCALING, SMALL, architecture_with, exported
@@ -28,9 +31,6 @@ from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, Texture
 from foten.runtime.binding import isa, noise
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.renderer import Renderer
-from test_ar_engine import LOCAL
-from test_engine import CASES, PLUS, VARIANTS
-from test_synthesizer import stroke
 
 
 @pytest.fixture(scope="module")
