@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -101,9 +101,3 @@ def orthogonalised(matrices: Tensor) -> Tensor:
         gram = x @ x.mT
         x = a * x + (b * gram + c * gram @ gram) @ x
     return x.mT if tall else x
-
-
-def clipped(gradients: Iterable[Tensor], limit: float) -> None:
-    """Scale gradients in place so that their norm is at most `limit`; 0 for no limit."""
-    if limit > 0:
-        torch.nn.utils.clip_grads_with_norm_(gradients, limit, torch.nn.utils.get_total_norm(gradients))
