@@ -186,7 +186,7 @@ def test_batched_results_are_those_of_one_by_one_and_fail_alone() -> None:
     recordings = [recording_of(run) for run in runs]
     results = _guarded([asdict(run) for run in runs], *recordings)
     for run, recording, one in zip(runs, recordings, results, strict=True):
-        assert one["trained_together"] == 2
+        assert one["n_batched"] == 2
         alone = execute(run, recording)
         assert Run(**one["run"]) == run
         assert one["evaluation"]["one_step"]["mae_scaled"] == pytest.approx(

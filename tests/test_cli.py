@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import json
 import pickle
 from pathlib import Path
@@ -15,6 +16,7 @@ from foten.cli.command_line import _status
 from foten.families.texture_file import read_texture
 
 FAST = ["--trim", "0", "--block", "500", "--epochs", "1", "--threads", "1", "--window", "12"]
+TINY = [f"--set={size}" for size in ("d_model=8", "n_heads=2", "n_layers=1", "d_feedforward=8", "head=[8,4]")]
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +34,7 @@ def recording(folder: Path) -> Path:
 @pytest.fixture(scope="module")
 def texture(folder: Path, recording: Path) -> Path:
     path = folder / "t.foten"
-    assert _status(["train", str(recording), "-o", str(path), *FAST]) == 0
+    assert _status(["train", str(recording), "-o", str(path), *FAST, *TINY]) == 0
     return path
 
 
@@ -81,7 +83,7 @@ def test_evaluate_prints_the_contracts_keys(
     assert document["references"]["ar"]["mae_scaled"] > 0.9 * document["references"]["bound"]["mae_scaled"]
 
 
-def test_a_foreign_recording_is_scored_whole(
+def test_a_foreign_recording_is_scored_on_all_of_its_blocks(
     texture: Path, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     other = folder / "other.h5"
@@ -113,7 +115,7 @@ def test_ctrl_c_keeps_the_best_and_resume_goes_on(
             raise KeyboardInterrupt
 
     out = tmp_path / "i.foten"
-    command = ["train", str(recording), "-o", str(out), *FAST]
+    command = ["train", str(recording), "-o", str(out), *FAST, *TINY]
     monkeypatch.setattr(RunFolder, "log", interrupt)
     assert _status(command) == 130
     assert read_texture(out).card["metrics"]["n_epochs"] == 1
@@ -123,6 +125,53 @@ def test_ctrl_c_keeps_the_best_and_resume_goes_on(
         _status([*command, "--resume"]) == 2
     )  # one epoch was all there was, and its checkpoint not yet written
     assert "nothing to resume" in one_line(capsys)
+
+
+def test_ctrl_c_in_the_first_epoch_leaves_the_playable_file(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """While the network is validated for the first time: there is no best epoch to keep, and no run folder yet."""
+
+    def interrupted(*_: object) -> tuple[float, float]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("foten.train.fit.validated", interrupted)
+    out = tmp_path / "p.foten"
+    capsys.readouterr()
+    assert _status(["train", str(recording), "-o", str(out), *FAST, *TINY]) == 130
+    shown = capsys.readouterr().err.splitlines()
+    assert f"wrote {out}, playable without its network; it is replaced by a better one" in shown
+    assert [path.name for path in tmp_path.iterdir()] == ["p.foten"]
+    sound = tmp_path / "s.wav"
+    stroke = ["--speed", "100", "--force", "1", "--seconds", "0.2"]
+    assert _status(["render", str(out), *stroke, "-o", str(sound)]) == 0
+
+
+def test_a_disk_that_fills_up_while_training_costs_no_more_than_the_run_folder(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From the first checkpoint on nothing can be written into the run folder: a line each for checkpoint, log and the rest."""
+    from foten.train import fit, run
+
+    def full(path: Path, *_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    def save(path: Path, *_: object) -> None:
+        monkeypatch.setattr(run, "write_log", full)
+        full(path)
+
+    monkeypatch.setattr(fit, "save_progress", save)
+    out, folder = tmp_path / "d.foten", tmp_path / "d.run"
+    capsys.readouterr()
+    assert _status(["train", str(recording), "-o", str(out), *FAST, *TINY, "--epochs", "3"]) == 0
+    shown = [line for line in capsys.readouterr().err.splitlines() if "no space left" in line]
+    why = "no space left on device; the training"
+    assert shown == [
+        f"{folder / 'log.csv'}: {why} goes on without its log",
+        f"{folder / 'checkpoint.pt'}: {why} went on without its checkpoint",
+        f"{folder / 'log.csv'}: no space left on device; the run folder is not complete",
+    ]
+    assert read_texture(out).card["metrics"]["n_epochs"] == 3
 
 
 def test_settings_change_the_network(
@@ -247,6 +296,15 @@ CONSTANT = ("--speed", "1", "--force", "1")
         (["train", "{rec}", "-o", "{out}/t.foten", *FAST], "there is no folder"),
         (["train", "{rec}", "-o", "{out}.foten", *FAST, "--trim", "nan"], "trim_ms is nan"),
         (["train", "{rec}", "-o", "{out}.foten", *FAST, "--window", "101"], "five times as long"),
+        (
+            ["train", "{rec}", "-o", "{out}.foten", *FAST, "--window", "100000"],
+            "window is 100000, expected 512 at most",
+        ),
+        (
+            ["train", "{rec}", "-o", "{out}.foten", *FAST, "--model", "dstn", "--window", "100000"],
+            "window is 100000, expected 4096 at most",
+        ),
+        (["train", "{rec}", "-o", "{out}.foten", *FAST, "--window", "9" * 400], "expected 512 at most"),
         (["train", "{rec}", "-o", "{out}.foten", *FAST, "--seed", "-1"], "greater than or equal to 0"),
         (["train", "{rec}", "-o", "{out}.foten", *FAST, "--rate", "700.5"], "ask for 1000 Hz"),
         (

@@ -241,7 +241,7 @@ def test_the_jackknife_of_a_mean_is_its_standard_error() -> None:
     assert _jackknifed(without) == pytest.approx(values.std(ddof=1) / math.sqrt(30), rel=1e-9)
 
 
-def test_a_hand_at_rest_or_in_the_air_does_not_count() -> None:
+def test_a_still_hand_or_one_in_the_air_does_not_count() -> None:
     n = np.arange(4000).reshape(4, 1000)
     speed, force = 5.0 + 0 * n, 0.1 + 0 * n
     speed[1, 900:], force[3, 950:] = 4.9, 0.09

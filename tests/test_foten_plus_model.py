@@ -70,10 +70,10 @@ def test_the_correction_is_bounded_in_innovations() -> None:
     silent = {**tensors, "network.head_3.weight": 0 * tensors["network.head_3.weight"]}
     silent["network.head_3.bias"] = tensors["network.head_3.bias"] * 0
     loud = {**silent, "network.head_3.weight": 1e3 * tensors["network.head_3.weight"]}
-    linear, whole = (model(sizes, some).start(given).predict() for some in (silent, loud))
-    assert whole.scale is not None
+    linear, corrected = (model(sizes, some).start(given).predict() for some in (silent, loud))
+    assert corrected.scale is not None
     sigma = model(sizes, tensors).excitation.sigma(given[:, -1, 1:])
-    share = (whole.sample - linear.sample) * sigma / whole.scale
+    share = (corrected.sample - linear.sample) * sigma / corrected.scale
     limit = sizes.correction_limit
     assert np.abs(share).max() <= limit * (1 + 1e-9)  # tanh; rounding of the difference
     assert np.abs(share).max() > 0.99 * limit

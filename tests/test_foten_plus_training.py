@@ -138,6 +138,24 @@ def test_a_network_that_gains_next_to_nothing_is_not_rendered(
     assert ("rendering with the network in the loop" in stages) == tried
 
 
+def test_a_playable_texture_leaves_the_network_on_its_device(
+    prepared: FotenPlusTask, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """PyTorch moves a module in place: a network taken to the CPU for its file would be fitted there."""
+    moved: list[int] = []
+    cpu = torch.nn.Module.cpu
+
+    def recorded(module: torch.nn.Module) -> torch.nn.Module:
+        moved.append(id(module))
+        return cpu(module)
+
+    monkeypatch.setattr(torch.nn.Module, "cpu", recorded)
+    task, progress = fitted(prepared, 0.0)
+    task.finish(progress, silent)
+    assert moved  # copies of it, which prove the file
+    assert id(task.network) not in moved
+
+
 def rendering(name: str, distance: tuple[float, float]) -> Rendering:
     part = LinearPart(FotenPlusSizes(), {}, None, {"lattices": name})
     return Rendering(part, FittedExcitation(Excitation(1), [], 0.0, None), distance)

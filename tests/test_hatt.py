@@ -138,9 +138,9 @@ def test_what_is_no_model_file_is_refused(
 ) -> None:
     source, out = _edited(written(tmp_path / "m.xml"), old, new), tmp_path / "m.foten"
     assert _status(["import", str(source), "-o", str(out)]) == 2
-    said = capsys.readouterr().err.strip()
-    assert match in said
-    assert "\n" not in said
+    message = capsys.readouterr().err.strip()
+    assert match in message
+    assert "\n" not in message
     assert not out.exists()
 
 

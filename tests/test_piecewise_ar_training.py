@@ -74,7 +74,7 @@ def test_the_order_is_the_best_of_those_tried(trained: Trained) -> None:
     assert np.abs(missed).mean() == pytest.approx(errors[best], rel=1e-9)
 
 
-def test_the_mesh_covers_what_was_trained_and_is_silent_at_rest(trained: Trained) -> None:
+def test_the_mesh_covers_what_was_trained_and_is_silent_without_motion(trained: Trained) -> None:
     texture = trained.texture
     points, variance = texture.tensors["piecewise_ar.points"], texture.tensors["piecewise_ar.variance"]
     ends = [texture.trained_range(channel)[1] for channel in ("speed", "force")]
@@ -185,13 +185,13 @@ def test_the_command_makes_a_file_that_everything_takes(
         )
         == 0
     )
-    found = json.loads(capsys.readouterr().out)
-    assert found["sha256"] == read_texture(file).sha256()
-    assert found["validation_mae_scaled_by_order"]["20"] > 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["sha256"] == read_texture(file).sha256()
+    assert document["validation_mae_scaled_by_order"]["20"] > 0
     assert _status(["info", str(file)]) == 0
-    told = capsys.readouterr().out
-    assert "models" in told
-    assert f"of order {read_texture(file).card['sizes']['order']}" in told
+    output = capsys.readouterr().out
+    assert "models" in output
+    assert f"of order {read_texture(file).card['sizes']['order']}" in output
     sound = tmp_path / "s.wav"
     assert (
         _status(["render", str(file), "--speed", "80", "--force", "0.8", "--seconds", "1", "-o", str(sound)])

@@ -62,8 +62,10 @@ def test_every_family_is_prepared() -> None:
 
 
 def test_the_network_starts_at_the_linear_part(recording: Recording) -> None:
-    begun = train(job_of(recording, epochs=0))
-    assert begun.progress.epochs[0].validation_mae == pytest.approx(begun.linear_mae, rel=1e-5)  # float32
+    unfitted = train(job_of(recording, epochs=0))
+    assert unfitted.progress.epochs[0].validation_mae == pytest.approx(
+        unfitted.linear_mae, rel=1e-5
+    )  # float32
 
 
 @pytest.mark.parametrize("model", ["foten", "ten"])

@@ -210,7 +210,7 @@ def test_the_tables_show_the_numbers_of_the_document(judged, written):
 
 def test_what_is_unknown_is_a_dash_with_its_reason(judged, written):
     rows = _Page(written).rows
-    text = "".join(_Page(written).words)
+    words = "".join(_Page(written).words)
     expected = {
         "references.lattice": (0, "foten has none"),
         "references.ar_scheduled": (0, "fewer than two training windows for each coefficient"),
@@ -219,7 +219,7 @@ def test_what_is_unknown_is_a_dash_with_its_reason(judged, written):
     }
     for row, (column, why) in expected.items():
         assert rows[row][column]["why"] == why
-        assert text.count(why) >= 1  # as a footnote too: paper has no tooltips
+        assert words.count(why) >= 1  # as a footnote too: paper has no tooltips
     assert reason(judged.document, "free_run.lsd_db", "free_run") == "it carries no excitation"
 
 

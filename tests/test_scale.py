@@ -42,11 +42,11 @@ def test_it_is_a_power_law_where_its_network_is_silent() -> None:
         np.testing.assert_allclose(values, expected, rtol=1e-6)  # exponents and floors come from float32
 
 
-def test_speed_and_force_below_zero_count_as_rest() -> None:
+def test_speed_and_force_below_zero_count_as_zero() -> None:
     sigma = excitation()
     sigma.power_law.weight.copy_(torch.tensor([[0.7, 0.4, 0.1, 0.1, 0.1]]))
-    below, rest = np.full((3, 2), -50.0), np.tile([[-100 / 60, -2.0]], (3, 1))
-    for one, other in zip(both(sigma, below), both(sigma, rest), strict=True):
+    below, zero = np.full((3, 2), -50.0), np.tile([[-100 / 60, -2.0]], (3, 1))
+    for one, other in zip(both(sigma, below), both(sigma, zero), strict=True):
         assert np.isfinite(one).all()
         np.testing.assert_allclose(one, other, rtol=1e-6)
 

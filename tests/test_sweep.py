@@ -53,7 +53,7 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     program = "from foten.cli import main; main()"
     command = [sys.executable, "-c", program, "sweep", str(experiment(folder)), "-o", str(folder / "results")]
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "RAY_DEDUP_LOGS": "0"}
-    for found in ((4, 0), (0, 0)):  # the second time nothing is left to do
+    for expected in ((4, 0), (0, 0)):  # the second time nothing is left to do
         done = subprocess.run(
             [*command, "--workers", "2", "--json"],
             capture_output=True,
@@ -63,8 +63,8 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
         )
         assert done.returncode == 0, done.stderr
         document = json.loads(done.stdout)
-        assert (document["n_done"], document["n_failed"]) == found
-        if found[0]:
+        assert (document["n_done"], document["n_failed"]) == expected
+        if expected[0]:
             assert "4/4" in done.stderr
             assert "min left" in done.stderr
     return folder / "results"
@@ -89,10 +89,10 @@ def test_a_table_has_references_methods_and_the_papers_figure(swept: Path) -> No
     rows = {row[0]: row[1:] for row in cells[1:]}
     assert list(rows)[:2] == ["zero", "persistence"]
     assert rows["FNN [13]"][-1] == str(PAPER["fnn"].mae)
-    found = [
+    errors = [
         one["evaluation"]["one_step"]["mae_scaled"] for one in results if one["run"]["method"] == "FNN [13]"
     ]
-    assert rows["FNN [13]"][:3] == [f"{found[0]:.3f}", f"{found[1]:.3f}", f"{np.mean(found):.3f}"]
+    assert rows["FNN [13]"][:3] == [f"{errors[0]:.3f}", f"{errors[1]:.3f}", f"{np.mean(errors):.3f}"]
     assert float(rows["least possible"][0]) < float(rows["best AR"][0]) < float(rows["zero"][0])
     free = [row[0] for row in table(results, "lsd")]
     assert free[1:] == ["AR(20) with white noise", "ceiling", "FNN [13], without excitation", "excited"]
@@ -117,17 +117,17 @@ def test_each_run_is_a_row_with_intervals_over_blocks(swept: Path) -> None:
     results = read_results(swept)
     results[0]["evaluation"]["one_step"]["intervals"] = {"mae_scaled": [0.25, 0.75], "gfc": [0.5, 0.9]}
     heading, *rows = each_run(results)
-    found = [dict(zip(heading, row, strict=True)) for row in rows]
-    assert [(one["method"], one["texture"]) for one in found] == [
+    lines = [dict(zip(heading, row, strict=True)) for row in rows]
+    assert [(one["method"], one["texture"]) for one in lines] == [
         (method, texture) for texture in ("linear-cloth", "linear-twin") for method in ("FNN [13]", "excited")
     ]
-    assert (found[0]["mae_low"], found[0]["mae_high"], found[0]["gfc_high"]) == ("0.25", "0.75", "90")
-    assert found[1]["mae_low"] == ""  # one test block
-    assert [one["excitation"] for one in found] == ["no", "yes"] * 2
+    assert (lines[0]["mae_low"], lines[0]["mae_high"], lines[0]["gfc_high"]) == ("0.25", "0.75", "90")
+    assert lines[1]["mae_low"] == ""  # one test block
+    assert [one["excitation"] for one in lines] == ["no", "yes"] * 2
     silent, excited = (results[k]["evaluation"] for k in (0, 1))
-    assert float(found[0]["lsd"]) == pytest.approx(silent["free_run_deterministic"]["lsd_db"], rel=1e-5)
-    assert float(found[1]["lsd"]) == pytest.approx(excited["free_run"]["lsd_db"], rel=1e-5)
-    assert all(float(one["training_s"]) > 0 and one["epochs"] == "1" for one in found)
+    assert float(lines[0]["lsd"]) == pytest.approx(silent["free_run_deterministic"]["lsd_db"], rel=1e-5)
+    assert float(lines[1]["lsd"]) == pytest.approx(excited["free_run"]["lsd_db"], rel=1e-5)
+    assert all(float(one["training_s"]) > 0 and one["epochs"] == "1" for one in lines)
     gan = copy.deepcopy(results[0])
     gan["evaluation"]["one_step"]["mae_scaled"] = None
     assert dict(zip(heading, each_run([gan])[1], strict=True))["mae"] == ""
@@ -166,13 +166,13 @@ def test_windows_and_losses_are_drawn_where_there_is_a_grid(swept: Path) -> None
                 one["run"]["train"] |= {"loss": loss, "delta": delta}
                 one["evaluation"]["one_step"]["mae_scaled"] = factor * delta
                 grid.append(one)
-    found = {name: figure for name, figure in figures(grid) if "figure-5" in name}
-    assert set(found) == {
+    grids = {name: figure for name, figure in figures(grid) if "figure-5" in name}
+    assert set(grids) == {
         f"figure-5-{method}-{rest}"
         for method in ("fnn-13", "excited")
         for rest in ("delta-0-4", "delta-1-6", "loss-huber-delta")
     }
-    drawn = found["figure-5-excited-delta-1-6"]
+    drawn = grids["figure-5-excited-delta-1-6"]
     assert {float(line.get_ydata()[0]) for line in drawn.axes[0].get_lines()[::2]} == {16.0}
 
 
@@ -252,7 +252,7 @@ def test_what_falls_silent_runs_along_the_lower_edge(swept: Path) -> None:
     assert drawn.max() < low + 0.05 * (high - low)
 
 
-def test_one_split_is_told_with_its_interval(swept: Path) -> None:
+def test_one_split_has_its_interval(swept: Path) -> None:
     results = copy.deepcopy(read_results(swept))
     results[0]["evaluation"]["one_step"] |= {"mae_scaled": 0.5, "intervals": {"mae_scaled": [0.25, 0.75]}}
     cells = table(results, "mae")
@@ -312,9 +312,9 @@ def test_an_address_where_nobody_listens_is_said_at_once(
         address = f"127.0.0.1:{taken.getsockname()[1]}"
         command = ["sweep", str(experiment(tmp_path)), "-o", str(tmp_path / "results"), "--address", address]
         assert _status(command) == 2
-    told = capsys.readouterr().err.strip().splitlines()[-1]
-    assert f"no Ray cluster answers at {address}" in told
-    assert "ray start --head" in told
+    message = capsys.readouterr().err.strip().splitlines()[-1]
+    assert f"no Ray cluster answers at {address}" in message
+    assert "ray start --head" in message
 
 
 def test_special_characters_are_markdowns_too() -> None:
@@ -398,9 +398,9 @@ def test_holm_is_at_least_as_strict_as_the_false_discovery_rate_and_never_above_
     """By hand for three; beside SciPy's Benjamini–Hochberg, which is always more lenient."""
     assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
     p = np.random.default_rng(0).uniform(size=9).tolist()
-    found = np.array(holm(p))
-    assert (found >= false_discovery_control(p) - 1e-12).all()
-    assert (found <= np.minimum(1, 9 * np.array(p)) + 1e-12).all()
+    corrected = np.array(holm(p))
+    assert (corrected >= false_discovery_control(p) - 1e-12).all()
+    assert (corrected <= np.minimum(1, 9 * np.array(p)) + 1e-12).all()
 
 
 def test_what_is_never_better_differs_and_what_is_the_same_does_not() -> None:
@@ -441,7 +441,7 @@ def test_a_grid_crosses_sizes_and_training(tmp_path: Path) -> None:
     assert (runs[0].method, runs[0].label) == ("FNN [13]", "FNN [13] window 120, loss mse")
 
 
-def test_what_a_method_does_not_heed_is_no_grid(tmp_path: Path) -> None:
+def test_what_means_nothing_to_a_method_is_no_grid(tmp_path: Path) -> None:
     text = TINY.replace("[train]", '[grid]\nloss = ["mse", "mae"]\n[train]')
     gan = text.replace('{model = "fnn", name = "FNN [13]"}', '"gan"').replace("block_ms = 1000", "")
     with pytest.raises(ValueError, match="method 'gan': loss means nothing to gan"):
@@ -497,9 +497,9 @@ def test_what_is_wrong_in_a_file_is_said_in_one_line(
     assert old in TINY
     path = experiment(tmp_path, TINY.replace(old, new, 1))
     assert _status(["sweep", str(path), "-o", str(tmp_path / "results"), "--dry-run"]) == 2
-    told = capsys.readouterr().err.strip()
-    assert match in told
-    assert "\n" not in told
+    message = capsys.readouterr().err.strip()
+    assert match in message
+    assert "\n" not in message
     assert not (tmp_path / "results").exists()
 
 

@@ -101,7 +101,7 @@ def _judged(
         "versions": texture.card["training"]["versions"],
         "recording_sha256": document["recording_sha256"],
         "seconds": {"training": seconds, "evaluation": time.perf_counter() - started},
-        "trained_together": n_batched,
+        "n_batched": n_batched,
         "n_epochs": metrics.get("n_epochs"),
         "validation_mae_scaled": metrics["validation_mae_scaled"],
         "file_bytes": len(texture.to_bytes()),

@@ -59,7 +59,7 @@ def sweep(
     gpus_per_run: float = 0.0,
     on_progress: Callable[[Progress], None] = lambda progress: None,
     say: Callable[[str], None] = lambda text: None,
-    batched: int = 1,
+    n_batched: int = 1,
 ) -> tuple[int, int]:
     """Execute the runs of an experiment that have no result yet, and keep one file each.
 
@@ -71,7 +71,7 @@ def sweep(
         gpus_per_run: share of a GPU that each run takes.
         on_progress: called after each run.
         say: called with messages for the user.
-        batched: largest number of textures that are trained as one batched model, of the models in `BATCHED`.
+        n_batched: largest number of textures that are trained as one batched model, of the models in `BATCHED`.
 
     Returns:
         How many runs were done, and how many failed.
@@ -114,7 +114,7 @@ def sweep(
         task = ray.remote(num_cpus=1, num_gpus=gpus_per_run, max_retries=RETRIES)(_guarded)
         pending = {
             task.remote([asdict(run) for _, run, _ in some], *(kept[run.source] for _, run, _ in some)): some
-            for some in _groups(waiting, batched)
+            for some in _groups(waiting, n_batched)
         }
         return _collected(experiment, pending, on_progress)
     finally:
@@ -190,8 +190,8 @@ def _check_answered(address: str) -> None:
         raise ValueError(f"{_no_cluster(address)} ({error})") from error
 
 
-def _groups(waiting: Sequence[Waiting], largest: int) -> list[list[Waiting]]:
-    """Return the runs in groups for one worker each, in their order: one run, or up to `largest` that can be batched."""
+def _groups(waiting: Sequence[Waiting], n_batched: int) -> list[list[Waiting]]:
+    """Return the runs in groups for one worker each, in their order: one run, or up to `n_batched` that can be batched."""
     from foten.train.batched import BATCHED
 
     groups: list[list[Waiting]] = []
@@ -201,7 +201,7 @@ def _groups(waiting: Sequence[Waiting], largest: int) -> list[list[Waiting]]:
         alike = {"sizes": run.sizes, "train": {**run.train, "seed": 0}, "preprocess": run.preprocess}
         key = json.dumps({"model": run.model, **alike}, sort_keys=True)
         can = run.model in BATCHED and run.train["threads"] == 1
-        if can and len(open_groups.get(key, ())) % largest:
+        if can and len(open_groups.get(key, ())) % n_batched:
             open_groups[key].append(one)
         else:
             groups.append([one])

@@ -26,12 +26,7 @@ class Sizes:
     from_noise: ClassVar[bool] = False  # whether it makes samples from noise, and predicts none
 
     def __post_init__(self) -> None:
-        check_count("window", self.window, 2)
-        longest = LONGEST_GRAPH_WINDOW if self.in_graph else LONGEST_WINDOW
-        if self.window > longest:
-            raise ValueError(
-                f"window is {self.window}, expected at most {longest} samples: no longer ones are rendered"
-            )
+        check_count("window", self.window, 2, LONGEST_GRAPH_WINDOW if self.in_graph else LONGEST_WINDOW)
 
     @property
     def history(self) -> int:
@@ -78,10 +73,12 @@ def sizes_from_card(kind: type[Sizes], model: str, card: Mapping[str, Any]) -> S
     return kind(**card)
 
 
-def check_count(name: str, value: object, minimum: int) -> None:
-    """Refuse what is no whole number from `minimum` on, or too large for any model."""
-    if type(value) is not int or not minimum <= value <= LARGEST_COUNT:
+def check_count(name: str, value: object, minimum: int, maximum: int = LARGEST_COUNT) -> None:
+    """Refuse what is no whole number from `minimum` to `maximum`, by default the largest of any model."""
+    if type(value) is not int or value < minimum:
         raise ValueError(f"{name} is {shortened(value)}, expected a whole number, {minimum} or more")
+    if value > maximum:
+        raise ValueError(f"{name} is {shortened(value)}, expected {maximum} at most")
 
 
 def check_counts(sizes: Sizes, minimum: int = 1) -> None:

@@ -96,10 +96,16 @@ class RunFolder:
                     self._events.add_scalar(name, getattr(epoch, name), epoch.epoch)
 
     def close(self, trained: Trained) -> None:
-        """Write the whole log, the split and the curves; the checkpoint goes unless the run was interrupted."""
-        write_log(self.path / "log.csv", trained.progress.epochs)
-        trained.split.save(self.path / "split.json")
-        _draw_curves(self.path / "curves.png", trained)
+        """Write the whole log, the split and the curves, as far as the disk takes them.
+
+        The checkpoint goes unless the run was interrupted.
+        """
+        try:
+            write_log(self.path / "log.csv", trained.progress.epochs)
+            trained.split.save(self.path / "split.json")
+            _draw_curves(self.path / "curves.png", trained)
+        except OSError as error:  # the texture is written, and its folder is not worth an error
+            self._on_note(f"{reason(error)}; the run folder is not complete")
         if not trained.progress.interrupted:
             self.checkpoint.unlink(missing_ok=True)
         if self._events is not None:
