@@ -1,3 +1,5 @@
+"""The networks of foten and foten-plus in PyTorch: the paper's equations and sizes, gradients, and the correction's bound."""
+
 import math
 
 import numpy as np
@@ -6,34 +8,34 @@ import torch
 from torch import Tensor
 from torch.nn.functional import layer_norm, linear
 
-from conftest import SMALL, reflections_of, untrained
-from foten.architecture import FotenArchitecture, FotenPlusArchitecture
-from foten.dsp.lattice import LEAK
+from conftest import SMALL, untrained
+from foten.families import FotenPlusSizes, FotenSizes
 from foten.networks import build
-from foten.networks.foten_plus import Excitation
+from foten.networks.foten import Foten
+from foten.networks.scale import Excitation
+from foten.reference.network import Network
+from foten.train.export import tensors_of
 
-ARCHITECTURES = {
-    "paper": FotenArchitecture(),
-    "post-norm": FotenArchitecture(**SMALL, pre_norm=False),
-    "cos-sin": FotenArchitecture(**SMALL, phase_input="cos_sin"),
-    "bin-embedding": FotenArchitecture(**SMALL, bin_embedding=True),
-    "literal-width": FotenArchitecture(**{**SMALL, "spectral_width": 1}),
-    "literal-width-post-norm": FotenArchitecture(**{**SMALL, "spectral_width": 1}, pre_norm=False),
-    "window-5": FotenArchitecture(**SMALL, window=5),
-    "window-30": FotenArchitecture(**SMALL, window=30),
-    "one-layer": FotenArchitecture(**{**SMALL, "n_layers": 1}),
+VARIANTS = {
+    "paper": FotenSizes(),
+    "post-norm": FotenSizes(**SMALL, pre_norm=False),
+    "literal-width": FotenSizes(**{**SMALL, "spectral_width": 1}),
+    "literal-width-post-norm": FotenSizes(**{**SMALL, "spectral_width": 1}, pre_norm=False),
+    "window-5": FotenSizes(**SMALL, window=5),
+    "window-30": FotenSizes(**SMALL, window=30),
+    "one-layer": FotenSizes(**{**SMALL, "n_layers": 1}),
 }
 
 
 class Reference:
     """Eq. 2 to 11 as they are written: all m queries of every layer, the whole complex inverse transform, all tokens.
 
-    It shares nothing with the network but the names of its parameters.
+    It shares nothing with the network, nor with foten.reference, but the names of its parameters.
     """
 
-    def __init__(self, network: torch.nn.Module, architecture: FotenArchitecture) -> None:
+    def __init__(self, network: torch.nn.Module, sizes: FotenSizes) -> None:
         self.w = network.state_dict()
-        self.architecture = architecture
+        self.sizes = sizes
 
     def affine(self, name: str, x: Tensor) -> Tensor:
         return linear(x, self.w[f"{name}.weight"], self.w[f"{name}.bias"])
@@ -45,7 +47,7 @@ class Reference:
     def attention(self, name: str, x: Tensor) -> Tensor:
         """Eq. 3 to 5, one head after the other."""
         width = x.shape[-1]
-        n_heads = self.architecture.n_heads if width % self.architecture.n_heads == 0 else 1
+        n_heads = self.sizes.n_heads if width % self.sizes.n_heads == 0 else 1
         query, key, value = self.affine(f"{name}.attention_in", x).split(width, dim=-1)
         heads = []
         for head in range(n_heads):
@@ -60,31 +62,29 @@ class Reference:
                 f"{name}.feedforward_out", torch.relu(self.affine(f"{name}.feedforward_in", x))
             )
 
-        if self.architecture.pre_norm:
+        if self.sizes.pre_norm:
             x = x + self.attention(name, self.norm(f"{name}.norm_1", x))
             return x + feedforward(self.norm(f"{name}.norm_2", x))
         x = self.norm(f"{name}.norm_1", x + self.attention(name, x))
         return self.norm(f"{name}.norm_2", x + feedforward(x))
 
     def temporal(self, a: Tensor) -> Tensor:
-        m, d = a.shape[1], self.architecture.d_model
+        m, d = a.shape[1], self.sizes.d_model
         positions = torch.zeros(m, d, dtype=torch.float64)
         for pos in range(m):
             for i in range(d // 2):
                 positions[pos, 2 * i] = math.sin(pos * 10000 ** (-2 * i / d))
                 positions[pos, 2 * i + 1] = math.cos(pos * 10000 ** (-2 * i / d))
         x = self.affine("temporal.embedding", a[..., None]) + positions
-        for i in range(self.architecture.n_layers):
+        for i in range(self.sizes.n_layers):
             x = self.layer(f"temporal.layers.{i}", x)
-        return self.norm("temporal.norm", x) if self.architecture.pre_norm else x
+        return self.norm("temporal.norm", x) if self.sizes.pre_norm else x
 
     def encode(self, name: str, tokens: Tensor) -> Tensor:
-        if self.architecture.spectral_width > 1:
+        if self.sizes.spectral_width > 1:
             tokens = self.affine(f"spectral.{name}_in", tokens)
-        if self.architecture.bin_embedding:
-            tokens = tokens + self.w["spectral.bins"]
         tokens = self.layer(f"spectral.{name}_layer", tokens)
-        if self.architecture.spectral_width > 1:
+        if self.sizes.spectral_width > 1:
             tokens = self.affine(f"spectral.{name}_out", tokens)
         return tokens[..., 0]
 
@@ -94,11 +94,7 @@ class Reference:
             z.abs(),
             torch.atan2(z.imag + 0.0, z.real),
         )  # Eq. 7; a real bin's angle is 0 or π, not −π
-        if self.architecture.phase_input == "cos_sin":
-            turned = torch.stack([torch.cos(phase), torch.sin(phase)], dim=-1)
-        else:
-            turned = phase[..., None]
-        encoded = torch.polar(torch.ones_like(phase), self.encode("phase", turned))
+        encoded = torch.polar(torch.ones_like(phase), self.encode("phase", phase[..., None]))
         encoded = self.encode("magnitude", magnitude[..., None]) * encoded  # Eq. 8
         return torch.fft.ifft(encoded).real  # Eq. 9
 
@@ -112,23 +108,24 @@ class Reference:
         return self.affine("head_3", x)[:, 0]
 
 
-def windows(architecture: FotenArchitecture, n: int = 40, seed: int = 0) -> Tensor:
-    rng = np.random.default_rng(seed)
-    return torch.from_numpy(rng.standard_normal((n, architecture.history, 3)))
+def windows(sizes: FotenSizes | FotenPlusSizes, n: int = 40, seed: int = 0) -> Tensor:
+    """Return seeded windows: acceleration, speed and force, and for foten-plus the innovation."""
+    n_channels = 4 if isinstance(sizes, FotenPlusSizes) else 3
+    return torch.from_numpy(np.random.default_rng(seed).standard_normal((n, sizes.window, n_channels)))
 
 
-@pytest.mark.parametrize("name", ARCHITECTURES)
-def test_the_pruned_network_is_the_papers(name: str) -> None:
-    """Oracle: an unpruned network of the paper's equations, in float64."""
-    architecture = ARCHITECTURES[name]
-    network = untrained("foten", architecture).double()
-    given = windows(architecture)
-    with torch.no_grad():
-        found = network(given)
-    expected = Reference(network, architecture)(given)
+@pytest.mark.parametrize("name", VARIANTS)
+def test_the_network_is_the_papers(name: str) -> None:
+    """Oracle: the paper's equations, unpruned, in float64; PyTorch's pruned network, and the reference in NumPy."""
+    sizes = VARIANTS[name]
+    network = untrained("foten", sizes).double()
+    given = windows(sizes)
+    expected = Reference(network, sizes)(given)
     assert expected.std() > 1e-3  # or there would be nothing to compare
-    # Rounding through six layers, and √(|Z|² + 1e-16), which is 5e-17/|Z| off.
-    np.testing.assert_allclose(found, expected, atol=1e-10)
+    with torch.no_grad():
+        # Rounding through six layers, and √(|Z|² + 1e-16), which is 5e-17/|Z| off.
+        np.testing.assert_allclose(network(given), expected, atol=1e-10)
+    np.testing.assert_allclose(Network(sizes, tensors_of(network))(given.numpy()), expected, atol=1e-10)
 
 
 def n_parameters(network: torch.nn.Module) -> int:
@@ -145,57 +142,53 @@ def test_it_has_the_papers_sizes() -> None:
     temporal = dense(1, 32) + 3 * layer + 64  # embedding, three layers, the last norm
     spectral = 2 * (dense(1, 32) + layer + dense(32, 1)) + dense(1, 32)
     head = dense(2 * 32 + 2, 256) + dense(256, 64) + dense(64, 1)
-    found = n_parameters(build("foten", FotenArchitecture()))
+    found = n_parameters(build("foten", FotenSizes()))
     assert found == temporal + spectral + head
     assert found == pytest.approx(97_500, rel=0.005)
 
 
 def test_positions_and_matrices_are_not_parameters() -> None:
-    kept = set(build("foten", FotenArchitecture()).state_dict())
+    kept = set(build("foten", FotenSizes()).state_dict())
     assert not {name for name in kept if "positions" in name or name.endswith(("real", "imaginary", "sine"))}
 
 
 @pytest.mark.parametrize("pre_norm", [True, False])
 def test_the_literal_width_of_one_is_degenerate(pre_norm: bool) -> None:
     """A layer normalisation over one feature gives its bias, so the encoders add a constant, or are one."""
-    architecture = FotenArchitecture(**{**SMALL, "spectral_width": 1}, pre_norm=pre_norm)
-    branch = untrained("foten", architecture).double().spectral
-    given = torch.from_numpy(np.random.default_rng(0).uniform(0, 9, (30, architecture.window, 1)))
+    sizes = FotenSizes(**{**SMALL, "spectral_width": 1}, pre_norm=pre_norm)
+    branch = untrained("foten", sizes).double().spectral
+    given = torch.from_numpy(np.random.default_rng(0).uniform(0, 9, (30, sizes.window)))
     for name in ("magnitude", "phase"):
         with torch.no_grad():
-            left = branch._encode(name, given) - given[..., 0] * pre_norm
+            left = branch._encode(name, given) - given * pre_norm
         assert left.std() < 1e-12  # rounding
-    wide = untrained("foten", FotenArchitecture(**SMALL, pre_norm=pre_norm)).double().spectral
+    wide = untrained("foten", FotenSizes(**SMALL, pre_norm=pre_norm)).double().spectral
     with torch.no_grad():
-        assert (wide._encode("magnitude", given) - given[..., 0] * pre_norm).std() > 1e-3
+        assert (wide._encode("magnitude", given) - given * pre_norm).std() > 1e-3
 
 
 @pytest.mark.parametrize("name", ["magnitude", "phase"])
 def test_the_spectral_encoders_do_not_know_which_bin_is_which(name: str) -> None:
-    """Sec. IV-d leaves positions out; a learned vector for each bin brings them back."""
+    """Sec. IV-d leaves positions out."""
     order = torch.randperm(20, generator=torch.Generator().manual_seed(0))
-    tokens = windows(FotenArchitecture())[..., :1]
-    for embedded in (False, True):
-        architecture = FotenArchitecture(**SMALL, bin_embedding=embedded)
-        branch = untrained("foten", architecture).double().spectral
-        with torch.no_grad():
-            difference = branch._encode(name, tokens[:, order]) - branch._encode(name, tokens)[:, order]
-        assert (difference.abs().max() > 1e-3) == embedded
-        if not embedded:
-            assert difference.abs().max() < 1e-13  # sums in another order: rounding
+    tokens = windows(FotenSizes())[..., 0]
+    branch = untrained("foten", FotenSizes(**SMALL)).double().spectral
+    with torch.no_grad():
+        difference = branch._encode(name, tokens[:, order]) - branch._encode(name, tokens)[:, order]
+    assert difference.abs().max() < 1e-13  # sums in another order: rounding
 
 
 def test_the_temporal_branch_knows_the_order() -> None:
     branch = untrained("foten").double().temporal
-    a = windows(FotenArchitecture())[..., :1]
+    a = windows(FotenSizes())[..., :1]
     swapped = a[:, [1, 0, *range(2, 20)]]
     with torch.no_grad():
         assert (branch(a) - branch(swapped)).abs().max() > 1e-3
 
 
-def test_only_the_last_speed_and_force_are_heard() -> None:
+def test_only_the_last_speed_and_force_matter() -> None:
     network = untrained("foten").double()
-    given = windows(FotenArchitecture())
+    given = windows(FotenSizes())
     before, last = given.clone(), given.clone()
     before[:, :-1, 1:] += 5.0
     last[:, -1, 1:] += 5.0
@@ -204,77 +197,55 @@ def test_only_the_last_speed_and_force_are_heard() -> None:
         assert (network(last) - network(given)).abs().min() > 0
 
 
-def test_a_prediction_of_foten_plus_takes_no_more_than_its_history() -> None:
-    """Innovations that the network sees need the lattice's order before them, and a level the sample before that."""
-    network = untrained("foten-plus", FotenPlusArchitecture(**SMALL, window=5, order=4)).double()
-    m = network.architecture.history
-    longer = torch.from_numpy(np.random.default_rng(0).standard_normal((30, m + 3, 3)))
-    changed = longer.clone()
-    changed[:, :3] += 1.0
-    first = longer.clone()
-    first[:, 3, 1:] += 1.0
+@pytest.mark.parametrize("in_tokens", [False, True])
+def test_a_correction_is_given_all_innovations_and_by_choice_all_conditions(in_tokens: bool) -> None:
+    sizes = FotenPlusSizes(**SMALL, condition_in_tokens=in_tokens)
+    network = untrained("foten-plus", sizes).double()
+    given = windows(sizes)
+    changed = [given.clone() for _ in range(3)]
+    changed[0][:, 3, 3] += 1.0  # an innovation
+    changed[1][:, 3, 1:3] += 1.0  # a condition within the window
+    changed[2][:, -1, 1:3] += 1.0  # the last one
     with torch.no_grad():
-        torch.testing.assert_close(network(changed), network(longer), rtol=1e-9, atol=1e-9)
-        torch.testing.assert_close(network(longer[:, 3:]), network(longer), rtol=1e-9, atol=1e-9)
-        assert (network(first) - network(longer)).abs().max() > 1e-8  # rounding is 1e-14 of 30
+        moved = [bool((network(one) - network(given)).abs().max() > 1e-9) for one in changed]
+    assert moved == [True, in_tokens, True]
 
 
 @pytest.mark.parametrize("key", ["foten", "foten-plus"])
-@pytest.mark.parametrize(
-    "fields", [{}, {"phase_input": "cos_sin"}, {"pre_norm": False}, {"spectral_width": 1}]
-)
+@pytest.mark.parametrize("fields", [{}, {"bins": "half"}, {"pre_norm": False}, {"spectral_width": 1}])
 def test_silence_has_finite_gradients(key: str, fields: dict[str, object]) -> None:
     """|Z| = 0 is where √ has no derivative and the angle none either."""
-    kind = FotenArchitecture if key == "foten" else FotenPlusArchitecture
+    kind = FotenSizes if key == "foten" else FotenPlusSizes
     network = untrained(key, kind(**fields)).train()
-    network(torch.zeros(4, network.architecture.history, 3)).sum().backward()
+    network(torch.zeros_like(windows(network.sizes, 4, 0)).float()).sum().backward()
     gradients = [p.grad for p in network.parameters() if p.requires_grad]
     assert all(gradient is not None and torch.isfinite(gradient).all() for gradient in gradients)
     assert any(gradient.abs().max() > 0 for gradient in gradients if gradient is not None)
 
 
-def test_foten_plus_starts_as_its_lattice() -> None:
-    """Oracle: the direct form of an AR(2)."""
+def test_foten_plus_starts_as_its_linear_part() -> None:
     torch.manual_seed(0)
-    network = build("foten-plus", FotenPlusArchitecture(order=2)).double().eval()
-    network.lattice.reflections[:, :2] = reflections_of(np.array([-0.9, 1.6]))
+    sizes = FotenPlusSizes()
+    network = build("foten-plus", sizes).double().eval()
     with torch.no_grad():
-        network.lattice.level.out.weight.zero_()
-        network.lattice.level.out.bias.zero_()
-        network.lattice.level.power_law.weight.zero_()
-    given = windows(network.architecture)
-    with torch.no_grad():
-        found = network(given).numpy()
-    expected = given[:, -2:, 0].numpy() @ (np.array([-0.9, 1.6]) * LEAK ** np.array([2, 1]))
-    np.testing.assert_allclose(found, expected, atol=1e-6)  # reflections from float32 numbers
+        assert not network(windows(sizes)).any()
 
 
-def test_the_correction_is_bounded_in_innovations() -> None:
-    network = untrained("foten-plus").double()
-    given = windows(network.architecture, 200)
+def test_the_correction_is_bounded_and_small_ones_pass() -> None:
+    sizes = FotenPlusSizes(correction_limit=2.0)
+    network = untrained("foten-plus", sizes).double()
+    given = windows(sizes, 200)
     with torch.no_grad():
-        before = network.network.head_3.weight.clone()
-        network.network.head_3.weight.zero_()
-        network.network.head_3.bias.zero_()
-        linear, _ = network.forecast(network.start(given))
-        network.network.head_3.weight.copy_(1e3 * before)
-        sample, scale = network.forecast(network.start(given))
-        share = (sample - linear) * network.excitation(given[:, -1, 1:]) / scale
-    limit = FotenPlusArchitecture().correction_limit
-    assert share.abs().max() <= limit * (1 + 1e-9)  # tanh; rounding of the difference
-    assert share.abs().max() > 0.99 * limit
-
-
-def test_the_network_sees_a_vibration_of_unit_size_whatever_the_level() -> None:
-    """Twice the level and twice the vibration: twice the prediction."""
-    network = untrained("foten-plus").double()
-    given = windows(network.architecture)
-    doubled = given.clone()
-    doubled[..., 0] *= 2
-    with torch.no_grad():
-        expected = 2 * network(given)
-        network.lattice.level.out.bias += math.log(2)
-        np.testing.assert_allclose(network(doubled), expected, rtol=1e-9)  # rounding
+        network.head_3.bias.zero_()
+        network.head_3.weight *= 1e-4
+        small, unbounded = network(given), Foten.forward(network, given)
+        network.head_3.weight *= 1e9
+        large = network(given)
+    assert large.abs().max() <= 2.0
+    assert large.abs().max() > 0.99 * 2.0
+    assert small.std() > 0
+    # L tanh(y / L) is y but for y³/(3 L²).
+    np.testing.assert_allclose(small, unbounded, rtol=1e-6)
 
 
 def test_the_excitation_is_a_power_law_where_its_network_is_silent() -> None:
