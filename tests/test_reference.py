@@ -10,7 +10,8 @@ import pytest
 import torch
 from scipy.signal import lfilter
 
-from conftest import SMALL, exported, resonance, sizes_with, untrained
+from conftest import SMALL, exported, reflections_of, resonance, sizes_with, untrained
+from foten.dsp.lattice import LEAK
 from foten.families import FAMILIES, FotenPlusSizes
 from foten.families.ten import TransformerSizes
 from foten.reference import model_of
@@ -338,6 +339,20 @@ def test_a_prediction_of_foten_plus_takes_no_more_than_its_history() -> None:
     for same in (changed, longer[:, 3:]):
         np.testing.assert_allclose(model.predict(same), expected, rtol=1e-9, atol=1e-12)  # rounding
     assert np.abs(model.predict(first) - expected).max() > 1e-8
+
+
+def test_a_lattice_of_order_two_is_its_direct_form() -> None:
+    """Oracle: the taps of an AR(2), moved inwards by the leak."""
+    taps = np.array([-0.9, 1.6])
+    sizes = FotenPlusSizes(**{**SMALL, "order": 2})
+    tensors = exported("foten-plus", sizes).tensors
+    still = ("network.head_3", "lattice.level.out", "lattice.level.power_law")
+    tensors = {name: 0 * tensor if name.startswith(still) else tensor for name, tensor in tensors.items()}
+    windows = np.random.default_rng(0).standard_normal((40, sizes.history, 3))
+    predicted = model_of(sizes, {**tensors, "lattice.reflections": reflections_of(taps)[None]}).predict(
+        windows
+    )
+    np.testing.assert_allclose(predicted, windows[:, -2:, 0] @ (taps * LEAK ** np.array([2, 1])), atol=1e-9)
 
 
 def test_the_correction_is_bounded_in_innovations() -> None:

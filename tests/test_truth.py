@@ -1,31 +1,53 @@
-"""What the judge is told of a simulated recording."""
+"""What the evaluation knows of a simulated recording."""
 
 from __future__ import annotations
 
 import dataclasses
 
 import numpy as np
+<<<<<<< HEAD
 from foten.architecture import FotenPlusArchitecture
 from foten.train.train import train_texture
+=======
+import pytest
+>>>>>>> loops
 
 from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.experiments.truth import truth_for
+from foten.families import FotenPlusSizes
+from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
+from foten.recording.recording import Recording
 from foten.train.config import TrainConfig
+<<<<<<< HEAD
+=======
+from foten.train.job import TrainingJob
+from foten.train.pipeline import train
+>>>>>>> loops
 
-SMALL = FotenPlusArchitecture(
+SMALL = FotenPlusSizes(
     window=20, d_model=8, n_heads=2, n_layers=1, d_feedforward=16, head=(16, 8), spectral_width=8
 )
 
 
-def test_a_linear_process_is_predicted_at_its_bound_and_synthesized_at_its_ceiling() -> None:
-    recording = simulate("linear-hum", 24.0)
-    config = TrainConfig(epochs=1, batch=512, threads=1)
-    trained = train_texture(recording, "foten-plus", SMALL, config, PreprocessConfig(block_ms=1000))
-    truth = truth_for(recording, trained.texture)
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return simulate("linear-hum", 24.0)
+
+
+@pytest.fixture(scope="module")
+def texture(recording: Recording) -> Texture:
+    config = TrainConfig(epochs=1, batch=512, threads=1, max_order=40)
+    return train(TrainingJob(recording, "foten-plus", SMALL, config, PreprocessConfig(block_ms=1000))).texture
+
+
+def test_a_linear_process_is_predicted_at_its_bound_and_synthesized_at_its_ceiling(
+    recording: Recording, texture: Texture
+) -> None:
+    truth = truth_for(recording, texture)
     assert len(truth.realisations) == 5
-    document = evaluate(trained.texture, recording, truth).document
+    document = evaluate(texture, recording, truth).document
     bound = document["references"]["bound_window"]["mae_scaled"]
     # Four test blocks of 840 scored samples: the mean absolute error of a Gaussian is known to 0.76/√3360 = 1.3 %.
     assert 0.96 * bound < document["references"]["ar"]["mae_scaled"] < 1.05 * bound
@@ -35,25 +57,21 @@ def test_a_linear_process_is_predicted_at_its_bound_and_synthesized_at_its_ceili
     assert abs(document["ceiling"]["level_bias_db"]) < 1.0
 
 
-def test_a_recording_that_was_not_simulated_has_no_truth() -> None:
-    recording = dataclasses.replace(simulate("linear-hum", 24.0), simulation=None)
-    config = TrainConfig(epochs=0, threads=1)
-    trained = train_texture(recording, "foten-plus", SMALL, config, PreprocessConfig(block_ms=1000))
-    truth = truth_for(recording, trained.texture)
+def test_a_recording_that_was_not_simulated_has_no_truth(recording: Recording, texture: Texture) -> None:
+    measured = dataclasses.replace(recording, simulation=None)
+    truth = truth_for(measured, texture)
     assert truth.bound is None
     assert not truth.realisations
-    document = evaluate(trained.texture, recording, truth).document
+    document = evaluate(texture, measured, truth).document
     assert document["references"]["bound"]["mae_scaled"] is None
     assert document["ceiling"]["of"] == "the training block nearest in speed and force"
     assert np.isfinite(document["ceiling"]["lsd_db"])
 
 
-def test_parameters_that_cannot_be_used_cost_the_truth_and_no_more() -> None:
-    recording = simulate("linear-hum", 24.0)
-    trained = train_texture(
-        recording, "foten-plus", SMALL, TrainConfig(epochs=0, threads=1), PreprocessConfig(block_ms=1000)
-    )
+def test_parameters_that_cannot_be_used_cost_the_truth_and_no_more(
+    recording: Recording, texture: Texture
+) -> None:
     for broken in ({"key": "linear-hum"}, {**(recording.simulation or {}), "version": 0}):
-        truth = truth_for(dataclasses.replace(recording, simulation=broken), trained.texture)
+        truth = truth_for(dataclasses.replace(recording, simulation=broken), texture)
         assert not truth.realisations
         assert "cannot be used" in truth.why_no_bound

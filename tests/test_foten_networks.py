@@ -1,0 +1,271 @@
+"""The networks of foten and foten-plus in PyTorch: the paper's equations and sizes, gradients, and the correction's bound."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+from torch.nn.functional import layer_norm, linear
+
+from conftest import SMALL, untrained
+from foten.families import FotenPlusSizes, FotenSizes
+from foten.networks import build
+from foten.networks.foten import Foten
+from foten.networks.scale import Excitation
+from foten.reference.network import Network
+from foten.train.export import tensors_of
+
+VARIANTS = {
+    "paper": FotenSizes(),
+    "post-norm": FotenSizes(**SMALL, pre_norm=False),
+    "literal-width": FotenSizes(**{**SMALL, "spectral_width": 1}),
+    "literal-width-post-norm": FotenSizes(**{**SMALL, "spectral_width": 1}, pre_norm=False),
+    "window-5": FotenSizes(**SMALL, window=5),
+    "window-30": FotenSizes(**SMALL, window=30),
+    "one-layer": FotenSizes(**{**SMALL, "n_layers": 1}),
+}
+
+
+class Reference:
+    """Eq. 2 to 11 as they are written: all m queries of every layer, the whole complex inverse transform, all tokens.
+
+    It shares nothing with the network, nor with foten.reference, but the names of its parameters.
+    """
+
+    def __init__(self, network: torch.nn.Module, sizes: FotenSizes) -> None:
+        self.w = network.state_dict()
+        self.sizes = sizes
+
+    def affine(self, name: str, x: Tensor) -> Tensor:
+        return linear(x, self.w[f"{name}.weight"], self.w[f"{name}.bias"])
+
+    def norm(self, name: str, x: Tensor) -> Tensor:
+        weight = self.w[f"{name}.weight"]
+        return layer_norm(x, weight.shape, weight, self.w[f"{name}.bias"], 1e-5)
+
+    def attention(self, name: str, x: Tensor) -> Tensor:
+        """Eq. 3 to 5, one head after the other."""
+        width = x.shape[-1]
+        n_heads = self.sizes.n_heads if width % self.sizes.n_heads == 0 else 1
+        query, key, value = self.affine(f"{name}.attention_in", x).split(width, dim=-1)
+        heads = []
+        for head in range(n_heads):
+            part = slice(head * width // n_heads, (head + 1) * width // n_heads)
+            scores = query[..., part] @ key[..., part].transpose(1, 2) / math.sqrt(width // n_heads)
+            heads.append(torch.softmax(scores, dim=-1) @ value[..., part])
+        return self.affine(f"{name}.attention_out", torch.cat(heads, dim=-1))
+
+    def layer(self, name: str, x: Tensor) -> Tensor:
+        def feedforward(x: Tensor) -> Tensor:
+            return self.affine(
+                f"{name}.feedforward_out", torch.relu(self.affine(f"{name}.feedforward_in", x))
+            )
+
+        if self.sizes.pre_norm:
+            x = x + self.attention(name, self.norm(f"{name}.norm_1", x))
+            return x + feedforward(self.norm(f"{name}.norm_2", x))
+        x = self.norm(f"{name}.norm_1", x + self.attention(name, x))
+        return self.norm(f"{name}.norm_2", x + feedforward(x))
+
+    def temporal(self, a: Tensor) -> Tensor:
+        m, d = a.shape[1], self.sizes.d_model
+        positions = torch.zeros(m, d, dtype=torch.float64)
+        for pos in range(m):
+            for i in range(d // 2):
+                positions[pos, 2 * i] = math.sin(pos * 10000 ** (-2 * i / d))
+                positions[pos, 2 * i + 1] = math.cos(pos * 10000 ** (-2 * i / d))
+        x = self.affine("temporal.embedding", a[..., None]) + positions
+        for i in range(self.sizes.n_layers):
+            x = self.layer(f"temporal.layers.{i}", x)
+        return self.norm("temporal.norm", x) if self.sizes.pre_norm else x
+
+    def encode(self, name: str, tokens: Tensor) -> Tensor:
+        if self.sizes.spectral_width > 1:
+            tokens = self.affine(f"spectral.{name}_in", tokens)
+        tokens = self.layer(f"spectral.{name}_layer", tokens)
+        if self.sizes.spectral_width > 1:
+            tokens = self.affine(f"spectral.{name}_out", tokens)
+        return tokens[..., 0]
+
+    def spectral(self, a: Tensor) -> Tensor:
+        z = torch.fft.fft(a)  # Eq. 6
+        magnitude, phase = (
+            z.abs(),
+            torch.atan2(z.imag + 0.0, z.real),
+        )  # Eq. 7; a real bin's angle is 0 or π, not −π
+        encoded = torch.polar(torch.ones_like(phase), self.encode("phase", phase[..., None]))
+        encoded = self.encode("magnitude", magnitude[..., None]) * encoded  # Eq. 8
+        return torch.fft.ifft(encoded).real  # Eq. 9
+
+    def __call__(self, windows: Tensor) -> Tensor:
+        a = windows[..., 0]
+        e_s = self.affine("spectral_embedding", self.spectral(a)[..., None])  # Eq. 10
+        fused = torch.cat([self.temporal(a), e_s, windows[..., 1:]], dim=-1)  # Eq. 11
+        x = fused[:, -1]
+        for name in ("head_1", "head_2"):
+            x = torch.relu(self.affine(name, x))
+        return self.affine("head_3", x)[:, 0]
+
+
+def windows(sizes: FotenSizes | FotenPlusSizes, n: int = 40, seed: int = 0) -> Tensor:
+    """Return seeded windows: acceleration, speed and force, and for foten-plus the innovation."""
+    n_channels = 4 if isinstance(sizes, FotenPlusSizes) else 3
+    return torch.from_numpy(np.random.default_rng(seed).standard_normal((n, sizes.window, n_channels)))
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_the_network_is_the_papers(name: str) -> None:
+    """Oracle: the paper's equations, unpruned, in float64; PyTorch's pruned network, and the reference in NumPy."""
+    sizes = VARIANTS[name]
+    network = untrained("foten", sizes).double()
+    given = windows(sizes)
+    expected = Reference(network, sizes)(given)
+    assert expected.std() > 1e-3  # or there would be nothing to compare
+    with torch.no_grad():
+        # Rounding through six layers, and √(|Z|² + 1e-16), which is 5e-17/|Z| off.
+        np.testing.assert_allclose(network(given), expected, atol=1e-10)
+    np.testing.assert_allclose(Network(sizes, tensors_of(network))(given.numpy()), expected, atol=1e-10)
+
+
+def n_parameters(network: torch.nn.Module) -> int:
+    return sum(parameter.numel() for parameter in network.parameters())
+
+
+def test_it_has_the_papers_sizes() -> None:
+    def dense(inputs: int, outputs: int) -> int:
+        return inputs * outputs + outputs
+
+    layer = (
+        4 * dense(32, 32) + dense(32, 128) + dense(128, 32) + 2 * 64
+    )  # Eq. 3 to 5, feed-forward, two norms
+    temporal = dense(1, 32) + 3 * layer + 64  # embedding, three layers, the last norm
+    spectral = 2 * (dense(1, 32) + layer + dense(32, 1)) + dense(1, 32)
+    head = dense(2 * 32 + 2, 256) + dense(256, 64) + dense(64, 1)
+    found = n_parameters(build("foten", FotenSizes()))
+    assert found == temporal + spectral + head
+    assert found == pytest.approx(97_500, rel=0.005)
+
+
+def test_positions_and_matrices_are_not_parameters() -> None:
+    kept = set(build("foten", FotenSizes()).state_dict())
+    assert not {name for name in kept if "positions" in name or name.endswith(("real", "imaginary", "sine"))}
+
+
+@pytest.mark.parametrize("pre_norm", [True, False])
+def test_the_literal_width_of_one_is_degenerate(pre_norm: bool) -> None:
+    """A layer normalisation over one feature gives its bias, so the encoders add a constant, or are one."""
+    sizes = FotenSizes(**{**SMALL, "spectral_width": 1}, pre_norm=pre_norm)
+    branch = untrained("foten", sizes).double().spectral
+    given = torch.from_numpy(np.random.default_rng(0).uniform(0, 9, (30, sizes.window)))
+    for name in ("magnitude", "phase"):
+        with torch.no_grad():
+            left = branch._encode(name, given) - given * pre_norm
+        assert left.std() < 1e-12  # rounding
+    wide = untrained("foten", FotenSizes(**SMALL, pre_norm=pre_norm)).double().spectral
+    with torch.no_grad():
+        assert (wide._encode("magnitude", given) - given * pre_norm).std() > 1e-3
+
+
+@pytest.mark.parametrize("name", ["magnitude", "phase"])
+def test_the_spectral_encoders_do_not_know_which_bin_is_which(name: str) -> None:
+    """Sec. IV-d leaves positions out."""
+    order = torch.randperm(20, generator=torch.Generator().manual_seed(0))
+    tokens = windows(FotenSizes())[..., 0]
+    branch = untrained("foten", FotenSizes(**SMALL)).double().spectral
+    with torch.no_grad():
+        difference = branch._encode(name, tokens[:, order]) - branch._encode(name, tokens)[:, order]
+    assert difference.abs().max() < 1e-13  # sums in another order: rounding
+
+
+def test_the_temporal_branch_knows_the_order() -> None:
+    branch = untrained("foten").double().temporal
+    a = windows(FotenSizes())[..., :1]
+    swapped = a[:, [1, 0, *range(2, 20)]]
+    with torch.no_grad():
+        assert (branch(a) - branch(swapped)).abs().max() > 1e-3
+
+
+def test_only_the_last_speed_and_force_matter() -> None:
+    network = untrained("foten").double()
+    given = windows(FotenSizes())
+    before, last = given.clone(), given.clone()
+    before[:, :-1, 1:] += 5.0
+    last[:, -1, 1:] += 5.0
+    with torch.no_grad():
+        torch.testing.assert_close(network(before), network(given), rtol=0, atol=0)
+        assert (network(last) - network(given)).abs().min() > 0
+
+
+@pytest.mark.parametrize("in_tokens", [False, True])
+def test_a_correction_is_given_all_innovations_and_by_choice_all_conditions(in_tokens: bool) -> None:
+    sizes = FotenPlusSizes(**SMALL, condition_in_tokens=in_tokens)
+    network = untrained("foten-plus", sizes).double()
+    given = windows(sizes)
+    changed = [given.clone() for _ in range(3)]
+    changed[0][:, 3, 3] += 1.0  # an innovation
+    changed[1][:, 3, 1:3] += 1.0  # a condition within the window
+    changed[2][:, -1, 1:3] += 1.0  # the last one
+    with torch.no_grad():
+        moved = [bool((network(one) - network(given)).abs().max() > 1e-9) for one in changed]
+    assert moved == [True, in_tokens, True]
+
+
+@pytest.mark.parametrize("key", ["foten", "foten-plus"])
+@pytest.mark.parametrize("fields", [{}, {"bins": "half"}, {"pre_norm": False}, {"spectral_width": 1}])
+def test_silence_has_finite_gradients(key: str, fields: dict[str, object]) -> None:
+    """|Z| = 0 is where √ has no derivative and the angle none either."""
+    kind = FotenSizes if key == "foten" else FotenPlusSizes
+    network = untrained(key, kind(**fields)).train()
+    network(torch.zeros_like(windows(network.sizes, 4, 0)).float()).sum().backward()
+    gradients = [p.grad for p in network.parameters() if p.requires_grad]
+    assert all(gradient is not None and torch.isfinite(gradient).all() for gradient in gradients)
+    assert any(gradient.abs().max() > 0 for gradient in gradients if gradient is not None)
+
+
+def test_foten_plus_starts_as_its_linear_part() -> None:
+    torch.manual_seed(0)
+    sizes = FotenPlusSizes()
+    network = build("foten-plus", sizes).double().eval()
+    with torch.no_grad():
+        assert not network(windows(sizes)).any()
+
+
+def test_the_correction_is_bounded_and_small_ones_pass() -> None:
+    sizes = FotenPlusSizes(correction_limit=2.0)
+    network = untrained("foten-plus", sizes).double()
+    given = windows(sizes, 200)
+    with torch.no_grad():
+        network.head_3.bias.zero_()
+        network.head_3.weight *= 1e-4
+        small, unbounded = network(given), Foten.forward(network, given)
+        network.head_3.weight *= 1e9
+        large = network(given)
+    assert large.abs().max() <= 2.0
+    assert large.abs().max() > 0.99 * 2.0
+    assert small.std() > 0
+    # L tanh(y / L) is y but for y³/(3 L²).
+    np.testing.assert_allclose(small, unbounded, rtol=1e-6)
+
+
+def test_the_excitation_is_a_power_law_where_its_network_is_silent() -> None:
+    sigma = Excitation(4).double()
+    speed, force = np.array([0.0, 10.0, 100.0, 300.0]), np.array([0.0, 0.1, 1.0, 4.0])
+    with torch.no_grad():
+        sigma.mean.copy_(torch.tensor([100.0, 1.0]))
+        sigma.sd.copy_(torch.tensor([60.0, 0.5]))
+        sigma.out.weight.zero_()
+        sigma.out.bias.zero_()
+        sigma.power_law.weight.copy_(torch.tensor([[0.7, 0.4, 0.0, 0.0, 0.0]]))
+        scaled = torch.from_numpy(np.stack([(speed - 100) / 60, (force - 1) / 0.5], axis=1))
+        expected = ((speed + 2) / 102) ** 0.7 * ((force + 0.05) / 1.05) ** 0.4
+        # Exponents and floors come from float32.
+        np.testing.assert_allclose(sigma(scaled), expected, rtol=1e-6)
+
+
+def test_speed_and_force_below_zero_count_as_rest() -> None:
+    sigma = Excitation(4).double()
+    with torch.no_grad():
+        sigma.mean.copy_(torch.tensor([100.0, 1.0]))
+        sigma.sd.copy_(torch.tensor([60.0, 0.5]))
+        assert torch.isfinite(sigma(torch.full((3, 2), -50.0, dtype=torch.float64))).all()
