@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from foten.architecture import ARCHITECTURES
+from foten.families import FAMILIES
 
 from conftest import exported
 from foten.families.texture_file import Texture
@@ -16,7 +16,7 @@ N_ALWAYS, N_SLOW, BATCH = 100, 2000, 200
 def generator(
     texture: Texture, plain_texture: Texture, tmp_path_factory: pytest.TempPathFactory
 ) -> Generator:
-    local = exported("ar", ARCHITECTURES["ar"](n_models=9, n_triangles=8))
+    local = exported("ar", FAMILIES["ar"](n_models=9, n_triangles=8))
     return Generator([texture, plain_texture, local], tmp_path_factory.mktemp("valid"))
 
 

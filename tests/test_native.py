@@ -15,15 +15,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from foten.architecture import ARCHITECTURES, FotenPlusArchitecture
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, lfilter
-<<<<<<< HEAD
-from test_ar_engine import LOCAL
-from test_engine import CASES, PLUS, VARIANTS
-from test_synthesizer import stroke
-=======
 
 import foten
 from conftest import SCALING, SMALL, exported, untrained
@@ -39,16 +33,6 @@ from foten.runtime.renderer import Renderer
 from foten.train.export import in_float64
 from test_loops import EVERY, GRAPHS, case, in_float64_alone, rounding
 from test_rendering import stroke
->>>>>>> loops
-
-import foten
-from conftest import SCALING, SMALL, architecture_with, exported
-from foten.dsp.noise import gaussian
-from foten.families.conditions import Synthesizer
-from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, Texture
-from foten.runtime.binding import isa, noise
-from foten.runtime.native import NativeState, NativeTexture
-from foten.runtime.renderer import Renderer
 
 
 @pytest.fixture(scope="module")

@@ -4,18 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from foten.architecture import FotenPlusArchitecture
-from foten.runtime.closed_loop import ClosedLoop
-from foten.runtime.engine import engine_for
-from foten.train.train import train_texture
 from scipy.signal import lfilter
 
 from conftest import SCALING, SMALL, exported
 from foten.datasets.simulate import simulate
 from foten.dsp.tones import audible_share, fitted_phase, tone, tone_slope
-<<<<<<< HEAD
-from foten.families.conditions import Synthesizer
-=======
 from foten.families import FotenPlusSizes
 from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
@@ -24,7 +17,6 @@ from foten.reference.foten_plus import FotenPlus
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeTexture
 from foten.runtime.renderer import Renderer
->>>>>>> loops
 from foten.train.config import TrainConfig
 from foten.train.job import TrainingJob
 from foten.train.lattice import LatticeData

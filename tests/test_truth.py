@@ -5,12 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-<<<<<<< HEAD
-from foten.architecture import FotenPlusArchitecture
-from foten.train.train import train_texture
-=======
 import pytest
->>>>>>> loops
 
 from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
@@ -20,11 +15,8 @@ from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.train.config import TrainConfig
-<<<<<<< HEAD
-=======
 from foten.train.job import TrainingJob
 from foten.train.pipeline import train
->>>>>>> loops
 
 SMALL = FotenPlusSizes(
     window=20, d_model=8, n_heads=2, n_layers=1, d_feedforward=16, head=(16, 8), spectral_width=8
