@@ -1,11 +1,13 @@
 /* The loop of foten-plus: an excited lattice, with tones of the path or with the network's correction of the next innovation. */
 #include <math.h>
-#include <string.h>
 
 #include "loop.h"
 
+/* Of the lattice that predicts a recording and the one that is excited; they take turns in a stream's memory. */
+static int longer_order(const foten_model *m) { return m->lattice.order > m->excited_lattice->order ? m->lattice.order : m->excited_lattice->order; }
+
 static void place(const foten_model *m, loop *l, block *from) {
-    lattice_place(&l->lattice, m->lattice.order > m->excited_lattice->order ? m->lattice.order : m->excited_lattice->order, from);
+    lattice_place(&l->lattice, longer_order(m), from);
     double *coefficients = block_take(from, 2 * (size_t)m->tones.n, sizeof *coefficients);
     if (from->base) l->tones.coefficients = coefficients;
     predictor_place(&m->predictor, &l->predictor, from);
@@ -46,7 +48,7 @@ static void start_with_tones(const foten_model *m, loop *l, const double *window
 static void start(const foten_model *m, loop *l, const double *windows, int n, int as_prediction) {
     predictor_clear(&m->predictor, &l->predictor);
     l->excitation.volatility = 0;
-    lattice_clear(&l->lattice, m->lattice.order > m->excited_lattice->order ? m->lattice.order : m->excited_lattice->order);
+    lattice_clear(&l->lattice, longer_order(m));
     if (m->tones.n && !as_prediction) {
         start_with_tones(m, l, windows, n);
         return;
