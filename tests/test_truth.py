@@ -1,21 +1,19 @@
-"""What the evaluation knows of a simulated recording."""
+"""What the judge knows of a simulated recording beyond its samples."""
 
 from __future__ import annotations
 
 import dataclasses
 
 import numpy as np
-import pytest
 
 from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.experiments.truth import truth_for
 from foten.families import FotenPlusSizes
-from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.train.config import TrainConfig
-from foten.train.job import TrainingJob
+from foten.train.job import Trained, TrainingJob
 from foten.train.pipeline import train
 
 SMALL = FotenPlusSizes(
@@ -23,23 +21,16 @@ SMALL = FotenPlusSizes(
 )
 
 
-@pytest.fixture(scope="module")
-def recording() -> Recording:
-    return simulate("linear-hum", 24.0)
+def trained_on(recording: Recording, config: TrainConfig) -> Trained:
+    return train(TrainingJob(recording, "foten-plus", SMALL, config, PreprocessConfig(block_ms=1000)))
 
 
-@pytest.fixture(scope="module")
-def texture(recording: Recording) -> Texture:
-    config = TrainConfig(epochs=1, batch=512, threads=1, max_order=40)
-    return train(TrainingJob(recording, "foten-plus", SMALL, config, PreprocessConfig(block_ms=1000))).texture
-
-
-def test_a_linear_process_is_predicted_at_its_bound_and_synthesized_at_its_ceiling(
-    recording: Recording, texture: Texture
-) -> None:
-    truth = truth_for(recording, texture)
+def test_a_linear_process_is_predicted_at_its_bound_and_synthesized_at_its_ceiling() -> None:
+    recording = simulate("linear-hum", 24.0)
+    trained = trained_on(recording, TrainConfig(epochs=1, batch=512, threads=1))
+    truth = truth_for(recording, trained.texture)
     assert len(truth.realisations) == 5
-    document = evaluate(texture, recording, truth).document
+    document = evaluate(trained.texture, recording, truth).document
     bound = document["references"]["bound_window"]["mae_scaled"]
     # Four test blocks of 840 scored samples: the mean absolute error of a Gaussian is known to 0.76/√3360 = 1.3 %.
     assert 0.96 * bound < document["references"]["ar"]["mae_scaled"] < 1.05 * bound
@@ -49,21 +40,22 @@ def test_a_linear_process_is_predicted_at_its_bound_and_synthesized_at_its_ceili
     assert abs(document["ceiling"]["level_bias_db"]) < 1.0
 
 
-def test_a_recording_that_was_not_simulated_has_no_truth(recording: Recording, texture: Texture) -> None:
-    measured = dataclasses.replace(recording, simulation=None)
-    truth = truth_for(measured, texture)
+def test_a_recording_that_was_not_simulated_has_no_truth() -> None:
+    recording = dataclasses.replace(simulate("linear-hum", 24.0), simulation=None)
+    trained = trained_on(recording, TrainConfig(epochs=0, threads=1, max_order=20, table=False))
+    truth = truth_for(recording, trained.texture)
     assert truth.bound is None
     assert not truth.realisations
-    document = evaluate(texture, measured, truth).document
+    document = evaluate(trained.texture, recording, truth).document
     assert document["references"]["bound"]["mae_scaled"] is None
     assert document["ceiling"]["of"] == "the training block nearest in speed and force"
     assert np.isfinite(document["ceiling"]["lsd_db"])
 
 
-def test_parameters_that_cannot_be_used_cost_the_truth_and_no_more(
-    recording: Recording, texture: Texture
-) -> None:
+def test_parameters_that_cannot_be_used_cost_the_truth_and_no_more() -> None:
+    recording = simulate("linear-hum", 24.0)
+    trained = trained_on(recording, TrainConfig(epochs=0, threads=1, max_order=20, table=False))
     for broken in ({"key": "linear-hum"}, {**(recording.simulation or {}), "version": 0}):
-        truth = truth_for(dataclasses.replace(recording, simulation=broken), texture)
+        truth = truth_for(dataclasses.replace(recording, simulation=broken), trained.texture)
         assert not truth.realisations
         assert "cannot be used" in truth.why_no_bound
