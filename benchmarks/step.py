@@ -57,7 +57,7 @@ import { createInterface } from "node:readline";
 import { Foten } from %(module)s;
 const foten = await Foten.load(readFileSync(%(wasm)s));
 const renderer = foten.texture(readFileSync(process.argv[2])).renderer({ excitation: false });
-renderer.setHand(Number(process.argv[3]), Number(process.argv[4]));
+renderer.setCondition(Number(process.argv[3]), Number(process.argv[4]));
 const out = new Float32Array(1);
 console.log(foten.isa);
 for await (const line of createInterface({ input: process.stdin })) {

@@ -20,8 +20,8 @@ from conftest import exported
 from foten.cli.command_line import _status
 from foten.runtime import bench
 from foten.runtime.actuator import ActuatorProfile, write_profile
-from foten.runtime.live import sound
 from foten.runtime.live import play as playing
+from foten.runtime.live import sound
 from foten.runtime.live.live import LiveStatistics
 from foten.runtime.live.play import Played
 from foten.runtime.renderer import Renderer

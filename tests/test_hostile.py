@@ -3,9 +3,9 @@
 from pathlib import Path
 
 import pytest
-from foten.families import FAMILIES
 
 from conftest import exported
+from foten.families import FAMILIES
 from foten.families.texture_file import Texture
 from hostile import KINDS, Generator, run_commands, run_hostile
 

@@ -197,13 +197,13 @@ public static class Try {
             var block = new float[20];
             Console.WriteLine("acceleration_m_s2");
             for (int b = 0; b < 100; b++) {
-                renderer.SetHand((float)(texture.LowestSpeed + (texture.HighestSpeed - texture.LowestSpeed) * b / 100), 0.8f);
+                renderer.SetCondition((float)(texture.LowestSpeed + (texture.HighestSpeed - texture.LowestSpeed) * b / 100), 0.8f);
                 renderer.Render(block);
                 foreach (var x in block) Console.WriteLine(x.ToString("R", CultureInfo.InvariantCulture));
             }
             renderer.Dispose();
             Action[] uses = {
-                () => renderer.SetHand(1, 1), () => renderer.Render(block), () => renderer.Reset(0),
+                () => renderer.SetCondition(1, 1), () => renderer.Render(block), () => renderer.Reset(0),
                 () => Console.Write(renderer.Delay)
             };
             foreach (var use in uses)
@@ -263,7 +263,7 @@ const foten = await Foten.load(readFileSync("{WASM / "foten.wasm"}"));
 const texture = foten.texture(readFileSync("{named}"));
 console.log(texture.info.texture);
 const renderer = texture.renderer({{ seed: 3 }}), stylus = renderer.stylus();
-renderer.setHand(80, 0.8);
+renderer.setCondition(80, 0.8);
 const before = renderer.render(new Float32Array(20)).join();
 renderer.reset();
 console.log(renderer.render(new Float32Array(20)).join() === before);
@@ -274,8 +274,8 @@ function tried(...uses) {{
 }}
 tried(() => stylus.push(0, 0, 1, 0), () => stylus.stats, () => renderer.renderStylus(stylus, block));
 renderer.free();
-tried(() => renderer.setHand(80, 0.8), () => renderer.render(block), () => renderer.reset());
-tried(() => renderer.delay, () => renderer.hand, () => renderer.stats);
+tried(() => renderer.setCondition(80, 0.8), () => renderer.render(block), () => renderer.reset());
+tried(() => renderer.delay, () => renderer.condition, () => renderer.stats);
 texture.free();
 tried(() => texture.renderer(), () => renderer.stylus());
 """
