@@ -23,7 +23,6 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 import numpy as np
-from foten.runtime.engine import engine_for
 from scipy.signal import welch
 
 from foten.datasets.simulate import TEXTURES, second_realisation, simulate
@@ -46,10 +45,7 @@ from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.scaling import fit_scaling
 from foten.recording.split import split_blocks
 from foten.recording.windows import targets, windows
-<<<<<<< HEAD
-=======
 from foten.runtime.native import NativeTexture
->>>>>>> training
 
 HERE = Path(__file__).parent
 RESULTS = HERE.parent / "benchmarks" / "results"

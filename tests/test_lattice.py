@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 from foten.dsp import lattice
-from foten.dsp.lattice import LEAK, analyse, check_reflections, push
+from foten.dsp.lattice import LEAK, analyse, check_reflections, predict, push
 from foten.dsp.speed_force_table import FORCE_FLOOR, SpeedForceTable
 from foten.train.lattice import (
     N_FOLDS,
