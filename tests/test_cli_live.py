@@ -21,7 +21,7 @@ from foten.cli.command_line import _status
 from foten.runtime import bench
 from foten.runtime.actuator import ActuatorProfile, write_profile
 from foten.runtime.live import play as playing
-from foten.runtime.live import sound
+from foten.runtime.live import sound as sound_card
 from foten.runtime.live.live import LiveStatistics
 from foten.runtime.live.play import Played
 from foten.runtime.renderer import Renderer
@@ -128,7 +128,7 @@ def test_without_portaudio_it_says_what_to_install(
     def missing() -> None:
         raise OSError("PortAudio is not here: apt install libportaudio2")
 
-    monkeypatch.setattr(sound, "sound_library", missing)
+    monkeypatch.setattr(sound_card, "sound_library", missing)
     assert _status(["play", str(file), "--seconds", "0.1"]) == 2
     assert "libportaudio2" in one_line(capsys)
 
@@ -277,7 +277,7 @@ def test_doctor_says_what_is_here(capsys: pytest.CaptureFixture[str]) -> None:
     assert _status(["doctor", "--json"]) in (0, 1)
     found = {check["name"]: check for check in json.loads(capsys.readouterr().out)}
     assert found["kernel"]["fine"] is True
-    assert "instruction set" in found["kernel"]["found"]
+    assert "instruction set" in found["kernel"]["result"]
     assert {"first sample", "timer", "sound", "NI-DAQ", "training", "size"} <= set(found)
     assert _status(["doctor"]) in (0, 1)
     assert "✓ kernel" in capsys.readouterr().out

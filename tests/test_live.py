@@ -21,7 +21,7 @@ from scipy.signal import butter, lfilter
 
 from foten.families.texture_file import Texture
 from foten.runtime.actuator import ActuatorProfile
-from foten.runtime.live import sound
+from foten.runtime.live import sound as sound_card
 from foten.runtime.live.daq import DaqSink
 from foten.runtime.live.live import Live, LiveStatistics, Timing
 from foten.runtime.live.network import OscSink, UdpSink
@@ -362,7 +362,7 @@ class FakeSound:
 @pytest.fixture
 def sound(monkeypatch: pytest.MonkeyPatch) -> FakeSound:
     fake = FakeSound()
-    monkeypatch.setattr(sound, "sound_library", lambda: fake)
+    monkeypatch.setattr(sound_card, "sound_library", lambda: fake)
     return fake
 
 
