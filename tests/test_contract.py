@@ -56,7 +56,11 @@ def textures(recording: Recording) -> dict[str, Texture]:
     made = {}
     for key in FAMILIES:
         short = {"epochs": 1, "batch": 128, "threads": 1, "max_order": 8, "tones": False}
-        short["volatility"] = key in ("foten-plus", "foten", "fnn")  # fitted by free runs, which take graphs seconds
+        short["volatility"] = key in (
+            "foten-plus",
+            "foten",
+            "fnn",
+        )  # fitted by free runs, which take graphs seconds
         config = TrainConfig(**(OWN_RECIPES.get(key, {}) | short | ({"batch": 8} if key == "gan" else {})))
         own = {"window": 42, "frame": 16, "stride": 1} if key == "gan" else SMALL
         if key == "ldhtd-hop":  # of a hop that does not end with the window that a stream begins by
