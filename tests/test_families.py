@@ -43,8 +43,8 @@ def test_tensor_shapes_are_the_networks(key: str, variant: str) -> None:
 def test_tensor_shapes_are_those_of_local_models(ma: int) -> None:
     sizes = PiecewiseArSizes(window=257, order=7, ma=ma, n_models=9, n_triangles=8)
     tensors = exported("ar", sizes).tensors
-    found = {name: tensor.shape for name, tensor in tensors.items() if name.startswith("piecewise_ar.")}
-    assert sizes.tensor_shapes() == found
+    result = {name: tensor.shape for name, tensor in tensors.items() if name.startswith("piecewise_ar.")}
+    assert sizes.tensor_shapes() == result
 
 
 @pytest.mark.parametrize("key", FAMILIES)
@@ -58,7 +58,7 @@ def test_sizes_round_trip(key: str) -> None:
     ("change", "match"),
     [
         ({"window": 1}, "window is 1"),
-        ({"window": LONGEST_WINDOW + 1}, "window is 513, expected 512 at most"),
+        ({"window": LONGEST_WINDOW + 1}, "window is 513, expected .*512"),
         ({"n_heads": 0}, "n_heads is 0"),
         ({"n_heads": -2}, "n_heads is -2"),
         ({"n_layers": 0}, "n_layers is 0"),
@@ -100,7 +100,7 @@ def test_no_window_is_longer_than_what_renders_it_takes() -> None:
     for key, kind in FAMILIES.items():
         longest = LONGEST_GRAPH_WINDOW if kind.in_graph else LONGEST_WINDOW
         own = {"frame": longest - 26 * 8 + 8, "stride": 8} if key == "gan" else {}
-        with pytest.raises(ValueError, match=f"window is {longest + 8}, expected {longest} at most"):
+        with pytest.raises(ValueError, match=f"window is {longest + 8}, expected .*{longest}"):
             kind(window=longest + 8, **own)
 
 

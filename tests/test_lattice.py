@@ -150,13 +150,13 @@ def test_a_state_left_alone_is_forgotten_whatever_the_reflections_are() -> None:
     """Nearly undamped, constant or switched at every sample: down by e in 3333 samples, as documented."""
     rng = np.random.default_rng(4)
     states = rng.uniform(-50, 50, (4, 16))
-    begun = np.square(states).sum(axis=0)
+    at_first = np.square(states).sum(axis=0)
     k = rng.choice([-lattice.MAX_REFLECTION, lattice.MAX_REFLECTION], (4, 16))
     for _ in range(3334):
         k[:, 8:] = rng.permutation(k[:, 8:], axis=1)
         x, _ = predict(states, k)
         states, _ = push(states, k, x)
-    assert (np.square(states).sum(axis=0) < begun * np.exp(-2) * 1.001).all()  # rounding of push
+    assert (np.square(states).sum(axis=0) < at_first * np.exp(-2) * 1.001).all()  # rounding of push
 
 
 def test_a_schedule_is_bilinear_between_its_vertices_and_constant_outside() -> None:
@@ -236,7 +236,7 @@ def test_a_process_that_does_not_move_costs_nothing() -> None:
     assert worst < 1.01 * best
 
 
-def test_vertices_that_the_hand_never_came_near_are_like_the_others() -> None:
+def test_vertices_that_no_stroke_came_near_are_like_the_others() -> None:
     """Fast is always soft, so the corner of fast and firm, the last vertex, is never visited."""
     data, k = moving_tone(10, 1)
     apart = dataclasses.replace(data, force=np.minimum(data.force, 2.0 - data.speed / 100))

@@ -111,48 +111,50 @@ def test_the_noise_is_that_of_dsp_noise_to_the_bit() -> None:
 def test_any_block_sizes_give_the_same_bytes(
     native: NativeTexture, cuts: list[int], rate: float | None
 ) -> None:
-    whole = np.empty(600, dtype=np.float32)
+    at_once = np.empty(600, dtype=np.float32)
     state = NativeState(native, rate, seed=9)
     state.set_hand(90.0, 0.9)
-    state.render(whole)
+    state.render(at_once)
     pieces = NativeState(native, rate, seed=9)
     pieces.set_hand(90.0, 0.9)
     for a, b in pairwise([0, *sorted(cuts), 600]):
         part = np.empty(b - a, dtype=np.float32)
         pieces.render(part)
-        np.testing.assert_array_equal(part, whole[a:b])
+        np.testing.assert_array_equal(part, at_once[a:b])
 
 
 @pytest.mark.parametrize("rate", [None, 8000.0, 48_000.0])
-def test_a_stroke_is_a_hand_that_is_set_before_each_sample(native: NativeTexture, rate: float | None) -> None:
+def test_a_stroke_is_a_condition_that_is_set_before_each_sample(
+    native: NativeTexture, rate: float | None
+) -> None:
     speed, force = (channel.astype(np.float32) for channel in stroke(300))
-    whole = NativeState(native, rate, seed=1).render_stroke(speed, force)
+    at_once = NativeState(native, rate, seed=1).render_stroke(speed, force)
     pieces = NativeState(native, rate, seed=1)
     out = [pieces.render_stroke(speed[i : i + 7], force[i : i + 7]) for i in range(0, 300, 7)]
-    np.testing.assert_array_equal(np.concatenate(out), whole)
-    assert abs(whole.size - 300 * (rate or 1000.0) / 1000.0) <= (rate or 1000.0) / 1000.0
+    np.testing.assert_array_equal(np.concatenate(out), at_once)
+    assert abs(at_once.size - 300 * (rate or 1000.0) / 1000.0) <= (rate or 1000.0) / 1000.0
 
 
 @pytest.mark.parametrize("rate", [300.0, 2500.0, 8000.0, 44_100.0, 48_000.0])
-def test_a_stroke_after_a_held_hand_goes_on_where_that_ended(native: NativeTexture, rate: float) -> None:
+def test_a_stroke_after_a_held_condition_goes_on_where_that_ended(native: NativeTexture, rate: float) -> None:
     """A held block may end between two of the texture's samples: what the first still gave was lost, and the next had no end."""
-    whole, mixed = NativeState(native, rate, seed=1), NativeState(native, rate, seed=1)
-    for state in (whole, mixed):
+    at_once, mixed = NativeState(native, rate, seed=1), NativeState(native, rate, seed=1)
+    for state in (at_once, mixed):
         state.set_hand(90.0, 1.0)
-    hand = np.full(40, 90.0, dtype=np.float32), np.full(40, 1.0, dtype=np.float32)
+    condition = np.full(40, 90.0, dtype=np.float32), np.full(40, 1.0, dtype=np.float32)
     parts = []
     for n in (1, 5, 13, 1, 29):
         held = np.empty(n, dtype=np.float32)
         mixed.render(held)
-        parts += [held, mixed.render_stroke(*hand)]
-    found = np.concatenate(parts)
-    expected = np.empty(found.size, dtype=np.float32)
-    whole.render(expected)
-    np.testing.assert_array_equal(found, expected)
-    assert found.size == pytest.approx(49 + 5 * 40 * rate / 1000, abs=2 + 5 * max(1.0, rate / 1000))
+        parts += [held, mixed.render_stroke(*condition)]
+    result = np.concatenate(parts)
+    expected = np.empty(result.size, dtype=np.float32)
+    at_once.render(expected)
+    np.testing.assert_array_equal(result, expected)
+    assert result.size == pytest.approx(49 + 5 * 40 * rate / 1000, abs=2 + 5 * max(1.0, rate / 1000))
 
 
-def test_a_hand_below_zero_is_none(native: NativeTexture) -> None:
+def test_a_condition_below_zero_counts_as_zero(native: NativeTexture) -> None:
     """A tool that leaves a surface measures a force a little below zero: it must not go on playing what was before."""
     one, other = NativeState(native, seed=2), NativeState(native, seed=2)
     for state in (one, other):
@@ -167,7 +169,7 @@ def test_a_hand_below_zero_is_none(native: NativeTexture) -> None:
     assert one.statistics.n_refused == 1
 
 
-def test_a_reset_keeps_the_hand(native: NativeTexture) -> None:
+def test_a_reset_keeps_the_condition(native: NativeTexture) -> None:
     state, out = NativeState(native, seed=3), np.empty((2, 100), dtype=np.float32)
     state.set_hand(90.0, 1.0)
     state.render(out[0])
@@ -177,7 +179,7 @@ def test_a_reset_keeps_the_hand(native: NativeTexture) -> None:
     assert np.abs(out).max() > 0
 
 
-def test_a_smoothed_hand_is_the_low_pass_of_the_one_that_is_set(
+def test_a_smoothed_condition_is_the_low_pass_of_the_one_that_is_set(
     native: NativeTexture, texture: Texture
 ) -> None:
     """Oracle: SciPy's Butterworth low-pass of second order; the texture's rate, so that a block is a sample."""
@@ -244,7 +246,7 @@ def test_what_it_counts(native: NativeTexture) -> None:
     assert state.statistics.n == state.statistics.n_refused == 0
 
 
-def test_a_refused_hand_leaves_the_last_one(native: NativeTexture) -> None:
+def test_a_refused_condition_leaves_the_last_one(native: NativeTexture) -> None:
     good, bad = NativeState(native, seed=2), NativeState(native, seed=2)
     a, b = np.empty(50, dtype=np.float32), np.empty(50, dtype=np.float32)
     good.set_hand(80.0, 1.0)
@@ -255,22 +257,22 @@ def test_a_refused_hand_leaves_the_last_one(native: NativeTexture) -> None:
     np.testing.assert_array_equal(a, b)
 
 
-def test_the_hand_may_come_from_any_thread(native: NativeTexture) -> None:
-    """Speed and force are told together: a rendering never sees the one of one call and the other of another."""
+def test_the_condition_may_come_from_any_thread(native: NativeTexture) -> None:
+    """Speed and force are set at once: a rendering never takes the one of one call and the other of another."""
     state, stop = NativeState(native), threading.Event()
     state.set_hand(100.0, 1.0)
 
-    def tell() -> None:
+    def set_in_turn() -> None:
         while not stop.is_set():
             state.set_hand(100.0, 1.0)  # within the range
             state.set_hand(300.0, 3.0)  # above it in both: seen as one sample beyond
 
-    teller = threading.Thread(target=tell)
-    teller.start()
+    setter = threading.Thread(target=set_in_turn)
+    setter.start()
     out = np.empty(20_000, dtype=np.float32)
     state.render(out)
     stop.set()
-    teller.join()
+    setter.join()
     assert np.isfinite(out).all()
     assert state.statistics.n_refused == 0
     assert state.statistics.n_speed_beyond == state.statistics.n_force_beyond
@@ -311,8 +313,8 @@ def test_another_rate_keeps_the_band_and_adds_nothing_above(
     part = np.fft.rfft(out)
     part[hertz > 100] = 0
     lags = np.arange(0, round(0.004 * rate))
-    found = np.fft.irfft(part, out.size)
-    match = [float(found[lag : lag + out.size // 2] @ wanted[: out.size // 2]) for lag in lags]
+    result = np.fft.irfft(part, out.size)
+    match = [float(result[lag : lag + out.size // 2] @ wanted[: out.size // 2]) for lag in lags]
     assert lags[int(np.argmax(match))] / rate == pytest.approx(state.delay_s, abs=0.2e-3 + 0.5 / rate)
 
 
@@ -374,7 +376,7 @@ def test_a_file_cut_anywhere_is_refused(texture: Texture) -> None:
             NativeTexture(data[:n])
 
 
-def test_what_is_wrong_in_a_file_is_said(texture: Texture) -> None:
+def test_what_is_wrong_in_a_file_is_named(texture: Texture) -> None:
     def bytes_of(card: dict[str, Any] | None = None, **tensors: np.ndarray) -> bytes:
         from safetensors.numpy import save
 
@@ -480,7 +482,7 @@ def test_a_stroke_may_be_read_only_and_one_of_its_arrays_a_single_number(texture
         renderer.render_into(speed, 80.0, 0.8)
 
 
-def test_the_processor_is_told() -> None:
+def test_the_instruction_set_is_named() -> None:
     assert isa() in ("avx512", "avx2", "neon", "portable")
 
 

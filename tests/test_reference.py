@@ -10,12 +10,10 @@ import pytest
 import torch
 from scipy.signal import lfilter
 
-from conftest import SMALL, exported, reflections_of, resonance, sizes_with, untrained
-from foten.dsp.lattice import LEAK
+from conftest import SMALL, exported, resonance, sizes_with, untrained
 from foten.families import FAMILIES, FotenPlusSizes
 from foten.families.ten import TransformerSizes
 from foten.reference import model_of
-from foten.reference.excitation import Excitation as ReferenceExcitation
 from foten.reference.foten_plus import FotenPlus
 from foten.reference.network import Network
 from foten.reference.stream import Prediction, run
@@ -115,12 +113,12 @@ def test_its_network_is_pytorchs(key: str, variant: str) -> None:
     tensors = tensors_of(network)
     if key == "foten-plus":
         prefixed = {f"network.{name}": tensor for name, tensor in tensors.items()}
-        found = FotenPlus(sizes, {**exported(key, sizes).tensors, **prefixed}).correction(windows)
+        result = FotenPlus(sizes, {**exported(key, sizes).tensors, **prefixed}).correction(windows)
     else:
-        found = Network(sizes, tensors)(windows)
+        result = Network(sizes, tensors)(windows)
     assert expected.std() > 1e-4  # the head of foten-plus is a tenth of the others'
     # Rounding of float64 in sums of another order, through six layers; √(|Z|² + 1e-16) has a steep slope at nothing.
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(result, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_bins_that_hold_only_rounding_have_no_phase() -> None:
@@ -147,29 +145,6 @@ def test_it_is_stateless_and_takes_windows_in_any_number(variant: str) -> None:
     # Products of other shapes sum in another order, in float64.
     np.testing.assert_allclose(alone, at_once, rtol=1e-10, atol=1e-12)
     np.testing.assert_array_equal(windows, before)
-
-
-def test_its_excitation_is_pytorchs() -> None:
-    """Seam: scale and tails, over speed and force and far beyond."""
-    from foten.networks.scale import Excitation
-
-    tensors = exported("foten-plus").tensors
-    trained = Excitation(16)
-    trained.load_state_dict(
-        {
-            name.removeprefix("excitation."): torch.from_numpy(tensor)
-            for name, tensor in tensors.items()
-            if name.startswith("excitation.")
-        }
-    )
-    condition = np.random.default_rng(0).uniform(-3, 8, (200, 2))
-    with torch.no_grad():
-        double = trained.double()
-        sigma, tail = double(torch.from_numpy(condition)), double.tails(torch.from_numpy(condition))
-    excitation = ReferenceExcitation(tensors)
-    assert sigma.std() > 1e-3
-    np.testing.assert_allclose(excitation.sigma(condition), sigma, rtol=1e-9)
-    np.testing.assert_allclose(excitation.tail(condition), tail, rtol=1e-9)
 
 
 def test_every_tensor_of_a_model_is_needed() -> None:
@@ -220,17 +195,17 @@ TAPS = resonance(120.0, 0.95, M)
 def test_with_noise_a_loop_is_the_ar_filter() -> None:
     """Oracle: scipy.signal.lfilter."""
     noise = np.random.default_rng(0).standard_normal((3, 500))
-    found = run(Taps(TAPS, np.zeros((3, M, 3)), 0.7), np.zeros((3, 500, 3)), noise)
+    result = run(Taps(TAPS, np.zeros((3, M, 3)), 0.7), np.zeros((3, 500, 3)), noise)
     expected = lfilter([0.7], np.concatenate([[1.0], -TAPS[::-1]]), noise)
-    np.testing.assert_allclose(found, expected, atol=1e-10)  # rounding, amplified by 1/(1 − 0.95)
+    np.testing.assert_allclose(result, expected, atol=1e-10)  # rounding, amplified by 1/(1 − 0.95)
 
 
 def test_without_noise_the_first_window_rings_out() -> None:
     window = np.zeros((1, M, 3))
     window[0, -1, 0] = 1.0
-    found = run(Taps(TAPS, window), np.zeros((1, 400, 3)), None)[0]
+    result = run(Taps(TAPS, window), np.zeros((1, 400, 3)), None)[0]
     impulse = lfilter([1.0], np.concatenate([[1.0], -TAPS[::-1]]), np.eye(1, 401)[0])
-    np.testing.assert_allclose(found, impulse[1:], atol=1e-12)  # the first sample stands in the window
+    np.testing.assert_allclose(result, impulse[1:], atol=1e-12)  # the first sample stands in the window
 
 
 def test_a_prediction_is_given_speed_and_force_up_to_the_sample_before() -> None:
@@ -245,9 +220,9 @@ def test_a_prediction_is_given_speed_and_force_up_to_the_sample_before() -> None
 
 def test_its_own_output_is_its_history() -> None:
     stream = Taps(np.zeros(M), np.zeros((1, M, 3)), 1.0)
-    found = run(stream, np.zeros((1, 10, 3)), np.arange(1.0, 11)[None])
-    np.testing.assert_array_equal(found[0], np.arange(1.0, 11))
-    np.testing.assert_array_equal(stream.shown[-1][0, :, 0], found[0, -1 - M : -1])
+    result = run(stream, np.zeros((1, 10, 3)), np.arange(1.0, 11)[None])
+    np.testing.assert_array_equal(result[0], np.arange(1.0, 11))
+    np.testing.assert_array_equal(stream.shown[-1][0, :, 0], result[0, -1 - M : -1])
 
 
 @pytest.mark.parametrize(
@@ -259,8 +234,8 @@ def test_what_is_cut_off_is_fed_back_to_bounded_streams_alone(bounded: bool, exp
     window = np.zeros((2, 2, 3))
     window[0, -1, 0], window[1, -1, 0] = 1.0, -1.0
     stream = Taps(np.array([-1.5, 2.0]), window, bounded=bounded)
-    found = run(stream, np.zeros((2, 5, 3)), None, limit=2.2)
-    np.testing.assert_allclose(found, [expected, [-sample for sample in expected]], rtol=1e-12)
+    result = run(stream, np.zeros((2, 5, 3)), None, limit=2.2)
+    np.testing.assert_allclose(result, [expected, [-sample for sample in expected]], rtol=1e-12)
 
 
 def test_noise_without_a_scale_and_a_scale_without_noise_are_the_deterministic_loop() -> None:
@@ -283,8 +258,8 @@ def test_a_network_of_several_samples_ahead_is_asked_once_for_them() -> None:
         return windows[:, -1:, 0] + np.array([1.0, 2.0, 3.0])
 
     stream = WindowModel(network, 2).start(np.zeros((1, 2, 3)))
-    found = run(stream, np.zeros((1, 7, 3)), None)[0]
-    np.testing.assert_array_equal(found, [1, 2, 3, 4, 5, 6, 7])
+    result = run(stream, np.zeros((1, 7, 3)), None)[0]
+    np.testing.assert_array_equal(result, [1, 2, 3, 4, 5, 6, 7])
     assert [window[0, :, 0].tolist() for window in windows_given] == [[0, 0], [2, 3], [5, 6]]
 
 
@@ -325,81 +300,3 @@ def test_a_prediction_may_be_taken_twice() -> None:
     model = model_of(sizes, exported("foten-plus", sizes).tensors)
     stream = model.start(np.random.default_rng(0).standard_normal((2, sizes.history, 3)))
     np.testing.assert_array_equal(stream.predict().sample, stream.predict().sample)
-
-
-def test_a_prediction_of_foten_plus_takes_no_more_than_its_history() -> None:
-    """Innovations that the network is given need the lattice's order before them, and a level the sample before that."""
-    sizes = FotenPlusSizes(**{**SMALL, "window": 5, "order": 4})
-    model = model_of(sizes, exported("foten-plus", sizes).tensors)
-    longer = np.random.default_rng(0).standard_normal((30, sizes.history + 3, 3))
-    changed, first = longer.copy(), longer.copy()
-    changed[:, :3] += 1.0
-    first[:, 3, 1:] += 1.0
-    expected = model.predict(longer)
-    for same in (changed, longer[:, 3:]):
-        np.testing.assert_allclose(model.predict(same), expected, rtol=1e-9, atol=1e-12)  # rounding
-    assert np.abs(model.predict(first) - expected).max() > 1e-8
-
-
-def test_a_lattice_of_order_two_is_its_direct_form() -> None:
-    """Oracle: the taps of an AR(2), moved inwards by the leak."""
-    taps = np.array([-0.9, 1.6])
-    sizes = FotenPlusSizes(**{**SMALL, "order": 2})
-    tensors = exported("foten-plus", sizes).tensors
-    still = ("network.head_3", "lattice.level.out", "lattice.level.power_law")
-    tensors = {name: 0 * tensor if name.startswith(still) else tensor for name, tensor in tensors.items()}
-    windows = np.random.default_rng(0).standard_normal((40, sizes.history, 3))
-    predicted = model_of(sizes, {**tensors, "lattice.reflections": reflections_of(taps)[None]}).predict(
-        windows
-    )
-    np.testing.assert_allclose(predicted, windows[:, -2:, 0] @ (taps * LEAK ** np.array([2, 1])), atol=1e-9)
-
-
-def test_the_correction_is_bounded_in_innovations() -> None:
-    sizes = FotenPlusSizes(**SMALL)
-    tensors = dict(exported("foten-plus", sizes).tensors)
-    windows = np.random.default_rng(0).standard_normal((200, sizes.history, 3))
-    louder = {**tensors, "network.head_3.weight": 1e3 * tensors["network.head_3.weight"]}
-    silent = {
-        **tensors,
-        **{f"network.head_3.{part}": 0 * tensors[f"network.head_3.{part}"] for part in ("weight", "bias")},
-    }
-    linear, corrected = (model_of(sizes, some).start(windows).predict() for some in (silent, louder))
-    excitation = ReferenceExcitation(tensors)
-    assert corrected.scale is not None
-    unit = corrected.scale / excitation.sigma(windows[:, -1, 1:]) / excitation.volatility(1).factor()
-    share = np.abs(corrected.sample - linear.sample) / unit
-    assert share.max() <= sizes.correction_limit * (1 + 1e-9)  # tanh; rounding of the difference
-    assert share.max() > 0.99 * sizes.correction_limit
-
-
-def test_the_network_is_given_a_vibration_of_unit_size_whatever_the_level() -> None:
-    """Twice the level and twice the vibration: twice the prediction."""
-    for gain_before_filter in (False, True):
-        sizes = FotenPlusSizes(**SMALL, gain_before_filter=gain_before_filter)
-        tensors = exported("foten-plus", sizes).tensors
-        windows = np.random.default_rng(0).standard_normal((40, sizes.history, 3))
-        expected = 2 * model_of(sizes, tensors).predict(windows)
-        bias = tensors["lattice.level.out.bias"].astype(np.float64) + np.log(2)
-        louder = {**tensors, "lattice.level.out.bias": bias}
-        doubled = windows * [2.0, 1.0, 1.0]
-        np.testing.assert_allclose(
-            model_of(sizes, louder).predict(doubled), expected, rtol=1e-9, atol=1e-12
-        )  # rounding
-
-
-def test_the_excitation_is_a_power_law_where_its_network_is_silent() -> None:
-    speed, force = np.array([0.0, 10.0, 100.0, 300.0]), np.array([0.0, 0.1, 1.0, 4.0])
-    tensors = dict(exported("foten-plus", FotenPlusSizes(**SMALL)).tensors)
-    for part in ("out.weight", "out.bias"):
-        tensors[f"excitation.{part}"] = 0 * tensors[f"excitation.{part}"]
-    excitation = ReferenceExcitation(tensors)
-    scaled = np.stack([(speed - 100) / 60, (force - 1) / 0.5], axis=1)
-    expected = ((speed + 2) / 102) ** 0.7 * ((force + 0.05) / 1.05) ** 0.4
-    np.testing.assert_allclose(
-        excitation.sigma(scaled), expected, rtol=1e-6
-    )  # exponents and floors come from float32
-    # Below zero is no motion and no force.
-    np.testing.assert_allclose(
-        excitation.sigma(np.full((3, 2), -50.0)), (2 / 102) ** 0.7 * (0.05 / 1.05) ** 0.4, rtol=1e-6
-    )

@@ -92,6 +92,13 @@ def test_what_is_left_out_of_a_curve_is_the_papers(
     assert force == pytest.approx(meant[0] * np.exp(meant[1] * 0.5), rel=1e-6)
 
 
+def test_the_force_of_a_pressure_is_equation_12() -> None:
+    """Oracle: 0.13 N · exp(3.32 p) by hand; without contact none."""
+    force = PressureCalibration().force(np.array([0.0, 1e-9, 0.25, 0.5, 1.0]))
+    np.testing.assert_allclose(force, [0.0, 0.13, 0.298131, 0.683710, 3.595846], rtol=3e-6)
+    np.testing.assert_allclose(PressureCalibration(0.2, -1.0).force(np.array([0.5])), 0.121306, rtol=1e-5)
+
+
 def test_a_force_may_be_the_same_at_any_pressure(texture: Texture) -> None:
     stylus = Stylus(Renderer(texture), PressureCalibration(0.8, 0.0))
     stylus.push(0.0, 0.0, 0.5, 0.0)
