@@ -33,7 +33,8 @@ from foten.recording.split import split_blocks
 from foten.train.batched import BATCHED, fit_batched
 from foten.train.blocks import scaled_blocks
 from foten.train.config import RECIPES
-from foten.train.fit import Progress, TrainingWindows, fit, pick_device, reproducible
+from foten.train.epochs import Progress
+from foten.train.fit import TrainingWindows, fit, pick_device, reproducible
 from main_table import between
 
 SAME = 0.01  # of a training loss: an epoch by the paper's learning rate makes that much of rounding

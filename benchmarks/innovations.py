@@ -28,7 +28,8 @@ from foten.families.conditions import FADE_FORCE, FADE_SPEED
 from foten.families.texture_file import Texture, read_texture
 from foten.recording.preprocess import preprocess
 from foten.recording.split import Split
-from foten.runtime.native import NativeTexture, predict_blocks
+from foten.runtime.loops import predict_blocks
+from foten.runtime.native import NativeTexture
 from main_table import SOURCES, between, name_of, recording_of
 
 Array = np.ndarray

@@ -27,8 +27,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from foten.families.texture_file import read_texture
-from foten.runtime.live.devices import NullSink
 from foten.runtime.live.live import Live
+from foten.runtime.live.paced import NullSink
 from foten.runtime.renderer import Renderer
 from foten.runtime.stylus import Stylus
 from main_table import between

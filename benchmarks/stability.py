@@ -41,7 +41,8 @@ from foten.families import FotenPlusSizes
 from foten.families.excitation import HEAVIEST_TAIL, LARGEST_VOLATILITY
 from foten.families.texture_file import Texture, read_texture
 from foten.reference import model_of
-from foten.runtime.native import NativeTexture, run_loops
+from foten.runtime.loops import run_loops
+from foten.runtime.native import NativeTexture
 from foten.runtime.onnx_predictor import OnnxPredictor
 from main_table import SOURCES, between, keep, made_earlier, name_of, read, validation_free_run
 from streams import rendered

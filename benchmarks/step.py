@@ -37,7 +37,8 @@ PERCENTILES = {"p50": 50.0, "p99": 99.0, "p999": 99.9}
 CHILD = """
 import sys, time, json
 import numpy as np
-from foten.runtime.native import NativeState, NativeTexture, isa
+from foten.runtime.binding import isa
+from foten.runtime.native import NativeState, NativeTexture
 texture = NativeTexture(open(sys.argv[1], "rb").read())
 state, out = NativeState(texture, excitation=False), np.empty(1, dtype=np.float32)
 state.set_hand(*map(float, sys.argv[2:4]))
@@ -56,7 +57,7 @@ import { createInterface } from "node:readline";
 import { Foten } from %(module)s;
 const foten = await Foten.load(readFileSync(%(wasm)s));
 const renderer = foten.texture(readFileSync(process.argv[2])).renderer({ excitation: false });
-renderer.setHand(Number(process.argv[3]), Number(process.argv[4]));
+renderer.setCondition(Number(process.argv[3]), Number(process.argv[4]));
 const out = new Float32Array(1);
 console.log(foten.isa);
 for await (const line of createInterface({ input: process.stdin })) {

@@ -37,7 +37,8 @@ from foten.recording.recording import Recording
 from foten.recording.split import split_blocks
 from foten.train.blocks import scaled_blocks
 from foten.train.config import RECIPES, TrainConfig
-from foten.train.fit import Epoch, TrainingWindows, fit, pick_device, reproducible
+from foten.train.epochs import Epoch
+from foten.train.fit import TrainingWindows, fit, pick_device, reproducible
 
 
 def history(name: str, model: str, windows: TrainingWindows, config: TrainConfig) -> list[Epoch]:

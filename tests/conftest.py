@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -205,3 +206,23 @@ def texture() -> Texture:
 def plain_texture() -> Texture:
     """Return a texture of the paper's network, without excitation."""
     return exported("foten", FAMILIES["foten"](**SMALL))
+
+
+TINY = """
+title = "Two methods"
+seconds = 8
+textures = ["linear-cloth", "linear-twin"]
+methods = [{model = "fnn", name = "FNN [13]"}, {model = "fnn", name = "excited", sizes = {excitation = true}}]
+[train]
+epochs = 1
+[preprocess]
+trim_ms = 0
+block_ms = 1000
+"""
+
+
+def experiment(folder: Path, text: str = TINY) -> Path:
+    """Return the path of an experiment, written to a folder."""
+    path = folder / "experiment.toml"
+    path.write_text(text)
+    return path

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.signal import bilinear, lfilter
 
+from foten.families.texture_file import Texture
 from foten.runtime.actuator import ActuatorProfile, identify, read_profile, sweep, write_profile
 from foten.runtime.renderer import Renderer
-from foten.families.texture_file import Texture
 
 
 def driven(texture: Texture, profile: ActuatorProfile, rate: float, n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -160,3 +161,33 @@ def test_a_profile_is_read_as_it_was_written(tmp_path: Path) -> None:
         read_profile(path)
     with pytest.raises(FileNotFoundError):
         read_profile(tmp_path / "none.json")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[" * 100_000, "nested more than"),
+        ('{"format":' * 100 + "1" + "}" * 100, "nested more than"),
+        ("9" * 5000, "is not JSON"),
+        ("\xff", "is not JSON"),
+        ('{"format": "foten-actuator", "version": 1, "gain": %s}' % ("9" * 400), "gain of the actuator is"),
+        ('{"format": "foten-actuator", "version": 1, "gain": 1e999}', "gain of the actuator is inf"),
+        ('{"format": "foten-actuator", "version": 1, "limit": [null]}', "limit of the actuator is"),
+        (
+            '{"format": "foten-actuator", "version": 1, "damping": 1180591620717411303424}',
+            "damping of the actuator is",
+        ),
+    ],
+)
+def test_a_hostile_profile_is_a_value_error(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "p.json"
+    path.write_text(text, encoding="latin-1")
+    with pytest.raises(ValueError, match=message) as refusal:
+        read_profile(path)
+    assert len(str(refusal.value)) < 300
+
+
+def test_a_pipe_is_no_profile(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "p.json")
+    with pytest.raises(ValueError, match="is a pipe or a device, expected a file"):
+        read_profile(tmp_path / "p.json")

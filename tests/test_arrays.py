@@ -1,5 +1,7 @@
 """NumPy, MATLAB and foreign HDF5 files; never a pickle."""
 
+import zipfile
+
 import h5py
 import numpy as np
 import pytest
@@ -19,11 +21,11 @@ def _by_name(columns):
 
 def test_npz(tmp_path):
     np.savez(tmp_path / "a.npz", force=FORCE.astype(np.float32), acc=AXES, fs=10_000)
-    found = _by_name(read_numpy(tmp_path / "a.npz"))
-    assert list(found) == ["force", "acc.0", "acc.1", "acc.2", "fs"]
-    np.testing.assert_array_equal(found["acc.2"], AXES[:, 2])
-    np.testing.assert_array_equal(found["force"], FORCE.astype(np.float32))
-    assert found["fs"].tolist() == [10_000]
+    by_name = _by_name(read_numpy(tmp_path / "a.npz"))
+    assert list(by_name) == ["force", "acc.0", "acc.1", "acc.2", "fs"]
+    np.testing.assert_array_equal(by_name["acc.2"], AXES[:, 2])
+    np.testing.assert_array_equal(by_name["force"], FORCE.astype(np.float32))
+    assert by_name["fs"].tolist() == [10_000]
 
 
 def test_npy_of_one_and_of_several_columns(tmp_path):
@@ -66,10 +68,10 @@ def test_matlab_v5_with_a_struct(tmp_path):
     variables = {"trial": {"acc": AXES, "force": FORCE[:, None], "note": "two strokes"}, "fs": 10_000.0}
     scipy.io.savemat(tmp_path / "a.mat", variables)
     columns = read_matlab(tmp_path / "a.mat")
-    found = _by_name(columns)
-    np.testing.assert_array_equal(found["trial.acc.1"], AXES[:, 1])
-    np.testing.assert_array_equal(found["trial.force"], FORCE)
-    assert found["fs"].tolist() == [10_000]
+    by_name = _by_name(columns)
+    np.testing.assert_array_equal(by_name["trial.acc.1"], AXES[:, 1])
+    np.testing.assert_array_equal(by_name["trial.force"], FORCE)
+    assert by_name["fs"].tolist() == [10_000]
     assert next(column for column in columns if column.name == "trial.note").fault
 
 
@@ -80,9 +82,9 @@ def test_matlab_v73(tmp_path):
             dataset.attrs["MATLAB_class"] = np.bytes_("double")
     with (tmp_path / "a.mat").open("r+b") as raw:  # the block before the HDF5 part says what it is
         raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
-    found = _by_name(read_matlab(tmp_path / "a.mat"))
-    np.testing.assert_array_equal(found["acc.2"], AXES[:, 2])
-    np.testing.assert_array_equal(found["force"], FORCE)
+    by_name = _by_name(read_matlab(tmp_path / "a.mat"))
+    np.testing.assert_array_equal(by_name["acc.2"], AXES[:, 2])
+    np.testing.assert_array_equal(by_name["force"], FORCE)
 
 
 def test_truncated_and_foreign_matlab_files_are_refused(tmp_path):
@@ -107,3 +109,44 @@ def test_our_own_recording_needs_no_import(tmp_path):
     write_recording(Recording({"force": Channel(FORCE, 100.0)}), tmp_path / "a.h5")
     with pytest.raises(ValueError, match="is a foten recording already"):
         read_hdf5(tmp_path / "a.h5")
+
+
+def _lying(shape, n_bytes=800, descr="<f8"):
+    """Return a .npy file whose header states a shape, with so many bytes after it."""
+    header = repr({"descr": descr, "fortran_order": False, "shape": shape}).encode() + b"\n"
+    return b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + bytes(n_bytes)
+
+
+@pytest.mark.parametrize("shape", [(10**12,), (10**6, 10**6), (-100,), (99,), (10**30, 0)])
+def test_a_size_that_the_file_does_not_have_is_refused(tmp_path, shape):
+    (tmp_path / "a.npy").write_bytes(_lying(shape))
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("force.npy", _lying(shape))
+    for name in ("a.npy", "a.npz"):
+        with pytest.raises(ValueError, match=f"{name} is truncated or is no NumPy file"):
+            read_numpy(tmp_path / name)
+
+
+def test_headers_that_numpy_fails_on_are_refused(tmp_path):
+    for k, header in enumerate([b"(" * 9000, b"[" * 9000, b"", b"9" * 5000]):
+        data = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
+        (tmp_path / f"{k}.npy").write_bytes(data)
+        with pytest.raises(ValueError, match=f"{k}.npy is truncated or is no NumPy file") as refusal:
+            read_numpy(tmp_path / f"{k}.npy")
+        assert len(str(refusal.value)) < 300
+
+
+def test_both_orders_of_an_array_are_read(tmp_path):
+    np.save(tmp_path / "a.npy", np.asfortranarray(AXES))
+    np.testing.assert_array_equal(_by_name(read_numpy(tmp_path / "a.npy"))["2"], AXES[:, 2])
+    np.savez_compressed(
+        tmp_path / "b.npz", acc=np.asfortranarray(AXES), fs=np.float64(3), big=AXES.astype(">f4")
+    )
+    by_name = _by_name(read_numpy(tmp_path / "b.npz"))
+    np.testing.assert_array_equal(by_name["acc.1"], AXES[:, 1])
+    np.testing.assert_array_equal(by_name["big.1"], AXES[:, 1].astype(np.float32))
+
+
+def test_names_are_printable(tmp_path):
+    np.savez(tmp_path / "a.npz", **{"acc\n\x1b[31m": FORCE})
+    assert list(_by_name(read_numpy(tmp_path / "a.npz"))) == ["acc??[31m"]

@@ -20,7 +20,8 @@ from foten.networks import build
 from foten.networks.foten_plus import Corrector
 from foten.train.batched import BATCHED, fit_batched
 from foten.train.config import RECIPES, TrainConfig
-from foten.train.fit import Progress, TrainingWindows, fit, reproducible
+from foten.train.epochs import Progress
+from foten.train.fit import TrainingWindows, fit, reproducible
 
 SMALL = TenSizes(window=6, d_model=8, n_heads=2, d_feedforward=8, n_layers=1, head=(8, 4))
 QUICK = TrainConfig(epochs=3, batch=16, threads=1, learning_rate=1e-4)

@@ -18,9 +18,10 @@ import pytest
 
 from conftest import exported
 from foten.cli.command_line import _status
-from foten.runtime import bench, devices
-from foten.runtime import play as playing
+from foten.runtime import bench
 from foten.runtime.actuator import ActuatorProfile, write_profile
+from foten.runtime.live import play as playing
+from foten.runtime.live import sound
 from foten.runtime.live.live import LiveStatistics
 from foten.runtime.live.play import Played
 from foten.runtime.renderer import Renderer
@@ -43,12 +44,12 @@ def one_line(capsys: pytest.CaptureFixture[str]) -> str:
 
 def test_play_counts_and_says_what_lies_between(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert _status(["play", str(file), "--to", "null", "--seconds", "0.3", "--lead-ms", "50", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["n_samples"] >= 0.3 * 8000  # 8 kHz of a texture of 1 kHz
-    assert found["n_refused"] == found["n_saturated"] == 0
-    assert found["delays_ms"]["rendered ahead"] == 50
-    assert 0 < found["block_p50_ms"] <= found["block_p99_ms"] <= found["block_largest_ms"]
-    assert found["block_ms"] == 2
+    result = json.loads(capsys.readouterr().out)
+    assert result["n_samples"] >= 0.3 * 8000  # 8 kHz of a texture of 1 kHz
+    assert result["n_refused"] == result["n_saturated"] == 0
+    assert result["delays_ms"]["rendered ahead"] == 50
+    assert 0 < result["block_p50_ms"] <= result["block_p99_ms"] <= result["block_largest_ms"]
+    assert result["block_ms"] == 2
     assert _status(["play", str(file), "--to", "null", "--seconds", "0.1"]) == 0
     out, err = capsys.readouterr()
     assert "p50" in out
@@ -99,7 +100,7 @@ def test_a_file_says_what_its_numbers_are(file: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "expected"),
     [
         (["--to", "loudspeaker"], "expected sound, null"),
         (["--to", "null", "--speed", "80"], "--speed with --force"),
@@ -115,10 +116,10 @@ def test_a_file_says_what_its_numbers_are(file: Path, tmp_path: Path) -> None:
     ],
 )
 def test_what_cannot_be_played_is_one_line(
-    file: Path, arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
+    file: Path, arguments: list[str], expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert _status(["play", str(file), "--seconds", "0.1", *arguments]) == 2
-    assert told in one_line(capsys)
+    assert expected in one_line(capsys)
 
 
 def test_without_portaudio_it_says_what_to_install(
@@ -127,7 +128,7 @@ def test_without_portaudio_it_says_what_to_install(
     def missing() -> None:
         raise OSError("PortAudio is not here: apt install libportaudio2")
 
-    monkeypatch.setattr(devices, "sound_library", missing)
+    monkeypatch.setattr(sound, "sound_library", missing)
     assert _status(["play", str(file), "--seconds", "0.1"]) == 2
     assert "libportaudio2" in one_line(capsys)
 
@@ -147,7 +148,7 @@ def test_without_the_package_it_names_the_extra(
     )
 
 
-def test_ctrl_c_ends_it_and_tells_what_it_came_to(file: Path) -> None:
+def test_ctrl_c_ends_it_and_prints_the_counts(file: Path) -> None:
     program = "import sys; from foten.cli import main; sys.exit(main())"
     child = subprocess.Popen(
         [sys.executable, "-c", program, "play", str(file), "--to", "null"],
@@ -163,7 +164,7 @@ def test_ctrl_c_ends_it_and_tells_what_it_came_to(file: Path) -> None:
     assert "under-runs" in out
 
 
-def test_what_is_beyond_is_told(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_beyond_is_printed(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "x.wav"
     arguments = ["--to", str(path), "--seconds", "0.2", "--speed", "5000", "--force", "50"]
     assert _status(["play", str(file), *arguments]) == 0
@@ -172,7 +173,7 @@ def test_what_is_beyond_is_told(file: Path, tmp_path: Path, capsys: pytest.Captu
     assert "taken as twice that" in out
 
 
-def test_what_went_wrong_is_told_with_what_helps(
+def test_what_went_wrong_is_printed_with_what_helps(
     file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     counted = Renderer(file).counted() | {"n": 800, "n_refused": 3, "n_lost": 4}
@@ -195,9 +196,9 @@ def test_what_went_wrong_is_told_with_what_helps(
 
 def test_bench_times_each_instruction_set(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert _status(["bench", str(file), "-n", "1000", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found[-1]["isa"] == "portable"
-    assert all(0 < one["p50_us"] <= one["p99_us"] <= one["largest_us"] for one in found)
+    result = json.loads(capsys.readouterr().out)
+    assert result[-1]["isa"] == "portable"
+    assert all(0 < one["p50_us"] <= one["p99_us"] <= one["largest_us"] for one in result)
     assert _status(["bench", str(file), "-n", "1000"]) == 0
     out = capsys.readouterr().out
     assert "contacts a core" in out
@@ -216,27 +217,27 @@ def test_bench_times_no_instruction_set_in_the_place_of_another(
 
     usual = subprocess.run
     monkeypatch.setattr(bench.subprocess, "run", run)
-    found = [times.isa for times in bench.time_all(file, 1000)]
-    assert len(programs) == len(bench.INSTRUCTION_SETS) > len(found) > 0
-    assert [one for one in bench.INSTRUCTION_SETS if one in found] == found
-    assert sum(bool(done.stdout) for done in programs) == len(found)
+    result = [times.isa for times in bench.time_all(file, 1000)]
+    assert len(programs) == len(bench.INSTRUCTION_SETS) > len(result) > 0
+    assert [one for one in bench.INSTRUCTION_SETS if one in result] == result
+    assert sum(bool(done.stdout) for done in programs) == len(result)
 
 
 @pytest.mark.parametrize(
-    ("status", "stderr", "told"),
+    ("status", "stderr", "expected"),
     [
         (-signal.SIGSEGV, "", "Segmentation fault"),
         (3, "", "status 3"),
         (1, "Traceback\n  x\nValueError: no more", "no more"),
     ],
 )
-def test_a_program_that_ends_is_told_in_one_line(
+def test_a_program_that_ends_gives_one_line(
     file: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     status: int,
     stderr: str,
-    told: str,
+    expected: str,
 ) -> None:
     def run(command: list[str], **_: Any) -> subprocess.CompletedProcess[str]:
         return subprocess.CompletedProcess(command, status, "", stderr)
@@ -244,10 +245,10 @@ def test_a_program_that_ends_is_told_in_one_line(
     monkeypatch.setattr(bench.subprocess, "run", run)
     assert _status(["bench", str(file)]) == 2
     line = one_line(capsys)
-    assert told in line
+    assert expected in line
     assert "ValueError" not in line
     assert _status(["doctor"]) == 1
-    assert told in capsys.readouterr().out
+    assert expected in capsys.readouterr().out
 
 
 def test_bench_refuses_what_is_no_texture_as_play_does(capsys: pytest.CaptureFixture[str]) -> None:
@@ -274,10 +275,10 @@ def test_doctor_does_without_metadata(
 def test_doctor_says_what_is_here(capsys: pytest.CaptureFixture[str]) -> None:
     """Its exit status is of this machine: 0, or 1 where something is missing or slow."""
     assert _status(["doctor", "--json"]) in (0, 1)
-    found = {check["name"]: check for check in json.loads(capsys.readouterr().out)}
-    assert found["kernel"]["fine"] is True
-    assert "instruction set" in found["kernel"]["found"]
-    assert {"first sample", "timer", "sound", "NI-DAQ", "training", "size"} <= set(found)
+    result = {check["name"]: check for check in json.loads(capsys.readouterr().out)}
+    assert result["kernel"]["fine"] is True
+    assert "instruction set" in result["kernel"]["result"]
+    assert {"first sample", "timer", "sound", "NI-DAQ", "training", "size"} <= set(result)
     assert _status(["doctor"]) in (0, 1)
     assert "✓ kernel" in capsys.readouterr().out
 

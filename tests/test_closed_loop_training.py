@@ -19,7 +19,8 @@ from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.reference import model_of
 from foten.reference.stream import run
-from foten.runtime.native import NativeTexture, run_loops
+from foten.runtime.loops import run_loops
+from foten.runtime.native import NativeTexture
 from foten.train import closed_loop
 from foten.train.blocks import ScaledBlocks
 from foten.train.closed_loop import (

@@ -6,30 +6,36 @@ import json
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import onnx
 import pytest
 
-from conftest import architecture_with
-from foten.architecture import ARCHITECTURES, GRAPHS
+from conftest import sizes_with
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
+from foten.dsp.noise import gaussian
 from foten.evaluate.evaluate import evaluate, to_text
+from foten.families import FAMILIES
+from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, Texture, texture_from_bytes, write_texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
+from foten.reference import model_of
+from foten.reference.render import FIRST_INITIAL, render
+from foten.reference.stream import run
 from foten.runtime.bench import INSTRUCTION_SETS, time_all
-from foten.runtime.engine import engine_for
-from foten.runtime.onnx_predictor import GraphEngine
 from foten.runtime.native import NativeState, NativeTexture
+from foten.runtime.onnx_predictor import OnnxPredictor
 from foten.runtime.renderer import Renderer
-from foten.families.conditions import Synthesizer
-from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, Texture, texture_from_bytes, write_texture
 from foten.train.config import OWN_RECIPES, TrainConfig
-from foten.train.local import train_local
-from foten.train.train import train_texture
+from foten.train.job import TrainingJob
+from foten.train.pipeline import train
+
+IN_GRAPHS = [key for key, kind in FAMILIES.items() if kind.in_graph]
+FROM_NOISE = [key for key, kind in FAMILIES.items() if kind.from_noise]
 
 SMALL = {
     **{"d_model": 8, "n_heads": 2, "n_layers": 1, "d_feedforward": 16, "head": (16, 8), "spectral_width": 8},
@@ -41,24 +47,31 @@ SHORT = PreprocessConfig(trim_ms=0, block_ms=500)
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    return simulate("linear-twin", 8.0)
+    return simulate("linear-twin", 6.5)
 
 
 @pytest.fixture(scope="module")
 def textures(recording: Recording) -> dict[str, Texture]:
     """Return every model, trained for an epoch."""
-    found = {}
-    for key in ARCHITECTURES:
-        if key == "ar":
-            found[key] = train_local(recording, SHORT).texture
-            continue
-        short = {"epochs": 1, "batch": 512, "threads": 1, "max_order": 8, "tones": False}
+    made = {}
+    for key in FAMILIES:
+        short = {"epochs": 1, "batch": 128, "threads": 1, "max_order": 8, "tones": False}
+        short["volatility"] = key in (
+            "foten-plus",
+            "foten",
+            "fnn",
+        )  # fitted by free runs, which take graphs seconds
         config = TrainConfig(**(OWN_RECIPES.get(key, {}) | short | ({"batch": 8} if key == "gan" else {})))
         own = {"window": 42, "frame": 16, "stride": 1} if key == "gan" else SMALL
-        # Of a hop that does not end with the window that a stream begins by.
-        architecture = architecture_with(key, own | ({"window": 50} if key == "ldhtd-hop" else {}))
-        found[key] = train_texture(recording, key, architecture, config, SHORT).texture
-    return found
+        if key == "ldhtd-hop":  # of a hop that does not end with the window that a stream begins by
+            own = {**SMALL, "window": 50}
+        made[key] = train(TrainingJob(recording, key, sizes_with(key, own), config, SHORT)).texture
+    return made
+
+
+def network_of(texture: Texture) -> Callable[[np.ndarray], np.ndarray] | None:
+    """Return what the reference runs of a graph: ONNX Runtime."""
+    return OnnxPredictor(texture.sizes, texture.tensors).ahead if texture.sizes.in_graph else None
 
 
 def test_each_loads_without_pytorch_is_judged_and_renders(
@@ -82,25 +95,25 @@ from foten.datasets.hdf5 import load_recording
 from foten.evaluate.evaluate import evaluate
 from foten.runtime.renderer import Renderer
 from foten.families.texture_file import read_texture
-folder, found = Path(sys.argv[1]), {}
+folder, judged = Path(sys.argv[1]), {}
 recording = load_recording(folder / "recording.h5")
 for path in sorted(folder.glob("*.foten")):
     document = evaluate(read_texture(path), recording).document
     out = Renderer(path, rate=8000, seed=1).render(speed_mm_s=80.0, force_n=0.8, n=8000)
-    found[path.stem] = {
+    judged[path.stem] = {
         "one_step": document["one_step"]["mae_scaled"], "nll": document["one_step"].get("nll"),
         "free_run": document["free_run"]["lsd_db"], "zero": document["references"]["zero"]["mae_scaled"],
         "finite": bool(np.isfinite(out).all()), "peak": float(np.abs(out).max()), "sd": float(out.std()),
     }
-print(json.dumps(found))
+print(json.dumps(judged))
 """
     done = subprocess.run(
         [sys.executable, "-c", program, str(tmp_path)], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    assert set(found) == set(ARCHITECTURES)
-    for key, of in found.items():
+    judged = json.loads(done.stdout)
+    assert set(judged) == set(FAMILIES)
+    for key, of in judged.items():
         texture = textures[key]
         bound = texture.card["saturation"] * texture.scaling.sd[0]
         assert of["finite"], key
@@ -108,7 +121,7 @@ print(json.dumps(found))
         # The change of rate lets a cut wave overshoot a little.
         assert of["peak"] < 1.3 * bound, key
         assert np.isfinite(of["free_run"]), key
-        if ARCHITECTURES[key].of_noise:  # it foretells no sample
+        if FAMILIES[key].from_noise:  # it predicts no sample
             assert of["one_step"] is None, key
             assert of["nll"] is None, key
         else:
@@ -116,32 +129,32 @@ print(json.dumps(found))
             assert np.isfinite(of["nll"]), key
 
 
-@pytest.mark.parametrize("key", ARCHITECTURES)
-def test_the_kernel_renders_what_numpy_renders(textures: dict[str, Texture], key: str) -> None:
-    """Seam: ONNX Runtime called from the kernel's loop, beside it in NumPy's.
+@pytest.mark.parametrize("key", FAMILIES)
+def test_the_kernel_renders_what_the_reference_renders(textures: dict[str, Texture], key: str) -> None:
+    """Seam: ONNX Runtime called from the kernel's loop, beside it in the reference's.
 
     The kernel takes speeds in float32, and what is begun with is the loop's own output: twice a proof's tolerance.
     """
     texture = textures[key]
     speed, force = np.linspace(20, 160, 64), np.linspace(0.4, 1.5, 64)
-    expected = Synthesizer(texture, seed=5).render(speed, force)
-    found = Renderer(texture, seed=5).render(speed, force)
+    expected = render(texture, speed, force, seed=5, network=network_of(texture))[0]
+    rendered = Renderer(texture, seed=5).render(speed, force)
     scale = texture.scaling.sd[0] * np.maximum(1.0, np.abs(expected / texture.scaling.sd[0]))
-    assert (np.abs(found - expected) / scale).max() < 2 * CLOSED_LOOP_TOLERANCE
+    assert (np.abs(rendered - expected) / scale).max() < 2 * CLOSED_LOOP_TOLERANCE
     assert np.abs(expected).max() > 0
 
 
-@pytest.mark.parametrize("key", ARCHITECTURES)
+@pytest.mark.parametrize("key", FAMILIES)
 def test_blocks_of_any_size_give_the_same_bytes(textures: dict[str, Texture], key: str) -> None:
-    whole, pieces = (Renderer(textures[key], rate=3000, seed=2) for _ in range(2))
-    expected = whole.render(speed_mm_s=70.0, force_n=1.0, n=300)
-    found = [pieces.render(speed_mm_s=70.0, force_n=1.0, n=n) for n in (1, 7, 100, 192)]
-    np.testing.assert_array_equal(np.concatenate(found), expected)
-    whole.reset()
-    np.testing.assert_array_equal(whole.render(speed_mm_s=70.0, force_n=1.0, n=300), expected)
+    at_once, pieces = (Renderer(textures[key], rate=3000, seed=2) for _ in range(2))
+    expected = at_once.render(speed_mm_s=70.0, force_n=1.0, n=300)
+    blocks = [pieces.render(speed_mm_s=70.0, force_n=1.0, n=n) for n in (1, 7, 100, 192)]
+    np.testing.assert_array_equal(np.concatenate(blocks), expected)
+    at_once.reset()
+    np.testing.assert_array_equal(at_once.render(speed_mm_s=70.0, force_n=1.0, n=300), expected)
 
 
-@pytest.mark.parametrize("key", ARCHITECTURES)
+@pytest.mark.parametrize("key", FAMILIES)
 def test_what_is_bad_is_refused(textures: dict[str, Texture], key: str) -> None:
     data = textures[key].to_bytes()
     renderer = Renderer(data)
@@ -155,7 +168,7 @@ def test_what_is_bad_is_refused(textures: dict[str, Texture], key: str) -> None:
             texture_from_bytes(damaged)
 
 
-@pytest.mark.parametrize("key", GRAPHS)
+@pytest.mark.parametrize("key", IN_GRAPHS)
 def test_a_damaged_graph_is_refused_in_one_line(textures: dict[str, Texture], key: str) -> None:
     texture = textures[key]
     for graph in (texture.tensors["graph"][:-200], np.zeros(10, dtype=np.uint8)):
@@ -194,12 +207,11 @@ def test_the_kernel_and_python_agree_on_a_hop(textures: dict[str, Texture], writ
 
 
 def test_room_for_another_number_of_samples_is_not_filled(textures: dict[str, Texture]) -> None:
-    engine = engine_for(textures["fnn"])
-    assert isinstance(engine, GraphEngine)
-    window = np.zeros((1, engine.window, 3), dtype=np.float32)
-    engine.answer(window, np.empty(1, dtype=np.float32))
+    predictor = OnnxPredictor(textures["fnn"].sizes, textures["fnn"].tensors)
+    window = np.zeros((1, predictor.window, 3), dtype=np.float32)
+    predictor.predict_into(window, np.empty(1, dtype=np.float32))
     with pytest.raises(ValueError, match="speaks of 5 samples at once, and the graph of 1"):
-        engine.answer(window, np.empty(5, dtype=np.float32))
+        predictor.predict_into(window, np.empty(5, dtype=np.float32))
 
 
 def test_a_graph_of_other_weights_fails_its_proof(textures: dict[str, Texture]) -> None:
@@ -228,12 +240,12 @@ def test_what_goes_wrong_while_the_kernel_asks_is_raised(
     renderer = Renderer(textures[key], excitation=False)
     asked = 0
 
-    def interrupted(engine: object, window: object, out: object) -> None:
+    def interrupted(predictor: object, window: object, out: object) -> None:
         nonlocal asked
         asked += 1
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(GraphEngine, "answer", interrupted)
+    monkeypatch.setattr(OnnxPredictor, "predict_into", interrupted)
     with pytest.raises(KeyboardInterrupt):
         renderer.render(speed_mm_s=80.0, force_n=1.0, n=10_000)
     assert asked == 1
@@ -245,19 +257,19 @@ def test_what_goes_wrong_while_the_kernel_asks_is_raised(
     assert np.isfinite(renderer.render(speed_mm_s=80.0, force_n=1.0, n=10)).all()
 
 
-@pytest.mark.parametrize("key", ARCHITECTURES)
-def test_what_is_in_a_file_is_told(
+@pytest.mark.parametrize("key", FAMILIES)
+def test_info_says_what_is_in_a_file(
     textures: dict[str, Texture], key: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_texture(textures[key], tmp_path / "t.foten")
     assert _status(["info", str(tmp_path / "t.foten")]) == 0
-    told = capsys.readouterr().out
-    assert "multiply-adds" in told
-    assert key in told
+    out = capsys.readouterr().out
+    assert "multiply-adds" in out
+    assert key in out
 
 
 @pytest.mark.parametrize("key", ["ar", "fnn"])
-def test_a_judgement_tells_the_model_from_the_references(
+def test_an_evaluation_keeps_the_model_apart_from_the_references(
     textures: dict[str, Texture], recording: Recording, key: str
 ) -> None:
     """There is a reference "ar" beside a model "ar": each has a line with its own error."""
@@ -275,9 +287,9 @@ def test_a_graph_is_timed_once_and_called_by_what_runs_it(
     """The kernel's instruction sets say nothing of a model that ONNX Runtime runs."""
     for key, names in (("fnn", {"onnxruntime"}), ("ten", {*INSTRUCTION_SETS})):
         write_texture(textures[key], tmp_path / f"{key}.foten")
-        found = time_all(tmp_path / f"{key}.foten", 50)
-        assert {one.isa for one in found} <= names
-        assert found
+        times = time_all(tmp_path / f"{key}.foten", 50)
+        assert {one.isa for one in times} <= names
+        assert times
 
 
 def test_without_onnx_runtime_one_line_says_so(
@@ -289,44 +301,50 @@ def test_without_onnx_runtime_one_line_says_so(
     assert Renderer(textures["foten"]).render(speed_mm_s=80.0, force_n=1.0, n=10).size == 10
 
 
-@pytest.mark.parametrize("key", [key for key, of in GRAPHS.items() if of.of_noise])
-def test_what_is_made_of_noise_goes_on_from_a_recorded_hand_alone(
+@pytest.mark.parametrize("key", FROM_NOISE)
+def test_a_model_of_noise_goes_on_from_a_recorded_condition_alone(
     textures: dict[str, Texture], key: str
 ) -> None:
-    """Whatever was recorded; in the kernel as in NumPy. Without chance there is silence."""
+    """Whatever was recorded; in the kernel as in the reference. Without chance there is silence."""
     texture = textures[key]
-    m, rng = texture.window, np.random.default_rng(3)
-    speed, force = np.linspace(20, 160, 64), np.linspace(0.4, 1.5, 64)
-    found = []
-    for acceleration in (np.zeros(m), rng.standard_normal(m)):
-        window = np.stack([acceleration, np.full(m, 90.0), np.full(m, 1.1)], axis=1)
-        synthesizer = Synthesizer(texture, seed=7)
-        synthesizer.reset(texture.scaling.scale(window)[None])
+    m, n = texture.window, 64
+    speed, force = np.linspace(20, 160, n), np.linspace(0.4, 1.5, n)
+    before = np.stack([np.zeros(m), np.full(m, 90.0), np.full(m, 1.1)], axis=1)
+    window = texture.scaling.scale(before)
+    window[:, 0] = gaussian(7, 0, FIRST_INITIAL, m)
+    stroke = texture.scaling.scale(np.stack([np.zeros(n), speed, force], axis=1))
+    stream = model_of(texture.sizes, texture.tensors, network_of(texture)).start(window[None])
+    condition = np.concatenate([stroke[:, 1:], speed[:, None]], axis=1)
+    looped = run(stream, condition[None], gaussian(7, 0, 0, n)[None], texture.card["saturation"])[0]
+    expected = texture.scaling.unscale_acceleration(looped)
+    for acceleration in (np.zeros(m), np.random.default_rng(3).standard_normal(m)):
         state = NativeState(NativeTexture(texture.to_bytes()), seed=7)
-        state.start(*window.T)
-        found += [synthesizer.render(speed, force), state.render_stroke(speed, force)]
-    for other in found[1:]:
-        np.testing.assert_allclose(other, found[0], atol=2 * CLOSED_LOOP_TOLERANCE * texture.scaling.sd[0])
-    # Not as a rendering without a window begins, whose hand was always there.
-    assert np.abs(Synthesizer(texture, seed=7).render(speed, force) - found[0]).max() > 1e-3
-    mean = texture.scaling.mean[0]
-    for excitation in (Synthesizer(texture, excitation=False), Renderer(texture, excitation=False)):
-        np.testing.assert_allclose(excitation.render(speed, force), mean, atol=1e-6)
+        state.start(acceleration, before[:, 1], before[:, 2])
+        tolerance = 2 * CLOSED_LOOP_TOLERANCE * texture.scaling.sd[0]
+        np.testing.assert_allclose(state.render_stroke(speed, force), expected, atol=tolerance)
+    # Not as a rendering without a window begins, whose condition was always there.
+    assert np.abs(Renderer(texture, seed=7).render(speed, force) - expected).max() > 1e-3
+    silent = Renderer(texture, excitation=False).render(speed, force)
+    np.testing.assert_allclose(silent, texture.scaling.mean[0], atol=1e-6)
 
 
 def test_a_network_that_hops_is_asked_once_a_hop(
     textures: dict[str, Texture], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    hop = textures["ldhtd-hop"].architecture.n_ahead
+    hop = textures["ldhtd-hop"].sizes.n_ahead
     assert hop == 20
-    renderer, answer, asked = Renderer(textures["ldhtd-hop"], excitation=False), GraphEngine.answer, 0
+    renderer, predict_into, asked = (
+        Renderer(textures["ldhtd-hop"], excitation=False),
+        OnnxPredictor.predict_into,
+        0,
+    )
 
-    def counted(engine: GraphEngine, window: np.ndarray, out: np.ndarray) -> None:
+    def counted(predictor: OnnxPredictor, window: np.ndarray, out: np.ndarray) -> None:
         nonlocal asked
         asked += 1
         assert out.shape == (hop,)
-        answer(engine, window, out)
+        predict_into(predictor, window, out)
 
-    monkeypatch.setattr(GraphEngine, "answer", counted)
+    monkeypatch.setattr(OnnxPredictor, "predict_into", counted)
     renderer.render(speed_mm_s=80.0, force_n=1.0, n=5 * hop + 1)
     assert asked == 6

@@ -10,7 +10,8 @@ from foten.families.texture_file import MIN_GOLDEN
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.recording.windows import windows
-from foten.runtime.native import NativeTexture, run_loops
+from foten.runtime.loops import run_loops
+from foten.runtime.native import NativeTexture
 from foten.train.blocks import ScaledBlocks, scaled_blocks
 from foten.train.export import Draft, pick_warm_start, proved
 

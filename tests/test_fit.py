@@ -14,7 +14,8 @@ from foten.families import FotenSizes
 from foten.networks import build
 from foten.networks.dropout import Dropout, set_dropout
 from foten.train.config import TrainConfig
-from foten.train.fit import Epoch, TrainingWindows, fit, load_progress, loss_of, predict
+from foten.train.epochs import Epoch, load_progress
+from foten.train.fit import TrainingWindows, fit, loss_of, predict
 
 SIZES = FotenSizes(
     window=12, d_model=8, n_heads=2, n_layers=2, d_feedforward=16, head=(16, 8), spectral_width=8

@@ -19,13 +19,14 @@ from foten.recording.recording import Recording
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.reference import model_of
-from foten.runtime.native import NativeTexture, predict_blocks
+from foten.runtime.loops import predict_blocks
+from foten.runtime.native import NativeTexture
 from foten.train import foten_plus
 from foten.train.blocks import scaled_blocks
 from foten.train.closed_loop import ClosedLoop
 from foten.train.config import TrainConfig
+from foten.train.epochs import Epoch, Progress
 from foten.train.excitation import FittedExcitation
-from foten.train.fit import Epoch, Progress
 from foten.train.foten_plus import FotenPlusTask, Rendering, _beyond_exponents, _chosen, prepare_foten_plus
 from foten.train.job import TrainingJob
 from foten.train.linear_part import LinearPart

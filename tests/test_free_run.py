@@ -9,10 +9,11 @@ from scipy.special import polygamma
 from conftest import SCALING, resonance
 from foten.evaluate.free_run import free_run, nearest_training_blocks, scored, synthesize, synthesize_linear
 from foten.evaluate.references import fit_linear
+from foten.families.texture_file import ONE_STEP_TOLERANCE, Texture
 from foten.recording.scaling import Scaling
 from foten.recording.trace import Trace
-from foten.runtime.native import NativeTexture, predict_blocks
-from foten.families.texture_file import ONE_STEP_TOLERANCE, Texture
+from foten.runtime.loops import predict_blocks
+from foten.runtime.native import NativeTexture
 
 RATE_HZ, BLOCK = 1000.0, 2000
 

@@ -14,8 +14,8 @@ from foten.cli.command_line import _status
 from foten.datasets.hatt import read_models
 from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
-from foten.runtime.renderer import Renderer
 from foten.families.texture_file import read_texture
+from foten.runtime.renderer import Renderer
 from foten.train.imported import texture_of
 
 CORNERS = [(0.0, 0.0), (200.0, 0.0), (0.0, 4.0), (200.0, 4.0), (90.0, 1.0)]

@@ -110,8 +110,8 @@ def test_what_is_wrong_in_a_file_is_named(tmp_path, spoil, message):
 
 def test_truncated_foreign_and_missing_files_are_refused(tmp_path):
     write_recording(_recording(), tmp_path / "a.h5")
-    whole = (tmp_path / "a.h5").read_bytes()
-    (tmp_path / "cut.h5").write_bytes(whole[: len(whole) // 2])
+    data = (tmp_path / "a.h5").read_bytes()
+    (tmp_path / "cut.h5").write_bytes(data[: len(data) // 2])
     with pytest.raises(ValueError, match=r"cut.h5 is truncated"):
         read_recording(tmp_path / "cut.h5")
     (tmp_path / "text.h5").write_text("time,force\n0,1\n")
@@ -125,3 +125,43 @@ def test_truncated_foreign_and_missing_files_are_refused(tmp_path):
     (tmp_path / "denim.csv").write_text("0\n")
     with pytest.raises(ValueError, match=r"first run: foten import .*denim.csv -o denim.h5"):
         load_recording(tmp_path / "denim.csv")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (
+            lambda f: f["channels/force"].__setitem__(7, 1e30),
+            "force: sample 7 is 1e.30, expected below 1e.12",
+        ),
+        (
+            lambda f: f["channels/force"].attrs.__setitem__("rate_hz", 1e-3),
+            "last 1e.05 s, expected 14400 s at most",
+        ),
+        (lambda f: f["channels/force"].attrs.__setitem__("rate_hz", 1e12), "the rate is 1e.12 Hz"),
+        (
+            lambda f: f["times_s/position_x"].__setitem__(49, 1e9),
+            "the rate right, or was the time given in ms",
+        ),
+        (lambda f: f.attrs.__setitem__("simulation", "[" * 50_000), "simulation is not a JSON object"),
+        (lambda f: f.attrs.__setitem__("simulation", '{"seed": 1e999}'), "simulation is not a JSON object"),
+    ],
+)
+def test_what_no_hand_does_is_refused(tmp_path, spoil, message):
+    _spoil(tmp_path / "bad.h5", spoil)
+    with pytest.raises(ValueError, match=message):
+        read_recording(tmp_path / "bad.h5")
+
+
+def test_a_text_that_hdf5_cannot_hold_is_refused(tmp_path):
+    recording = Recording({"force": Channel(np.ones(10), 100.0)}, notes="x" * 70_000)
+    with pytest.raises(ValueError, match="notes has 70,000 bytes, expected 60,000 at most"):
+        write_recording(recording, tmp_path / "a.h5")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_texts_are_printable(tmp_path):
+    recording = Recording({"force": Channel(np.ones(10), 100.0)}, texture="a\x1b[31m", notes="two\nlines")
+    write_recording(recording, tmp_path / "a.h5")
+    back = read_recording(tmp_path / "a.h5")
+    assert (back.texture, back.notes) == ("a?[31m", "two\nlines")

@@ -248,11 +248,11 @@ def test_a_rate_that_is_not_used_is_said_once_per_file(tmp_path):
 
 def test_wav_for_acceleration_beside_a_table(tmp_path):
     wavfile.write(tmp_path / "acc.wav", 10_000, (ACC.repeat(10) * 3000).astype(np.int16))
-    rest = _csv(tmp_path / "rest.csv", "v,f", SPEED, FORCE)
-    mapping = "acceleration=acc.wav:0,speed=rest:v,force=rest.csv:f"
+    hand = _csv(tmp_path / "hand.csv", "v,f", SPEED, FORCE)
+    mapping = "acceleration=acc.wav:0,speed=hand:v,force=hand.csv:f"
     with pytest.raises(ValueError, match=r"fractions of full scale; say how many m/s\^2 full scale is"):
-        _import([tmp_path / "acc.wav", rest], map=mapping, rate=1000)
-    recording = _import([tmp_path / "acc.wav", rest], map=mapping, rate=1000, unit="acceleration=*50")
+        _import([tmp_path / "acc.wav", hand], map=mapping, rate=1000)
+    recording = _import([tmp_path / "acc.wav", hand], map=mapping, rate=1000, unit="acceleration=*50")
     assert (recording["acceleration"].rate_hz, recording["force"].rate_hz) == (10_000, 1000)
     expected = np.trunc(ACC.repeat(10) * 3000) / 32768 * 50
     np.testing.assert_allclose(recording["acceleration"].samples, expected, rtol=1e-12)
@@ -275,7 +275,7 @@ def _with_gaps():
 
 
 def test_marker_drop_outs_are_filled_on_request_and_counted(tmp_path):
-    whole, gapped = _with_gaps()
+    complete, gapped = _with_gaps()
     path = _csv(tmp_path / "a.csv", "x", gapped)
     with pytest.raises(
         ValueError, match=r"4 samples are NaN or blank in 2 gaps, the first at 50.*--fill-gaps 25"
@@ -286,7 +286,7 @@ def test_marker_drop_outs_are_filled_on_request_and_counted(tmp_path):
     ):
         _import(path, map="position_x=x", rate=120, fill_gaps_ms=20)
     recording = _import(path, map="position_x=x", rate=120, fill_gaps_ms=25)
-    np.testing.assert_allclose(recording["position_x"].samples, whole, atol=1e-12)
+    np.testing.assert_allclose(recording["position_x"].samples, complete, atol=1e-12)
     assert any("2 gaps (4 samples, the longest 25 ms) were filled" in line for line in recording.history)
 
 

@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 from conftest import exported
-from foten.runtime.native import NativeTexture, library
+from foten.runtime.binding import library
+from foten.runtime.native import NativeTexture
 from foten.runtime.renderer import Renderer
 
 ROOT = Path(__file__).parents[1]
@@ -116,13 +117,13 @@ def test_kernels_are_those_of_the_processor_that_is_built_for(tmp_path: Path) ->
 @needs_cmake
 def test_nothing_is_allocated_while_rendering(build: Path) -> None:
     """The program fails as well where its counter sees nothing of what loading allocates, where a state asks for another
-    number of bytes than is told, and where a file that there is no memory for is said to be anything else.
+    number of bytes than foten_model_info gives, and where a file that there is no memory for is said to be anything else.
     """
     own = [
         path for path in CORPUS if not path.stem.startswith("graph")
     ]  # what others predict is not ours to count
-    told = ran(build / "hot_path", *own)
-    assert told.strip() == f"nothing allocated while rendering {len(own)} files"
+    out = ran(build / "hot_path", *own)
+    assert out.strip() == f"nothing allocated while rendering {len(own)} files"
 
 
 @needs_cmake
@@ -142,11 +143,11 @@ def test_damaged_files_do_no_harm(sanitized: Path) -> None:
 @pytest.mark.parametrize("isa", ["avx512", "avx2", "neon", "portable"])
 def test_the_kernel_is_clean_under_sanitizers(sanitized: Path, file: Path, isa: str) -> None:
     """A step of a whole network in each instruction set."""
-    found = ran(
+    result = ran(
         sanitized / "contacts", file, "0", "2", "1000", FOTEN_ISA=isa, UBSAN_OPTIONS="halt_on_error=1"
     )
-    assert '"n_states": 1' in found
-    if f'"isa": "{isa}"' not in found:
+    assert '"n_states": 1' in result
+    if f'"isa": "{isa}"' not in result:
         pytest.skip(f"this processor has no {isa}")
 
 
@@ -196,13 +197,14 @@ public static class Try {
             var block = new float[20];
             Console.WriteLine("acceleration_m_s2");
             for (int b = 0; b < 100; b++) {
-                renderer.SetHand((float)(texture.LowestSpeed + (texture.HighestSpeed - texture.LowestSpeed) * b / 100), 0.8f);
+                var share = b / 100.0;
+                renderer.SetCondition((float)(texture.LowestSpeed + (texture.HighestSpeed - texture.LowestSpeed) * share), 0.8f);
                 renderer.Render(block);
                 foreach (var x in block) Console.WriteLine(x.ToString("R", CultureInfo.InvariantCulture));
             }
             renderer.Dispose();
             Action[] uses = {
-                () => renderer.SetHand(1, 1), () => renderer.Render(block), () => renderer.Reset(0),
+                () => renderer.SetCondition(1, 1), () => renderer.Render(block), () => renderer.Reset(0),
                 () => Console.Write(renderer.Delay)
             };
             foreach (var use in uses)
@@ -214,16 +216,16 @@ public static class Try {
     )
     shutil.copy(Path(library()._name), tmp_path / "libfoten.so")
     ran("mcs", "-out:try.exe", "Try.cs", ROOT / "examples" / "unity" / "Runtime" / "Foten.cs", cwd=tmp_path)
-    found = accelerations(ran("mono", "try.exe", file, cwd=tmp_path, LD_LIBRARY_PATH=str(tmp_path)))
-    np.testing.assert_allclose(found, stroke_of(file), rtol=1e-6)
+    result = accelerations(ran("mono", "try.exe", file, cwd=tmp_path, LD_LIBRARY_PATH=str(tmp_path)))
+    np.testing.assert_allclose(result, stroke_of(file), rtol=1e-6)
 
 
 @needs_node
 def test_node_renders_what_python_does(file: Path) -> None:
     """Not to the byte: it is another instruction set."""
-    found = accelerations(ran("node", ROOT / "examples" / "node" / "stroke.mjs", file))
+    result = accelerations(ran("node", ROOT / "examples" / "node" / "stroke.mjs", file))
     ours = stroke_of(file)
-    np.testing.assert_allclose(found, ours, atol=1e-4 * np.abs(ours).max())
+    np.testing.assert_allclose(result, ours, atol=1e-4 * np.abs(ours).max())
 
 
 @needs_node
@@ -262,7 +264,7 @@ const foten = await Foten.load(readFileSync("{WASM / "foten.wasm"}"));
 const texture = foten.texture(readFileSync("{named}"));
 console.log(texture.info.texture);
 const renderer = texture.renderer({{ seed: 3 }}), stylus = renderer.stylus();
-renderer.setHand(80, 0.8);
+renderer.setCondition(80, 0.8);
 const before = renderer.render(new Float32Array(20)).join();
 renderer.reset();
 console.log(renderer.render(new Float32Array(20)).join() === before);
@@ -273,8 +275,8 @@ function tried(...uses) {{
 }}
 tried(() => stylus.push(0, 0, 1, 0), () => stylus.stats, () => renderer.renderStylus(stylus, block));
 renderer.free();
-tried(() => renderer.setHand(80, 0.8), () => renderer.render(block), () => renderer.reset());
-tried(() => renderer.delay, () => renderer.hand, () => renderer.stats);
+tried(() => renderer.setCondition(80, 0.8), () => renderer.render(block), () => renderer.reset());
+tried(() => renderer.delay, () => renderer.condition, () => renderer.stats);
 texture.free();
 tried(() => texture.renderer(), () => renderer.stylus());
 """

@@ -1,4 +1,4 @@
-"""The lattice: it is the filter it stands for, nothing makes it grow, and it is found again."""
+"""The lattice: it is the filter it stands for, nothing makes it grow, and its fit recovers it."""
 
 from __future__ import annotations
 
@@ -13,12 +13,22 @@ from foten.dsp.lattice import LEAK, analyse, check_reflections, predict, push
 from foten.dsp.speed_force_table import FORCE_FLOOR, SpeedForceTable
 from foten.train.lattice import (
     N_FOLDS,
+    N_FOLDS_OF_MANY,
     LatticeData,
     _folds,
     fit_lattice,
     fit_lattice_of,
-    validation_error,
+    validation_errors,
 )
+
+
+def validation_error(table: SpeedForceTable, data: LatticeData, first: int) -> float:
+    """Return the mean absolute one-step error over validation blocks, but for the first samples of each."""
+    missed = []
+    for block in data.validation:
+        e, gain, _ = analyse(data.x[block][None], table.at(data.speed[block], data.force[block])[None])
+        missed.append(np.abs(e[0] * gain[0] * data.unit[block])[first:])
+    return float(np.mean(missed))
 
 
 def polynomial(reflections: np.ndarray) -> np.ndarray:
@@ -36,7 +46,7 @@ def synthesized(reflections: np.ndarray, e: np.ndarray, states: np.ndarray | Non
     out = np.empty_like(e)
     for n in range(e.shape[1]):
         k = reflections[:, n].T
-        expected, gain = forecast(states, k)
+        expected, gain = predict(states, k)
         out[:, n] = expected + gain * e[:, n]
         states, _ = push(states, k, out[:, n])
     return out
@@ -47,9 +57,9 @@ def test_constant_reflections_are_an_all_pole_filter() -> None:
     rng = np.random.default_rng(0)
     k = rng.uniform(-0.9, 0.9, 7)
     e = rng.standard_normal((2, 300))
-    found = synthesized(np.broadcast_to(k, (2, 300, 7)), e)
+    result = synthesized(np.broadcast_to(k, (2, 300, 7)), e)
     expected = lfilter([np.sqrt(1 - k**2).prod()], polynomial(k), e)
-    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)  # rounding
+    np.testing.assert_allclose(result, expected, rtol=1e-9, atol=1e-9)  # rounding
 
 
 def test_constant_reflections_have_unit_gain_whatever_they_are() -> None:
@@ -65,9 +75,9 @@ def test_analysis_undoes_synthesis_under_switched_reflections() -> None:
     k = rng.uniform(-0.95, 0.95, (3, 200, 6))
     e = rng.standard_normal((3, 200))
     x = synthesized(k, e)
-    found, gain, states = analyse(x, k)
-    np.testing.assert_allclose(found, e, atol=1e-8)  # rounding through 200 sections of gain up to 3
-    expected, scale = forecast(states, k[:, -1].T)
+    result, gain, states = analyse(x, k)
+    np.testing.assert_allclose(result, e, atol=1e-8)  # rounding through 200 sections of gain up to 3
+    expected, scale = predict(states, k[:, -1].T)
     assert states.shape == (6, 3)
     np.testing.assert_allclose(gain[:, -1], np.sqrt(1 - k[:, -1] ** 2).prod(axis=1))
     np.testing.assert_allclose(scale, gain[:, -1])
@@ -89,8 +99,8 @@ def test_all_sections_at_once_are_one_after_the_other(p: int, largest: float) ->
     f = np.zeros(5)
     for i in reversed(range(p)):
         f = c[i] * f - k[i] * LEAK * states[i]
-    found, gain = forecast(states, k)
-    np.testing.assert_allclose(found, f, rtol=1e-9, atol=1e-12 * small)
+    result, gain = predict(states, k)
+    np.testing.assert_allclose(result, f, rtol=1e-9, atol=1e-12 * small)
     np.testing.assert_allclose(gain, c.prod(axis=0))
     f, after = x, [x]
     for i in range(p):
@@ -112,7 +122,7 @@ def test_a_direct_form_grows_under_switching_and_the_lattice_does_not() -> None:
         window = np.array([direct @ window, window[0]])
         first, second = -direct[0], -direct[1]
         k = np.array([[first / (1 + second)], [second]])
-        x, _ = forecast(states, k)
+        x, _ = predict(states, k)
         states, _ = push(states, k, x)
         peaks.append(float(np.square(states).sum()))
     assert abs(window[0]) > 1e6
@@ -129,7 +139,7 @@ def test_the_states_energy_is_a_lyapunov_function_for_all_reflections() -> None:
     for n in range(2000):
         k = rng.uniform(-0.9999, 0.9999, (p, s))
         e = bound * rng.choice([-1.0, 1.0], s)
-        x, gain = forecast(states, k)
+        x, gain = predict(states, k)
         states, _ = push(states, k, x + gain * e)
         after = np.square(states).sum(axis=0)
         assert (after <= LEAK**2 * energy + e**2 + 1e-6 * energy).all(), n
@@ -140,13 +150,13 @@ def test_a_state_left_alone_is_forgotten_whatever_the_reflections_are() -> None:
     """Nearly undamped, constant or switched at every sample: down by e in 3333 samples, as documented."""
     rng = np.random.default_rng(4)
     states = rng.uniform(-50, 50, (4, 16))
-    begun = np.square(states).sum(axis=0)
+    at_first = np.square(states).sum(axis=0)
     k = rng.choice([-lattice.MAX_REFLECTION, lattice.MAX_REFLECTION], (4, 16))
     for _ in range(3334):
         k[:, 8:] = rng.permutation(k[:, 8:], axis=1)
-        x, _ = forecast(states, k)
+        x, _ = predict(states, k)
         states, _ = push(states, k, x)
-    assert (np.square(states).sum(axis=0) < begun * np.exp(-2) * 1.001).all()  # rounding of push
+    assert (np.square(states).sum(axis=0) < at_first * np.exp(-2) * 1.001).all()  # rounding of push
 
 
 def test_a_schedule_is_bilinear_between_its_vertices_and_constant_outside() -> None:
@@ -184,19 +194,31 @@ def moving_tone(n_blocks: int, seed: int) -> tuple[LatticeData, np.ndarray]:
     return LatticeData(x, np.ones_like(x), *shaped, tuple(blocks[:-6]), tuple(blocks[-6:])), k
 
 
-def test_a_resonance_that_moves_with_speed_is_found() -> None:
+def test_a_resonance_that_moves_with_speed_is_recovered() -> None:
     data, k = moving_tone(30, 0)
     fitted, tried = fit_lattice(data, 40)
-    schedule = fitted.plane
+    schedule = fitted.table
     assert len(schedule.values) > 1
-    found = schedule.at(data.speed.ravel(), data.force.ravel())[:, :2]
+    result = schedule.at(data.speed.ravel(), data.force.ravel())[:, :2]
     # Straight lines between twelve speeds miss the cosine by 0.004; 24 000 samples know a vertex to within 0.02.
-    assert np.abs(found - k).mean() < 0.02
+    assert np.abs(result - k).mean() < 0.02
     truth = float(np.abs(np.sqrt(1 - k**2).prod(axis=1)).mean() * np.sqrt(2 / np.pi))
     # 6000 validation samples: 0.755/√6000 = 1.0 %.
     assert validation_error(schedule, data, 40) == pytest.approx(truth, rel=0.03)
     alone = min(line["mae_scaled"] for line in tried if line["vertices"] == 1)
     assert validation_error(schedule, data, 40) < 0.7 * alone
+
+
+def test_errors_of_all_orders_at_once_are_those_of_each() -> None:
+    """Oracle: the analysis of the whole recording by the first sections alone."""
+    data, _ = moving_tone(12, 2)
+    table = fit_lattice_of(data, 9, 4, 2)
+    orders = [1, 4, 9]
+    expected = []
+    for order in orders:
+        alone = dataclasses.replace(table, values=table.values[:, :order])
+        expected.append(validation_error(alone, data, 9))
+    np.testing.assert_allclose(validation_errors(table, data, orders), expected, rtol=1e-9)  # rounding
 
 
 def test_a_process_that_does_not_move_costs_nothing() -> None:
@@ -207,14 +229,14 @@ def test_a_process_that_does_not_move_costs_nothing() -> None:
     speed, force = rng.uniform(5, 300, x.shape), rng.uniform(0.2, 4, x.shape)
     data = LatticeData(x, np.ones_like(x), speed, force, tuple(range(14)), tuple(range(14, 20)))
     fitted, tried = fit_lattice(data, 120)
-    schedule = fitted.plane
+    schedule = fitted.table
     assert schedule.values.shape[1] <= 20
     best = min(line["mae_scaled"] for line in tried)
     worst = max(line["mae_scaled"] for line in tried)
     assert worst < 1.01 * best
 
 
-def test_vertices_that_the_hand_never_came_near_are_like_the_others() -> None:
+def test_vertices_that_no_stroke_came_near_are_like_the_others() -> None:
     """Fast is always soft, so the corner of fast and firm, the last vertex, is never visited."""
     data, k = moving_tone(10, 1)
     apart = dataclasses.replace(data, force=np.minimum(data.force, 2.0 - data.speed / 100))
@@ -230,7 +252,7 @@ def test_a_growing_signal_gives_a_lattice_that_is_stable() -> None:
     x = np.exp(0.001 * t) * np.sin(0.3 * t) + 1e-3 * np.random.default_rng(4).standard_normal(3000)
     x = x.reshape(6, 500)
     data = LatticeData(x, np.ones_like(x), 0 * x, 0 * x, (0, 1, 2, 3), (4, 5))
-    schedule = fit_lattice(data, 20)[0].plane
+    schedule = fit_lattice(data, 20)[0].table
     assert np.abs(schedule.values).max() <= lattice.MAX_REFLECTION
 
 
@@ -257,7 +279,9 @@ def test_each_known_block_is_in_one_validation_set_and_test_blocks_in_none() -> 
     known = {*range(4, 27), 27, 29}
     assert sorted(block for fold in folds for block in fold.validation) == sorted(known)
     assert all(set(fold.train) == known - set(fold.validation) for fold in folds)
-    assert len(folds) == N_FOLDS
+    assert len(folds) == N_FOLDS_OF_MANY
+    some = dataclasses.replace(data, train=tuple(range(10)), validation=(10, 11))
+    assert len(_folds(some)) == N_FOLDS
     few = dataclasses.replace(data, train=(0, 1), validation=(2,))
     assert [(fold.train, fold.validation) for fold in _folds(few)] == [
         ((1, 2), (0,)),
@@ -278,45 +302,45 @@ def test_two_validation_blocks_that_show_no_difference_do_not_choose() -> None:
     data = LatticeData(x, np.ones(shape), speed, np.ones(shape), tuple(range(12)), (12, 13))
     one, table = (fit_lattice_of(data, 10, n_speed, 1) for n_speed in (1, 3))
     assert validation_error(table, data, 10) > validation_error(one, data, 10)
-    assert len(fit_lattice(data, 10)[0].plane.values) > 1
+    assert len(fit_lattice(data, 10)[0].table.values) > 1
 
 
-@pytest.mark.parametrize("drives", [False, True])
-def test_whether_the_level_drives_is_found(drives: bool) -> None:
-    """A long memory under a level that changes by ten within it, before or behind it."""
+@pytest.mark.parametrize("before", [False, True])
+def test_where_the_gain_lies_is_recovered(before: bool) -> None:
+    """A long memory under a level that changes by ten within it, before the filter or after it."""
     rng = np.random.default_rng(5)
     n_blocks, block = 12, 1000
     speed = 100 + 90 * np.sin(np.arange(n_blocks * block) / 25)
     level = (speed / 100) ** 1.5
     k = np.broadcast_to(np.array([-0.95, 0.98]), (1, speed.size, 2))
     e = rng.standard_normal((1, speed.size))
-    signal = synthesized(k, level * e) if drives else level * synthesized(k, e)
+    signal = synthesized(k, level * e) if before else level * synthesized(k, e)
     shape = (n_blocks, block)
     x, unit, speed = ((a.reshape(shape)) for a in (signal[0] / level, level, speed))
     data = LatticeData(x, unit, speed, np.ones(shape), tuple(range(9)), (9, 10, 11))
     fitted, tried = fit_lattice(data, 10)
-    assert fitted.level_drives == drives
+    assert fitted.gain_before_filter == before
     right, wrong = (
-        min(line["mae_scaled"] for line in tried if line["level_drives"] == kind)
-        for kind in (drives, not drives)
+        min(line["mae_scaled"] for line in tried if line["gain_before_filter"] == kind)
+        for kind in (before, not before)
     )
     # Of unit innovations: E|e| times the gain, times the mean level; 12 000 samples of such a level know it to 1.3 %.
     assert right == pytest.approx(
         np.sqrt(2 / np.pi) * np.sqrt(1 - k[0, 0] ** 2).prod() * level.mean(), rel=0.05
     )
     assert wrong > 1.02 * right
-    found = fitted.plane.at(np.array([100.0]), np.array([1.0]))[0]
-    np.testing.assert_allclose(found[:2], k[0, 0], atol=0.02)
-    assert np.abs(found[2:]).max() < 0.05  # 9000 samples know one to 0.011
+    result = fitted.table.at(np.array([100.0]), np.array([1.0]))[0]
+    np.testing.assert_allclose(result[:2], k[0, 0], atol=0.02)
+    assert np.abs(result[2:]).max() < 0.05  # 9000 samples know one to 0.011
 
 
-def test_a_level_that_changes_within_the_memory_does_not_bias_what_it_drives() -> None:
+def test_a_level_that_changes_within_the_memory_does_not_bias_the_gain_before_the_filter() -> None:
     """Loud and soft in turn, each shorter than the memory: soft samples are mostly the ringing of loud ones."""
     rng = np.random.default_rng(0)
     level = np.broadcast_to(np.where(np.arange(4000) // 40 % 2 == 0, 1.0, 0.02), (8, 4000))
     x = lfilter([1.0], [1.0, -0.98], level * rng.standard_normal(level.shape), axis=1)
-    found = fit_lattice_of(steady(x / level, level).driven(), 1, 1, 1).values
-    assert found[0, 0] == pytest.approx(-0.98, abs=0.006)  # of 16 000 loud samples √((1 − k²)/n) is 0.0016
+    result = fit_lattice_of(steady(x / level, level).with_gain_before_filter(), 1, 1, 1).values
+    assert result[0, 0] == pytest.approx(-0.98, abs=0.006)  # of 16 000 loud samples √((1 − k²)/n) is 0.0016
 
 
 def test_soft_blocks_count_as_much_as_loud_ones() -> None:
@@ -325,9 +349,9 @@ def test_soft_blocks_count_as_much_as_loud_ones() -> None:
     level = np.repeat([1.0, 0.02], 4)[:, None] * np.ones((8, 4000))
     colours = [-0.9] * 4 + [0.9] * 4
     x = np.stack([lfilter([1.0], [1.0, k], rng.standard_normal(4000)) for k in colours])
-    found = fit_lattice_of(steady(x, level).driven(), 1, 1, 1).values
+    result = fit_lattice_of(steady(x, level).with_gain_before_filter(), 1, 1, 1).values
     # The power of each block is known to √(2 (1 + k²)/(1 − k²)/n) = 7 %, that of either colour to half of it.
-    assert found[0, 0] == pytest.approx(0.0, abs=4 * 0.9 * 0.035 / np.sqrt(2))
+    assert result[0, 0] == pytest.approx(0.0, abs=4 * 0.9 * 0.035 / np.sqrt(2))
 
 
 def steady(x: np.ndarray, unit: np.ndarray) -> LatticeData:

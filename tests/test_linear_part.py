@@ -15,7 +15,8 @@ from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.split import Split, split_blocks
 from foten.recording.trace import Trace
 from foten.reference.foten_plus import Tones
-from foten.runtime.native import NativeTexture, predict_blocks
+from foten.runtime.loops import predict_blocks
+from foten.runtime.native import NativeTexture
 from foten.train.blocks import ScaledBlocks, scaled_blocks
 from foten.train.config import TrainConfig
 from foten.train.fit import TrainingWindows

@@ -19,22 +19,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, lfilter
 
-from foten.runtime import devices
-from foten.runtime.actuator import ActuatorProfile
-from foten.runtime.live.devices import DaqSink, NullSink, OscSink, SoundSink, UdpSink, WavSink
-from foten.runtime.live.live import Live, LiveStatistics, Timing
-from foten.runtime.live.play import along, circling, gain_for, rate_for, rendering, sink_of
-from foten.runtime.renderer import Renderer
-from foten.runtime.live.ring import Ring
-from foten.runtime.stroke import Stroke
 from foten.families.texture_file import Texture
+from foten.runtime.actuator import ActuatorProfile
+from foten.runtime.live import sound as sound_module
+from foten.runtime.live.daq import DaqSink
+from foten.runtime.live.live import Live, LiveStatistics, Timing
+from foten.runtime.live.network import OscSink, UdpSink
+from foten.runtime.live.paced import NullSink, WavSink
+from foten.runtime.live.play import along, circling, gain_for, rate_for, rendering, sink_of
+from foten.runtime.live.ring import Ring
+from foten.runtime.live.sound import SoundSink
+from foten.runtime.renderer import Renderer
+from foten.runtime.stroke import Stroke
 
 
 @given(size=st.integers(1, 20), steps=st.lists(st.tuples(st.booleans(), st.integers(0, 25)), max_size=60))
 @settings(max_examples=100, deadline=None)
-def test_a_ring_gives_back_what_went_in_and_silence_for_the_rest(
-    size: int, steps: list[tuple[bool, int]]
-) -> None:
+def test_a_ring_gives_back_what_went_in_and_then_silence(size: int, steps: list[tuple[bool, int]]) -> None:
     """Oracle: a list."""
     ring, waiting, n = Ring(size), [], 0
     for write, k in steps:
@@ -59,7 +60,10 @@ def test_a_ring_between_two_threads_loses_nothing() -> None:
     def write() -> None:
         at = 0
         while at < n:
-            at += ring.write(np.arange(at, min(n, at + 31), dtype=np.float32))
+            taken = ring.write(np.arange(at, min(n, at + 31), dtype=np.float32))
+            at += taken
+            if not taken:
+                time.sleep(0)  # else each of the two waits for the other's turn to end
 
     writer = threading.Thread(target=write)
     writer.start()
@@ -68,6 +72,8 @@ def test_a_ring_between_two_threads_loses_nothing() -> None:
         had = ring.read_into(out)
         got.append(out[:had].copy())
         total += had
+        if not had:
+            time.sleep(0)
     writer.join()
     np.testing.assert_array_equal(np.concatenate(got), np.arange(n, dtype=np.float32))
 
@@ -128,13 +134,13 @@ def test_what_is_played_is_what_is_rendered_in_order(texture: Texture) -> None:
     sink, out = Pulled(), np.empty(7, dtype=np.float32)
     live = Live(renderer.native_state.render, sink, block_ms=4, lead_ms=20)
     live.start()
-    heard = []
+    played = []
     for _ in range(60):
         settled(live, 7)
         sink.read(out)
-        heard.append(out.copy())
+        played.append(out.copy())
     live.stop()
-    np.testing.assert_array_equal(np.concatenate(heard), reference.render(90.0, 1.0, 420))
+    np.testing.assert_array_equal(np.concatenate(played), reference.render(90.0, 1.0, 420))
     assert live.statistics.n_underruns == 0
     assert live.statistics.n_samples >= 420
 
@@ -168,7 +174,7 @@ def test_what_is_lacking_is_silence_and_counted() -> None:
     assert live.statistics.n_samples >= 10
 
 
-def test_what_the_rendering_dies_of_is_told() -> None:
+def test_what_the_rendering_dies_of_is_raised() -> None:
     def render(out: np.ndarray) -> None:
         raise RuntimeError("no more")
 
@@ -179,7 +185,7 @@ def test_what_the_rendering_dies_of_is_told() -> None:
         live.stop()
 
 
-def test_what_the_sink_dies_of_is_told() -> None:
+def test_what_the_sink_dies_of_is_raised() -> None:
     class Dying(NullSink):
         def take(self, block: np.ndarray) -> None:
             raise OSError("unplugged")
@@ -218,7 +224,7 @@ def test_a_program_that_ends_without_stopping_ends_well(texture: Texture, tmp_pa
     path = tmp_path / "t.foten"
     path.write_bytes(texture.to_bytes())
     program = (
-        "import sys, foten\nfrom foten.runtime.live.devices import NullSink\n"
+        "import sys, foten\nfrom foten.runtime.live.paced import NullSink\n"
         "r = foten.Renderer(sys.argv[1], rate=48000)\nr.native_state.set_hand(80, 0.8)\n"
         "live = foten.Live(r.native_state.render, NullSink(48000, ratio=50))\nlive.start()\n"
     )
@@ -359,17 +365,17 @@ class FakeSound:
 @pytest.fixture
 def sound(monkeypatch: pytest.MonkeyPatch) -> FakeSound:
     fake = FakeSound()
-    monkeypatch.setattr(devices, "sound_library", lambda: fake)
+    monkeypatch.setattr(sound_module, "sound_library", lambda: fake)
     return fake
 
 
 def test_a_card_that_fills_its_buffer_at_once_finds_all_of_it(sound: FakeSound) -> None:
     live = Live(lambda out: out.fill(0.5), SoundSink(0.5, rate_hz=48_000.0, channel=1, n_channels=2))
     live.start()
-    heard = [sound.call() for _ in range(4)]  # 20 ms in blocks of 5
+    played = [sound.call() for _ in range(4)]  # 20 ms in blocks of 5
     live.stop()
     assert live.statistics.n_underruns == 0
-    np.testing.assert_array_equal(np.concatenate(heard), np.tile([0.0, 0.25], (960, 1)))
+    np.testing.assert_array_equal(np.concatenate(played), np.tile([0.0, 0.25], (960, 1)))
 
 
 def test_what_is_beyond_full_scale_is_cut_and_counted(sound: FakeSound) -> None:
@@ -381,8 +387,8 @@ def test_what_is_beyond_full_scale_is_cut_and_counted(sound: FakeSound) -> None:
 
 def test_a_device_is_a_name_or_a_number(sound: FakeSound) -> None:
     """PortAudio's numbers are ints: "3" was looked for among the names."""
-    for told, asked in (("3", 3), ("USB 3", "USB 3"), (None, None)):
-        sink_of("sound", 48_000.0, 1.0, None, device=told)
+    for device, asked in (("3", 3), ("USB 3", "USB 3"), (None, None)):
+        sink_of("sound", 48_000.0, 1.0, None, device=device)
         assert sound.asked["device"] == asked
 
 
@@ -487,7 +493,7 @@ def test_a_daq_is_filled_before_it_starts_and_again_as_it_empties() -> None:
         time.sleep(0.001)
     sink.stop()
     sink.stop()  # a second time nothing happens
-    # An output keeps its last voltage: it fades, and is told 0 V once more.
+    # An output keeps its last voltage: it fades, and 0 V is written once more.
     assert [line for line in daq.log if isinstance(line, str)] == ["start", "stop", "close", "close"]
     assert daq.log[-2] == ("volts", 0.0)
     volts = np.concatenate(daq.written)
@@ -570,30 +576,30 @@ def test_a_circle_is_over_the_middle_of_the_trained_range() -> None:
 def test_a_stroke_is_played_over_and_over_without_a_step() -> None:
     """Physics: the hand goes over as fast as the low-pass, SciPy's, lets a step be. Oracle: the stroke laid end to end."""
     speed, force = np.linspace(20.0, 120.0, 500), np.linspace(0.5, 1.5, 500)
-    hand = along(Stroke(speed[None], force, 1000.0), 20.0)
+    condition = along(Stroke(speed[None], force, 1000.0), 20.0)
     once = Stroke(speed[None], force, 1000.0).conditioned(20.0)
-    np.testing.assert_array_equal(hand(np.arange(500)), once)
+    np.testing.assert_array_equal(condition(np.arange(500)), once)
     thrice = Stroke(np.tile(speed, 3)[None], np.tile(force, 3), 1000.0).conditioned(20.0)
-    np.testing.assert_allclose(hand(np.arange(1500)), thrice, rtol=1e-9)
+    np.testing.assert_allclose(condition(np.arange(1500)), thrice, rtol=1e-9)
     fastest = np.diff(lfilter(*butter(2, 20.0, fs=1000.0), np.ones(200))).max()
-    assert (np.abs(np.diff(hand(np.arange(1500)))).max(axis=1) <= fastest * np.array([100.0, 1.0])).all()
+    assert (np.abs(np.diff(condition(np.arange(1500)))).max(axis=1) <= fastest * np.array([100.0, 1.0])).all()
 
 
 @pytest.mark.parametrize("rate", [None, 8000.0, 44_100.0, 300.0])
 def test_what_is_played_is_the_stroke_that_is_rendered(texture: Texture, rate: float | None) -> None:
     """The hand was looked at once in each block, and its steps were felt."""
     speed, force = np.linspace(20.0, 180.0, 400), np.linspace(0.5, 1.5, 400)
-    hand = along(Stroke(speed[None], force, 1000.0), 20.0)
-    render, blocks = rendering(Renderer(texture, rate, seed=3), hand), []
-    whole = Renderer(texture, rate, seed=3).render(*hand(np.arange(400)))
+    condition = along(Stroke(speed[None], force, 1000.0), 20.0)
+    render, blocks = rendering(Renderer(texture, rate, seed=3), condition), []
+    at_once = Renderer(texture, rate, seed=3).render(*condition(np.arange(400)))
     for size in np.random.default_rng(0).integers(0, 40, 400):
         blocks.append(np.empty(size, dtype=np.float32))
         render(blocks[-1])
-        if sum(block.size for block in blocks) > whole.size - 100:
+        if sum(block.size for block in blocks) > at_once.size - 100:
             break
     played = np.concatenate(blocks)
     assert played.size > 15
-    np.testing.assert_array_equal(played, whole[: played.size])
+    np.testing.assert_array_equal(played, at_once[: played.size])
 
 
 def test_rates_gains_and_sinks_by_name(tmp_path: Path) -> None:

@@ -75,8 +75,8 @@ def test_welch_keeps_the_power() -> None:
 @pytest.mark.parametrize("gain", [0.1, 0.5, 1.0, 2.0, 10.0])
 def test_the_spectral_distance_of_a_gain_is_the_gain(gain: float) -> None:
     p = np.abs(noise(4, 60)) + 0.01
-    found = metrics.log_spectral_distance(p, gain**2 * p)
-    np.testing.assert_allclose(found, abs(20 * math.log10(gain)), atol=1e-9)  # rounding
+    distance = metrics.log_spectral_distance(p, gain**2 * p)
+    np.testing.assert_allclose(distance, abs(20 * math.log10(gain)), atol=1e-9)  # rounding
 
 
 def test_the_spectral_distance_is_the_rms_over_bins() -> None:
@@ -146,29 +146,29 @@ def test_a_band_that_is_louder_shows_in_its_band_alone() -> None:
     edges = metrics.band_edges(RATE_HZ)
     p = np.ones(frequencies.size)
     q = np.where((frequencies >= edges[4]) & (frequencies < edges[5]), 4.0, 1.0)
-    found = metrics.band_errors(p, q, frequencies, RATE_HZ)
+    errors = metrics.band_errors(p, q, frequencies, RATE_HZ)
     expected = [0.0] * 9
     expected[4] = 10 * math.log10(4)
-    np.testing.assert_allclose(np.array(found, dtype=float), expected, atol=1e-9)  # rounding
+    np.testing.assert_allclose(np.array(errors, dtype=float), expected, atol=1e-9)  # rounding
     silent = metrics.band_errors(p, 0 * p, frequencies, RATE_HZ)
     np.testing.assert_allclose(np.array(silent, dtype=float), -120.0, atol=1e-9)
 
 
 def test_a_band_without_a_bin_is_unknown() -> None:
     frequencies = np.arange(0.0, 501.0, 50.0)
-    found = metrics.band_errors(np.ones(11), np.ones(11), frequencies, RATE_HZ)
-    assert found[0] is None  # 20 to 28 Hz
-    assert found[-1] == pytest.approx(0.0)
+    errors = metrics.band_errors(np.ones(11), np.ones(11), frequencies, RATE_HZ)
+    assert errors[0] is None  # 20 to 28 Hz
+    assert errors[-1] == pytest.approx(0.0)
     highest = np.where(frequencies == 450, 4.0, 0.0)  # the upper edge belongs to the last band
     assert metrics.band_errors(highest, highest, frequencies, RATE_HZ)[-1] == pytest.approx(0.0)
 
 
-def test_the_modulation_of_a_tone_is_found_at_its_frequency() -> None:
+def test_the_modulation_of_a_tone_is_at_its_frequency() -> None:
     times_s = np.arange(8000) / RATE_HZ
     blocks = (tone(200.0, 8000) * (1 + 0.5 * np.sin(2 * np.pi * 10.0 * times_s)))[None]
-    found = metrics.modulation_spectra(blocks, RATE_HZ)
-    assert found is not None
-    frequencies, density = found
+    spectra = metrics.modulation_spectra(blocks, RATE_HZ)
+    assert spectra is not None
+    frequencies, density = spectra
     (density,) = density
     assert frequencies[density.argmax()] == pytest.approx(10.0, abs=1.0)  # bins of 2 Hz
     assert (frequencies.min(), frequencies.max()) == (2.0, 50.0)
@@ -190,15 +190,17 @@ def test_the_slopes_of_a_power_law_are_recovered(alpha: float, beta: float) -> N
     rng = np.random.default_rng(0)
     speed, force = rng.uniform(10, 200, (20, 40)), rng.uniform(0.2, 3, (20, 40))
     level = 20 * np.log10(speed**alpha * force**beta)
-    found = metrics.level_slopes(level, speed, force)
-    assert found is not None
-    assert found == pytest.approx((20 * alpha, 20 * beta), abs=1e-9)  # dB per decade; least squares: rounding
+    slopes = metrics.level_slopes(level, speed, force)
+    assert slopes is not None
+    assert slopes == pytest.approx(
+        (20 * alpha, 20 * beta), abs=1e-9
+    )  # dB per decade; least squares: rounding
     noisy = metrics.level_slopes(level + rng.standard_normal(level.shape), speed, force)
     # 1 dB over √800 frames and a spread of 0.3 decades: 0.12 dB a decade; four of them.
     assert noisy == pytest.approx((20 * alpha, 20 * beta), abs=0.5)
 
 
-def test_a_slope_over_nothing_is_unknown() -> None:
+def test_a_slope_over_too_small_a_range_is_unknown() -> None:
     rng = np.random.default_rng(0)
     speed, force, level = rng.uniform(10, 200, 100), rng.uniform(0.2, 3, 100), rng.standard_normal(100)
     assert metrics.level_slopes(level, np.full(100, 80.0), force) is None
@@ -207,7 +209,7 @@ def test_a_slope_over_nothing_is_unknown() -> None:
     assert metrics.level_slopes(level[:10], speed[:10], force[:10]) is None
 
 
-def test_frames_at_rest_do_not_bend_the_slope() -> None:
+def test_frames_at_standstill_do_not_change_the_slope() -> None:
     rng = np.random.default_rng(0)
     speed, force = rng.uniform(10, 200, 200), rng.uniform(0.2, 3, 200)
     level = 14 * np.log10(speed) + 7 * np.log10(force)

@@ -1,3 +1,5 @@
+"""The noise that every language draws alike: exact integers, moments, independence; and volatility."""
+
 import math
 from itertools import pairwise
 
@@ -40,10 +42,10 @@ def scalar_gaussian(key: int, stream: int, n: int) -> float:
 def test_known_answers(counter: str, key: str, words: str) -> None:
     """Oracle: the known-answer vectors that the authors of Philox publish."""
     low, high = (int(word, 16) for word in key.split())
-    found = philox(
+    drawn = philox(
         np.array([[int(word, 16) for word in counter.split()]], dtype=np.uint64), low + (high << 32)
     )
-    assert [f"{int(word):08x}" for word in found[0]] == words.split()
+    assert [f"{int(word):08x}" for word in drawn[0]] == words.split()
 
 
 @given(
@@ -61,10 +63,10 @@ def test_every_sample_is_that_of_plain_integers(key: int, stream: int, first: in
 @given(cuts=st.lists(st.integers(0, 400), max_size=6), first=st.sampled_from([0, 17, 2**32 - 200]))
 @settings(max_examples=15, deadline=None)
 def test_any_cut_gives_the_same_numbers(cuts: list[int], first: int) -> None:
-    whole = gaussian(7, 3, first, 400)
+    at_once = gaussian(7, 3, first, 400)
     edges = [0, *sorted(cuts), 400]
     pieces = [gaussian(7, 3, first + a, b - a) for a, b in pairwise(edges)]
-    np.testing.assert_array_equal(np.concatenate(pieces), whole)
+    np.testing.assert_array_equal(np.concatenate(pieces), at_once)
 
 
 def test_moments_are_a_normal_distributions() -> None:
@@ -110,33 +112,33 @@ def test_streams_and_keys_are_independent() -> None:
     assert np.abs(np.diag(correlation)).max() < 4.5 * math.sqrt(2 / n)
 
 
-def test_a_swell_keeps_the_power_raises_the_kurtosis_and_is_forgotten() -> None:
+def test_volatility_keeps_the_power_raises_the_kurtosis_and_is_forgotten() -> None:
     rng = np.random.default_rng(0)
     n, streams, sd = 6000, 200, 0.3
-    loud = np.empty((n, streams))
-    swell = Volatility(math.exp(-1 / 50), sd, np.zeros(streams))
+    factor = np.empty((n, streams))
+    volatility = Volatility(math.exp(-1 / 50), sd, np.zeros(streams))
     noise = rng.standard_normal((n, streams))
     for i in range(n):
-        loud[i] = swell.factor()
-        swell.push(noise[i])
-    played = loud[500:] * noise[500:]
+        factor[i] = volatility.factor()
+        volatility.push(noise[i])
+    excited = factor[500:] * noise[500:]
     # 110 000 independent stretches of 50 samples; |z| is skewed, so the exponential is not quite a lognormal.
-    assert np.square(played).mean() == pytest.approx(1.0, abs=0.03)
-    kurtosis = (played**4).mean() / np.square(played).mean() ** 2
+    assert np.square(excited).mean() == pytest.approx(1.0, abs=0.03)
+    kurtosis = (excited**4).mean() / np.square(excited).mean() ** 2
     assert kurtosis == pytest.approx(3 * math.exp(4 * sd**2), rel=0.1)
-    other = Volatility(swell.kept, sd, np.full(streams, 3 * sd))
-    again = Volatility(swell.kept, sd, np.full(streams, -3 * sd))
+    other = Volatility(volatility.kept, sd, np.full(streams, 3 * sd))
+    again = Volatility(volatility.kept, sd, np.full(streams, -3 * sd))
     for i in range(1000):
         other.push(noise[i])
         again.push(noise[i])
     np.testing.assert_allclose(other.state, again.state, atol=1e-7)
 
 
-def test_a_swell_is_bounded_and_none_without_noise() -> None:
-    swell = Volatility(0.9999, 0.5, np.zeros(1))
+def test_volatility_is_bounded_and_does_not_move_without_noise() -> None:
+    volatility = Volatility(0.9999, 0.5, np.zeros(1))
     for _ in range(20_000):
-        swell.push(np.array([5.6]))
-    assert swell.state == pytest.approx([1.5])
-    before = swell.state.copy()
-    swell.push(None)
-    np.testing.assert_array_equal(swell.state, before)
+        volatility.push(np.array([5.6]))
+    assert volatility.state == pytest.approx([1.5])
+    before = volatility.state.copy()
+    volatility.push(None)
+    np.testing.assert_array_equal(volatility.state, before)

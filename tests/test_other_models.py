@@ -22,8 +22,9 @@ from foten.train import adversarial
 from foten.train.adversarial import fit_adversarial
 from foten.train.blocks import ScaledBlocks, scaled_blocks
 from foten.train.config import TrainConfig
+from foten.train.epochs import Epoch, Progress
 from foten.train.export import multiply_adds
-from foten.train.fit import Epoch, Progress, TrainingWindows, fit
+from foten.train.fit import TrainingWindows, fit
 from foten.train.targets import distilled, log_spectra, multi_step
 
 GRAPHS = [model for model, sizes in FAMILIES.items() if sizes.in_graph]

@@ -20,7 +20,8 @@ from foten.families.texture_file import read_texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Channel, Recording
 from foten.recording.split import split_blocks
-from foten.runtime.native import NativeState, NativeTexture, predict_blocks
+from foten.runtime.loops import predict_blocks
+from foten.runtime.native import NativeState, NativeTexture
 from foten.train.blocks import scaled_blocks
 from foten.train.config import TrainConfig
 from foten.train.job import Trained, TrainingJob

@@ -18,7 +18,7 @@ from foten.recording.recording import Recording
 from foten.runtime.renderer import Renderer
 from foten.train.blocks import ScaledBlocks
 from foten.train.config import TrainConfig
-from foten.train.fit import Epoch
+from foten.train.epochs import Epoch
 from foten.train.job import Trained, TrainingJob
 from foten.train.pipeline import PREPARE, train
 

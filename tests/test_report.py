@@ -23,10 +23,10 @@ from foten.evaluate.report.sound import AUDIO_HZ, sounds
 from foten.evaluate.report.tables import REFERENCES
 from foten.evaluate.report.verdict import cautions, verdict
 from foten.evaluate.report.wording import reason
+from foten.families.texture_file import Texture
 from foten.recording.scaling import fit_scaling
 from foten.recording.trace import Trace
 from foten.recording.windows import targets
-from foten.families.texture_file import Texture
 
 N_BLOCKS, TRAIN, TEST = 8, (0, 1, 2, 5), (3, 4, 6, 7)
 ONE_STEP = ("mae_scaled", "mae_m_s2", "gfc")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from foten.train.fit import Epoch
+from foten.train.epochs import Epoch
 from foten.train.run import RunFolder, TrainingDisplay
 
 

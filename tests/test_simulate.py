@@ -77,7 +77,7 @@ def test_the_tone_of_a_mesh_moves_with_speed(key: str, speed: float) -> None:
 
 
 @pytest.mark.parametrize("key", TEXTURES)
-def test_the_level_rises_with_speed_and_force_and_rest_is_silent(key: str) -> None:
+def test_the_level_rises_with_speed_and_force_and_standstill_is_silent(key: str) -> None:
     parameters = TEXTURES[key]
 
     def at(speed: float, force: float) -> float:
@@ -203,3 +203,27 @@ def test_the_command_writes_what_the_function_returns(
     message = capsys.readouterr().err
     assert message.count("\n") == 1
     assert "linear-twin" in message
+
+
+@pytest.mark.parametrize("key", ["jeans", "linear-hum"])
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda s: s.update(seconds="long"),
+        lambda s: s.update(seconds=1e9),
+        lambda s: s.update(seed=None),
+        lambda s: s.update(version=2),
+        lambda s: s.pop("stroke_seed"),
+        lambda s: s["parameters"].update(level=[None]),
+        lambda s: s["parameters"].update(level=1e300),
+        lambda s: s["parameters"].update({"rest_share": 0.1}),  # of an earlier version
+        lambda s: s["parameters"].update(harmonics=[1.0] * 1000, coefficients=[0.0] * 1000),
+    ],
+)
+def test_parameters_that_cannot_be_are_a_value_error(key: str, spoil) -> None:
+    """A recording's file holds them, and anyone may have written it."""
+    recording = simulate(key, 1)
+    simulation = json.loads(json.dumps(recording.simulation))
+    spoil(simulation)
+    with pytest.raises(ValueError, match=r"."):
+        second_realisation(dataclasses.replace(recording, simulation=simulation), 1)

@@ -27,7 +27,7 @@ def test_a_minute_covers_speed_and_force() -> None:
     assert np.mean(medians) == pytest.approx(100, rel=0.15)
 
 
-def test_reversals_pass_through_rest() -> None:
+def test_reversals_pass_through_standstill() -> None:
     stroke = stroking(64, 0, 1000.0)
     resting = stroke.speed < 2
     stops = np.flatnonzero(resting[1:] & ~resting[:-1])

@@ -10,10 +10,10 @@ from scipy.signal import sosfilt
 
 from foten.datasets.stroking import stroking
 from foten.dsp.filters import butterworth
+from foten.families.texture_file import Texture
 from foten.runtime.native import NativeStylus, NativeTexture
 from foten.runtime.renderer import Renderer
 from foten.runtime.stylus import PressureCalibration, Stylus, fit_pressure
-from foten.families.texture_file import Texture
 
 RATE = 1000.0
 CURVE = PressureCalibration()
@@ -90,6 +90,13 @@ def test_what_is_left_out_of_a_curve_is_the_papers(
     stylus.push(0.0, 0.0, 0.5, 0.0)
     force = [stylus.next()[1] for _ in range(1000)][-1]
     assert force == pytest.approx(meant[0] * np.exp(meant[1] * 0.5), rel=1e-6)
+
+
+def test_the_force_of_a_pressure_is_equation_12() -> None:
+    """Oracle: 0.13 N · exp(3.32 p) by hand; without contact none."""
+    force = PressureCalibration().force(np.array([0.0, 1e-9, 0.25, 0.5, 1.0]))
+    np.testing.assert_allclose(force, [0.0, 0.13, 0.298131, 0.683710, 3.595846], rtol=3e-6)
+    np.testing.assert_allclose(PressureCalibration(0.2, -1.0).force(np.array([0.5])), 0.121306, rtol=1e-5)
 
 
 def test_a_force_may_be_the_same_at_any_pressure(texture: Texture) -> None:

@@ -1,5 +1,8 @@
 """Text tables and Excel sheets: no row lost, no separator asked."""
 
+import zipfile
+
+import numpy as np
 import openpyxl
 import pytest
 
@@ -150,8 +153,43 @@ def test_several_sheets_name_their_columns(tmp_path):
 
 def test_a_truncated_or_foreign_workbook_is_refused(tmp_path):
     _workbook(tmp_path / "a.xlsx", data=[["force"], *([k] for k in range(500))])
-    whole = (tmp_path / "a.xlsx").read_bytes()
-    for name, content in {"cut": whole[:-200], "text": b"force\n1\n2\n", "none": b""}.items():
+    data = (tmp_path / "a.xlsx").read_bytes()
+    for name, content in {"cut": data[:-200], "text": b"force\n1\n2\n", "none": b""}.items():
         (tmp_path / f"{name}.xlsx").write_bytes(content)
         with pytest.raises(ValueError, match=f"{name}.xlsx is (truncated|empty)"):
             read_excel(tmp_path / f"{name}.xlsx")
+
+
+@pytest.mark.parametrize("cell", ["\x1b[31m", "9" * 5000 + "x", "1e400"])
+def test_a_hostile_cell_is_a_fault_or_infinite(tmp_path, cell):
+    (tmp_path / "a.csv").write_text(f"a,b\n1,2\n3,{cell}\n5,6\n")
+    column = read_delimited(tmp_path / "a.csv")[1]
+    assert column.fault or np.isinf(column.samples).any()
+
+
+def test_a_cell_that_no_parser_takes_is_a_sentence(tmp_path):
+    (tmp_path / "a.csv").write_text(f"a,b\n1,2\n3,{'a' * 200_000}\n5,6\n")
+    with pytest.raises(ValueError, match=r"a.csv is not a table \(field larger than field limit"):
+        read_delimited(tmp_path / "a.csv")
+
+
+def test_a_sheet_that_says_it_is_larger_than_memory_is_refused(tmp_path):
+    book = openpyxl.Workbook()
+    book.active.append([1.0, 2.0])
+    book.active["A3"] = 3
+    book.save(tmp_path / "a.xlsx")
+    with zipfile.ZipFile(tmp_path / "a.xlsx") as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    sheet = parts["xl/worksheets/sheet1.xml"]
+    for name, wrong in {
+        "rows.xlsx": sheet.replace(b'r="3"', b'r="99999999999"').replace(b'r="A3"', b'r="A99999999999"'),
+        "digits.xlsx": sheet.replace(b"<v>3</v>", b"<v>" + b"9" * 400 + b"</v>"),
+    }.items():
+        with zipfile.ZipFile(tmp_path / name, "w") as archive:
+            for part, data in (parts | {"xl/worksheets/sheet1.xml": wrong}).items():
+                archive.writestr(part, data)
+    with pytest.raises(
+        ValueError, match=r"rows.xlsx is truncated or is not an .xlsx workbook \(sheet Sheet says"
+    ):
+        read_excel(tmp_path / "rows.xlsx")
+    assert read_excel(tmp_path / "digits.xlsx")[0].fault.endswith("expected a number")

@@ -32,8 +32,8 @@ def test_channels_with_their_rates_and_units(tmp_path):
 
 def test_truncated_and_foreign_files_are_refused(tmp_path):
     _write(tmp_path / "a.tdms")
-    whole = (tmp_path / "a.tdms").read_bytes()
-    contents = {"late": whole[:-100], "early": whole[:60], "text": b"time,force\n0,1\n" * 20, "none": b""}
+    data = (tmp_path / "a.tdms").read_bytes()
+    contents = {"late": data[:-100], "early": data[:60], "text": b"time,force\n0,1\n" * 20, "none": b""}
     for name, content in contents.items():
         (tmp_path / f"{name}.tdms").write_bytes(content)
         with pytest.raises(ValueError, match=f"{name}.tdms (is (truncated|empty)|holds no channel)"):

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from safetensors.numpy import save
 
 from conftest import SCALING, SMALL
-from foten.architecture import FotenPlusArchitecture
+from foten.families import FotenPlusSizes
 from foten.families.texture_file import Texture, read_texture, texture_from_bytes, write_texture
 
 
@@ -34,13 +34,13 @@ def with_tensor(texture: Texture, name: str, tensor: np.ndarray) -> bytes:
 def test_a_round_trip_keeps_everything(texture: Texture, tmp_path: Path) -> None:
     path = tmp_path / "mesh.foten"
     write_texture(texture, path)
-    found = read_texture(path)
-    assert found.card == texture.card
-    assert set(found.tensors) == set(texture.tensors)
+    back = read_texture(path)
+    assert back.card == texture.card
+    assert set(back.tensors) == set(texture.tensors)
     for name, tensor in texture.tensors.items():
-        assert found.tensors[name].dtype == tensor.dtype
-        np.testing.assert_array_equal(found.tensors[name], tensor)
-    assert found.sha256() == texture.sha256()
+        assert back.tensors[name].dtype == tensor.dtype
+        np.testing.assert_array_equal(back.tensors[name], tensor)
+    assert back.sha256() == texture.sha256()
     assert [p.name for p in tmp_path.iterdir()] == ["mesh.foten"]
     assert read_texture(str(path)).sha256() == texture.sha256()
 
@@ -68,7 +68,7 @@ def test_a_header_of_any_length_is_read(texture: Texture) -> None:
 def test_it_says_what_it_holds(texture: Texture, plain_texture: Texture) -> None:
     assert (texture.rate_hz, texture.window) == (1000.0, 20 + 6 + 1)
     sizes = {**SMALL, "n_layers": 1, "order": 6, "n_speed": 3, "n_force": 2}
-    assert texture.architecture == FotenPlusArchitecture(**sizes)
+    assert texture.sizes == FotenPlusSizes(**sizes)
     assert texture.scaling == SCALING
     assert texture.trained_range("speed") == (8.0, 220.0)
     assert texture.trained_range("force") == (0.3, 2.5)
@@ -161,7 +161,8 @@ def test_every_key_of_the_card_is_needed_and_has_its_type(texture: Texture) -> N
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"format_version": 2}, "format version 2, expected 1; update foten"),
+        ({"format_version": 3}, "format version 3, expected 2: update foten"),
+        ({"format_version": 1}, "format version 1, expected 2: train it again"),
         ({"format_version": None}, "format version None"),
         ({"model": "wavenet"}, "unknown model 'wavenet', expected one of foten-plus, foten, ten, ar"),
         ({"window": 21}, "window 21 and the network 27"),
@@ -300,3 +301,41 @@ def test_a_header_whose_length_begins_like_a_pickle_is_read(texture: Texture) ->
         first_bytes.add(data[0])
         assert texture_from_bytes(data).card["notes"] == "x" * n
     assert 0x80 in first_bytes
+
+
+DEEP = "[" * 100_000
+
+
+@pytest.mark.parametrize(
+    "card", [DEEP, DEEP + "]" * 100_000, '{"a":' * 200 + "1" + "}" * 200, "9" * 5000, "[null]"]
+)
+def test_json_that_cannot_be_read_is_a_value_error(texture: Texture, card: str) -> None:
+    with pytest.raises(ValueError, match="the card is not"):
+        texture_from_bytes(raw(card, dict(texture.tensors)))
+    data = struct.pack("<Q", len(card)) + card.encode()
+    with pytest.raises(ValueError, match="this is not a texture file"):
+        texture_from_bytes(data)
+
+
+@pytest.mark.parametrize(
+    "value", [[None], 2**70, 10**400, -(10**400), 1e300, None, {"a": [None]}, "\ud800", [DEEP]]
+)
+def test_no_value_anywhere_in_a_card_is_more_than_a_value_error(texture: Texture, value: Any) -> None:
+    """Each key of the card and of what it holds, in turn: refused, or such that the file can be written and proved again."""
+    for key, inside in texture.card.items():
+        cards = [{**texture.card, key: value}]
+        if isinstance(inside, dict):
+            cards += [{**texture.card, key: {**inside, name: value}} for name in inside]
+        for card in cards:
+            with contextlib.suppress(ValueError):
+                texture_from_bytes(raw(card, dict(texture.tensors))).sha256()
+
+
+def test_numbers_that_only_overflow_are_refused(texture: Texture) -> None:
+    tensor = texture.tensors["warm_start"].copy()
+    tensor.flat[0] = 3e38
+    with pytest.raises(ValueError, match=r"'warm_start' holds 3e\+38, expected 1e\+09 at most"):
+        texture_from_bytes(with_tensor(texture, "warm_start", tensor))
+    for fields in ({"lowpass_hz": 5e-324}, {"lowpass_hz": 500.0}):
+        with pytest.raises(ValueError, match=r"from 0.001 Hz to half of that"):
+            texture_from_bytes(raw({**texture.card, **fields}, dict(texture.tensors)))

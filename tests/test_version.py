@@ -8,7 +8,7 @@ import tomllib
 from pathlib import Path
 
 import foten
-from foten.runtime.native import _ABI, library
+from foten.runtime.binding import ABI, library
 
 ROOT = Path(__file__).parents[1]
 
@@ -35,8 +35,8 @@ def test_the_binary_interface_is_the_same_everywhere() -> None:
     assert {
         found("native/include/foten.h", r"^#define FOTEN_ABI (\d+)"),
         str(library().foten_abi()),
-        str(_ABI),
+        str(ABI),
         found("CMakeLists.txt", r"SOVERSION (\d+)"),
         found("native/wasm/foten.mjs", r"^const ABI = (\d+)"),
         found("examples/unity/Runtime/Foten.cs", r"const int Abi = (\d+)"),
-    } == {str(_ABI)}
+    } == {str(ABI)}

@@ -40,8 +40,8 @@ def test_floats_stay_and_tracks_are_numbered(tmp_path):
 
 def test_truncated_and_foreign_files_are_refused(tmp_path):
     wavfile.write(tmp_path / "a.wav", 8000, np.zeros(1000, dtype=np.int16))
-    whole = (tmp_path / "a.wav").read_bytes()
-    for name, content in {"cut": whole[:-500], "text": b"force\n1\n2\n" * 9, "none": b""}.items():
+    data = (tmp_path / "a.wav").read_bytes()
+    for name, content in {"cut": data[:-500], "text": b"force\n1\n2\n" * 9, "none": b""}.items():
         (tmp_path / f"{name}.wav").write_bytes(content)
         with pytest.raises(ValueError, match=f"{name}.wav is (truncated|empty)"):
             read_wav(tmp_path / f"{name}.wav")

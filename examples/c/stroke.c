@@ -1,4 +1,4 @@
-/* A texture under a hand that speeds up, as CSV on stdout.
+/* A texture under a stroke that speeds up, as CSV on stdout.
  *
  *     cc stroke.c -I ../../native/include -L ../../build -Wl,-rpath,../../build -lfoten -lm -o stroke
  *     ./stroke denim.foten > stroke.csv
@@ -8,7 +8,7 @@
 
 #include "foten.h"
 
-static void *whole(const char *name, size_t *n) {
+static void *read_file(const char *name, size_t *n) {
     FILE *file = fopen(name, "rb");
     if (!file) return NULL;
     fseek(file, 0, SEEK_END);
@@ -26,7 +26,7 @@ int main(int n_arguments, char **arguments) {
         return 2;
     }
     size_t n_bytes;
-    void *bytes = whole(arguments[1], &n_bytes);
+    void *bytes = read_file(arguments[1], &n_bytes);
     if (!bytes) {
         fprintf(stderr, "%s: cannot be read\n", arguments[1]);
         return 2;

@@ -1,4 +1,4 @@
-// A texture on a force-feedback device, the way a CHAI3D program has it: the haptic thread tells where the tool is, once a
+// A texture on a force-feedback device, the way a CHAI3D program has it: the haptic thread gives the tool's speed and force, once a
 // millisecond, and adds the vibration along the normal to the force that it sends.
 //
 //     g++ -std=c++17 haptic_callback.cpp -I ../../native/include -L ../../build -Wl,-rpath,../../build -lfoten -lm -pthread -o haptic_callback
@@ -30,7 +30,7 @@ struct Tool {
 
 class TextureOnTool {
 public:
-    TextureOnTool(const std::string &path, double kilogramsFelt, double mostNewtons) : mass_(kilogramsFelt), most_(mostNewtons) {
+    TextureOnTool(const std::string &path, double movedKilograms, double mostNewtons) : mass_(movedKilograms), most_(mostNewtons) {
         std::ifstream file(path, std::ios::binary);
         if (!file) throw std::runtime_error(path + ": cannot be read");
         std::vector<char> bytes((std::istreambuf_iterator<char>(file)), {});
@@ -40,7 +40,7 @@ public:
         model_.reset(model);
         rate_ = foten_model_info(model).rate_hz;
         foten_options options{};
-        options.smooth = 1; // what an encoder tells of speed is not smooth
+        options.smooth = 1; // an encoder's speed is not smooth
         state_.reset(foten_state_new(model, &options));
         if (!state_) throw std::runtime_error("the texture cannot be rendered at that rate");
     }
@@ -53,7 +53,7 @@ public:
         const double tangential = std::sqrt(std::fmax(0.0, x * x + y * y + z * z - along * along));
         foten_set_condition(state_.get(), static_cast<float>(1000 * tangential), static_cast<float>(tool.contactForce));
         for (due_ = std::fmin(due_ + seconds * rate_, 100.0); due_ >= 1; due_--) foten_render(state_.get(), &acceleration_, 1);
-        const double newtons = std::fmax(-most_, std::fmin(most_, mass_ * acceleration_)); // before it reaches a hand
+        const double newtons = std::fmax(-most_, std::fmin(most_, mass_ * acceleration_)); // before it reaches the device
         Vector out;
         for (int i = 0; i < 3; i++) out[i] = newtons * tool.normal[i];
         return out;
@@ -64,7 +64,7 @@ private:
     struct FreeState { void operator()(foten_state *state) const { foten_state_free(state); } };
     std::unique_ptr<foten_model, FreeModel> model_; // outlives the state
     std::unique_ptr<foten_state, FreeState> state_;
-    double mass_; // what the hand moves with the tool: newtons for m/s2
+    double mass_; // that moves with the tool: newtons for m/s2
     double most_; // N
     double rate_ = 0, due_ = 0;
     float acceleration_ = 0;

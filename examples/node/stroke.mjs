@@ -1,4 +1,4 @@
-// A texture under a hand that speeds up, as CSV on stdout: node stroke.mjs denim.foten > stroke.csv
+// A texture under a stroke that speeds up, as CSV on stdout: node stroke.mjs denim.foten > stroke.csv
 import { readFileSync } from "node:fs";
 import { Foten } from "../../native/wasm/foten.mjs";
 
@@ -17,7 +17,7 @@ try {
   const lines = ["t,speed_mm_s,acceleration_m_s2"];
   for (let b = 0; b < 100; b++) {
     const speed = info.trainedSpeed[0] + ((info.trainedSpeed[1] - info.trainedSpeed[0]) * b) / 100;
-    renderer.setHand(speed, 0.8);
+    renderer.setCondition(speed, 0.8);
     renderer.render(block).forEach((x, i) => lines.push(`${(b * 20 + i) / info.rate},${Math.fround(speed)},${x}`));
   }
   console.log(lines.join("\n"));

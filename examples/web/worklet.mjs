@@ -1,4 +1,4 @@
-// Renders on the audio thread, 128 samples a call; what is shown is told every 32nd.
+// Renders on the audio thread, 128 samples a call; what is shown is sent every 32nd.
 import { Foten } from "./foten.mjs";
 
 class FotenProcessor extends AudioWorkletProcessor {
@@ -28,7 +28,7 @@ class FotenProcessor extends AudioWorkletProcessor {
     if (!this.renderer) return false;
     this.renderer.renderStylus(this.stylus, out);
     for (let i = 0; i < out.length; i++) out[i] = Math.max(-1, Math.min(1, this.gain * out[i]));
-    if (++this.calls % 32 === 0) this.port.postMessage({ hand: this.renderer.hand });
+    if (++this.calls % 32 === 0) this.port.postMessage({ condition: this.renderer.condition });
     return true;
   }
 }

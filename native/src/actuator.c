@@ -2,12 +2,14 @@
 
 #include <math.h>
 
-static const double PI = 3.14159265358979323846, LOWEST_HZ = 20, KNEE = 0.8, LOWEST_RATE_HZ = 4000, TIMES_RESONANCE = 16, DAMPED = 0.70710678118654752;
+#include "constants.h"
+
+static const double PI = 3.14159265358979323846, KNEE = 0.8, LOWEST_RATE_HZ = 4000, TIMES_RESONANCE = 16, DAMPED = 0.70710678118654752;
 
 /* The largest float below a number, as drives leave: tanh comes to 1, and rounding goes up as well. */
 static float below(double limit) {
-    float found = (float)limit;
-    return found < limit ? found : nextafterf(found, 0);
+    float nearest = (float)limit;
+    return nearest < limit ? nearest : nextafterf(nearest, 0);
 }
 
 int actuator_make(actuator *into, const foten_actuator *of, double rate_hz) {
@@ -15,9 +17,9 @@ int actuator_make(actuator *into, const foten_actuator *of, double rate_hz) {
         *into = (actuator){0};
         return 1;
     }
-    double lowest = of->lowest_hz > 0 ? of->lowest_hz : LOWEST_HZ;
+    double lowest = of->lowest_hz > 0 ? of->lowest_hz : FOTEN_ACTUATOR_LOWEST_HZ;
     if (!isfinite(of->gain) || of->gain == 0 || !(of->limit >= 0) || !(of->resonance_hz >= 0) || !(of->damping >= 0)) return 0;
-    /* What was heard goes on where only the figures change. */
+    /* The filter's memory stays where only the figures change. */
     actuator made = {.on = 1, .limit = of->limit, .most = below(of->limit), .first = into->first, .second = into->second}, *a = &made;
     if (of->resonance_hz == 0) {
         a->b0 = 1 / of->gain;

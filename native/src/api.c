@@ -1,41 +1,38 @@
 #include <math.h>
 #include <stdatomic.h>
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "actuator.h"
+#include "constants.h"
 #include "filter.h"
 #include "foten.h"
 #include "isa.h"
 #include "loop.h"
-#include "noise.h"
 #include "resample.h"
 #include "stylus.h"
 
-enum { GOLDEN_STEPS = 64, LEAST_GOLDEN = 8, MOST_GOLDEN = 4096, QUIET_EVERY = 4096 };
-static const double ONE_STEP_TOLERANCE = 1e-5, CLOSED_LOOP_TOLERANCE = 1e-4; /* scaled */
-static const double FADE[2] = {5, 0.1};                                     /* mm/s and N below which a texture fades */
-static const double FURTHEST = 2;                                           /* times the trained range's end, that the level grows to */
+enum { QUIET_EVERY = 4096 }; /* samples */
+static const double FADE[2] = {FOTEN_FADE_SPEED, FOTEN_FADE_FORCE}; /* mm/s and N below which a texture fades */
 
-_Static_assert(ATOMIC_LLONG_LOCK_FREE == 2, "a hand is set without waiting: 64 bits have to be written at once");
+_Static_assert(ATOMIC_LLONG_LOCK_FREE == 2, "a condition is set without waiting: 64 bits have to be written at once");
 
-/* Counted by the rendering thread, and by whoever sets a hand; read from anywhere. */
+/* Counted by the rendering thread, and by whoever sets a condition; read from anywhere. */
 enum { N, SPEED_BEYOND, FORCE_BEYOND, SPEED_CLAMPED, FORCE_CLAMPED, BELOW, SATURATED, REFUSED, LIMITED, LOST, COUNTS };
 
 struct foten_state {
     const foten_model *model;
     uint64_t seed, stream;
-    int deterministic, smooth, fresh;
+    int deterministic, smooth, fresh; /* fresh: the next sample begins the stream */
     loop *loop;
     resampler *resampler; /* NULL at the texture's own rate */
     actuator actuator;
     section filter;
     memory smoothed[2];
-    double *windows;       /* room for those of foten_start */
-    _Atomic uint64_t hand; /* two floats: speed and force */
+    double *windows;            /* room for those of foten_start */
+    _Atomic uint64_t condition; /* two floats: speed and force */
     _Atomic uint64_t counts[COUNTS];
-    double last[2]; /* the hand of the last sample */
+    double last[2]; /* speed and force of the last sample */
 };
 
 static uint64_t counted(const foten_state *s, int what) {
@@ -51,89 +48,6 @@ const char *foten_version(void) { return FOTEN_VERSION; }
 int foten_abi(void) { return FOTEN_ABI; }
 const char *foten_isa(void) { return isa_here()->name; }
 
-/* Of n golden windows or steps, how many are replayed: all, but to a fuzzer, whose time is short, two are as good as many. */
-static size_t replayed(size_t n) {
-#ifdef FOTEN_FUZZING
-    return n < 2 ? n : 2;
-#else
-    return n;
-#endif
-}
-
-static int random_part(const foten_model *m) { return m->excited || m->of_noise; }
-
-/* What is proven, of what was trained, at most how far from it; 0 and a reason where it is not. */
-static int proven(texture_file *file, const char *what, const double *found, const double *expected, size_t n, double tolerance) {
-    double worst = 0;
-    for (size_t i = 0; i < n; i++) {
-        double size = fabs(expected[i]) > 1 ? fabs(expected[i]) : 1, error = fabs(found[i] - expected[i]) / size;
-        if (error > worst || isnan(error)) worst = error; /* which nothing is larger than */
-    }
-#ifdef FOTEN_FUZZING
-    tolerance = INFINITY; /* what a hostile file makes of the loop is to be reached */
-    worst = 0;
-#endif
-    if (worst <= tolerance) return 1;
-    file_refuse(file, FOTEN_NO_PROOF, "the texture file fails its own proof: %s differs by %.2g scaled from what was trained, expected at most %g; is the file damaged?",
-                what, worst, tolerance);
-    return 0;
-}
-
-/* Read what proves the model, prove it, and keep the loop that renderings begin with. */
-static foten_status prove(foten_model *m, texture_file *file) {
-    arena memory = {0};
-    size_t shape[4], length = (size_t)m->history;
-    foten_status status = FOTEN_BAD_FILE;
-    if (file_shape(file, "golden.one_step", shape) != 1 || shape[0] < LEAST_GOLDEN || shape[0] > MOST_GOLDEN) {
-        file_refuse(file, FOTEN_BAD_FILE, "the file holds no golden windows, or not from %d to %d of them, which prove it", LEAST_GOLDEN, MOST_GOLDEN);
-        return FOTEN_BAD_FILE;
-    }
-    size_t n = shape[0];
-    const double *windows = file_take(file, "golden.windows", (size_t[]){n, length, 3, 0}, &memory);
-    const double *one_step = windows ? file_take(file, "golden.one_step", (size_t[]){n, 0, 0, 0}, &memory) : NULL;
-    const double *conditions = one_step ? file_take(file, "golden.condition", (size_t[]){GOLDEN_STEPS, 2, 0, 0}, &memory) : NULL;
-    const double *closed = conditions ? file_take(file, "golden.closed_loop", (size_t[]){GOLDEN_STEPS, 0, 0, 0}, &memory) : NULL;
-    const double *warm = closed ? file_take(file, "warm_start", (size_t[]){length, 3, 0, 0}, &memory) : NULL;
-    const double *sigma = warm && m->excited ? file_take(file, "golden.sigma", (size_t[]){n, 0, 0, 0}, &memory) : NULL;
-    if (memory.failed) status = FOTEN_NO_MEMORY;
-    if (!warm || (m->excited && !sigma) || !file_all_taken(file, m->name)) goto done;
-
-    block size = {0};
-    loop_place(m, &size);
-    block kept = {arena_take(&m->memory, size.used, 1), 0}, tried = {arena_take(&memory, size.used, 1), 0};
-    double *found = arena_take(&memory, n > GOLDEN_STEPS ? n : GOLDEN_STEPS, sizeof *found);
-    if (!kept.base || !tried.base || !found) {
-        status = file_refuse(file, FOTEN_NO_MEMORY, "no memory");
-        goto done;
-    }
-    m->begin = loop_place(m, &kept);
-    loop *l = loop_place(m, &tried);
-    double scale;
-    for (size_t i = 0; i < replayed(n); i++) {
-        loop_start(m, l, windows + i * length * 3, m->history, 1);
-        found[i] = loop_forecast(m, l, &scale, 1);
-    }
-    status = FOTEN_NO_PROOF;
-    if (!proven(file, "one step", found, one_step, n, ONE_STEP_TOLERANCE)) goto done;
-    for (size_t i = 0; m->excited && i < replayed(n); i++) {
-        loop_start(m, l, windows + i * length * 3, m->history, 0);
-        loop_forecast(m, l, &found[i], 0);
-    }
-    if (m->excited && !proven(file, "the excitation", found, sigma, n, ONE_STEP_TOLERANCE)) goto done;
-    loop_start(m, m->begin, warm, m->history, 0);
-    loop_copy(m, l, m->begin);
-    for (size_t i = 0; i < replayed(GOLDEN_STEPS); i++) {
-        int cut;
-        hand hand = hand_of(m, conditions + 2 * i);
-        double noise = noise_at(0, 0, i);
-        found[i] = loop_step(m, l, &hand, random_part(m) ? &noise : NULL, INFINITY, &cut);
-    }
-    if (proven(file, "64 closed-loop steps", found, closed, GOLDEN_STEPS, CLOSED_LOOP_TOLERANCE)) status = FOTEN_OK;
-done:
-    arena_free(&memory);
-    return status;
-}
-
 foten_status foten_model_load(const void *bytes, size_t n_bytes, foten_model **model, char *why, size_t why_size) {
     return foten_model_load_with(bytes, n_bytes, NULL, NULL, model, why, why_size);
 }
@@ -147,11 +61,11 @@ foten_status foten_model_load_with(const void *bytes, size_t n_bytes, foten_pred
     foten_model *m = status == FOTEN_OK ? calloc(1, sizeof *m) : NULL;
     if (status == FOTEN_OK && !m) status = file_refuse(&file, FOTEN_NO_MEMORY, "no memory");
     if (m) {
-        m->predictor = predictor;
-        m->predictor_user = user;
+        m->predictor.function = predictor;
+        m->predictor.user = user;
     }
     if (m) status = model_read(m, &file, isa_here());
-    if (m && status == FOTEN_OK) status = prove(m, &file);
+    if (m && status == FOTEN_OK) status = model_prove(m, &file);
     file_close(&file);
     if (status == FOTEN_OK) *model = m;
     else foten_model_free(m);
@@ -167,9 +81,9 @@ void foten_model_free(foten_model *model) {
 /* A state's parts in a block, at a rate; nothing yet where that only measures. */
 static foten_state *state_place(const foten_model *model, double rate, block *from) {
     foten_state *s = block_take(from, 1, sizeof *s);
-    loop *loop = loop_place(model, from);
     double *windows = block_take(from, (size_t)model->history * 3, sizeof *windows);
     resampler *resampler = rate == model->rate_hz ? NULL : resampler_place(from, model->rate_hz, rate);
+    loop *loop = loop_place(model, from); /* last, so that a sanitizer notices what lies beyond its scratch memory */
     if (!from->base) return NULL;
     s->loop = loop;
     s->windows = windows;
@@ -184,8 +98,8 @@ static size_t state_bytes(const foten_model *model, double rate) {
 }
 
 foten_info foten_model_info(const foten_model *m) {
-    foten_info info = {m->name, m->texture, m->rate_hz, m->history, random_part(m), {m->low[0], m->high[0]}, {m->low[1], m->high[1]}, m->sd[0],
-                       m->lowpass_hz, state_bytes(m, m->rate_hz), m->hop};
+    foten_info info = {m->name, m->texture, m->rate_hz, m->history, model_is_random(m), {m->low[0], m->high[0]}, {m->low[1], m->high[1]}, m->sd[0],
+                       m->lowpass_hz, state_bytes(m, m->rate_hz), m->predictor.hop};
     return info;
 }
 
@@ -259,9 +173,9 @@ foten_status foten_start(foten_state *s, const float *acceleration, const float 
         }
     }
     if (finite) {
-        loop_start(m, s->loop, windows, m->history, 0);
-        for (int t = 0; m->of_noise && t < m->history; t++) s->loop->seen[t * m->n_inputs] = 0;
-        if (!s->deterministic) loop_listen(m, s->loop, s->seed, s->stream);
+        noise_source initial = {s->seed, s->stream, FOTEN_FIRST_INITIAL};
+        m->kind->start(m, s->loop, windows, m->history, 0);
+        if (m->of_noise) loop_take_noise(m, s->loop, s->deterministic ? NULL : &initial);
         s->fresh = 0;
     }
     return finite ? FOTEN_OK : FOTEN_BAD_ARGUMENT;
@@ -270,16 +184,16 @@ foten_status foten_start(foten_state *s, const float *acceleration, const float 
 foten_status foten_start_scaled(foten_state *s, const double *windows) {
     for (int i = 0; i < 3 * s->model->history; i++)
         if (!isfinite(windows[i])) return FOTEN_BAD_ARGUMENT;
-    loop_start(s->model, s->loop, windows, s->model->history, 0);
+    s->model->kind->start(s->model, s->loop, windows, s->model->history, 0);
     s->fresh = 0;
     return FOTEN_OK;
 }
 
-void foten_run_scaled(foten_state *s, const double *condition, const double *noise, double limit, size_t n, double *out) {
+void foten_run_scaled(foten_state *s, const double *conditions, const double *noise, double limit, size_t n, double *out) {
     for (size_t i = 0; i < n; i++) {
         int cut;
-        hand hand = {{condition[3 * i], condition[3 * i + 1]}, condition[3 * i + 2]};
-        out[i] = loop_step(s->model, s->loop, &hand, noise ? noise + i : NULL, limit, &cut);
+        condition c = {{conditions[3 * i], conditions[3 * i + 1]}, conditions[3 * i + 2]};
+        out[i] = s->model->kind->step(s->model, s->loop, &c, noise ? noise + i : NULL, limit, &cut);
     }
 }
 
@@ -289,18 +203,18 @@ foten_status foten_predict(foten_state *s, const double *samples, size_t n, fote
     if (m->of_noise || n < window) return FOTEN_BAD_ARGUMENT;
     for (size_t i = 0; i < 3 * n; i++)
         if (!isfinite(samples[i])) return FOTEN_BAD_ARGUMENT;
-    loop_start(m, s->loop, samples, m->history, 1);
+    m->kind->start(m, s->loop, samples, m->history, 1);
     for (size_t t = window; t < n; t++) {
-        loop_predict(m, s->loop, part, &out[t - window]);
-        loop_push(m, s->loop, samples + 3 * t);
+        m->kind->predict(m, s->loop, part, &out[t - window]);
+        m->kind->push(m, s->loop, samples + 3 * t);
     }
     foten_reset(s, s->seed);
     return FOTEN_OK;
 }
 
-/* A hand as it is heeded: what is negative is 0, since a tool that leaves a surface may measure less than nothing, and counts as
- * refused; 0 where one is no number, and the hand stays where it was. */
-static int heeded(foten_state *s, float *speed, float *force) {
+/* Check a condition: what is negative becomes 0, since a tool that leaves a surface may measure less than nothing, and counts as refused.
+ * Returns 0 where one is no number, and the condition stays as it was. */
+static int accepted(foten_state *s, float *speed, float *force) {
     int numbers = *speed - *speed == 0 && *force - *force == 0;
     if (!numbers || *speed < 0 || *force < 0) atomic_fetch_add_explicit(&s->counts[REFUSED], 1, memory_order_relaxed);
     if (*speed < 0) *speed = 0;
@@ -309,15 +223,15 @@ static int heeded(foten_state *s, float *speed, float *force) {
 }
 
 void foten_set_condition(foten_state *s, float speed, float force) {
-    if (!heeded(s, &speed, &force)) return;
+    if (!accepted(s, &speed, &force)) return;
     uint32_t halves[2];
     memcpy(&halves[0], &speed, 4);
     memcpy(&halves[1], &force, 4);
-    atomic_store_explicit(&s->hand, (uint64_t)halves[1] << 32 | halves[0], memory_order_release);
+    atomic_store_explicit(&s->condition, (uint64_t)halves[1] << 32 | halves[0], memory_order_release);
 }
 
-static void hand_set(const foten_state *s, double out[2]) {
-    uint64_t both = atomic_load_explicit(&s->hand, memory_order_acquire);
+static void condition_set(const foten_state *s, double out[2]) {
+    uint64_t both = atomic_load_explicit(&s->condition, memory_order_acquire);
     uint32_t halves[2] = {(uint32_t)both, (uint32_t)(both >> 32)};
     float speed, force;
     memcpy(&speed, &halves[0], 4);
@@ -327,33 +241,34 @@ static void hand_set(const foten_state *s, double out[2]) {
 }
 
 /* A sample of the texture's own rate, m/s2, under a speed and a force. */
-static double sample_of(foten_state *s, const double condition[2]) {
+static double sample_of(foten_state *s, const double speed_force[2]) {
     const foten_model *m = s->model;
     uint64_t n = counted(s, N);
-    hand hand;
-    double factor = 1, heeded[2];
+    condition c;
+    double factor = 1, kept[2];
     int below = 0, beyond[2], furthest[2], cut;
     for (int i = 0; i < 2; i++) {
-        double x = condition[i], clamped = x < m->low[i] ? m->low[i] : x > m->high[i] ? m->high[i] : x;
+        double x = speed_force[i], clamped = x < m->low[i] ? m->low[i] : x > m->high[i] ? m->high[i] : x;
         double fade = m->low[i] > FADE[i] ? m->low[i] : FADE[i];
         below |= x < m->low[i];
         beyond[i] = x > m->high[i];
-        furthest[i] = x > FURTHEST * m->high[i];
-        heeded[i] = x < FURTHEST * m->high[i] ? x : FURTHEST * m->high[i];
-        hand.condition[i] = (clamped - m->mean[1 + i]) / m->sd[1 + i];
+        furthest[i] = x > FOTEN_FURTHEST * m->high[i];
+        kept[i] = x < FOTEN_FURTHEST * m->high[i] ? x : FOTEN_FURTHEST * m->high[i];
+        c.scaled[i] = (clamped - m->mean[1 + i]) / m->sd[1 + i];
         if (x < fade) factor *= x / fade;
-        if (heeded[i] > m->high[i]) factor *= pow(heeded[i] / m->high[i], m->exponents[i]);
+        if (kept[i] > m->high[i]) factor *= pow(kept[i] / m->high[i], m->exponents[i]);
     }
-    hand.path = heeded[0];
+    c.path_speed = kept[0];
     if (s->fresh) {
-        if (!s->deterministic) loop_begin(m, s->loop, &hand, s->seed, s->stream);
+        noise_source initial = {s->seed, s->stream, FOTEN_FIRST_INITIAL};
+        if (!s->deterministic) m->kind->begin(m, s->loop, &c, initial);
         s->fresh = 0;
     }
-    int by_chance = !s->deterministic && random_part(m);
-    double noise = by_chance ? noise_at(s->seed, s->stream, n) : 0;
-    double vibration = loop_step(m, s->loop, &hand, by_chance ? &noise : NULL, m->saturation, &cut);
-    s->last[0] = condition[0];
-    s->last[1] = condition[1];
+    int random = !s->deterministic && model_is_random(m);
+    double noise = random ? noise_at(s->seed, s->stream, n) : 0;
+    double vibration = m->kind->step(m, s->loop, &c, random ? &noise : NULL, m->saturation, &cut);
+    s->last[0] = speed_force[0];
+    s->last[1] = speed_force[1];
     count(s, N, 1);
     count(s, BELOW, below);
     count(s, SPEED_BEYOND, beyond[0]);
@@ -361,23 +276,23 @@ static double sample_of(foten_state *s, const double condition[2]) {
     count(s, SPEED_CLAMPED, furthest[0]);
     count(s, FORCE_CLAMPED, furthest[1]);
     count(s, SATURATED, cut);
-    if ((n + 1) % QUIET_EVERY == 0) loop_quiet(m, s->loop);
+    if ((n + 1) % QUIET_EVERY == 0) m->kind->quiet(m, s->loop);
     return (vibration * m->sd[0] + m->mean[0]) * factor;
 }
 
-/* The next sample under the hand that is set or, where there is one, that of a stylus. */
+/* The next sample under the condition that is set or, where there is one, that of a stylus. */
 static double sample_under(foten_state *s, foten_stylus *stylus) {
-    double condition[2];
+    double speed_force[2];
     if (stylus) {
-        stylus_next(stylus, condition);
-        return sample_of(s, condition);
+        stylus_next(stylus, speed_force);
+        return sample_of(s, speed_force);
     }
-    hand_set(s, condition);
+    condition_set(s, speed_force);
     for (int i = 0; s->smooth && i < 2; i++) {
-        double smoothed = filtered(&s->filter, &s->smoothed[i], condition[i]);
-        condition[i] = smoothed > 0 ? smoothed : 0; /* a second-order low-pass undershoots by 4 % */
+        double smoothed = filtered(&s->filter, &s->smoothed[i], speed_force[i]);
+        speed_force[i] = smoothed > 0 ? smoothed : 0; /* a second-order low-pass undershoots by 4 % */
     }
-    return sample_of(s, condition);
+    return sample_of(s, speed_force);
 }
 
 static void render(foten_state *s, foten_stylus *stylus, float *out, size_t n) {
@@ -398,10 +313,10 @@ void foten_render_stylus(foten_state *s, foten_stylus *stylus, float *out, size_
 size_t foten_render_stroke(foten_state *s, const float *speed, const float *force, size_t n, float *out) {
     double held[2];
     size_t rendered = 0;
-    hand_set(s, held);
+    condition_set(s, held);
     for (size_t i = 0; i < n; i++) {
         float now[2] = {speed[i], force[i]};
-        if (heeded(s, &now[0], &now[1])) {
+        if (accepted(s, &now[0], &now[1])) {
             held[0] = now[0];
             held[1] = now[1];
         }

@@ -81,7 +81,7 @@ void file_close(texture_file *file) {
 typedef struct { const unsigned char *data; size_t n; int wide; } place;
 
 /* Where a tensor lies: nothing is trusted, neither its shape nor its offsets. */
-static int find(const texture_file *file, const char *name, size_t shape[4], place *at) {
+static int locate(const texture_file *file, const char *name, size_t shape[4], place *at) {
     json tensor = entry_of(file, name), sizes = json_member(tensor, "shape"), offsets = json_member(tensor, "data_offsets"), item;
     json kind = json_member(tensor, "dtype");
     int dimensions = 0;
@@ -111,7 +111,7 @@ static int find(const texture_file *file, const char *name, size_t shape[4], pla
 
 int file_shape(const texture_file *file, const char *name, size_t shape[4]) {
     place at;
-    return find(file, name, shape, &at);
+    return locate(file, name, shape, &at);
 }
 
 static double number_at(const place *at, size_t i) {
@@ -130,16 +130,16 @@ static double number_at(const place *at, size_t i) {
 }
 
 double *file_take(texture_file *file, const char *name, const size_t shape[4], arena *memory) {
-    size_t found[4];
+    size_t stored[4];
     place at;
-    int dimensions = find(file, name, found, &at), expected = 0;
+    int dimensions = locate(file, name, stored, &at), expected = 0;
     if (dimensions < 0) {
         file_refuse(file, FOTEN_BAD_FILE, "the texture file has no tensor '%s', or it is damaged", name);
         return NULL;
     }
     while (expected < 4 && shape[expected]) expected++;
     int same = expected == dimensions;
-    for (int i = 0; same && i < dimensions; i++) same = found[i] == shape[i];
+    for (int i = 0; same && i < dimensions; i++) same = stored[i] == shape[i];
     if (!same) {
         file_refuse(file, FOTEN_BAD_FILE, "tensor '%s' has another shape than the card says", name);
         return NULL;

@@ -29,8 +29,8 @@ static int runs(const isa *set) {
 }
 
 const isa *isa_here(void) {
-    static _Atomic(const isa *) found;
-    const isa *set = atomic_load(&found);
+    static _Atomic(const isa *) chosen;
+    const isa *set = atomic_load(&chosen);
     if (set) return set;
 #ifdef __wasm__
     const char *asked = NULL;
@@ -45,6 +45,6 @@ const isa *isa_here(void) {
             break;
         }
     }
-    atomic_store(&found, set);
+    atomic_store(&chosen, set);
     return set;
 }

@@ -1,7 +1,7 @@
 /* The instruction sets in this library, and the one that is used. */
 #ifndef FOTEN_ISA_H
 #define FOTEN_ISA_H
-#include "net.h"
+#include "network.h"
 
 extern const isa isa_portable, isa_avx2, isa_avx512, isa_neon, isa_simd128;
 

@@ -126,13 +126,13 @@ int json_next(json list, const char **position, json *name, json *value) {
 }
 
 json json_member(json object, const char *name) {
-    json found = {NULL, NULL}, key, value;
+    json member = {NULL, NULL}, key, value;
     const char *position = NULL;
     size_t n = strlen(name);
-    if (!object.begin || *object.begin != '{') return found;
+    if (!object.begin || *object.begin != '{') return member;
     while (json_next(object, &position, &key, &value))
-        if ((size_t)(key.end - key.begin) == n + 2 && !memcmp(key.begin + 1, name, n)) found = value;
-    return found;
+        if ((size_t)(key.end - key.begin) == n + 2 && !memcmp(key.begin + 1, name, n)) member = value;
+    return member;
 }
 
 size_t json_count(json list) {
@@ -143,7 +143,7 @@ size_t json_count(json list) {
     return n;
 }
 
-/* Decimal to binary by hand: strtod reads another decimal point in some countries. Exact where mantissa and power are. */
+/* Decimal to binary without strtod, which reads another decimal point in some countries. Exact where mantissa and power are. */
 int json_number(json value, double *out) {
     if (!value.begin || (*value.begin != '-' && (*value.begin < '0' || *value.begin > '9'))) return 0;
     char text[64];

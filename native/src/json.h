@@ -15,7 +15,7 @@ json json_member(json object, const char *name);
 int json_next(json list, const char **position, json *name, json *value);
 
 int json_number(json value, double *out);          /* 1 if it is a finite number */
-int json_integer(json value, long long *out);      /* 1 if it is a whole number, written as one, within +-2^53 */
+int json_integer(json value, long long *out);      /* 1 if it is an integer, written as one, within +-2^53 */
 int json_boolean(json value, int *out);
 int json_is_string(json value, const char *text);
 /* Copy a string, its escapes undone, as UTF-8 with a zero at the end; returns its length, or -1 where it is none or is too long. */

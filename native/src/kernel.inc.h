@@ -1,19 +1,21 @@
 /* The network for one instruction set: included by each kernel_*.c, which defines
  *   LANES  floats in the vectors of linear maps,
  *   SHORT  floats in those of attention, where the lanes are queries: fewer waste less of 20,
- *   ROWS   tokens whose sums stay in registers together: 5, 8 or 11.
+ *   ROWS   tokens whose sums stay in registers at once: 5, 8 or 11.
  * The vectors are the compiler's own, so that the same lines become AVX-512, AVX2, NEON, wasm's SIMD or plain C. */
 
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
 
-#include "net.h"
+#include "constants.h"
+#include "network.h"
 
 typedef float vec __attribute__((vector_size(4 * LANES)));
 typedef int32_t vec_bits __attribute__((vector_size(4 * LANES)));
 typedef float lane __attribute__((vector_size(4 * SHORT)));
 typedef int32_t lane_bits __attribute__((vector_size(4 * SHORT)));
+typedef uint32_t lane_word __attribute__((vector_size(4 * SHORT)));
 
 #define INLINE static inline __attribute__((always_inline))
 
@@ -46,7 +48,7 @@ INLINE lane exp_of(lane x) {
     p = p * r + 1.6666665459e-1f;
     p = p * r + 5.0000001201e-1f;
     p = p * (r * r) + r + 1.0f;
-    lane_bits power = ((lane_bits)shifted << 23) + 0x3F800000;
+    lane_word power = ((lane_word)shifted << 23) + 0x3F800000u; /* unsigned: of what is no number it may overflow */
     return p * (lane)power;
 }
 
@@ -83,7 +85,7 @@ static void some_rows(int rows, int vectors, int inputs, const float *w, const f
     else switch (rows) { EACH_ROWS(NARROW) }
 }
 
-/* n tokens through a linear map; what they are padded with up to whole vectors comes out as zeros. */
+/* n tokens through a linear map; what they are padded with up to full vectors comes out as zeros. */
 static void apply(const linear *l, int n, const float *in, int in_stride, float *out, int out_stride, int rectified) {
     int padded = (l->outputs + LANES - 1) / LANES * LANES;
     for (int o = 0; o < padded; o += 2 * LANES) {
@@ -116,9 +118,10 @@ static void normalise(const norm *g, int n, int width, const float *in, float *o
 }
 
 /* Softmax attention of the queries from `first` on to all n tokens: lanes are queries, so nothing is summed across lanes. */
-static void attend(const encoder *e, int n, int first, const float *packed, const float *counted, float *out, float *scratch) {
+static void attend(const encoder *e, int n, int first, const float *multiplicity, float *scratch) {
     int size = e->width / e->heads, stride = 3 * e->stride;
-    float *query = scratch, *share = scratch + (size_t)size * SHORT, *mixed = share + (size_t)n * SHORT;
+    const float *packed = scratch + e->at.packed;
+    float *query = scratch + e->at.query, *share = scratch + e->at.share, *weighted = scratch + e->at.weighted, *out = scratch + e->at.mixed;
     for (int from = first; from < n; from += SHORT) {
         int some = n - from < SHORT ? n - from : SHORT;
         for (int h = 0; h < e->heads; h++) {
@@ -137,7 +140,7 @@ static void attend(const encoder *e, int n, int first, const float *packed, cons
             lane total = {0};
             for (int j = 0; j < n; j++) {
                 lane s = exp_of(load_lane(share + j * SHORT) - most);
-                if (counted) s *= counted[j];
+                if (multiplicity) s *= multiplicity[j];
                 store_lane(share + j * SHORT, s);
                 total += s;
             }
@@ -145,58 +148,55 @@ static void attend(const encoder *e, int n, int first, const float *packed, cons
             for (int d = 0; d < size; d++) {
                 lane m = {0};
                 for (int j = 0; j < n; j++) m += load_lane(share + j * SHORT) * v[j * stride + d];
-                store_lane(mixed + d * SHORT, m * inverse);
+                store_lane(weighted + d * SHORT, m * inverse);
             }
             for (int j = 0; j < some; j++)
-                for (int d = 0; d < size; d++) out[(size_t)(from - first + j) * e->stride + h * size + d] = mixed[d * SHORT + j];
+                for (int d = 0; d < size; d++) out[(size_t)(from - first + j) * e->stride + h * size + d] = weighted[d * SHORT + j];
         }
     }
 }
 
 /* Tokens through an encoder layer, in place; from `first` on alone are asked for, and end up at the beginning. */
-static void encode(const encoder *e, int pre_norm, int n, int first, float *tokens, const float *counted, float *scratch) {
+static void encode(const encoder *e, int pre_norm, int n, int first, float *tokens, const float *multiplicity, float *scratch) {
     int stride = e->stride, asked = n - first;
-    float *normed = scratch, *packed = normed + (size_t)n * stride, *rest = packed + (size_t)n * 3 * stride;
+    float *normed = scratch + e->at.normed, *mixed = scratch + e->at.mixed, *hidden = scratch + e->at.hidden, *fed = scratch + e->at.fed;
     if (pre_norm) normalise(&e->norm_1, n, e->width, tokens, normed, stride);
-    const float *heard = pre_norm ? normed : tokens;
-    apply(&e->in, n, heard, stride, packed, 3 * stride, 0);
-    float *mixed = rest;
+    apply(&e->in, n, pre_norm ? normed : tokens, stride, scratch + e->at.packed, 3 * stride, 0);
     memset(mixed, 0, sizeof(float) * (size_t)asked * stride);
-    attend(e, n, first, packed, counted, mixed, mixed + (size_t)asked * stride);
+    attend(e, n, first, multiplicity, scratch);
     float *projected = normed;
     apply(&e->out, asked, mixed, stride, projected, stride, 0);
     for (int i = 0; i < asked * stride; i += LANES) store(tokens + i, load(tokens + first * stride + i) + load(projected + i));
     if (!pre_norm) normalise(&e->norm_1, asked, e->width, tokens, tokens, stride);
     if (pre_norm) normalise(&e->norm_2, asked, e->width, tokens, normed, stride);
-    float *hidden = packed; /* asked x hidden_stride; net.c makes room */
     apply(&e->feed_in, asked, pre_norm ? normed : tokens, stride, hidden, e->hidden_stride, 1);
-    float *fed = hidden + (size_t)asked * e->hidden_stride;
     apply(&e->feed_out, asked, hidden, e->hidden_stride, fed, stride, 0);
     for (int i = 0; i < asked * stride; i += LANES) store(tokens + i, load(tokens + i) + load(fed + i));
     if (!pre_norm) normalise(&e->norm_2, asked, e->width, tokens, tokens, stride);
 }
 
 /* A bin's number through the lift, an encoder layer and back. */
-static void encode_bins(const net *net, const linear *lift, const encoder *e, const linear *back, int n,
-                        const float *numbers, const float *counted, float *out, float *scratch) {
+static void encode_bins(const network *net, const linear *lift, const encoder *e, const linear *back, int n, const float *in,
+                        const float *multiplicity, float *out, float *scratch) {
     int stride = net->width_stride;
-    float *tokens = scratch, *rest = scratch + (size_t)n * stride;
+    float *tokens = scratch + net->scratch.bins, *numbers = scratch + net->scratch.numbers;
     if (net->lifted) {
-        apply(lift, n, numbers, 1, tokens, stride, 0);
+        apply(lift, n, in, 1, tokens, stride, 0);
     } else {
         memset(tokens, 0, sizeof(float) * (size_t)n * (size_t)stride);
-        for (int i = 0; i < n; i++) tokens[i * stride] = numbers[i];
+        for (int i = 0; i < n; i++) tokens[i * stride] = in[i];
     }
-    encode(e, net->pre_norm, n, 0, tokens, counted, rest);
-    if (net->lifted) apply(back, n, tokens, stride, rest, LANES, 0);
-    for (int i = 0; i < n; i++) out[i] = net->lifted ? rest[i * LANES] : tokens[i * stride];
+    encode(e, net->pre_norm, n, 0, tokens, multiplicity, scratch);
+    if (net->lifted) apply(back, n, tokens, stride, numbers, LANES, 0);
+    for (int i = 0; i < n; i++) out[i] = net->lifted ? numbers[i * LANES] : tokens[i * stride];
 }
 
-static double spectral(const net *net, const float *window, float *scratch) {
+static double spectral(const network *net, const float *window, float *scratch) {
     int m = net->window, n = net->n_bins;
-    double *re = (double *)scratch, *im = re + n;
-    float *magnitude = (float *)(im + n), *phase = magnitude + n + LANES, *rest = phase + 2 * n + LANES;
-    double whole = 0;
+    const network_scratch *at = &net->scratch;
+    double *re = (double *)(scratch + at->real), *im = (double *)(scratch + at->imaginary);
+    float *magnitude = scratch + at->magnitude, *phase = scratch + at->phase, *m_out = scratch + at->magnitude_out, *p_out = scratch + at->phase_out;
+    double energy = 0;
     for (int k = 0; k < n; k++) re[k] = im[k] = 0;
     for (int t = 0; t < m; t++) {
         double a = window[t * net->n_inputs];
@@ -205,17 +205,15 @@ static double spectral(const net *net, const float *window, float *scratch) {
             im[k] += a * net->imaginary[t * n + k];
         }
     }
-    for (int k = 0; k < n; k++) whole += re[k] * re[k] + im[k] * im[k];
+    for (int k = 0; k < n; k++) energy += re[k] * re[k] + im[k] * im[k];
     for (int k = 0; k < n; k++) {
         double power = re[k] * re[k] + im[k] * im[k], size = sqrt(power + 1e-16);
-        if (!(power > 1e-10 * whole)) re[k] = im[k] = 0;
+        if (!(power > FOTEN_WEAKEST_BIN * energy)) re[k] = im[k] = 0;
         phase[k] = (float)atan2(im[k] + 0.0, re[k]);
         magnitude[k] = (float)size;
     }
-    float *m_out = rest, *p_out = m_out + n + LANES;
-    rest = p_out + n + LANES;
-    encode_bins(net, &net->magnitude_in, &net->magnitude, &net->magnitude_out, net->n_magnitudes, magnitude, net->counted, m_out, rest);
-    encode_bins(net, &net->phase_in, &net->phase, &net->phase_out, n, phase, NULL, p_out, rest);
+    encode_bins(net, &net->magnitude_in, &net->magnitude, &net->magnitude_out, net->n_magnitudes, magnitude, net->multiplicity, m_out, scratch);
+    encode_bins(net, &net->phase_in, &net->phase, &net->phase_out, n, phase, NULL, p_out, scratch);
     double sum = 0;
     for (int k = 0; k < n; k++) {
         double size = m_out[k < net->n_magnitudes ? k : m - k];
@@ -224,27 +222,25 @@ static double spectral(const net *net, const float *window, float *scratch) {
     return sum;
 }
 
-static float predict(const net *net, const float *window, float *scratch) {
-    int m = net->window, stride = net->d_stride, d = net->d;
-    float *tokens = scratch, *rest = tokens + (size_t)m * stride;
+static float predict(const network *net, const float *window, float *scratch) {
+    int m = net->window, stride = net->d_stride, d = net->d, n = net->n_features;
+    const network_scratch *at = &net->scratch;
+    float *tokens = scratch + at->tokens, *features = scratch + at->features, *first = scratch + at->first, *second = scratch + at->second;
     apply(&net->embedding, m, window, net->n_inputs, tokens, stride, 0);
     for (int i = 0; i < m * stride; i += LANES) store(tokens + i, load(tokens + i) + load(net->positions + i));
     for (int layer = 0; layer < net->n_layers; layer++)
-        encode(&net->layers[layer], net->pre_norm, m, layer == net->n_layers - 1 ? m - 1 : 0, tokens, NULL, rest);
+        encode(&net->layers[layer], net->pre_norm, m, layer == net->n_layers - 1 ? m - 1 : 0, tokens, NULL, scratch);
     if (net->pre_norm) normalise(&net->last, 1, d, tokens, tokens, stride);
-    float heard = net->fourier ? (float)spectral(net, window, rest) : 0;
-    int n = net->n_found;
-    float *fused = rest, *hidden = fused + n + 3 * LANES + 2;
-    memcpy(fused, tokens, sizeof(float) * (size_t)d);
+    float spectral_sample = net->fourier ? (float)spectral(net, window, scratch) : 0;
+    memcpy(features, tokens, sizeof(float) * (size_t)d);
     if (net->fourier) {
-        apply(&net->spectral_embedding, 1, &heard, 1, hidden, stride, 0);
-        memcpy(fused + d, hidden, sizeof(float) * (size_t)d);
+        apply(&net->spectral_embedding, 1, &spectral_sample, 1, first, stride, 0);
+        memcpy(features + d, first, sizeof(float) * (size_t)d);
     }
-    fused[n] = window[m * net->n_inputs];
-    fused[n + 1] = window[m * net->n_inputs + 1];
-    apply(&net->head_1, 1, fused, n + 2, hidden, net->first, 1);
-    float *second = hidden + net->first + LANES;
-    apply(&net->head_2, 1, hidden, net->first, second, net->second, 1);
+    features[n] = window[m * net->n_inputs];
+    features[n + 1] = window[m * net->n_inputs + 1];
+    apply(&net->head_1, 1, features, n + 2, first, net->first, 1);
+    apply(&net->head_2, 1, first, net->first, second, net->second, 1);
     double out = net->head_3_bias;
     for (int i = 0; i < net->second; i++) out += (double)second[i] * net->head_3[i];
     return (float)out;

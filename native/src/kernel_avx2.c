@@ -4,4 +4,4 @@
 #include "kernel.inc.h"
 #include "isa.h"
 
-const isa isa_avx2 = {"avx2", LANES, LANES > SHORT ? LANES : SHORT, predict};
+const isa isa_avx2 = {"avx2", LANES, SHORT, predict};

@@ -4,4 +4,4 @@
 #include "kernel.inc.h"
 #include "isa.h"
 
-const isa isa_avx512 = {"avx512", LANES, LANES > SHORT ? LANES : SHORT, predict};
+const isa isa_avx512 = {"avx512", LANES, SHORT, predict};

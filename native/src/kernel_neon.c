@@ -4,4 +4,4 @@
 #include "kernel.inc.h"
 #include "isa.h"
 
-const isa isa_neon = {"neon", LANES, LANES > SHORT ? LANES : SHORT, predict};
+const isa isa_neon = {"neon", LANES, SHORT, predict};

@@ -4,4 +4,4 @@
 #include "kernel.inc.h"
 #include "isa.h"
 
-const isa isa_portable = {"portable", LANES, LANES > SHORT ? LANES : SHORT, predict};
+const isa isa_portable = {"portable", LANES, SHORT, predict};

@@ -4,4 +4,4 @@
 #include "kernel.inc.h"
 #include "isa.h"
 
-const isa isa_simd128 = {"simd128", LANES, LANES > SHORT ? LANES : SHORT, predict};
+const isa isa_simd128 = {"simd128", LANES, SHORT, predict};

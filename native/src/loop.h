@@ -1,62 +1,66 @@
-/* One stream of a model at its own rate: what it remembers, and a sample more. All scaled. */
+/* A stream of a model at its own rate: its state, and a sample more. All scaled. */
 #ifndef FOTEN_LOOP_H
 #define FOTEN_LOOP_H
 
 #include "model.h"
+#include "noise.h"
 
-/* Speed and force of a sample: scaled and within the trained range, and the speed that a path's tones go by [mm/s]. */
-typedef struct {
-    double condition[2], path;
-} hand;
-
+/* All that must survive a sample: this, and the arrays that it points to, which follow it in one block. Each kind of loop uses its part. */
 struct loop {
-    double *states;       /* b of the lattice, rest.order */
-    double *reflections;  /* of the next sample, and the cosines that go with them */
-    double *cosines;
-    double *coefficients; /* of the tones, as they are for the next sample */
-    float *seen;          /* what the network sees: samples of n_inputs numbers, and speed and force of the last */
-    float *scratch;
-    float *coming;        /* that a predictor gave, and how many of them are still to come */
-    int n_coming;
-    hand heeded;          /* what the next sample goes by, the hand of the one before */
-    double level, sigma, tail, gain;
-    double swell;
-    local_mixture local;  /* of ar, for the next sample, and its innovations so far */
-    double *past;
-    double phase, path, rate, turned, tone;
+    condition condition;         /* of the last sample, which the next one goes by */
+    lattice_state lattice;       /* foten-plus, piecewise AR */
+    excitation_state excitation; /* foten-plus, networks */
+    tones_state tones;           /* foten-plus */
+    predictor_state predictor;   /* foten-plus, networks, graphs */
+    mixture mixture;             /* piecewise AR */
+    double *innovations;         /* piecewise AR: the last ones, the youngest first */
 };
+
+/* What differs between the three kinds of loops. */
+struct loop_kind {
+    /* Take the arrays of a loop from a block, or only measure them. */
+    void (*place)(const foten_model *model, loop *l, block *from);
+
+    /* Go on from n recorded samples (acceleration, speed, force in turn), at most the model's history: as a rendering does, or, `as_prediction`,
+     * as a one-step prediction does. */
+    void (*start)(const foten_model *model, loop *l, const double *windows, int n, int as_prediction);
+
+    /* Take a state as after a long time under a condition, whatever was before, from a stream's noise. */
+    void (*begin)(const foten_model *model, loop *l, const condition *c, noise_source noise);
+
+    /* Predict the next recorded sample, after a start `as_prediction`. */
+    void (*predict)(const foten_model *model, loop *l, foten_prediction_part part, foten_prediction *out);
+
+    /* Take in a recorded sample (acceleration, speed, force), after that. */
+    void (*push)(const foten_model *model, loop *l, const double *sample);
+
+    /* By how much a unit of noise moves the next sample of a rendering; 0 without an excitation. */
+    double (*scale)(const foten_model *model, const loop *l);
+
+    /* The next sample, with a number of noise or without (NULL), cut to +-limit, and the condition that goes with it. */
+    double (*step)(const foten_model *model, loop *l, const condition *c, const double *noise, double limit, int *cut);
+
+    /* Set numbers to zero that are too small to matter, before they become denormal and slow. */
+    void (*quiet)(const foten_model *model, loop *l);
+};
+
+extern const loop_kind lattice_loop, window_loop, piecewise_ar_loop;
 
 /* The memory of a loop, in a block of its own or, with base NULL, only measured. */
 loop *loop_place(const foten_model *model, block *from);
 void loop_copy(const foten_model *model, loop *to, const loop *from);
 
-/* Begin after `n` recorded samples (acceleration, speed, force in turn) as a rendering does, or as a prediction of the next sample that the
- * network sees does, `as_prediction`. `n` is at most history. */
-void loop_start(const foten_model *model, loop *l, const double *windows, int n, int as_prediction);
+/* Of a model whose window holds noise: a stream's from before its first sample, or zeros without one (NULL). */
+void loop_take_noise(const foten_model *model, loop *l, const noise_source *noise);
 
-/* Let the loop be as if a hand had been there for long, whatever it was started with: states drawn from the noise of a stream. A network that
- * is heard is first played what it looks at, so this takes as many of its steps. */
-void loop_begin(const foten_model *model, loop *l, const hand *hand, uint64_t seed, uint64_t stream);
+/* Whether a condition is another one for tables over speed and force than that of the last sample. */
+static inline int loop_moved(const loop *l, const condition *c) {
+    return c->scaled[0] != l->condition.scaled[0] || c->scaled[1] != l->condition.scaled[1];
+}
 
-/* The next sample without excitation, and by how much a unit of it moves the sample (0 where there is none). */
-double loop_forecast(const foten_model *model, loop *l, double *scale, int with_network);
-
-/* What is expected of the next recorded sample, the standard deviation of what is missed, without volatility, and h of its tails; a scale of 0
- * where that is not known, because a rendering predicts from something else. */
-void loop_predict(const foten_model *model, loop *l, foten_prediction_part part, foten_prediction *out);
-
-/* Take in a recorded sample (acceleration, speed, force) after a start `as_prediction`. */
-void loop_push(const foten_model *model, loop *l, const double *sample);
-
-/* Let a model of noise have heard a stream's, whatever it was started with; nothing for others. */
-void loop_listen(const foten_model *model, loop *l, uint64_t seed, uint64_t stream);
-
-/* The next sample, with its noise or without (NULL), cut to +-limit, under the hand that goes with it. */
-double loop_step(const foten_model *model, loop *l, const hand *hand, const double *noise, double limit, int *cut);
-
-/* Set to zero what has become too small to be heard, before it becomes denormal and slow. */
-void loop_quiet(const foten_model *model, loop *l);
-
-/* The hand of speed and force scaled, the path by the speed that they stand for. */
-hand hand_of(const foten_model *model, const double condition[2]);
+static inline double loop_cut(double sample, double limit, int *cut) {
+    double played = clip(sample, limit);
+    *cut = played != sample;
+    return played;
+}
 #endif

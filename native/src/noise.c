@@ -1,17 +1,17 @@
 #include "noise.h"
 
-#include <math.h>
+#include "constants.h"
 
 static void philox(uint32_t c[4], uint32_t k0, uint32_t k1) {
     for (int round = 0; round < 10; round++) {
-        uint64_t product_0 = (uint64_t)0xD2511F53u * c[0], product_1 = (uint64_t)0xCD9E8D57u * c[2];
+        uint64_t product_0 = (uint64_t)FOTEN_PHILOX_MULTIPLIER_0 * c[0], product_1 = (uint64_t)FOTEN_PHILOX_MULTIPLIER_1 * c[2];
         uint32_t c1 = c[1], c3 = c[3];
         c[0] = (uint32_t)(product_1 >> 32) ^ c1 ^ k0;
         c[1] = (uint32_t)product_1;
         c[2] = (uint32_t)(product_0 >> 32) ^ c3 ^ k1;
         c[3] = (uint32_t)product_0;
-        k0 += 0x9E3779B9u;
-        k1 += 0xBB67AE85u;
+        k0 += FOTEN_PHILOX_WEYL_0;
+        k1 += FOTEN_PHILOX_WEYL_1;
     }
 }
 
@@ -21,8 +21,8 @@ double noise_at(uint64_t seed, uint64_t stream, uint64_t n) {
     int32_t total = 0;
     for (int i = 0; i < 4; i++) total += (int32_t)(c[i] & 0xFFFFu) + (int32_t)(c[i] >> 16);
     /* Built without contraction: these four operations are the same on every processor. */
-    double x = ((double)total - 262140.0) / sqrt(8.0 * 4294967295.0 / 12.0);
+    double x = ((double)total - 262140.0) / FOTEN_NOISE_SUM_SD;
     double square = x * x;
-    double factor = 0.00750807 * square;
-    return x * (0.97846856 + factor);
+    double factor = FOTEN_NOISE_CUBIC * square;
+    return x * (FOTEN_NOISE_LINEAR + factor);
 }

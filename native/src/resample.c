@@ -8,10 +8,10 @@
 
 struct resampler {
     double rate_in, stretch;       /* stretch: the kernel's length in samples given, over its own; 1 unless the device is the slower */
-    double *heard;                 /* the last `n` samples given, twice, so that any n of them lie together */
+    double *history;               /* the last `n` samples given, twice, so that any n of them are contiguous */
     size_t n, at, ahead;           /* ahead: samples to be given before the next is taken */
-    uint64_t fraction, step;       /* of a sample given, in 2^-64 */
-    size_t whole;
+    uint64_t fraction, step;       /* of the place between samples given and its step, in 2^-64 of a sample */
+    size_t integer;                /* of the step, samples */
     double ratio;
 };
 
@@ -19,16 +19,16 @@ resampler *resampler_place(block *from, double rate_in, double rate_out) {
     double ratio = rate_in / rate_out, stretch = ratio > 1 ? ratio : 1;
     size_t n = (size_t)ceil(TABLE_TAPS * stretch) + 1;
     resampler *r = block_take(from, 1, sizeof *r);
-    double *heard = block_take(from, 2 * n, sizeof *heard);
+    double *history = block_take(from, 2 * n, sizeof *history);
     if (!from->base) return NULL;
-    *r = (resampler){.rate_in = rate_in, .stretch = stretch, .heard = heard, .n = n, .ratio = ratio, .whole = (size_t)ratio};
-    r->step = (uint64_t)ldexp(ratio - (double)r->whole, 64);
+    *r = (resampler){.rate_in = rate_in, .stretch = stretch, .history = history, .n = n, .ratio = ratio, .integer = (size_t)ratio};
+    r->step = (uint64_t)ldexp(ratio - (double)r->integer, 64);
     resampler_reset(r);
     return r;
 }
 
 void resampler_reset(resampler *r) {
-    memset(r->heard, 0, 2 * r->n * sizeof *r->heard);
+    memset(r->history, 0, 2 * r->n * sizeof *r->history);
     r->at = 0;
     r->ahead = 1;
     r->fraction = 0;
@@ -38,12 +38,12 @@ int resampler_wants(const resampler *r) { return r->ahead > 0; }
 
 void resampler_give(resampler *r, double sample) {
     r->at = (r->at ? r->at : r->n) - 1; /* backwards: the newest comes first */
-    r->heard[r->at] = r->heard[r->at + r->n] = sample;
+    r->history[r->at] = r->history[r->at + r->n] = sample;
     r->ahead--;
 }
 
 double resampler_take(resampler *r) {
-    const double *newest = r->heard + r->at;
+    const double *newest = r->history + r->at;
     double place = (double)(r->fraction >> 11) * (1.0 / 9007199254740992.0) / r->stretch * TABLE_STEPS, apart = TABLE_STEPS / r->stretch, sum = 0;
     for (size_t i = 0; i < r->n && place < TABLE_STEPS * TABLE_TAPS; i++, place += apart) {
         int left = (int)place;
@@ -52,11 +52,11 @@ double resampler_take(resampler *r) {
     }
     uint64_t before = r->fraction;
     r->fraction += r->step;
-    r->ahead += r->whole + (r->fraction < before);
+    r->ahead += r->integer + (r->fraction < before);
     return sum / r->stretch;
 }
 
-void resampler_silence(resampler *r) { memset(r->heard, 0, 2 * r->n * sizeof *r->heard); }
+void resampler_silence(resampler *r) { memset(r->history, 0, 2 * r->n * sizeof *r->history); }
 
 size_t resampler_most(const resampler *r, size_t n) { return (size_t)ceil((double)(n + 1) / r->ratio) + 1; }
 

@@ -4,12 +4,12 @@
 #include <stdatomic.h>
 #include <stdlib.h>
 
+#include "constants.h"
 #include "filter.h"
 #include "model.h"
 
-enum { WAITING = 256, RESTARTED = 8 };      /* events; late ones in succession after which the device's clock has begun anew */
-static const double PAPER_NEWTONS = 0.13, PAPER_STEEPNESS = 3.32; /* Eq. 12 */
-static const double FASTEST_HAND = 5000;    /* mm/s; faster is a pen that was lifted */
+enum { WAITING = 256, RESTARTED = 8 };      /* events; late ones in succession after which the device has restarted its clock */
+static const double FASTEST = 5000;         /* mm/s; faster is a pen that was lifted */
 static const double HOLE = 10, HOLE_S = 0.04; /* usual steps without an event that are a pen out of reach, and that long at least */
 static const double SHORTEST_STEP_S = 0.0005; /* of a usual one: events that waited somewhere and came at once are none to go by */
 static const double STILL_S = 0.025, STILL_STEPS = 3;
@@ -41,8 +41,8 @@ foten_stylus *foten_stylus_new(const foten_model *model, const foten_stylus_opti
     foten_stylus *s = calloc(1, sizeof *s);
     if (!s) return NULL;
     s->period_s = 1 / model->rate_hz;
-    s->newtons = o.newtons > 0 ? o.newtons : PAPER_NEWTONS;
-    s->steepness = o.steepness != 0 ? o.steepness : PAPER_STEEPNESS;
+    s->newtons = o.newtons > 0 ? o.newtons : FOTEN_STYLUS_NEWTONS;
+    s->steepness = o.steepness != 0 ? o.steepness : FOTEN_STYLUS_STEEPNESS;
     s->filter = lowpass(model->lowpass_hz, model->rate_hz);
     s->usual_s = 1.0 / 120;
     return s;
@@ -85,8 +85,8 @@ static int late(foten_stylus *s, const event *e) {
 
 static double length(const double v[2]) { return sqrt(v[0] * v[0] + v[1] * v[1]); }
 
-/* Take in what has come since the last sample. */
-static void listen(foten_stylus *s) {
+/* Take in the events since the last sample. */
+static void take_events(foten_stylus *s) {
     uint64_t pushed = atomic_load_explicit(&s->n_pushed, memory_order_acquire), taken = atomic_load_explicit(&s->n_taken, memory_order_relaxed);
     double moved[2] = {0, 0}, took = 0;
     int jumped = 0;
@@ -97,7 +97,7 @@ static void listen(foten_stylus *s) {
         double step = e.t - s->last.t, dx = e.x - s->last.x, dy = e.y - s->last.y;
         int touches = e.pressure > 0, goes_on = s->known && s->touching && touches;
         double hole = HOLE * s->usual_s > HOLE_S ? HOLE * s->usual_s : HOLE_S;
-        if (goes_on && (step > hole || sqrt(dx * dx + dy * dy) > FASTEST_HAND * step)) {
+        if (goes_on && (step > hole || sqrt(dx * dx + dy * dy) > FASTEST * step)) {
             count(&s->n_jumps);
             goes_on = 0;
         }
@@ -124,7 +124,7 @@ static void listen(foten_stylus *s) {
             velocity[i] = moved[i] / took;
             change[i] = s->moving && !jumped ? velocity[i] - s->moved[i] : 0;
         }
-        /* What is carried on is at most what is there: a pen that stops would turn back otherwise, and be felt once more. */
+        /* What is carried on is at most what is there: a pen that stops would turn back otherwise, and start another movement. */
         double share = took / (took + CARRIED_S), most = length(velocity), carried = share * length(change);
         if (carried > most) share *= most / carried;
         for (int i = 0; i < 2; i++) {
@@ -142,7 +142,7 @@ void stylus_block(foten_stylus *s) {
 }
 
 void stylus_next(foten_stylus *s, double out[2]) {
-    listen(s);
+    take_events(s);
     if (s->still) s->held[0] = s->held[1] = s->moved[0] = s->moved[1] = 0;
     s->since_s += s->period_s;
     double x = filtered(&s->filter, &s->velocity[0], s->held[0]), y = filtered(&s->filter, &s->velocity[1], s->held[1]);
@@ -152,11 +152,11 @@ void stylus_next(foten_stylus *s, double out[2]) {
 }
 
 void foten_stylus_next(foten_stylus *s, float *speed, float *force) {
-    double found[2];
+    double speed_force[2];
     stylus_block(s);
-    stylus_next(s, found);
-    *speed = (float)found[0];
-    *force = (float)found[1];
+    stylus_next(s, speed_force);
+    *speed = (float)speed_force[0];
+    *force = (float)speed_force[1];
 }
 
 foten_stylus_stats foten_stylus_statistics(const foten_stylus *stylus) {

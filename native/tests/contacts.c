@@ -1,4 +1,4 @@
-/* Many hands on one core: contacts FILE SHARE SECONDS TICK_US holds as many states as fit in SHARE of a tick, and counts late ticks.
+/* Many states on one core: contacts FILE SHARE SECONDS TICK_US holds as many states as fit in SHARE of a tick, and counts late ticks.
  *
  * At each tick every state renders the samples of its texture that are due. Seconds take turns with seconds in which the loop
  * only waits as long as rendering takes, by the same clock: what those miss is the machine's. Prints one line of JSON. */

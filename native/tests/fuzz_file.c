@@ -83,7 +83,7 @@ static uint64_t random_number(uint64_t below) {
 static size_t mutate(uint8_t *data, size_t n, size_t room) {
     for (uint64_t times = 1 + random_number(4); times && n > 16; times--) {
         size_t header = 8 + (size_t)data[0] + ((size_t)data[1] << 8);
-        /* Half of the time in what says how long the rest is, or in the card. */
+        /* Half of the time in the header: its length, the card, where tensors lie. */
         size_t at = (size_t)random_number(random_number(2) && header < n ? header : n), length = (size_t)random_number(16);
         switch (random_number(6)) {
         case 0: data[at] ^= (uint8_t)(1u << random_number(8)); break;
@@ -115,23 +115,23 @@ int main(int n_arguments, char **arguments) {
     }
     long n_runs = strtol(arguments[1], NULL, 10), n_loaded = 0;
     enum { ROOM = 1 << 16 };
-    static uint8_t whole[64][ROOM], data[ROOM];
+    static uint8_t files[64][ROOM], data[ROOM];
     size_t sizes[64];
     int n_files = n_arguments - 2 < 64 ? n_arguments - 2 : 64;
     for (int i = 0; i < n_files; i++) {
         FILE *file = fopen(arguments[2 + i], "rb");
         if (!file) return 2;
-        sizes[i] = fread(whole[i], 1, ROOM, file);
+        sizes[i] = fread(files[i], 1, ROOM, file);
         fclose(file);
         foten_model *model;
         char why[200];
-        if (foten_model_load(whole[i], sizes[i], &model, why, sizeof why) == FOTEN_OK) n_loaded++;
+        if (foten_model_load(files[i], sizes[i], &model, why, sizeof why) == FOTEN_OK) n_loaded++;
         else fprintf(stderr, "%s: %s\n", arguments[2 + i], why);
         foten_model_free(model);
     }
     for (long run = 0; run < n_runs; run++) {
         int i = (int)random_number((uint64_t)n_files);
-        memcpy(data, whole[i], sizes[i]);
+        memcpy(data, files[i], sizes[i]);
         LLVMFuzzerTestOneInput(data, mutate(data, sizes[i], ROOM));
     }
     printf("%d files, %ld of them load; %ld mutations\n", n_files, n_loaded, n_runs);

@@ -1,5 +1,5 @@
 /* After construction nothing is allocated: hot_path FILE... counts what rendering asks for, and that it would be counted. A state asks for
- * the memory that is told, and a file is not blamed for memory that there is not.
+ * as much memory as foten_info says, and a file is not blamed for memory that there is not.
  *
  * Linked with --wrap=malloc and so on, so that every call of the library's goes through here. */
 #include <stdio.h>
@@ -58,7 +58,7 @@ int main(int n_arguments, char **arguments) {
         foten_options options = {8 * foten_model_info(model).rate_hz, 0, 0, 0, 0};
         foten_state *own = foten_state_new(model, NULL);
         if (asked != foten_model_info(model).state_bytes) {
-            fprintf(stderr, "%s: a state takes %zu bytes, and %zu are told\n", arguments[i], asked, foten_model_info(model).state_bytes);
+            fprintf(stderr, "%s: a state takes %zu bytes, and foten_info says %zu\n", arguments[i], asked, foten_model_info(model).state_bytes);
             return 1;
         }
         foten_state *other = foten_state_new(model, &options);

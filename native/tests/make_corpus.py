@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from conftest import exported
-from foten.architecture import ARCHITECTURES
+from foten.families import FAMILIES
 from foten.families.texture_file import Texture
 
 TINY = {
@@ -25,20 +25,14 @@ TINY = {
 PLUS = {**TINY, "excitation_width": 1, "order": 2}
 KINDS = {
     "foten": ("foten", TINY),
-    "foten-wide": (
-        "foten",
-        {**TINY, "spectral_width": 2, "bin_embedding": True, "phase_input": "cos_sin", "bins": "half"},
-    ),
-    "foten-post": ("foten", {**TINY, "pre_norm": False, "n_layers": 2, "magnitude_input": "log"}),
+    "foten-wide": ("foten", {**TINY, "spectral_width": 2, "bins": "half"}),
+    "foten-post": ("foten", {**TINY, "pre_norm": False, "n_layers": 2}),
     "ten": ("ten", {name: size for name, size in TINY.items() if name != "spectral_width"}),
     "ar": ("ar", {"order": 3, "n_models": 4, "n_triangles": 3, "window": 4}),
     "ar-zeros": ("ar", {"order": 2, "ma": 3, "n_models": 5, "n_triangles": 4, "window": 9}),
     "plus": ("foten-plus", PLUS),
-    "plus-table": (
-        "foten-plus",
-        {**PLUS, "n_speed": 2, "n_force": 2, "level_drives": True, "hand": "modulation"},
-    ),
-    "plus-silent": ("foten-plus", {**PLUS, "network_heard": False, "hand": "head"}),
+    "plus-table": ("foten-plus", {**PLUS, "n_speed": 2, "n_force": 2, "gain_before_filter": True}),
+    "plus-silent": ("foten-plus", {**PLUS, "network_in_loop": False, "condition_in_tokens": False}),
     "ten-excited": (
         "ten",
         {
@@ -54,10 +48,18 @@ KINDS = {
     ),
     "graph-hop": (
         "ldhtd-hop",
-        {"window": 8, "hop": 3, "recurrent": 1, "found": 1, "d_model": 2, "n_heads": 1, "d_feedforward": 1},
+        {
+            "window": 8,
+            "hop": 3,
+            "recurrent": 1,
+            "condition_width": 1,
+            "d_model": 2,
+            "n_heads": 1,
+            "d_feedforward": 1,
+        },
     ),
-    "graph-noise": ("dftnet", {"window": 8, "n_told": 1, "first": 1, "second": 1, "third": 1}),
-    "plus-tones": ("foten-plus", {**PLUS, "n_tones": 1, "n_tone_speed": 2, "rest_order": 3}),
+    "graph-noise": ("dftnet", {"window": 8, "n_conditions": 1, "first": 1, "second": 1, "third": 1}),
+    "plus-tones": ("foten-plus", {**PLUS, "n_tones": 1, "n_tone_speed": 2, "residual_order": 3}),
 }
 
 
@@ -65,7 +67,7 @@ def main() -> None:
     folder = Path(__file__).parent / "corpus"
     folder.mkdir(exist_ok=True)
     for name, (key, sizes) in KINDS.items():
-        texture = exported(key, ARCHITECTURES[key](**sizes))
+        texture = exported(key, FAMILIES[key](**sizes))
         if "graph" in texture.tensors:  # which the kernel does not read
             texture = Texture(texture.card, {**texture.tensors, "graph": np.zeros(4, dtype=np.uint8)})
         (folder / f"{name}.foten").write_bytes(texture.to_bytes())

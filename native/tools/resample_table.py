@@ -2,7 +2,7 @@
 
     python native/tools/resample_table.py
 
-Linear phase would delay by half of its length, 18 samples; the same magnitude with minimum phase delays what a hand feels by 1.5.
+Linear phase would delay by half of its length, 18 samples; the same magnitude with minimum phase delays slow vibration by 1.5.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ def kernel() -> np.ndarray:
     n = int(np.ceil((STOPPED_DB - 7.95) / (2.285 * np.pi * width))) | 1
     h = firwin(n, (PASS + STOP) / STEPS, window=("kaiser", kaiser_beta(STOPPED_DB)))
     spectrum = np.abs(np.fft.fft(h, 1 << int(np.ceil(np.log2(16 * n)))))
-    found = minimum_phase(np.maximum(spectrum, 10 ** (-(STOPPED_DB + 10) / 20)))
-    found[0] = 2 * found[1] - found[2]  # the floor of the spectrum stands there as an impulse
+    response = minimum_phase(np.maximum(spectrum, 10 ** (-(STOPPED_DB + 10) / 20)))
+    response[0] = 2 * response[1] - response[2]  # the floor of the spectrum stands there as an impulse
     length = -(-n // STEPS) * STEPS
-    taps = found[:length].reshape(-1, STEPS)
+    taps = response[:length].reshape(-1, STEPS)
     return (taps / taps.sum(axis=0)).ravel()
 
 

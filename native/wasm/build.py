@@ -16,22 +16,8 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 SOURCES = HERE.parent / "src"
-NAMES = (
-    "actuator",
-    "api",
-    "arena",
-    "file",
-    "isa",
-    "json",
-    "local",
-    "loop",
-    "model",
-    "net",
-    "noise",
-    "resample",
-    "stylus",
-    "kernel_simd128",
-)
+NAMES = [path.stem for path in sorted(SOURCES.glob("*.c")) if not path.stem.startswith("kernel_")]
+NAMES.append("kernel_simd128")
 FLAGS = [
     "-target",
     "wasm32-wasi",
@@ -77,14 +63,14 @@ def built() -> bytes:
 def main() -> None:
     module = built()
     digest = hashlib.sha256(module).hexdigest()
-    wasm, told = HERE / "foten.wasm", HERE / "foten.wasm.sha256"
+    wasm, recorded = HERE / "foten.wasm", HERE / "foten.wasm.sha256"
     if "--check" in sys.argv[1:]:
-        if not wasm.exists() or wasm.read_bytes() != module or told.read_text().split()[0] != digest:
+        if not wasm.exists() or wasm.read_bytes() != module or recorded.read_text().split()[0] != digest:
             sys.exit("foten.wasm is not what the sources give: run 'make wasm' and commit it")
         print(f"foten.wasm is what the sources give, {len(module)} bytes, sha256 {digest}")
         return
     wasm.write_bytes(module)
-    told.write_text(f"{digest}  foten.wasm\n")
+    recorded.write_text(f"{digest}  foten.wasm\n")
     print(f"foten.wasm: {len(module)} bytes, sha256 {digest}")
 
 

@@ -1,11 +1,11 @@
 /**
- * A haptic texture under a hand, in a page, a worker, an AudioWorklet or Node: the C kernel as WebAssembly, with no dependencies.
+ * Haptic textures in a page, a worker, an AudioWorklet or Node: the C kernel as WebAssembly, with no dependencies.
  *
  *     import { Foten } from "./foten.mjs";
  *     const foten = await Foten.load(await (await fetch("foten.wasm")).arrayBuffer());
  *     const texture = foten.texture(await (await fetch("denim.foten")).arrayBuffer());
  *     const renderer = texture.renderer({ rate: 48000, seed: 0 });
- *     renderer.setHand(80, 0.8);                 // mm/s, N
+ *     renderer.setCondition(80, 0.8);            // mm/s, N
  *     renderer.render(new Float32Array(128));    // m/s²
  *
  * Units everywhere: acceleration m/s², speed mm/s, force N, rates Hz. See foten.h for what each call means.
@@ -126,8 +126,8 @@ class Texture {
   }
 
   /**
-   * One hand on the texture: rate of the output (its own by default), seed, stream, excitation; smooth puts the hand that is set
-   * through the low-pass of the recordings, for one that comes in steps, 60 times a second say.
+   * One rendering of the texture: rate of the output (its own by default), seed, stream, excitation; smooth puts conditions through
+   * the low-pass of the recordings, for those that come in steps, 60 times a second say.
    */
   renderer(options = {}) {
     return new Renderer(this, options);
@@ -160,7 +160,7 @@ class Renderer {
     this.room = 0;
     this.at = 0;
     this.grow(1024);
-    this.handAt = this.foten.take(8);
+    this.conditionAt = this.foten.take(8);
   }
 
   grow(n) {
@@ -179,8 +179,8 @@ class Renderer {
     return this.view;
   }
 
-  /** Tell where the hand is: mm/s and N. */
-  setHand(speed, force) {
+  /** Set speed and force: mm/s and N. */
+  setCondition(speed, force) {
     this.foten.c.foten_set_condition(alive(this), speed, force);
   }
 
@@ -193,7 +193,7 @@ class Renderer {
     return out;
   }
 
-  /** Fill a Float32Array under the hand of a stylus. */
+  /** Fill a Float32Array under the conditions of a stylus. */
   renderStylus(stylus, out) {
     const pointer = alive(this), pen = alive(stylus);
     this.grow(out.length);
@@ -219,10 +219,10 @@ class Renderer {
   }
 
   /** Speed [mm/s] and force [N] that the last sample was rendered under. */
-  get hand() {
-    this.foten.c.foten_condition(alive(this), this.handAt, this.handAt + 4);
+  get condition() {
+    this.foten.c.foten_condition(alive(this), this.conditionAt, this.conditionAt + 4);
     const view = new DataView(this.foten.c.memory.buffer);
-    return [view.getFloat32(this.handAt, true), view.getFloat32(this.handAt + 4, true)];
+    return [view.getFloat32(this.conditionAt, true), view.getFloat32(this.conditionAt + 4, true)];
   }
 
   get stats() {
@@ -232,9 +232,9 @@ class Renderer {
   free() {
     if (!this.pointer) return;
     this.foten.c.free(this.at);
-    this.foten.c.free(this.handAt);
+    this.foten.c.free(this.conditionAt);
     this.foten.c.foten_state_free(this.pointer);
-    this.pointer = this.at = this.handAt = 0;
+    this.pointer = this.at = this.conditionAt = 0;
   }
 }
 

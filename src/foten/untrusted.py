@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import json
 import stat
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
+
+DEEPEST = 64  # of JSON; a card has 5
+LONGEST_TEXT = 200  # of what a library says
 
 
 def check_regular(path: Path) -> None:
@@ -29,14 +33,45 @@ def parse_json(text: str | bytes) -> Any:
     """Return the value that JSON text holds.
 
     Raises:
-        ValueError: it is no JSON, is nested too deeply, or holds a number of too many digits.
+        ValueError: it is no JSON, is nested more than `DEEPEST`, or holds an integer of too many digits.
     """
     try:
-        return json.loads(text)
+        value = json.loads(text)
     except RecursionError:
-        raise ValueError("it is nested too deeply") from None
+        raise ValueError(f"it is nested more than {DEEPEST} deep") from None
+    # What is read must be written and shown too, which needs more of the stack than reading does.
+    level = [value]
+    for _ in range(DEEPEST):
+        level = [inner for outer in level for inner in _inside(outer)]
+        if not level:
+            return value
+    raise ValueError(f"it is nested more than {DEEPEST} deep")
+
+
+def _inside(value: Any) -> Iterable[Any]:
+    return value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+
+
+def check_numbers(value: Any, what: str) -> None:
+    """Check that each number in a JSON value is one that a float64 or an int64 holds.
+
+    Raises:
+        ValueError: one is not finite, or too large.
+    """
+    waiting = [value]
+    while waiting:
+        one = waiting.pop()
+        waiting += _inside(one)
+        if isinstance(one, int | float) and not abs(one) < 2**63:
+            raise ValueError(f"{what} holds a number that is not finite, or not below 2^63")
 
 
 def printable(text: str) -> str:
     """Return text with a question mark for each character that would not be printed as itself, such as an escape or a newline."""
     return "".join(mark if mark.isprintable() else "?" for mark in text)
+
+
+def brief(error: Exception) -> str:
+    """Return what an error of a library says, on one short line: some repeat the file that they could not read."""
+    text = " ".join(printable(str(error).replace("\n", " ")).split()) or type(error).__name__
+    return text if len(text) <= LONGEST_TEXT else f"{text[:LONGEST_TEXT]} …"

@@ -64,7 +64,7 @@ namespace Foten
         }
     }
 
-    /// <summary>One hand on a texture. All but <see cref="SetHand"/> belongs to one thread at a time, <see cref="Dispose"/> too.</summary>
+    /// <summary>One rendering of a texture. All but <see cref="SetCondition"/> belongs to one thread at a time, <see cref="Dispose"/> too.</summary>
     public sealed class Renderer : IDisposable
     {
         private readonly Texture texture; // the state needs it as long as it lives
@@ -73,7 +73,7 @@ namespace Foten
         private IntPtr State => pointer != IntPtr.Zero ? pointer : throw new ObjectDisposedException(nameof(Renderer));
 
         /// <param name="rate">Of the output [Hz]; 0 for the texture's own.</param>
-        /// <param name="smooth">Puts the hand through the low-pass of the recordings: for one that is set once a frame.</param>
+        /// <param name="smooth">Puts conditions through the low-pass of the recordings: for those that are set once a frame.</param>
         public Renderer(Texture texture, double rate = 0, ulong seed = 0, ulong stream = 0, bool excitation = true, bool smooth = false)
         {
             this.texture = texture;
@@ -82,8 +82,8 @@ namespace Foten
             if (pointer == IntPtr.Zero) throw new FotenException($"a rate of {rate} Hz cannot be rendered of a texture of {texture.Rate} Hz");
         }
 
-        /// <summary>Tell where the hand is: mm/s and N.</summary>
-        public void SetHand(float speed, float force) => Native.foten_set_condition(State, speed, force);
+        /// <summary>Set speed and force: mm/s and N.</summary>
+        public void SetCondition(float speed, float force) => Native.foten_set_condition(State, speed, force);
 
         /// <summary>Fill an array with the next samples [m/s²].</summary>
         public void Render(float[] samples) => Render(samples, samples.Length);
@@ -135,7 +135,7 @@ namespace Foten
             public int hop;
         }
 
-        internal const int Abi = 3; // FOTEN_ABI of the header that this follows
+        internal const int Abi = 4; // FOTEN_ABI of the header that this follows
 
         [DllImport(Library)] internal static extern int foten_abi();
         [DllImport(Library)] internal static extern int foten_model_load(byte[] bytes, UIntPtr n, out IntPtr model, byte[] why, UIntPtr whySize);

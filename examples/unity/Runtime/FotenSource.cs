@@ -52,8 +52,8 @@ public sealed class FotenSource : MonoBehaviour
         }
     }
 
-    // Without the lock: a hand is set while it renders, and what is freed is freed on this thread.
-    private void Update() => renderer?.SetHand(speed, force);
+    // Without the lock: a condition is set while it renders, and what is freed is freed on this thread.
+    private void Update() => renderer?.SetCondition(speed, force);
 
     // On the audio thread.
     private void OnAudioFilterRead(float[] data, int channels)

@@ -18,7 +18,7 @@ def demo(
         str, typer.Option("--texture", help="Simulated texture; foten simulate --list.")
     ] = "towel",
     seconds: Annotated[float, typer.Option(help="Length of the recording (s).")] = 44.0,
-    epochs: Annotated[int, typer.Option(help="Of training.")] = 8,
+    epochs: Annotated[int, typer.Option(help="Of training.")] = 5,
     seed: Annotated[int, typer.Option(min=0, max=2**31, help="Of everything.")] = 0,
     threads: Annotated[
         int, typer.Option(help="Share each batch among so many cores (on a GPU there is one share).")

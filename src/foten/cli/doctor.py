@@ -17,6 +17,6 @@ def doctor(as_json: JsonOption = False) -> None:
     else:
         for check in checks:
             mark = {True: "✓", False: "✗", None: " "}[check.fine]
-            print(f"{mark} {check.name:14s}{check.found}")
+            print(f"{mark} {check.name:14s}{check.result}")
     if any(check.fine is False for check in checks):
         raise typer.Exit(1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -53,7 +54,7 @@ def render(
         sinks.audible_factor(rate)
         if audible.suffix.lower() != ".wav":
             raise ValueError(f"sound is written as .wav, got --audible {audible.name}")
-    written = [path.resolve() for path in (*output, *([audible] if audible else []))]
+    written = [os.path.realpath(path) for path in (*output, *([audible] if audible else []))]
     if len(set(written)) < len(written):
         raise ValueError("two outputs have the same name")
     constants = (speed, force, seconds)

@@ -37,7 +37,7 @@ def sweep(
     batched: Annotated[
         int,
         typer.Option(
-            "--together",
+            "--batched",
             min=1,
             max=64,
             help="Textures that a worker trains at once as one batched model: from six on faster with small batches, as of the "

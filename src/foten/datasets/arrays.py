@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from foten.datasets.columns import MOST_SAMPLES, Column, columns_of_array, with_units
 from foten.datasets.isolated import read_isolated
-from foten.untrusted import check_regular
+from foten.untrusted import brief, check_regular
 
 _PICKLE = "holds pickled objects, which can run code when opened; save plain arrays of numbers instead"
 
@@ -51,9 +51,9 @@ def read_numpy(path: Path) -> list[Column]:
     except (
         Exception
     ) as error:  # a damaged file raises a dozen kinds, zlib.error and NotImplementedError among them
-        if "pickle" in str(error) or "Object arrays" in str(error):
+        if _PICKLE in str(error):
             raise ValueError(f"{path.name} {_PICKLE}") from None
-        raise ValueError(f"{path.name} is truncated or is no NumPy file ({error})") from None
+        raise ValueError(f"{path.name} is truncated or is no NumPy file ({brief(error)})") from None
     if not columns:
         raise ValueError(f"{path.name} holds no array")
     return with_units(columns, texts)

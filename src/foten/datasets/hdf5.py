@@ -35,7 +35,7 @@ from foten.atomic_write import atomic_write
 from foten.datasets.bounds import check_length, check_size
 from foten.datasets.isolated import read_isolated
 from foten.recording.recording import UNITS, Channel, Recording
-from foten.untrusted import parse_json
+from foten.untrusted import check_numbers, parse_json
 
 FORMAT = "foten-recording"
 VERSION = 1
@@ -169,6 +169,7 @@ def _simulation(attributes: Mapping[str, Any], name: str) -> dict[str, Any] | No
         return None
     try:
         simulation = parse_json(str(attributes["simulation"]))
+        check_numbers(simulation, "it")
     except ValueError:
         simulation = None
     if not isinstance(simulation, dict):

@@ -20,7 +20,7 @@ from typing import Any, BinaryIO, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.untrusted import check_regular
+from foten.untrusted import brief, check_regular
 
 Contents = tuple[Any, list[NDArray[np.float64]]]
 """What a file holds: a JSON value, and arrays that it refers to by their order."""
@@ -31,10 +31,11 @@ READERS = {
 }
 """Functions from a path to `Contents`, by format; they run in the other process alone."""
 
-LONGEST_S = 60  # of processor time for one file; the largest that is read takes 20
+LONGEST_S = 15  # of processor time for one file, and one more for each
+BYTES_A_SECOND = 10 << 20  # in it; the slowest compression gives 20 MB
 LARGEST_BYTES = 8 << 30  # of memory for one file; the largest that is read takes 5
 _FORKS = hasattr(os, "fork")
-_CRASHED = {"damaged": "reading it crashed its library"}
+_CRASHED = {"damaged": "its library crashes on it, or does not end"}
 
 
 def read_isolated(kind: str, path: Path) -> Contents:
@@ -61,11 +62,14 @@ def read_isolated(kind: str, path: Path) -> Contents:
     return answer["contents"], arrays
 
 
+_START = "import sys; sys.path[:] = {path!r}; from foten.datasets.isolated import serve; serve()"
+
+
 class _Process:
     """The process that reads; it ends with its input."""
 
     def __init__(self) -> None:
-        start = f"import sys; sys.path[:] = {sys.path!r}; from foten.datasets.isolated import serve; serve()"
+        start = _START.format(path=sys.path)
         self._process = subprocess.Popen(
             [sys.executable, "-c", start],
             stdin=subprocess.PIPE,
@@ -107,7 +111,11 @@ class _Process:
         """End the process."""
         if self.owner == os.getpid():
             self._process.kill()
-            self._process.communicate()
+            self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout):
+            with contextlib.suppress(OSError):
+                if pipe:
+                    pipe.close()
 
 
 _LOCK = threading.Lock()
@@ -115,8 +123,10 @@ _running: list[_Process] = []
 
 
 def _process() -> _Process:
-    if not _running or not _running[0].alive:
-        _running[:] = [_Process()]
+    if _running and not _running[0].alive:
+        _running.pop().close()
+    if not _running:
+        _running.append(_Process())
     return _running[0]
 
 
@@ -162,20 +172,20 @@ def serve() -> None:
 def _answer_and_end(answers: BinaryIO, kind: str, path: Path) -> NoReturn:
     status = 1
     try:
-        _limit()
+        _limit(LONGEST_S + path.stat().st_size // BYTES_A_SECOND)
         _answer(answers, kind, path)
         status = 0
     finally:
         os._exit(status)
 
 
-def _limit() -> None:
+def _limit(longest_s: int) -> None:
     """Limit this process, so that no file takes all time or memory of the machine."""
     try:
         import resource
     except ImportError:  # Windows
         return
-    for what, most in ((resource.RLIMIT_CPU, LONGEST_S), (resource.RLIMIT_AS, LARGEST_BYTES)):
+    for what, most in ((resource.RLIMIT_CPU, longest_s), (resource.RLIMIT_AS, LARGEST_BYTES)):
         with contextlib.suppress(ValueError, OSError):  # a lower limit stands already
             resource.setrlimit(what, (most, most))
 
@@ -199,7 +209,7 @@ def _answer(answers: BinaryIO, kind: str, path: Path) -> None:
     except (
         Exception
     ) as error:  # a damaged file raises a dozen kinds, RuntimeError, KeyError and TypeError among them
-        answer = {"damaged": " ".join(str(error).split()) or type(error).__name__}
+        answer = {"damaged": brief(error)}
     _send(answers, answer, arrays)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ Signal = NDArray[np.float64]
 
 REFERENCE_SPEED = 100.0  # mm/s
 MEAN_ABSOLUTE = float(np.sqrt(2 / np.pi))  # of a standard normal
+MOST_NUMBERS, LARGEST = 64, 1e5  # of a texture's parameters
 BURN_IN = 4000  # samples; a pole of radius 0.99 has decayed to 1e-17
 
 
@@ -24,17 +26,33 @@ def from_poles(*poles: tuple[float, float]) -> tuple[float, ...]:
     return tuple((-np.poly(roots).real[1:]).tolist())
 
 
+def check_parameters(parameters: Any) -> None:
+    """Check the fields of a simulated texture, which may come from a file: numbers, and short rows of numbers.
+
+    Raises:
+        ValueError: something else, more than `MOST_NUMBERS`, or beyond `LARGEST`.
+    """
+    for name, value in vars(parameters).items():
+        if name == "description":
+            continue
+        numbers = value if isinstance(value, tuple) else (value,)
+        if not 0 < len(numbers) <= MOST_NUMBERS:
+            raise ValueError(f"{name} has {len(numbers)} numbers, expected 1 to {MOST_NUMBERS}")
+        if not all(type(number) in (int, float) and abs(number) <= LARGEST for number in numbers):
+            raise ValueError(f"{name} is not made of numbers of at most {LARGEST:g}")
+
+
 @dataclass(frozen=True)
 class LinearParameters:
     """What defines one member of the linear family.
 
     y[n] = Σ aᵢ y[n-i] + σ(v, f) e[n], e standard normal, with
-    σ = level (rest_share + v / 100 mm/s)^speed_exponent (f / 1 N)^force_exponent.
+    σ = level (standstill_share + v / 100 mm/s)^speed_exponent (f / 1 N)^force_exponent.
 
     Attributes:
         coefficients: a₁ … a_p, for each sample whatever the rate.
-        level: σ at 100 mm/s and 1 N [m/s²], up to the rest share.
-        rest_share: what is left of the reference speed at rest, so that σ is never zero.
+        level: σ at 100 mm/s and 1 N [m/s²], but for the share at standstill.
+        standstill_share: added to the speed, in reference speeds, so that σ is never zero.
     """
 
     description: str
@@ -42,19 +60,20 @@ class LinearParameters:
     level: float
     speed_exponent: float = 0.8
     force_exponent: float = 0.4
-    rest_share: float = 0.01
+    standstill_share: float = 0.01
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "coefficients", tuple(self.coefficients))
+        check_parameters(self)
         radius = np.abs(np.roots([1.0, *(-a for a in self.coefficients)])).max()
         if not radius < 0.995:
             raise ValueError(f"the largest pole has radius {radius:.4f}, expected less than 0.995")
-        if self.level <= 0 or self.rest_share <= 0:
-            raise ValueError("level and rest_share must be positive")
+        if self.level <= 0 or self.standstill_share <= 0:
+            raise ValueError("level and standstill_share must be positive")
 
     def sigma(self, speed: Signal, force: Signal) -> Signal:
         """Return the standard deviation of the innovation [m/s²] at speeds [mm/s] and forces [N]."""
-        stroked = self.rest_share + np.maximum(speed, 0) / REFERENCE_SPEED
+        stroked = self.standstill_share + np.maximum(speed, 0) / REFERENCE_SPEED
         return self.level * stroked**self.speed_exponent * np.maximum(force, 0) ** self.force_exponent
 
 

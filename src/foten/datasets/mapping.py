@@ -93,7 +93,7 @@ def _listing(files: Files) -> str:
 
 
 def _example(files: Files) -> str:
-    """Return a mapping that could be meant: a clock by how it runs, the rest by words in file and column names, else in order."""
+    """Return a mapping that could be meant: a clock by how it runs, others by words in file and column names, else in order."""
     left = {
         name_of(files, path, c): (path, c)
         for path, columns in files.items()

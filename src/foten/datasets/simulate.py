@@ -26,6 +26,7 @@ from foten.datasets.linear_family import (
     LINEAR_FAMILY,
     LinearParameters,
     LinearTruth,
+    check_parameters,
     linear_signal,
     linear_truth,
     one_step_bounds,
@@ -109,11 +110,19 @@ class TextureParameters:
     def __post_init__(self) -> None:
         for name in ("harmonics", "modes_hz", "damping"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
+        check_parameters(self)
         for name in ("level", "wavelength_mm", "corner_per_mm", "impacts_per_mm", "contact_hz"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected a positive number")
         if not 0 <= self.lattice_share <= 1:
             raise ValueError(f"lattice_share is {self.lattice_share}, expected 0 to 1")
+        for name in ("modes_hz", "damping"):
+            if len(getattr(self, name)) != 2 or not min(getattr(self, name)) > 0:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected two positive numbers")
+        if not max(*self.modes_hz, self.contact_hz) < RATE_HZ / 2 or self.wavelength_mm < GRID_MM:
+            raise ValueError(
+                f"modes and contact lie below {RATE_HZ / 2:g} Hz, and waves are longer than {GRID_MM} mm"
+            )
 
 
 # fmt: off
@@ -216,20 +225,25 @@ def second_realisation(recording: Recording, noise_seed: int) -> Recording:
     simulation = recording.simulation
     if simulation is None:
         raise ValueError("only a simulated recording has a second realisation; this one is not simulated")
-    if simulation["version"] != VERSION:
+    if simulation.get("version") != VERSION:
         raise ValueError(
-            f"simulated by version {simulation['version']}, this is {VERSION}: simulate it again"
+            f"simulated by version {simulation.get('version')}, this is {VERSION}: simulate it again"
         )
     kind = LinearParameters if "coefficients" in simulation["parameters"] else TextureParameters
-    return _simulate(
-        simulation["key"],
-        kind(**simulation["parameters"]),
-        simulation["seconds"],
-        simulation["seed"],
-        noise_seed,
-        simulation["stroke_seed"],
-        simulation["accelerometer_hz"],
-    )
+    try:
+        return _simulate(
+            str(simulation["key"]),
+            kind(**simulation["parameters"]),
+            float(simulation["seconds"]),
+            int(simulation["seed"]),
+            noise_seed,
+            int(simulation["stroke_seed"]),
+            float(simulation["accelerometer_hz"]),
+        )
+    except (KeyError, TypeError) as error:
+        raise ValueError(
+            f"its parameters are those of another simulator ({error}): simulate it again"
+        ) from error
 
 
 def _parameters_of(key: str) -> TextureParameters | LinearParameters:

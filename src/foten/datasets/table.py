@@ -14,7 +14,7 @@ import numpy as np
 
 from foten.datasets.columns import Column
 from foten.datasets.units import is_unit
-from foten.untrusted import check_regular
+from foten.untrusted import brief, check_regular
 
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 MOST_CELLS = 50_000_000  # of a sheet
@@ -45,7 +45,7 @@ def read_delimited(path: Path) -> list[Column]:
         try:
             rows = [list(row) for row in csv.reader(lines, delimiter=delimiter)]
         except csv.Error as error:
-            raise ValueError(f"{path.name} is not a table ({error})") from None
+            raise ValueError(f"{path.name} is not a table ({brief(error)})") from None
         if len(rows) != len(lines):
             raise ValueError(f"{path.name}: a quotation mark opens and never closes; was the file cut off?")
         for i in remarks:
@@ -87,7 +87,7 @@ def read_excel(path: Path) -> list[Column]:
     except (
         Exception
     ) as error:  # a damaged file raises a dozen kinds, BadZipFile, SyntaxError and TypeError among them
-        raise ValueError(f"{path.name} is truncated or is not an .xlsx workbook ({error})") from None
+        raise ValueError(f"{path.name} is truncated or is not an .xlsx workbook ({brief(error)})") from None
     if not sheets:
         raise ValueError(f"{path.name} has no filled cell")
     columns: list[Column] = []

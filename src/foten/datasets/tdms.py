@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from foten.datasets.columns import Column
-from foten.untrusted import check_regular
+from foten.untrusted import brief, check_regular
 
 _UNITS = ("unit_string", "NI_UnitDescription", "NI_Unit", "unit", "units", "Unit", "Units")
 """Properties in which programs state a channel's unit; LabVIEW's waveforms have the first."""
@@ -27,12 +27,13 @@ def read_tdms(path: Path) -> list[Column]:
     if path.stat().st_size == 0:
         raise ValueError(f"{path.name} is empty")
     from nptdms import TdmsFile
+    from nptdms.log import log_manager
 
-    logging.getLogger("nptdms").setLevel(logging.ERROR)  # what it warns of is refused below, in one line
+    log_manager.set_level(logging.CRITICAL)  # what it warns of is refused below, in one line
     try:
         file = TdmsFile.read(path)
     except Exception as error:  # a damaged file raises struct.error, UnicodeDecodeError, KeyError and others
-        raise ValueError(f"{path.name} is truncated or is no TDMS file ({error})") from None
+        raise ValueError(f"{path.name} is truncated or is no TDMS file ({brief(error)})") from None
     status = file.file_status
     lengths = (status.channel_statuses or {}).values()
     if status.incomplete_final_segment or any(one.read_length < one.expected_length for one in lengths):

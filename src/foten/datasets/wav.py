@@ -9,7 +9,7 @@ import numpy as np
 
 from foten.datasets.columns import Column
 from foten.datasets.units import FULL_SCALE
-from foten.untrusted import check_regular
+from foten.untrusted import brief, check_regular
 
 
 def read_wav(path: Path) -> list[Column]:
@@ -35,7 +35,7 @@ def read_wav(path: Path) -> list[Column]:
     except (
         Exception
     ) as error:  # a damaged file raises a dozen kinds, struct.error and ZeroDivisionError among them
-        raise ValueError(f"{path.name} is truncated or is no WAV file ({error})") from None
+        raise ValueError(f"{path.name} is truncated or is no WAV file ({brief(error)})") from None
     unit = ""
     if samples.dtype.kind == "u":
         samples, unit = (samples.astype(np.float64) - 128) / 128, FULL_SCALE

@@ -39,11 +39,11 @@ def stabilised(taps: Array, radius: float) -> Array:
 
     Scaling the tap of lag k by γ^k scales every pole by γ; resonances keep their frequency.
     """
-    found = spectral_radius(taps)
-    if found <= radius:
+    largest = spectral_radius(taps)
+    if largest <= radius:
         return taps
     lag = np.arange(taps.size, 0, -1)
-    return taps * (radius / found) ** lag
+    return taps * (radius / largest) ** lag
 
 
 def levinson(moments: Array) -> tuple[Array, Array]:

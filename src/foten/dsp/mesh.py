@@ -85,10 +85,10 @@ def _nearest(asked: Array, corners: Array) -> tuple[NDArray[np.int64], Array]:
         rows = np.arange(len(asked))
         nearer = distance[rows, nearest] < best
         best = np.where(nearer, distance[rows, nearest], best)
-        found = np.zeros((len(asked), 3))
-        found[:, (k + 1) % 3] = share[rows, nearest]
-        found[:, k] = 1 - share[rows, nearest]
-        triangle, weights = np.where(nearer, nearest, triangle), np.where(nearer[:, None], found, weights)
+        outside = np.zeros((len(asked), 3))
+        outside[:, (k + 1) % 3] = share[rows, nearest]
+        outside[:, k] = 1 - share[rows, nearest]
+        triangle, weights = np.where(nearer, nearest, triangle), np.where(nearer[:, None], outside, weights)
     return triangle, weights
 
 

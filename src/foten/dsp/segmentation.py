@@ -68,16 +68,16 @@ def pieces_of(x: Array, max_order: int = MAX_ORDER, grid: int = 50, longest: int
         raise ValueError(
             f"the signal has {x.size} samples, expected at least two steps of the grid, {2 * grid}"
         )
-    told = _Description(x, max_order)
+    description = _Description(x, max_order)
     places = np.append(np.arange(0, x.size - grid + 1, grid), x.size)
-    cuts = places[_best(told.between(places, longest), np.log(x.size))]
+    cuts = places[_best(description.between(places, longest), np.log(x.size))]
     for _ in range(_PASSES):
-        moved = _moved(told, cuts, grid, longest)
+        moved = _moved(description, cuts, grid, longest)
         if np.array_equal(moved, cuts):
             break
         cuts = moved
     edges = np.concatenate([[0], cuts, [x.size]])
-    each, orders = told.of(edges[:-1], edges[1:])
+    each, orders = description.of(edges[:-1], edges[1:])
     m = len(cuts)
     return Pieces(cuts, orders, float(each.sum() + (m + 1) * np.log(x.size) + (np.log(m) if m else 0.0)))
 
@@ -165,16 +165,16 @@ def _best(costs: Array, each: float) -> Index:
     return np.array(cuts[::-1], dtype=int)
 
 
-def _moved(told: _Description, cuts: Index, grid: int, longest: int | None) -> Index:
+def _moved(description: _Description, cuts: Index, grid: int, longest: int | None) -> Index:
     """Return each cut in turn where the two pieces beside it are shortest to tell, at most a step of the grid away."""
-    edges = np.concatenate([[0], cuts, [told.n]])
+    edges = np.concatenate([[0], cuts, [description.n]])
     for j in range(1, len(edges) - 1):
         tried = np.arange(max(edges[j - 1] + 1, edges[j] - grid), min(edges[j + 1], edges[j] + grid + 1))
         if longest is not None:
             tried = tried[(tried - edges[j - 1] <= longest) & (edges[j + 1] - tried <= longest)]
         nats = (
-            told.of(np.full(len(tried), edges[j - 1]), tried)[0]
-            + told.of(tried, np.full(len(tried), edges[j + 1]))[0]
+            description.of(np.full(len(tried), edges[j - 1]), tried)[0]
+            + description.of(tried, np.full(len(tried), edges[j + 1]))[0]
         )
         edges[j] = tried[int(nats.argmin())]
     return edges[1:-1]

@@ -232,14 +232,14 @@ def _free_run(
     reasons: dict[str, str],
 ) -> tuple[dict[str, Any], dict[str, Array]]:
     empty: dict[str, Any] = dict.fromkeys(FREE_RUN_KEYS)
-    found: dict[str, Any] = {
+    scores: dict[str, Any] = {
         name: dict(empty) for name in ("free_run", "free_run_deterministic", "free_run_ar", "ceiling")
     }
     picked = list(blocks)
     recorded, speed, force = (trace.blocks(c)[picked] for c in (trace.acceleration, trace.speed, trace.force))
     if recorded[:, runs.scored(trace.block)].shape[1] < 64:
         reasons["free_run"] = f"blocks of {trace.block} samples are too short for a spectrum"
-        return found, {}
+        return scores, {}
     signals: dict[str, Array] = {}
     saturated: dict[str, int] = {}
     if texture.has_excitation:
@@ -264,9 +264,9 @@ def _free_run(
         reasons["ceiling"] = "a foreign recording has no training blocks"
     for name, signal in signals.items():
         n_given = {"ceiling": 0, "free_run_ar": linear.window if linear else 0}.get(name, texture.window)
-        found[name] = runs.free_run(recorded, signal, speed, force, trace.rate_hz, scaling.sd[0], n_given)
+        scores[name] = runs.free_run(recorded, signal, speed, force, trace.rate_hz, scaling.sd[0], n_given)
         for key in ("level_bias_db", "level_corr", "modulation_db", "level_slopes"):
-            if found[name].get(key) is None:
+            if scores[name].get(key) is None:
                 reasons[f"{name}.{key}"] = {
                     "level_bias_db": "blocks hold no frame of 40 ms after their first fifth",
                     "level_corr": "the level does not vary",
@@ -274,9 +274,9 @@ def _free_run(
                     "level_slopes": "speed or force spans less than a factor of 1.2",
                 }[key]
         if name in saturated:
-            found[name]["n_saturated"] = saturated[name]
-    found["ceiling"]["of"] = ceiling_of
-    return found, signals
+            scores[name]["n_saturated"] = saturated[name]
+    scores["ceiling"]["of"] = ceiling_of
+    return scores, signals
 
 
 def to_text(document: Mapping[str, Any]) -> str:

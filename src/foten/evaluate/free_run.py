@@ -13,7 +13,8 @@ from foten.evaluate.bootstrap import intervals
 from foten.evaluate.references import Linear
 from foten.recording.scaling import Scaling
 from foten.recording.trace import Trace
-from foten.runtime.native import NativeState, NativeTexture, on_all_cores
+from foten.runtime.loops import on_all_cores
+from foten.runtime.native import NativeState, NativeTexture
 
 Array = NDArray[np.float64]
 

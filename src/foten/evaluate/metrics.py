@@ -88,10 +88,11 @@ def band_errors(
 ) -> list[float | None]:
     """Return the error of each band's energy [dB], from pooled densities (k,); None where a band holds no bin."""
     edges = band_edges(rate_hz)
+    starts = np.searchsorted(frequencies, edges)
+    starts[-1] = np.searchsorted(frequencies, edges[-1], side="right")  # the last band includes both edges
     errors: list[float | None] = []
-    for low, high in pairwise(edges):
-        inside = (frequencies >= low) & (frequencies < high if high < edges[-1] else frequencies <= high)
-        p, q = float(recorded[inside].sum()), float(synthesized[inside].sum())
+    for first, stop in pairwise(starts):
+        p, q = float(recorded[first:stop].sum()), float(synthesized[first:stop].sum())
         errors.append(10 * math.log10(max(q, POWER_FLOOR * p) / p) if p > 0 else None)
     return errors
 

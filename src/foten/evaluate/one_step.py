@@ -13,7 +13,8 @@ from foten.evaluate.bootstrap import intervals
 from foten.evaluate.metrics import goodness_of_fit
 from foten.recording.scaling import Scaling
 from foten.recording.windows import windows
-from foten.runtime.native import NativeTexture, Prediction, PredictionPart, predict_blocks
+from foten.runtime.loops import Prediction, predict_blocks
+from foten.runtime.native import NativeTexture, PredictionPart
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from foten.runtime.live.sinks import write_audible, write_rendered
 from foten.runtime.renderer import Renderer
 from foten.runtime.stroke import recorded_stroke
 from foten.train.config import RECIPES
-from foten.train.fit import Epoch
+from foten.train.epochs import Epoch
 from foten.train.job import TrainingJob
 from foten.train.pipeline import train
 

@@ -11,8 +11,6 @@ from typing import Any
 from foten.families.sizes import Shapes, Sizes, check_count, check_flag
 
 HEAVIEST_TAIL = 0.25  # of h in z·exp(h z²/2); beyond it there is no fourth moment
-LARGEST_SHOCK = 4.0  # |z| that drives the volatility, at most
-LARGEST_VOLATILITY = 3.0  # standard deviations that the volatility keeps to
 
 
 @dataclass(frozen=True)

@@ -34,11 +34,14 @@ from foten.families.sizes import Sizes, shortened
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
+from foten.untrusted import check_numbers, check_regular, parse_json
 
 FORMAT_VERSION = 2
 ONE_STEP_TOLERANCE = 1e-5  # scaled; float32 arithmetic of the network
 CLOSED_LOOP_TOLERANCE = 1e-4  # scaled, after 64 steps
 MIN_GOLDEN = 8  # windows
+HIGHEST_HZ = 1e6
+LARGEST = 1e9  # of a number in a tensor; squares of it are finite in float32
 _MAX_HEADER = 100_000_000  # bytes; the safetensors limit
 
 _CARD: Mapping[str, type | tuple[type, ...]] = {
@@ -146,8 +149,7 @@ def read_texture(path: Path | str) -> Texture:
         ValueError: it is not a texture file, is truncated, or its card or tensors do not fit.
     """
     path = Path(path)
-    if not path.exists():
-        raise FileNotFoundError(f"no such file: {path}")
+    check_regular(path)
     try:
         return texture_from_bytes(path.read_bytes())
     except ValueError as error:
@@ -171,19 +173,20 @@ def texture_from_bytes(data: bytes) -> Texture:
     if not 0 < length <= min(_MAX_HEADER, len(data) - 8):
         raise ValueError("this is not a texture file, or it is truncated")
     try:
-        metadata = json.loads(data[8 : 8 + length]).get("__metadata__") or {}
+        metadata = parse_json(data[8 : 8 + length]).get("__metadata__") or {}
         tensors = load(data)
-    except (SafetensorError, UnicodeDecodeError, json.JSONDecodeError, AttributeError, KeyError) as error:
+    except (SafetensorError, ValueError, AttributeError, KeyError, TypeError, OverflowError) as error:
         raise ValueError(f"this is not a texture file, or it is truncated ({error})") from error
-    if "foten" not in metadata:
+    if not isinstance(metadata, dict) or "foten" not in metadata:
         raise ValueError(
             "this is a safetensors file without a texture card, expected one written by 'foten train'"
         )
     try:
-        card = json.loads(metadata["foten"])
-    except json.JSONDecodeError as error:
+        card = parse_json(metadata["foten"])
+    except (ValueError, TypeError) as error:
         raise ValueError(f"the card is not JSON ({error})") from error
     check_card(card)
+    check_numbers(card, "the card")
     texture = Texture(card=card, tensors=tensors)
     _check_tensors(texture)
     return texture
@@ -210,12 +213,20 @@ def check_card(card: Any) -> None:
         if not isinstance(card[key], kind) or isinstance(card[key], bool):
             expected = "a number" if kind == (int, float) else getattr(kind, "__name__", "dict or null")
             raise ValueError(f"{key!r} in the card is {card[key]!r}, expected {expected}")
-    sizes = sizes_of(card["model"], card["sizes"])
+    try:
+        sizes = sizes_of(card["model"], card["sizes"])
+    except (TypeError, OverflowError) as error:  # a list where a number belongs
+        raise ValueError(f"the sizes in the card do not fit together ({error})") from error
     if sizes.history != card["window"]:
         raise ValueError(f"the card has window {shortened(card['window'])} and the network {sizes.history}")
     for key in ("rate_hz", "saturation", "lowpass_hz"):
         if not (_are_numbers([card[key]], 1) and card[key] > 0):
             raise ValueError(f"{key!r} in the card is {card[key]}, expected a positive number")
+    if not (card["rate_hz"] <= HIGHEST_HZ and 1e-3 <= card["lowpass_hz"] < card["rate_hz"] / 2):
+        raise ValueError(
+            f"the card has a rate of {card['rate_hz']} Hz and a low-pass of {card['lowpass_hz']} Hz, expected up to "
+            f"{HIGHEST_HZ:g} Hz, and from 0.001 Hz to half of that"
+        )
     for channel in ("speed", "force"):
         bounds = card["trained_range"].get(channel)
         if not (_are_numbers(bounds, 2) and 0 <= bounds[0] <= bounds[1]):
@@ -231,7 +242,7 @@ def check_card(card: Any) -> None:
         made = PreprocessConfig(**card["preprocess"])
         if card["split"] is not None:
             Split.from_fields(card["split"])
-    except (TypeError, KeyError) as error:
+    except (TypeError, KeyError, AttributeError, OverflowError) as error:
         raise ValueError(f"the preprocessing or the split in the card is incomplete ({error})") from error
     if made.rate_hz != card["rate_hz"]:
         raise ValueError(
@@ -248,10 +259,10 @@ def check_card(card: Any) -> None:
 
 
 def _are_numbers(values: Any, n: int) -> bool:
-    """Return whether a JSON value is a list of n numbers that a float64 holds."""
+    """Return whether a JSON value is a list of n numbers that a float64 or an int64 holds."""
     if not isinstance(values, list) or len(values) != n:
         return False
-    return all(type(v) in (int, float) and abs(v) < 1e300 for v in values)  # NaN compares false
+    return all(type(v) in (int, float) and abs(v) < 2**63 for v in values)  # NaN compares false
 
 
 def _check_tensors(texture: Texture) -> None:
@@ -263,6 +274,8 @@ def _check_tensors(texture: Texture) -> None:
             raise ValueError(f"tensor {name!r} is {tensor.dtype}, expected float32 or float64")
         if not np.isfinite(tensor).all():
             raise ValueError(f"tensor {name!r} holds NaN or infinity")
+        if tensor.size and np.abs(tensor).max() > LARGEST:
+            raise ValueError(f"tensor {name!r} holds {np.abs(tensor).max():g}, expected {LARGEST:g} at most")
     m = texture.window
     n_golden = len(texture.tensors.get("golden.one_step", ()))
     if n_golden < MIN_GOLDEN:

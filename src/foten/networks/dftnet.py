@@ -18,7 +18,7 @@ class Spectrum(nn.Module):
     def __init__(self, sizes: DftnetSizes) -> None:
         super().__init__()
         m, n = sizes.window, sizes.n_conditions
-        self.told = [m - 1 - k * (m // n) for k in range(n)]  # samples of the window
+        self.samples = [m - 1 - k * (m // n) for k in range(n)]  # samples of the window
         widths = (2 * n, sizes.first, sizes.second, sizes.third)
         self.hidden = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(widths))
         self.out = nn.Linear(sizes.third, m // 2 + 1)
@@ -26,10 +26,10 @@ class Spectrum(nn.Module):
 
     def forward(self, windows: Tensor) -> Tensor:
         """Return log |X| of frames under a Hann window: windows (b, m, 3) scaled → (b, m // 2 + 1)."""
-        found = windows[:, self.told, 1:].flatten(1)
+        hidden = windows[:, self.samples, 1:].flatten(1)
         for layer in self.hidden:
-            found = self.dropout(torch.relu(layer(found)))
-        return self.out(found)
+            hidden = self.dropout(torch.relu(layer(hidden)))
+        return self.out(hidden)
 
 
 class Dftnet(nn.Module):

@@ -23,7 +23,7 @@ def masks_given(masks: Sequence[Tensor]) -> Iterator[None]:
 
 
 @contextmanager
-def shapes_told() -> Iterator[list[torch.Size]]:
+def mask_shapes() -> Iterator[list[torch.Size]]:
     """Give the shapes of the masks that the network asks for meanwhile."""
     _MASKS.shapes = []
     try:

@@ -36,16 +36,16 @@ class Dstn(nn.Module):
 
     def forward(self, windows: Tensor) -> Tensor:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
-        found = self.convolution_1(windows.transpose(1, 2)).transpose(1, 2)
-        found = torch.relu(self.norm_1(found))
-        found = self.convolution_2(found.transpose(1, 2)).transpose(1, 2)
-        found = self.dropout(torch.relu(self.norm_2(found)))
+        features = self.convolution_1(windows.transpose(1, 2)).transpose(1, 2)
+        features = torch.relu(self.norm_1(features))
+        features = self.convolution_2(features.transpose(1, 2)).transpose(1, 2)
+        features = self.dropout(torch.relu(self.norm_2(features)))
         # Channels by their mean over time (squeeze and excitation), then moments by what they hold.
-        gates = torch.sigmoid(self.excite(torch.relu(self.squeeze(found.mean(dim=1)))))
-        found = found * gates[:, None, :]
+        gates = torch.sigmoid(self.excite(torch.relu(self.squeeze(features.mean(dim=1)))))
+        features = features * gates[:, None, :]
         # Times m, so that even attention leaves every moment as it was.
-        found = found * torch.softmax(self.when(found), dim=1) * found.shape[1]
-        encoded, _ = self.encoder(found)
+        features = features * torch.softmax(self.when(features), dim=1) * features.shape[1]
+        encoded, _ = self.encoder(features)
         last = windows[:, -1:]
         query = self.query(torch.tanh(self.asked(last)))
         energy = self.energy(torch.tanh(query + self.key(encoded)))

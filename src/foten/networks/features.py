@@ -96,13 +96,13 @@ def wavelet_transform(m: int, n_levels: int) -> NDArray[np.float64]:
     root = math.sqrt(3)
     low = np.array([1 + root, 3 + root, 3 - root, 1 - root]) / (4 * math.sqrt(2))
     high = low[::-1] * np.array([1, -1, 1, -1])
-    smooth, found = np.eye(m), []
+    smooth, details = np.eye(m), []
     for _ in range(n_levels):
         n = smooth.shape[1]
         # Samples 2i − 2 … 2i + 1 counted from the end, so that the last sample is always in a coefficient of its own.
         ends = np.arange(n - 1, 0, -2)
         taken = np.abs(ends[:, None] - np.arange(3, -1, -1))
         pieces = smooth[:, taken]
-        found.append(pieces @ high)
+        details.append(pieces @ high)
         smooth = (pieces @ low)[:, ::-1]
-    return np.concatenate([*found, smooth], axis=1)
+    return np.concatenate([*details, smooth], axis=1)

@@ -20,7 +20,7 @@ class Fnn(nn.Module):
 
     Causal low-passes and what they leave split the vibration into bands that add up to it, without delay.
 
-    Source: Shin, Osgouei, Kim and Choi, World Haptics 2015, of which only the abstract was found ("frequency bands", "past
+    Source: Shin, Osgouei, Kim and Choi, World Haptics 2015, of which only the abstract was available ("frequency bands", "past
     output", "velocity and force"): our re-implementation. All bands are trained at once on the error of their sum, and on its own
     output it hears that sum through the bands' filters.
     """
@@ -44,9 +44,9 @@ class Fnn(nn.Module):
 
     def forward(self, windows: Tensor) -> Tensor:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
-        heard = torch.einsum("bm,klm->kbl", windows[:, :, 0], self.lags.to(windows.dtype))
+        lagged = torch.einsum("bm,klm->kbl", windows[:, :, 0], self.lags.to(windows.dtype))
         hand = windows[:, -1, 1:]
-        pieces = [band(torch.cat([heard[k], hand], dim=1))[:, 0] for k, band in enumerate(self.bands)]
+        pieces = [band(torch.cat([lagged[k], hand], dim=1))[:, 0] for k, band in enumerate(self.bands)]
         return torch.stack(pieces).sum(dim=0)
 
 

@@ -36,26 +36,26 @@ class Gan(nn.Module):
         self.out = nn.Conv1d(c, n // 2 + 1, 1)
         self.filter = NoiseFilter(n)
         turns = 2 * math.pi * torch.arange(n, dtype=torch.float64) / n
-        heard = [torch.ones(n, dtype=torch.float64)]
-        heard += [wave(k * turns) for k in (1, 2) for wave in (torch.cos, torch.sin)]
-        kernels = torch.stack(heard) * hann(n)
+        waves = [torch.ones(n, dtype=torch.float64)]
+        waves += [wave(k * turns) for k in (1, 2) for wave in (torch.cos, torch.sin)]
+        kernels = torch.stack(waves) * hann(n)
         kernels = kernels / kernels.square().sum(1, keepdim=True).sqrt()
         self.register_buffer("kernels", kernels[:, None].float(), persistent=False)
 
     def forward(self, windows: Tensor) -> Tensor:
         """Return the next samples: windows (b, m, 3) of noise, speed and force, scaled → (b,) scaled."""
-        found = self._frames(windows)
+        features = self._frames(windows)
         for layer in self.layers:
             # The last frame alone, which each layer needs every third of what is before it for.
-            found = torch.relu(conv1d(found, layer.weight, layer.bias, stride=3))
-        return self.filter(windows[:, -self.frame :, 0], self.out(found)[:, :, 0])
+            features = torch.relu(conv1d(features, layer.weight, layer.bias, stride=3))
+        return self.filter(windows[:, -self.frame :, 0], self.out(features)[:, :, 0])
 
     def spectra(self, windows: Tensor) -> Tensor:
         """Return log |X| for every stride of longer windows (b, n, 3): (b, frames − 26, bins), the first as `forward`'s of m."""
-        found = self._frames(windows)
+        features = self._frames(windows)
         for layer, spread in zip(self.layers, _SPREAD, strict=True):
-            found = torch.relu(conv1d(found, layer.weight, layer.bias, dilation=spread))
-        return self.out(found).transpose(1, 2)
+            features = torch.relu(conv1d(features, layer.weight, layer.bias, dilation=spread))
+        return self.out(features).transpose(1, 2)
 
     def played(self, windows: Tensor) -> Tensor:
         """Return samples as they are rendered, but for a spectrum that stands still for a stride: (b, n, 3) → (b, k · stride).
@@ -67,10 +67,10 @@ class Gan(nn.Module):
         return self.filter(noise, logs.repeat_interleave(self.stride, dim=1))
 
     def _frames(self, windows: Tensor) -> Tensor:
-        """Return noise and hand of every frame: (b, n, 3) → (b, LATENTS + 2, frames)."""
-        noise, hand = windows[:, None, :, 0], windows[:, self.frame - 1 :: self.stride, 1:]
+        """Return noise and condition of every frame: (b, n, 3) → (b, LATENTS + 2, frames)."""
+        noise, condition = windows[:, None, :, 0], windows[:, self.frame - 1 :: self.stride, 1:]
         latents = conv1d(noise, self.kernels.to(noise.dtype), stride=self.stride)
-        return torch.cat([latents, hand.transpose(1, 2)], dim=1)
+        return torch.cat([latents, condition.transpose(1, 2)], dim=1)
 
 
 class Discriminator(nn.Module):
@@ -84,10 +84,10 @@ class Discriminator(nn.Module):
         )
         self.out = spectral_norm(nn.Linear(widths[-1], 1))
 
-    def forward(self, spectrogram: Tensor, hand: Tensor) -> Tensor:
+    def forward(self, spectrogram: Tensor, condition: Tensor) -> Tensor:
         """Return how recorded it looks, above 0 or below: (b, frames, bins) standardised, (b, frames, 2) scaled → (b,)."""
-        told = hand.transpose(1, 2)[..., None].expand(-1, -1, -1, spectrogram.shape[2])
-        found = torch.cat([spectrogram[:, None], told], dim=1)
+        condition = condition.transpose(1, 2)[..., None].expand(-1, -1, -1, spectrogram.shape[2])
+        features = torch.cat([spectrogram[:, None], condition], dim=1)
         for layer in self.layers:
-            found = leaky_relu(layer(found), 0.2)
-        return self.out(found.mean(dim=(2, 3)))[:, 0]
+            features = leaky_relu(layer(features), 0.2)
+        return self.out(features.mean(dim=(2, 3)))[:, 0]

@@ -17,7 +17,7 @@ class Hapinf(nn.Module):
 
     Source: Informer (Zhou et al., AAAI 2021) as far as a window of 20 samples leaves something of it: the decoder's known
     beginning and one placeholder for what is to be predicted. Its sparse attention would choose among 20 tokens, and is left
-    out. No source of HapInf [20] itself was found: our re-implementation.
+    out. No source of HapInf [20] itself was available: our re-implementation.
     """
 
     def __init__(self, sizes: HapinfSizes) -> None:
@@ -45,6 +45,6 @@ class Hapinf(nn.Module):
             memory = layer(memory)
         # The placeholder holds the last known hand and no acceleration.
         asked = torch.cat([torch.zeros_like(windows[:, -1:, :1]), windows[:, -1:, 1:]], dim=2)
-        begun = torch.cat([windows[:, m - self.sizes.n_start :], asked], dim=1)
-        tokens = self.dropout(self.embedding(begun) + positions[m - self.sizes.n_start :])
+        decoded = torch.cat([windows[:, m - self.sizes.n_start :], asked], dim=1)
+        tokens = self.dropout(self.embedding(decoded) + positions[m - self.sizes.n_start :])
         return self.out(self.decoded(self.decoder(tokens, self.encoded(memory))[:, -1]))[:, 0]

@@ -23,7 +23,7 @@ class LdhtdHop(nn.Module):
         super().__init__()
         self.hop, r, d = sizes.hop, sizes.recurrent, sizes.d_model
         self.speed, self.force = (nn.LSTM(1, r, num_layers=2, batch_first=True) for _ in range(2))
-        self.asked, self.offered, self.told = (nn.Linear(r, r) for _ in range(3))
+        self.asked, self.offered, self.value = (nn.Linear(r, r) for _ in range(3))
         self.hand = nn.Linear(2 * r, sizes.condition_width)
         self.embedding = nn.Linear(sizes.window + sizes.condition_width, d)
         self.encoder = EncoderLayer(d, sizes.n_heads, sizes.d_feedforward, pre_norm=False)
@@ -39,7 +39,7 @@ class LdhtdHop(nn.Module):
         ]
         tokens = torch.stack(last, dim=1)
         scores = self.asked(tokens) @ self.offered(tokens).transpose(1, 2) * tokens.shape[2] ** -0.5
-        hand = self.hand((torch.softmax(scores, dim=2) @ self.told(tokens)).flatten(1))
+        hand = self.hand((torch.softmax(scores, dim=2) @ self.value(tokens)).flatten(1))
         token = self.embedding(torch.cat([windows[:, :, 0], hand], dim=1))
         token = self.dropout(token + self.position.to(windows.dtype))
         return self.out(self.encoder(token[:, None])[:, 0])

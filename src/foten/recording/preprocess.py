@@ -15,6 +15,7 @@ from foten.dsp.resample import decimate
 from foten.recording.recording import LIMITS, Channel, Recording
 from foten.recording.trace import Trace
 
+HIGHEST_ORDER = 20  # of a high-pass; one of 20 already rings for longer than a window
 WRONG_SIGN = (5.0, 0.5)  # mm/s, N; below minus this a magnitude is not a magnitude with noise
 
 
@@ -52,6 +53,8 @@ class PreprocessConfig:
                 raise ValueError(
                     f"{name} is {getattr(self, name):g} Hz, expected between 0 and half the rate, {self.rate_hz / 2:g} Hz"
                 )
+        if self.highpass_order > HIGHEST_ORDER:
+            raise ValueError(f"highpass_order is {self.highpass_order}, expected {HIGHEST_ORDER} at most")
         # The filters' own check, before a long recording is read.
         butterworth("highpass", self.highpass_hz, self.rate_hz, self.highpass_order)
 

@@ -119,11 +119,9 @@ class Recording:
 
     def axes(self, quantity: str) -> list[Channel]:
         """Return the channels of one quantity: its axes x, y, z where recorded, else the scalar, else none."""
-        found = [
-            self.channels[f"{quantity}_{axis}"] for axis in AXES if f"{quantity}_{axis}" in self.channels
-        ]
-        if found:
-            return found
+        axes = [self.channels[f"{quantity}_{axis}"] for axis in AXES if f"{quantity}_{axis}" in self.channels]
+        if axes:
+            return axes
         return [self.channels[quantity]] if quantity in self.channels else []
 
     @property

@@ -68,7 +68,7 @@ def split_blocks(trace: Trace, method: str = "regrouped", seed: int = 0) -> Spli
     """Return a 60/20/20 split of a trace's blocks.
 
     `regrouped`: blocks are grouped by mean speed, then within each group by mean force; the blocks that hold the
-    extremes of speed and force train, so that the test conditions lie inside the trained range; the rest are drawn
+    extremes of speed and force train, so that the test conditions lie inside the trained range; the others are drawn
     60/20/20 within the groups.
 
     `contiguous`: first 60 %, next 20 %, last 20 % in time. Neighbouring blocks share the hand's movement, so
@@ -125,5 +125,5 @@ def _regroup(trace: Trace, n_held: int, rng: np.random.Generator) -> tuple[list[
         for block in [cell[layer]]
     ]
     test, validation = dealt[0 : 2 * n_held : 2], dealt[1 : 2 * n_held : 2]
-    rest = [block for block in range(n) if block not in set(test) | set(validation)]
-    return rest, validation, test
+    others = [block for block in range(n) if block not in set(test) | set(validation)]
+    return others, validation, test

@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.atomic_write import atomic_write
-from foten.runtime.native import NativeActuator
+from foten.runtime.binding import NativeActuator
+from foten.untrusted import check_regular, parse_json
 
 Array = NDArray[np.float64]
 
 FORMAT, VERSION = "foten-actuator", 1
+LARGEST = 1e9  # of any figure: no actuator has more
 _NEAR_S = (
     0.02  # of the delay at which drive and acceleration are most alike, within which the best is looked for
 )
@@ -58,8 +60,11 @@ class ActuatorProfile:
             if field.name not in ("name", "unit")
         }
         for name, value in numbers.items():
-            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-                raise ValueError(f"{name} of the actuator is {value!r}, expected a number")
+            # The comparison holds for integers of any number of digits, and for NaN it does not.
+            if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
+                raise ValueError(
+                    f"{name} of the actuator is {value!r:.30}, expected a number below {LARGEST:g}"
+                )
             if name != "gain" and value < 0:
                 raise ValueError(f"{name} of the actuator is {value}, expected 0 or more")
         if self.gain == 0:
@@ -94,23 +99,22 @@ def read_profile(path: Path) -> ActuatorProfile:
         FileNotFoundError: there is none.
         ValueError: it is no profile, or a figure cannot be.
     """
-    if not path.exists():
-        raise FileNotFoundError(f"no such file: {path}")
+    check_regular(path)
     try:
-        found: Any = json.loads(path.read_text())
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        content: Any = parse_json(path.read_bytes())
+    except ValueError as error:
         raise ValueError(f"{path.name} is not JSON ({error}), expected an actuator's profile") from error
-    if not isinstance(found, dict) or found.pop("format", None) != FORMAT:
+    if not isinstance(content, dict) or content.pop("format", None) != FORMAT:
         raise ValueError(f"{path.name} is not an actuator's profile, expected 'format': {FORMAT!r}")
-    version = found.pop("version", None)
+    version = content.pop("version", None)
     if version != VERSION:
         raise ValueError(f"{path.name} has version {version}, expected {VERSION}; update foten?")
     known = {field.name for field in fields(ActuatorProfile)}
-    unknown = sorted(set(found) - known)
+    unknown = sorted(set(content) - known)
     if unknown:
         raise ValueError(f"{path.name} has {unknown[0]!r}, expected some of {', '.join(sorted(known))}")
     try:
-        return ActuatorProfile(**found)
+        return ActuatorProfile(**content)
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error
 
@@ -192,7 +196,7 @@ def identify(
     for _ in range(4):
         tried = [_resonator(x * np.exp(-s * delay), y, s) for delay in delays]
         best = int(np.argmin([missed for _, missed in tried]))
-        found, missed, delay = *tried[best], delays[best]
+        estimate, missed, delay = *tried[best], delays[best]
         step = (delays[1] - delays[0]) / 4
         delays = delay + step * np.arange(-4, 5)
     if missed > _MOST_MISSED:
@@ -200,7 +204,7 @@ def identify(
             f"no resonator explains more than {100 * (1 - missed):.0f} % of what was recorded, expected the answer to that "
             "drive, louder than the noise; are both at the same rate?"
         )
-    gain, w, damping = found
+    gain, w, damping = estimate
     profile = ActuatorProfile(
         name=name,
         resonance_hz=w / (2 * np.pi),

@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from foten.runtime.native import NativeState, NativeTexture, isa, library
+from foten.runtime.binding import isa, library
+from foten.runtime.native import NativeState, NativeTexture
 
 INSTRUCTION_SETS = ("avx512", "avx2", "neon", "portable")
 _WARM_UP = 200  # samples
@@ -23,7 +24,7 @@ import json, sys
 from dataclasses import asdict
 from pathlib import Path
 from foten.runtime.bench import time_steps
-from foten.runtime.native import isa
+from foten.runtime.binding import isa
 path, n, name = sys.argv[1:]
 if isa() == name:  # else this processor has it not, and another one stands in
     print(json.dumps(asdict(time_steps(Path(path), int(n)))))
@@ -86,7 +87,7 @@ def time_all(path: Path, n: int = 20_000) -> list[StepTimes]:
     if NativeTexture(path.read_bytes()).asks:
         # ONNX Runtime takes the instructions that it likes, whatever the kernel around it does.
         return [replace(time_steps(path, n), isa="onnxruntime")]
-    found = []
+    times = []
     for name in INSTRUCTION_SETS:
         done = subprocess.run(
             [sys.executable, "-c", _TIMED, str(path), str(n), name],
@@ -98,8 +99,8 @@ def time_all(path: Path, n: int = 20_000) -> list[StepTimes]:
         if done.returncode != 0:
             raise OSError(f"timing {name}: {reason(done)}")
         if done.stdout:
-            found.append(StepTimes(**json.loads(done.stdout)))
-    return found
+            times.append(StepTimes(**json.loads(done.stdout)))
+    return times
 
 
 def reason(done: subprocess.CompletedProcess[str]) -> str:

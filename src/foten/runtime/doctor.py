@@ -1,4 +1,4 @@
-"""What this machine has for rendering, and what is missing: told, with what to do."""
+"""What this machine has for rendering, and what is missing, with what to do."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ class Check:
 
     Attributes:
         name: of it.
-        found: what is so.
-        fine: whether rendering can do with it; None where it is only told.
+        result: what is so.
+        fine: whether rendering can do with it; None where it is only information.
     """
 
     name: str
-    found: str
+    result: str
     fine: bool | None = None
 
 
 def checks() -> list[Check]:
-    """Return what was found, in the order of what a user needs."""
+    """Return the results, in the order of what a user needs."""
     return [_python(), _kernel(), _size(), *_start_up(), _clock(), _sound(), _daq(), _training()]
 
 
@@ -49,7 +49,7 @@ def _python() -> Check:
 
 
 def _kernel() -> Check:
-    from foten.runtime.native import isa, library
+    from foten.runtime.binding import isa, library
 
     try:
         version = library().foten_version().decode()
@@ -69,13 +69,13 @@ def _size() -> Check:
             continue
         sizes[name] = 0
         try:
-            found = importlib.metadata.distribution(name)
+            distribution = importlib.metadata.distribution(name)
         except importlib.metadata.PackageNotFoundError:  # run from its sources
             continue
-        paths = [Path(str(file.locate())) for file in found.files or []]
+        paths = [Path(str(file.locate())) for file in distribution.files or []]
         recorded.update(paths)
         sizes[name] = sum(path.stat().st_size for path in paths if path.is_file())
-        asked = [line for line in found.requires or [] if "extra ==" not in line]
+        asked = [line for line in distribution.requires or [] if "extra ==" not in line]
         waiting += [re.split(r"[^A-Za-z0-9._-]", line, maxsplit=1)[0] for line in asked]
     # Of an editable install the sources lie elsewhere.
     for folder in importlib.util.find_spec("foten").submodule_search_locations or []:  # type: ignore[union-attr]
@@ -85,8 +85,8 @@ def _size() -> Check:
             if path.is_file() and "__pycache__" not in path.parts and path not in recorded
         )
     largest = sorted(sizes, key=lambda name: -sizes[name])
-    told = ", ".join(f"{name} {sizes[name] / 1e6:.1f}" for name in largest if sizes[name] > 5e5)
-    return Check("size", f"{sum(sizes.values()) / 1e6:.0f} MB: {told}")
+    summary = ", ".join(f"{name} {sizes[name] / 1e6:.1f}" for name in largest if sizes[name] > 5e5)
+    return Check("size", f"{sum(sizes.values()) / 1e6:.0f} MB: {summary}")
 
 
 def _start_up() -> list[Check]:
@@ -137,7 +137,7 @@ def _clock() -> Check:
 
 
 def _sound() -> Check:
-    from foten.runtime.live.devices import sound_library
+    from foten.runtime.live.sound import sound_library
 
     try:
         sounddevice: Any = sound_library()
@@ -171,6 +171,6 @@ def _version(package: str) -> str:
         return "of an unknown version"
 
 
-def as_documents(found: list[Check]) -> list[dict[str, Any]]:
+def as_documents(checks: list[Check]) -> list[dict[str, Any]]:
     """Return the checks as JSON values."""
-    return [asdict(check) for check in found]
+    return [asdict(check) for check in checks]

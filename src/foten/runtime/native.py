@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 import ctypes
-import os
 import threading
 import weakref
-from collections import deque
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from ctypes import POINTER, Structure, byref, c_char_p, c_double, c_float, c_int, c_size_t, c_uint64, c_void_p
+from ctypes import byref, c_float, c_void_p
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-_SUFFIXES = (".so", ".dylib", ".dll")
+from foten.runtime.binding import (
+    DOUBLES,
+    FLOATS,
+    NO_MEMORY,
+    NO_PREDICTOR,
+    PREDICTOR,
+    NativeActuator,
+    NativeStatistics,
+    NativeStylusStatistics,
+    Options,
+    StylusOptions,
+    library,
+)
+
+PredictionPart = Literal["model", "linear", "rendering"]
+_PARTS = get_args(PredictionPart)
 
 
 @dataclass(frozen=True)
@@ -50,150 +60,6 @@ class NativeInfo:
     hop: int
 
 
-class _Info(Structure):
-    _fields_ = [
-        ("model", c_char_p),
-        ("texture", c_char_p),
-        ("rate_hz", c_double),
-        ("window", c_int),
-        ("has_excitation", c_int),
-        ("trained_speed", c_double * 2),
-        ("trained_force", c_double * 2),
-        ("acceleration_sd", c_double),
-        ("lowpass_hz", c_double),
-        ("state_bytes", c_size_t),
-        ("hop", c_int),
-    ]
-
-
-class NativeStatistics(Structure):
-    """What a state has counted: foten_stats."""
-
-    _fields_ = [
-        (name, c_uint64)
-        for name in (
-            "n",
-            "n_speed_beyond",
-            "n_force_beyond",
-            "n_speed_clamped",
-            "n_force_clamped",
-            "n_below",
-            "n_saturated",
-            "n_refused",
-            "n_limited",
-            "n_lost",
-        )
-    ]
-
-
-class NativeStylusStatistics(Structure):
-    """What a stylus has counted: foten_stylus_stats."""
-
-    _fields_ = [
-        (name, c_uint64) for name in ("n", "n_refused", "n_late", "n_dropped", "n_clipped", "n_jumps")
-    ]
-
-
-class NativeActuator(Structure):
-    """An actuator's figures: foten_actuator."""
-
-    _fields_ = [(name, c_double) for name in ("resonance_hz", "damping", "gain", "lowest_hz", "limit")]
-
-
-class _StylusOptions(Structure):
-    _fields_ = [("newtons", c_double), ("steepness", c_double)]
-
-
-class _Options(Structure):
-    _fields_ = [
-        ("rate_hz", c_double),
-        ("seed", c_uint64),
-        ("stream", c_uint64),
-        ("deterministic", c_int),
-        ("smooth", c_int),
-    ]
-
-
-_FLOATS, _DOUBLES = POINTER(c_float), POINTER(c_double)
-_PREDICTOR = ctypes.CFUNCTYPE(None, c_void_p, POINTER(c_float), POINTER(c_float), c_int)
-_SIGNATURES = {
-    "foten_abi": (c_int, []),
-    "foten_version": (c_char_p, []),
-    "foten_isa": (c_char_p, []),
-    "foten_model_load": (c_int, [c_void_p, c_size_t, POINTER(c_void_p), c_char_p, c_size_t]),
-    "foten_model_load_with": (
-        c_int,
-        [c_void_p, c_size_t, _PREDICTOR, c_void_p, POINTER(c_void_p), c_char_p, c_size_t],
-    ),
-    "foten_model_free": (None, [c_void_p]),
-    "foten_model_info": (_Info, [c_void_p]),
-    "foten_state_new": (c_void_p, [c_void_p, POINTER(_Options)]),
-    "foten_state_free": (None, [c_void_p]),
-    "foten_reset": (None, [c_void_p, c_uint64]),
-    "foten_start": (c_int, [c_void_p, _FLOATS, _FLOATS, _FLOATS]),
-    "foten_start_scaled": (c_int, [c_void_p, _DOUBLES]),
-    "foten_run_scaled": (None, [c_void_p, _DOUBLES, _DOUBLES, c_double, c_size_t, _DOUBLES]),
-    "foten_predict": (c_int, [c_void_p, _DOUBLES, c_size_t, c_int, _DOUBLES]),
-    "foten_set_condition": (None, [c_void_p, c_float, c_float]),
-    "foten_render": (None, [c_void_p, _FLOATS, c_size_t]),
-    "foten_render_stroke": (c_size_t, [c_void_p, _FLOATS, _FLOATS, c_size_t, _FLOATS]),
-    "foten_rendered": (c_size_t, [c_void_p, c_size_t]),
-    "foten_delay_s": (c_double, [c_void_p]),
-    "foten_statistics": (NativeStatistics, [c_void_p]),
-    "foten_stylus_new": (c_void_p, [c_void_p, POINTER(_StylusOptions)]),
-    "foten_stylus_free": (None, [c_void_p]),
-    "foten_stylus_push": (None, [c_void_p, c_double, c_double, c_double, c_double]),
-    "foten_stylus_next": (None, [c_void_p, _FLOATS, _FLOATS]),
-    "foten_render_stylus": (None, [c_void_p, c_void_p, _FLOATS, c_size_t]),
-    "foten_stylus_statistics": (NativeStylusStatistics, [c_void_p]),
-    "foten_set_actuator": (c_int, [c_void_p, POINTER(NativeActuator)]),
-    "foten_noise": (None, [c_uint64, c_uint64, c_uint64, c_size_t, POINTER(c_double)]),
-}
-
-
-@cache
-def library() -> ctypes.CDLL:
-    """Return the library that was built with this package.
-
-    Raises:
-        OSError: there is none, or it does not load.
-    """
-    # An editable install has the library in another folder than the sources; a package's path knows both.
-    import foten.runtime
-
-    candidates = [
-        Path(folder) / "kernel" / f"libfoten{suffix}"
-        for folder in foten.runtime.__path__
-        for suffix in _SUFFIXES
-    ]
-    for path in candidates:
-        if path.exists():
-            found = ctypes.CDLL(str(path))
-            if not hasattr(found, "foten_abi") or found.foten_abi() != _ABI:
-                raise OSError(
-                    f"{path.name} is of another version than this package: reinstall with 'pip install --force-reinstall .'"
-                )
-            for name, (result, arguments) in _SIGNATURES.items():
-                function = getattr(found, name)
-                function.restype, function.argtypes = result, arguments
-            return found
-    raise OSError(
-        "foten's kernel is not installed beside the package: reinstall with 'pip install .', which builds it with a C compiler"
-    )
-
-
-def isa() -> str:
-    """Return the instruction set that the kernel uses here."""
-    return str(library().foten_isa().decode())
-
-
-def noise(seed: int, stream: int, first: int, n: int) -> NDArray[np.float64]:
-    """Return the kernel's own noise, shape (n,); the numbers of `foten.dsp.noise.gaussian`."""
-    out = np.empty(n)
-    library().foten_noise(seed, stream, first, n, out.ctypes.data_as(POINTER(c_double)))
-    return out
-
-
 class NativeTexture:
     """A texture file made ready for the kernel; any number of states may share it.
 
@@ -210,31 +76,31 @@ class NativeTexture:
         status = library().foten_model_load(data, len(data), byref(pointer), why, len(why))
         self._failed: list[BaseException] = []
         self._asked: ctypes._FuncPointer | None = None
-        if status == _NO_PREDICTOR:
+        if status == NO_PREDICTOR:
             self._asked = _asked(data, self._failed)  # as long as the texture is
             status = library().foten_model_load_with(
                 data, len(data), self._asked, None, byref(pointer), why, len(why)
             )
             self.raise_failed()
-        if status == _NO_MEMORY:
+        if status == NO_MEMORY:
             raise MemoryError(why.value.decode(errors="replace"))
         if status != 0:
             raise ValueError(why.value.decode(errors="replace"))
         self.pointer = pointer
-        told = library().foten_model_info(pointer)
-        # Copied: what is told of lives as long as the texture does.
+        info = library().foten_model_info(pointer)
+        # Copied: the texts live as long as the texture does.
         self.info = NativeInfo(
-            told.model.decode(errors="replace"),
-            told.texture.decode(errors="replace"),
-            told.rate_hz,
-            told.window,
-            bool(told.has_excitation),
-            tuple(told.trained_speed),
-            tuple(told.trained_force),
-            told.acceleration_sd,
-            told.lowpass_hz,
-            told.state_bytes,
-            told.hop,
+            info.model.decode(errors="replace"),
+            info.texture.decode(errors="replace"),
+            info.rate_hz,
+            info.window,
+            bool(info.has_excitation),
+            tuple(info.trained_speed),
+            tuple(info.trained_force),
+            info.acceleration_sd,
+            info.lowpass_hz,
+            info.state_bytes,
+            info.hop,
         )
         _freed_with(self, library().foten_model_free, pointer)
 
@@ -278,7 +144,7 @@ class NativeState:
             raise ValueError(
                 f"the rate is {rate_hz} Hz, expected {own / 20:g} to {400 * own:g} Hz for this texture"
             )
-        options = _Options(rate, seed, stream, not excitation, smooth)
+        options = Options(rate, seed, stream, not excitation, smooth)
         pointer = library().foten_state_new(texture.pointer, byref(options))
         if not pointer:
             raise MemoryError("no memory for another hand on the texture")
@@ -295,8 +161,8 @@ class NativeState:
     @property
     def statistics(self) -> NativeStatistics:
         """Return what was counted since the last reset."""
-        found: NativeStatistics = library().foten_statistics(self._pointer)
-        return found
+        counts: NativeStatistics = library().foten_statistics(self._pointer)
+        return counts
 
     def set_actuator(self, actuator: NativeActuator | None) -> None:
         """Render what drives an actuator from now on, or acceleration again.
@@ -328,7 +194,7 @@ class NativeState:
             raise ValueError(
                 f"the window has shapes {[column.shape for column in columns]}, expected ({n},) each"
             )
-        if library().foten_start(self._pointer, *(column.ctypes.data_as(_FLOATS) for column in columns)) != 0:
+        if library().foten_start(self._pointer, *(column.ctypes.data_as(FLOATS) for column in columns)) != 0:
             raise ValueError("the window to start from holds NaN or infinity")
 
     def run_scaled(
@@ -340,16 +206,16 @@ class NativeState:
         out: NDArray[np.float64],
     ) -> None:
         """Go on from a scaled window (window, 3) under scaled hands (n, 3), filling `out` (n,): see `run_loops`."""
-        window_, hands, filled = (array.ctypes.data_as(_DOUBLES) for array in (window, condition, out))
+        window_, hands, filled = (array.ctypes.data_as(DOUBLES) for array in (window, condition, out))
         if library().foten_start_scaled(self._pointer, window_) != 0:
             raise ValueError("the windows to start from hold NaN or infinity")
-        drawn = None if noise is None else noise.ctypes.data_as(_DOUBLES)
+        drawn = None if noise is None else noise.ctypes.data_as(DOUBLES)
         library().foten_run_scaled(self._pointer, hands, drawn, limit, len(out), filled)
         self._texture.raise_failed()
 
     def predict(self, samples: NDArray[np.float64], part: PredictionPart, out: NDArray[np.float64]) -> None:
         """Predict recorded samples (n, 3) one step ahead, filling `out` (n − window, 3): see `predict_blocks`."""
-        given, filled = (array.ctypes.data_as(_DOUBLES) for array in (samples, out))
+        given, filled = (array.ctypes.data_as(DOUBLES) for array in (samples, out))
         status = library().foten_predict(self._pointer, given, len(samples), _PARTS.index(part), filled)
         self._texture.raise_failed()
         if status != 0:
@@ -375,87 +241,10 @@ class NativeState:
         if speed.shape != force.shape or speed.ndim != 1:
             raise ValueError(f"speed has shape {speed.shape} and force {force.shape}, expected (n,) both")
         out = np.empty(library().foten_rendered(self._pointer, speed.size), dtype=np.float32)
-        told, pressed, filled = (array.ctypes.data_as(_FLOATS) for array in (speed, force, out))
-        n = library().foten_render_stroke(self._pointer, told, pressed, speed.size, filled)
+        speeds, forces, filled = (array.ctypes.data_as(FLOATS) for array in (speed, force, out))
+        n = library().foten_render_stroke(self._pointer, speeds, forces, speed.size, filled)
         self._texture.raise_failed()
         return out[:n]
-
-
-def on_all_cores(work: Callable[[int], None], n: int) -> None:
-    """Call a function with 0 … n − 1, shared out over the cores; the kernel's calls release the interpreter's lock.
-
-    Each number is worked on by itself, so the result does not depend on how many cores there are.
-    """
-    with ThreadPoolExecutor(min(n, os.cpu_count() or 1) or 1) as pool:
-        deque(pool.map(work, range(n)), maxlen=0)
-
-
-def run_loops(
-    texture: NativeTexture,
-    windows: NDArray[np.float64],
-    condition: NDArray[np.float64],
-    noise: NDArray[np.float64] | None,
-    limit: float = np.inf,
-) -> NDArray[np.float64]:
-    """Return n samples of each stream of a texture's loop by itself, shape (s, n), without fade and growth; all scaled.
-
-    Args:
-        windows: that the streams go on from, shape (s, window, 3).
-        condition: speed and force of each sample, and the speed that tones go by [mm/s], shape (s, n, 3).
-        noise: standard normal, shape (s, n); None for the deterministic loop.
-        limit: that samples are cut to.
-
-    Raises:
-        ValueError: a window holds NaN or infinity.
-    """
-    out = np.empty(condition.shape[:2])
-
-    def run(i: int) -> None:
-        window, conditions = (
-            np.ascontiguousarray(part[i], dtype=np.float64) for part in (windows, condition)
-        )
-        drawn = None if noise is None else np.ascontiguousarray(noise[i], dtype=np.float64)
-        NativeState(texture).run_scaled(window, conditions, drawn, limit, out[i])
-
-    on_all_cores(run, len(out))
-    return out
-
-
-PredictionPart = Literal["model", "linear", "rendering"]
-_PARTS = get_args(PredictionPart)
-
-
-class Prediction(NamedTuple):
-    """What is expected of samples, the scale of what is missed, and the tail of its distribution; scaled, of one shape.
-
-    A scale of 0 is not known: a rendering predicts from something else, or there is no excitation.
-    """
-
-    sample: NDArray[np.float64]
-    scale: NDArray[np.float64]
-    tail: NDArray[np.float64]
-
-
-def predict_blocks(
-    texture: NativeTexture, blocks: NDArray[np.float64], part: PredictionPart = "model"
-) -> Prediction:
-    """Return one-step predictions of recorded blocks, scaled (s, n, 3), from sample `window` on: (s, n − window) each.
-
-    Args:
-        texture: whose model predicts.
-        blocks: acceleration, speed and force; each sample is predicted from those before it in its block.
-        part: all of the "model"; its "linear" part alone; or what a "rendering" uses, the network only where it is in the loop.
-
-    Raises:
-        ValueError: a block is shorter than a window, or holds NaN or infinity.
-    """
-    out = np.empty((len(blocks), blocks.shape[1] - texture.info.window, 3))
-
-    def predict(i: int) -> None:
-        NativeState(texture).predict(np.ascontiguousarray(blocks[i], dtype=np.float64), part, out[i])
-
-    on_all_cores(predict, len(out))
-    return Prediction(*np.moveaxis(out, 2, 0))
 
 
 class NativeStylus:
@@ -467,7 +256,7 @@ class NativeStylus:
     """
 
     def __init__(self, texture: NativeTexture, newtons: float, steepness: float) -> None:
-        pointer = library().foten_stylus_new(texture.pointer, byref(_StylusOptions(newtons, steepness)))
+        pointer = library().foten_stylus_new(texture.pointer, byref(StylusOptions(newtons, steepness)))
         if not pointer:
             raise ValueError(f"the pressure's curve is {newtons} N · exp({steepness} p), which no tablet has")
         self.pointer = c_void_p(pointer)
@@ -488,8 +277,8 @@ class NativeStylus:
     @property
     def statistics(self) -> NativeStylusStatistics:
         """Return what was counted."""
-        found: NativeStylusStatistics = library().foten_stylus_statistics(self.pointer)
-        return found
+        counts: NativeStylusStatistics = library().foten_stylus_statistics(self.pointer)
+        return counts
 
 
 def _freed_with(owner: object, free: Callable[[c_void_p], None], pointer: c_void_p) -> None:
@@ -523,14 +312,10 @@ def _asked(data: bytes, failed: list[BaseException]) -> ctypes._FuncPointer:
         except BaseException as error:  # which would be printed and lost
             failed.append(error)
 
-    return _PREDICTOR(answer)
-
-
-_ABI = 4  # FOTEN_ABI of the header that this follows
-_NO_MEMORY, _NO_PREDICTOR = 3, 5
+    return PREDICTOR(answer)
 
 
 def _filled(array: NDArray[np.float32]) -> ctypes._Pointer[c_float]:
     if array.dtype != np.float32 or not array.flags.c_contiguous or not array.flags.writeable:
         raise ValueError(f"the array is {array.dtype}, expected float32 without gaps, to be written to")
-    return array.ctypes.data_as(_FLOATS)
+    return array.ctypes.data_as(FLOATS)

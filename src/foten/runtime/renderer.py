@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from foten.families.texture_file import Texture
 from foten.runtime.actuator import ActuatorProfile
-from foten.runtime.native import NativeState, NativeStatistics, NativeTexture
+from foten.runtime.binding import NativeStatistics
+from foten.runtime.native import NativeState, NativeTexture
 
 
 class Renderer:

@@ -154,11 +154,11 @@ def _lifted(times: Array, positions: Array, force: Array) -> tuple[Array, Array,
     # The pen leaves within a usual step after the last row before a hole, and lands within one before the next.
     step = float(np.median(steps))
     added = np.concatenate([times[holes] + step, times[holes + 1] - step])
-    whole = np.concatenate([times, added])
-    order = np.argsort(whole, kind="stable")
+    merged = np.concatenate([times, added])
+    order = np.argsort(merged, kind="stable")
     rows = [np.concatenate([axis, np.interp(added, times, axis)])[order] for axis in positions]
     pressed = np.concatenate([force, np.zeros_like(added)])[order]
-    return whole[order], np.stack(rows), pressed, int(lifts.size)
+    return merged[order], np.stack(rows), pressed, int(lifts.size)
 
 
 _KNOWN = ("t", "speed", "x", "y", "force", "pressure")
@@ -171,8 +171,8 @@ def _column(path: Path, rows: list[list[str]], header: list[str], name: str) -> 
         try:
             value = float(row[index])
         except (ValueError, IndexError) as error:
-            found = repr(row[index]) if index < len(row) else "nothing"
-            raise ValueError(f"{path.name}: {name} at row {number} is {found}, expected a number") from error
+            given = repr(row[index]) if index < len(row) else "nothing"
+            raise ValueError(f"{path.name}: {name} at row {number} is {given}, expected a number") from error
         if not math.isfinite(value):
             raise ValueError(f"{path.name}: {name} at row {number} is {value}, expected a finite number")
         values.append(value)

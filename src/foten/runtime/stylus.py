@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.runtime.native import NativeStylus, NativeStylusStatistics
+from foten.runtime.binding import NativeStylusStatistics
+from foten.runtime.native import NativeStylus
 from foten.runtime.renderer import Renderer
 
 Array = NDArray[np.float64]
@@ -63,23 +64,23 @@ def fit_pressure(pressure: Array, force: Array) -> PressureCalibration:
             f"{p.size} pairs over {np.ptp(p) if p.size else 0:.2g} of pressure, expected three or more, over 0.1 or more"
         )
     b, log_a = np.polyfit(p, np.log(f), 1)
-    found, damping = np.array([log_a, b]), 1e-3
-    missed = np.exp(found[0] + found[1] * p) - f
+    estimate, damping = np.array([log_a, b]), 1e-3
+    missed = np.exp(estimate[0] + estimate[1] * p) - f
     for _ in range(_STEPS):  # Levenberg and Marquardt, from the fit of logarithms
-        curve = np.exp(found[0] + found[1] * p)
+        curve = np.exp(estimate[0] + estimate[1] * p)
         jacobian = np.stack([curve, curve * p], axis=1)
         normal = jacobian.T @ jacobian
         step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -jacobian.T @ missed)
-        tried = np.exp(found[0] + step[0] + (found[1] + step[1]) * p) - f
+        tried = np.exp(estimate[0] + step[0] + (estimate[1] + step[1]) * p) - f
         if not np.square(tried).sum() <= np.square(missed).sum():
             damping *= 10
             if damping > 1e12:
                 break
             continue
-        found, missed, damping = found + step, tried, damping / 10
+        estimate, missed, damping = estimate + step, tried, damping / 10
         if np.abs(step).max() < 1e-12:
             break
-    return PressureCalibration(float(np.exp(found[0])), float(found[1]))
+    return PressureCalibration(float(np.exp(estimate[0])), float(estimate[1]))
 
 
 class Stylus:

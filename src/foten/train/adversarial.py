@@ -15,13 +15,13 @@ from foten.networks.gan import Discriminator, Gan
 from foten.networks.noise_filter import log_magnitudes
 from foten.train.blocks import ScaledBlocks
 from foten.train.config import TrainConfig
-from foten.train.fit import Epoch, Progress, Stateful, run_epochs
+from foten.train.epochs import Epoch, Progress, Stateful, run_epochs
 
 FRAMES = 56  # of a spectrogram; Table III
 STEPS = 50  # in an epoch
 MEAN_WEIGHT = 10.0  # of how far mean spectra are apart, beside what the discriminator says
 _LEAST_FRAMES = 8
-_N_HEARD = 4  # draws of noise for each validation spectrogram
+_N_DRAWS = 4  # draws of noise for each validation spectrogram
 
 
 class _Both:
@@ -98,8 +98,8 @@ def fit_adversarial(
 ) -> Progress:
     """Train a generator in place, on the CPU, and leave it where mean spectra of the validation blocks are nearest.
 
-    The discriminator is told spectrograms of what is rendered, and the speed and force of their frames (hinge loss); the
-    generator is told besides how far the mean over the frames is from that of the recorded spectrogram under the same hand.
+    The discriminator is given spectrograms of what is rendered, and the speed and force of their frames (hinge loss); the
+    generator is given besides how far the mean over the frames is from that of the recorded spectrogram under the same hand.
     An epoch is `STEPS` steps; its losses are means of absolute differences of mean log magnitudes [nat], as `validation_mae`
     is. Ctrl-C ends the loop and keeps the best so far; before there is one, it goes on to the caller.
 
@@ -151,14 +151,14 @@ def fit_adversarial(
         return float(np.mean([step(generator) for _ in range(STEPS)]))
 
     def validate() -> tuple[float, float]:
-        block, begin = (index.repeat(_N_HEARD) for index in validation.tiles())
+        block, begin = (index.repeat(_N_DRAWS) for index in validation.tiles())
         noise = drawn(validation, len(block), torch.Generator().manual_seed(config.seed))
         with torch.no_grad():
             fake = made(network, validation.windows(block, begin, noise), validation.n_frames)
             real = validation.spectrograms(block, begin)
             # Over the draws of noise, whose scatter is none of the generator's.
-            means = [s.mean(1).reshape(_N_HEARD, -1, s.shape[2]).mean(0) for s in (fake, real)]
-            found = float((means[0] - means[1]).abs().mean())
-        return found, found
+            means = [s.mean(1).reshape(_N_DRAWS, -1, s.shape[2]).mean(0) for s in (fake, real)]
+            distance = float((means[0] - means[1]).abs().mean())
+        return distance, distance
 
     return run_epochs(network, config, parts, one_epoch, validate, on_epoch, checkpoint, resume)

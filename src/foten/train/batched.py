@@ -16,12 +16,11 @@ import torch
 from torch import Tensor, nn
 from torch.func import functional_call, grad_and_value, stack_module_state, vmap
 
-from foten.networks.dropout import mask, masks_given, set_dropout, shapes_told
+from foten.networks.dropout import mask, mask_shapes, masks_given, set_dropout
 from foten.recording.windows import window_indices
 from foten.train.config import TrainConfig
+from foten.train.epochs import Epoch, Progress, goes_on
 from foten.train.fit import (
-    Epoch,
-    Progress,
     TrainingWindows,
     epoch_seed,
     loss_of,
@@ -31,6 +30,7 @@ from foten.train.fit import (
     schedule_of,
     validated,
 )
+from foten.train.optimiser import Optimiser
 
 BATCHED = ("foten", "foten-plus", "ten", "ten-mfcc", "ten-wavelet", "foten-d", "fnn")
 """Models that are faster so; those with recurrent layers would be taken apart again."""
@@ -107,7 +107,9 @@ def fit_batched(
     live = [texture for texture in textures if texture.error is None]
     stack = _Stack(live, config, rate, criterion, offsets) if live else None
     for epoch in range(1, config.epochs + 1):
-        going = [k for k, texture in enumerate(live) if _goes_on(texture, epoch)]
+        going = [
+            k for k, texture in enumerate(live) if texture.error is None and goes_on(texture.progress, config)
+        ]
         if not going or stack is None:
             break
         if len(going) < len(live):
@@ -136,13 +138,6 @@ def _of_device(
     return _Texture(network, config, samples, goal, unit, train, validation, Progress())
 
 
-def _goes_on(texture: _Texture, epoch: int) -> bool:
-    if texture.error is not None:
-        return False
-    best = max(line.epoch for line in texture.progress.epochs if line.best)
-    return epoch - 1 - best < texture.config.patience
-
-
 class _Stack:
     """The weights of several networks in one tensor a parameter, of which each network's own are views, and their optimiser."""
 
@@ -162,7 +157,7 @@ class _Stack:
         weights, self._fixed = stack_module_state([texture.network for texture in textures])
         self._weights = {name: nn.Parameter(weight.detach()) for name, weight in weights.items()}
         self._share()
-        self._optimiser = self._adamw()
+        self._optimiser = Optimiser(self._weights, config, stacked=True)
 
         def loss(
             weights: dict[str, Tensor],
@@ -178,12 +173,6 @@ class _Stack:
 
         self._gradients = vmap(grad_and_value(loss))
 
-    def _adamw(self) -> torch.optim.AdamW:
-        config = self._config
-        return torch.optim.AdamW(
-            self._weights.values(), lr=config.learning_rate, weight_decay=config.weight_decay, fused=True
-        )
-
     def _share(self) -> None:
         for k, texture in enumerate(self._textures):
             for name, parameter in texture.network.named_parameters():
@@ -191,17 +180,12 @@ class _Stack:
 
     def leave(self, kept: Sequence[int], textures: Sequence[_Texture]) -> None:
         """Go on with those networks alone; the others have what weights they have."""
-        before, old = self._optimiser.state, self._weights
-        rest = torch.tensor(kept, device=self._device)
+        remaining = torch.tensor(kept, device=self._device)
         self._textures = textures
-        self._fixed = {name: fixed[rest] for name, fixed in self._fixed.items()}
-        self._weights = {name: nn.Parameter(weight.data[rest]) for name, weight in old.items()}
+        self._fixed = {name: fixed[remaining] for name, fixed in self._fixed.items()}
+        self._weights = {name: nn.Parameter(weight.data[remaining]) for name, weight in self._weights.items()}
         self._share()
-        self._optimiser = self._adamw()
-        for name, weight in self._weights.items():
-            self._optimiser.state[weight] = {
-                key: value if key == "step" else value[rest] for key, value in before[old[name]].items()
-            }
+        self._optimiser = self._optimiser.keep(self._weights, remaining)
 
     def epoch(self, epoch: int) -> list[float]:
         """Train all for an epoch, and return the mean loss of each."""
@@ -230,17 +214,15 @@ class _Stack:
         goals = torch.stack([one.goal[n] for one, n in of])
         seeds = [mask_seed(one.config.seed, epoch, number) for one in self._textures]
         weights = {name: weight.detach() for name, weight in self._weights.items()}
-        found, losses = self._gradients(weights, self._fixed, windows, goals, self._masks(windows, seeds))
+        gradients, losses = self._gradients(weights, self._fixed, windows, goals, self._masks(windows, seeds))
         limit = self._config.clip_norm
         if limit > 0:  # each network's own, as `torch.nn.utils.clip_grad_norm_`
-            squares = torch.stack([one.flatten(1).square().sum(1) for one in found.values()])
+            squares = torch.stack([one.flatten(1).square().sum(1) for one in gradients.values()])
             scale = (limit / (squares.sum(0).sqrt() + 1e-6)).clamp(max=1.0)
-            found = {name: one * scale.view(-1, *[1] * (one.ndim - 1)) for name, one in found.items()}
+            gradients = {name: one * scale.view(-1, *[1] * (one.ndim - 1)) for name, one in gradients.items()}
         for name, weight in self._weights.items():
-            weight.grad = found[name]
-        for group in self._optimiser.param_groups:
-            group["lr"] = self._config.learning_rate * self._rate(self._n_steps)
-        self._optimiser.step()
+            weight.grad = gradients[name]
+        self._optimiser.step(self._rate(self._n_steps))
         self._n_steps += 1
         return losses.detach()
 
@@ -250,11 +232,11 @@ class _Stack:
         if p == 0:
             return []
         if b not in self._shapes:
-            with shapes_told() as shapes, torch.no_grad():
+            with mask_shapes() as shapes, torch.no_grad():
                 self._textures[0].network(windows[0])
             self._shapes[b] = list(shapes)
         drawn = []
-        for seed, whole_epoch in zip(seeds, self._generators, strict=True):
-            generator = masks_of(seed, self._device) or whole_epoch
+        for seed, of_epoch in zip(seeds, self._generators, strict=True):
+            generator = masks_of(seed, self._device) or of_epoch
             drawn.append([mask(shape, p, generator, self._device) for shape in self._shapes[b]])
         return [torch.stack(masks) for masks in zip(*drawn, strict=True)]

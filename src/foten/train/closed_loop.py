@@ -16,7 +16,8 @@ from foten.dsp.level import frame_levels, frame_means
 from foten.dsp.noise import gaussian
 from foten.families.conditions import FADE_FORCE, FADE_SPEED
 from foten.networks.scale import Excitation
-from foten.runtime.native import NativeTexture, run_loops
+from foten.runtime.loops import run_loops
+from foten.runtime.native import NativeTexture
 from foten.train.blocks import ScaledBlocks
 
 Array = NDArray[np.float64]

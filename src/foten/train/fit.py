@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import os
-import pickle
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from foten.atomic_write import atomic_write, reason
 from foten.networks.dropout import masks_from, set_dropout
 from foten.recording.windows import window_indices
 from foten.train.config import TrainConfig
+from foten.train.epochs import Epoch, Progress, Stateful, run_epochs
+from foten.train.optimiser import Optimiser
 
 
 @dataclass(frozen=True)
@@ -46,43 +42,6 @@ class TrainingWindows:
     unit: NDArray[np.float64] | None = None
 
 
-@dataclass(frozen=True)
-class Epoch:
-    """One line of the log; epoch 0 is the network before training.
-
-    Losses are one-step, of the target's errors (foten-plus: in units of the lattice's innovation, so that a slow light stroke is
-    predicted as carefully as a fast hard one); `validation_mae` is of scaled acceleration, or of what else is the target: log
-    magnitudes [nat] where a model foretells spectra.
-    """
-
-    epoch: int
-    train_loss: float
-    validation_loss: float
-    validation_mae: float
-    seconds: float
-    best: bool
-
-
-@dataclass
-class Progress:
-    """Everything that a run needs to go on where it stopped.
-
-    Attributes:
-        notes: what went wrong on the way without ending it, a line each.
-    """
-
-    epochs: list[Epoch] = field(default_factory=list)
-    best_loss: float = math.inf
-    best_state: dict[str, Tensor] = field(default_factory=dict)
-    interrupted: bool = False
-    notes: list[str] = field(default_factory=list)
-
-    @property
-    def best(self) -> Epoch:
-        """Return the epoch whose weights are kept."""
-        return max((line for line in self.epochs if line.best), key=lambda line: line.epoch)
-
-
 def pick_device() -> torch.device:
     """Return the GPU where there is one, else the CPU."""
     return torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -98,12 +57,16 @@ def reproducible() -> Iterator[None]:
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # else sums on a GPU come in any order
     before = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
     torch.set_num_threads(1)
-    torch.use_deterministic_algorithms(True, warn_only=True)
+    # On the CPU one thread adds up in one order anyway, and the call takes a second, for it loads a compiler.
+    on_gpu = torch.cuda.is_available()
+    if on_gpu:
+        torch.use_deterministic_algorithms(True, warn_only=True)
     try:
         yield
     finally:
         torch.set_num_threads(before[0])
-        torch.use_deterministic_algorithms(before[1])
+        if on_gpu:
+            torch.use_deterministic_algorithms(before[1])
 
 
 def loss_of(config: TrainConfig) -> Callable[[Tensor, Tensor], Tensor]:
@@ -147,20 +110,12 @@ def fit(
     set_dropout(network, config.dropout)
     n_threads = config.threads if device.type == "cpu" else 1
     pool = ThreadPoolExecutor(n_threads)
-    trained = [parameter for parameter in network.parameters() if parameter.requires_grad]
-    optimiser = torch.optim.AdamW(
-        trained, lr=config.learning_rate, weight_decay=config.weight_decay, fused=True
-    )
+    trained = list(network.parameters())
+    optimiser = Optimiser(dict(network.named_parameters()), config)
     steps = max(1, math.ceil(len(train) / config.batch))
-    scheduler = torch.optim.lr_scheduler.LambdaLR(
-        optimiser, schedule_of(config, steps * max(1, config.epochs))
-    )
+    rate = schedule_of(config, steps * max(1, config.epochs))
     criterion = loss_of(config)
-    parts: dict[str, Stateful] = {
-        "network": network,
-        "optimiser": optimiser,
-        "scheduler": scheduler,
-    }
+    parts: dict[str, Stateful] = {"network": network, "optimiser": optimiser}
 
     def windows(n: Tensor) -> Tensor:
         return samples[n[:, None] + offsets]
@@ -171,7 +126,7 @@ def fit(
             loss = criterion(network(windows(share)), goal[share]) * (len(share) / n)
         return loss.detach(), torch.autograd.grad(loss, trained)
 
-    def step(batch: Tensor, seed: int) -> Tensor:
+    def step(batch: Tensor, seed: int, number: int) -> Tensor:
         shares = batch.chunk(n_threads)
         seeds = [seed * n_threads + i for i in range(len(shares))]
         losses, parts = zip(*pool.map(gradients, shares, [len(batch)] * len(shares), seeds), strict=True)
@@ -180,8 +135,7 @@ def fit(
             parameter.grad = sum(pieces[1:], start=pieces[0])
         if config.clip_norm > 0:
             nn.utils.clip_grad_norm_(trained, config.clip_norm)
-        optimiser.step()
-        scheduler.step()
+        optimiser.step(rate(number))
         return torch.stack(losses).sum()
 
     def one_epoch(epoch: int) -> float:
@@ -189,7 +143,8 @@ def fit(
         torch.manual_seed(epoch_seed(config.seed, epoch))
         total = torch.zeros((), device=device)
         for number, batch in enumerate(order.split(config.batch)):
-            total += step(batch, mask_seed(config.seed, epoch, number)) * len(batch)
+            n_steps = (epoch - 1) * steps + number
+            total += step(batch, mask_seed(config.seed, epoch, number), n_steps) * len(batch)
         return float(total) / len(train)
 
     def validate() -> tuple[float, float]:
@@ -221,72 +176,6 @@ def masks_of(seed: int, device: torch.device) -> torch.Generator | None:
     return torch.Generator().manual_seed(seed % 2**63) if device.type == "cpu" else None
 
 
-def run_epochs(
-    network: nn.Module,
-    config: TrainConfig,
-    parts: Mapping[str, Stateful],
-    one_epoch: Callable[[int], float],
-    validate: Callable[[], tuple[float, float]],
-    on_epoch: Callable[[Epoch], None],
-    checkpoint: Path | None,
-    resume: bool,
-) -> Progress:
-    """Run epochs until there are enough, none got better for long, or Ctrl-C; leave a network at its best validation loss.
-
-    Args:
-        network: whose weights are kept.
-        parts: what a checkpoint holds.
-        one_epoch: trains for the epoch of that number, and returns its loss.
-        validate: returns the validation loss and the error that the log tells [`Epoch.validation_mae`].
-        on_epoch, checkpoint, resume: as `fit` has them.
-
-    Raises:
-        ValueError: a loss is not finite, or the checkpoint is another run's.
-        KeyboardInterrupt: before anything was validated.
-    """
-    progress = Progress()
-    if checkpoint is not None and resume:
-        progress = load_progress(checkpoint, config, parts)
-        for line in progress.epochs:
-            on_epoch(line)
-
-    def finish(epoch: int, train_loss: float, started: float) -> None:
-        network.eval()
-        loss, error = validate()
-        best = loss < progress.best_loss
-        if best:
-            progress.best_loss = loss
-            progress.best_state = {name: t.detach().clone() for name, t in network.state_dict().items()}
-        progress.epochs.append(Epoch(epoch, train_loss, loss, error, time.perf_counter() - started, best))
-        on_epoch(progress.epochs[-1])
-
-    try:
-        if not progress.epochs:
-            finish(0, math.nan, time.perf_counter())
-        for epoch in range(len(progress.epochs), config.epochs + 1):
-            if not progress.best_state:  # of a validation that is not finite, nothing that follows is
-                break
-            best_epoch = max(line.epoch for line in progress.epochs if line.best)
-            if epoch - 1 - best_epoch >= config.patience:
-                break
-            started = time.perf_counter()
-            network.train()
-            finish(epoch, one_epoch(epoch), started)
-            if not math.isfinite(progress.epochs[-1].train_loss):
-                raise ValueError("the training loss is not finite; is the acceleration full of outliers?")
-            if checkpoint is not None:
-                _keep(checkpoint, config, parts, progress)
-    except KeyboardInterrupt:
-        progress.interrupted = True
-    if not progress.best_state:
-        if progress.interrupted:
-            raise KeyboardInterrupt
-        raise ValueError("the validation loss is not finite; is the acceleration full of outliers?")
-    network.load_state_dict(progress.best_state)
-    network.eval()
-    return progress
-
-
 def predict(
     network: nn.Module, data: TrainingWindows, n: NDArray[np.int64], batch: int = 4096
 ) -> NDArray[np.float64]:
@@ -300,14 +189,6 @@ def predict(
             for piece in np.array_split(n, max(1, math.ceil(len(n) / batch)))
         ]
     return torch.cat(pieces).double().reshape(len(n), -1)[:, 0].numpy()
-
-
-def write_log(path: Path, epochs: list[Epoch]) -> None:
-    """Write the log as CSV."""
-    with atomic_write(path) as part, part.open("w", newline="") as file:
-        writer = csv.DictWriter(file, fieldnames=list(Epoch.__dataclass_fields__))
-        writer.writeheader()
-        writer.writerows(asdict(epoch) for epoch in epochs)
 
 
 def schedule_of(config: TrainConfig, n_steps: int) -> Callable[[int], float]:
@@ -340,63 +221,3 @@ def validated(
             missed = (predicted - goal[batch]).abs().reshape(len(batch), -1).mean(1)
             mae += float((unit[batch].abs() * missed).sum())
     return loss / len(validation), mae / len(validation)
-
-
-class Stateful(Protocol):
-    """What a checkpoint keeps: a network, an optimiser, a schedule."""
-
-    def state_dict(self) -> dict[str, Any]: ...
-
-    def load_state_dict(self, state: dict[str, Any], /) -> Any: ...
-
-
-def _keep(path: Path, config: TrainConfig, parts: Mapping[str, Stateful], progress: Progress) -> None:
-    """Write a checkpoint; on a full disk, say, note once that there is none of this epoch: the training is worth more."""
-    try:
-        save_progress(path, config, parts, progress)
-    except OSError as error:
-        if not progress.notes:
-            progress.notes.append(f"{reason(error)}; the training went on without its checkpoint")
-
-
-def save_progress(path: Path, config: TrainConfig, parts: Mapping[str, Stateful], progress: Progress) -> None:
-    """Write a checkpoint: the state of every part, and the log.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    saved = io.BytesIO()  # PyTorch's own writer says of a full disk only that its archive is inconsistent
-    torch.save(
-        {
-            "config": asdict(config),
-            "parts": {name: one.state_dict() for name, one in parts.items()},
-            "epochs": [asdict(epoch) for epoch in progress.epochs],
-            "best_loss": progress.best_loss,
-            "best_state": progress.best_state,
-        },
-        saved,
-    )
-    with atomic_write(path) as part:
-        part.write_bytes(saved.getbuffer())
-
-
-def load_progress(path: Path, config: TrainConfig, parts: Mapping[str, Stateful]) -> Progress:
-    """Return the log of a checkpoint, and put every part into its state.
-
-    Raises:
-        ValueError: it is damaged, or was written under another configuration.
-    """
-    try:
-        saved = torch.load(path, weights_only=True, map_location="cpu")
-    except (pickle.UnpicklingError, RuntimeError, EOFError, OSError) as error:
-        raise ValueError(
-            f"{path.name} is damaged and cannot be resumed; delete it and start again"
-        ) from error
-    if saved.get("config") != asdict(config):
-        raise ValueError(f"{path.name} was written by a run with other settings; resume with the same ones")
-    if set(saved.get("parts", ())) != set(parts):
-        raise ValueError(f"{path.name} is of another version of foten; delete it and start again")
-    for name, one in parts.items():
-        one.load_state_dict(saved["parts"][name])
-    epochs = [Epoch(**line) for line in saved["epochs"]]
-    return Progress(epochs, saved["best_loss"], saved["best_state"])

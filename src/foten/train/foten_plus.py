@@ -20,9 +20,10 @@ from foten.reference.network import Network
 from foten.runtime.native import NativeTexture
 from foten.train.blocks import ScaledBlocks
 from foten.train.closed_loop import ClosedLoop, free_run_distance
+from foten.train.epochs import Progress
 from foten.train.excitation import FittedExcitation, fit_excitation
 from foten.train.export import N_GOLDEN, Draft, Tensors, in_float64, tensors_of
-from foten.train.fit import Progress, TrainingWindows, pick_device, predict
+from foten.train.fit import TrainingWindows, pick_device, predict
 from foten.train.job import TrainingJob
 from foten.train.linear_part import LinearPart, fit_linear_parts
 from foten.train.task import NetworkTask, Stage

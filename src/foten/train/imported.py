@@ -70,10 +70,10 @@ def texture_of(
     lsf = spread_out(np.array([line_spectral_frequencies(row) for row in ar]))
     ma_lsf = spread_out(np.array([line_spectral_frequencies(row) for row in ma]))
     level = np.array([_level(*row) for row in zip(ar, ma, models.variance, gain, strict=True)])
-    heard = level[level > 0]
-    if not heard.size:
+    audible = level[level > 0]
+    if not audible.size:
         raise ValueError("every model is silent, expected a variance and a gain above 0")
-    sd = float(np.median(heard))
+    sd = float(np.median(audible))
     (speed, force), (speed_sd, force_sd) = models.points.mean(axis=0), scale
     scaling = Scaling(mean=(0.0, float(speed), float(force)), sd=(sd, float(speed_sd), float(force_sd)))
     used, triangles = np.unique(models.triangles, return_inverse=True)

@@ -14,7 +14,7 @@ from foten.recording.trace import Trace
 from foten.train.blocks import ScaledBlocks, scaled_blocks
 from foten.train.card import card_of, versions
 from foten.train.config import UNUSED, TrainConfig
-from foten.train.fit import Progress
+from foten.train.epochs import Progress
 
 
 @dataclass(frozen=True)

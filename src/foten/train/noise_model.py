@@ -16,8 +16,9 @@ from foten.networks.dftnet import Dftnet
 from foten.networks.gan import Gan
 from foten.train.adversarial import fit_adversarial
 from foten.train.blocks import ScaledBlocks
+from foten.train.epochs import Epoch, Progress
 from foten.train.export import N_GOLDEN, Draft, multiply_adds
-from foten.train.fit import Epoch, Progress, TrainingWindows, pick_device
+from foten.train.fit import TrainingWindows, pick_device
 from foten.train.foten_plus import check_block
 from foten.train.job import TrainingJob
 from foten.train.one_step import network_tensors

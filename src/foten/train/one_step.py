@@ -16,6 +16,7 @@ from foten.networks.scale import Excitation
 from foten.runtime.native import NativeTexture
 from foten.runtime.onnx_predictor import GRAPH
 from foten.train.closed_loop import ClosedLoop, free_run_distance
+from foten.train.epochs import Progress
 from foten.train.excitation import fit_excitation
 from foten.train.export import (
     N_GOLDEN,
@@ -26,7 +27,7 @@ from foten.train.export import (
     multiply_adds,
     tensors_of,
 )
-from foten.train.fit import Progress, TrainingWindows, pick_device, predict
+from foten.train.fit import TrainingWindows, pick_device, predict
 from foten.train.foten_plus import check_block
 from foten.train.job import TrainingJob
 from foten.train.targets import distilled, multi_step

@@ -14,7 +14,8 @@ from foten.dsp.lsf import line_spectral_frequencies, spread_out
 from foten.dsp.mesh import LEAST_AREA
 from foten.dsp.segmentation import MAX_ORDER, pieces_of
 from foten.families.conditions import FADE_FORCE, FADE_SPEED
-from foten.runtime.native import NativeTexture, predict_blocks
+from foten.runtime.loops import predict_blocks
+from foten.runtime.native import NativeTexture
 from foten.train.blocks import ScaledBlocks
 from foten.train.card import versions
 from foten.train.export import ProvedTexture

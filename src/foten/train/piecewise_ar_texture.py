@@ -85,17 +85,17 @@ def local_texture(models: LocalModels, scaling: Scaling, card: dict[str, Any]) -
     proved = [filters[i].played(sizes.window, stream) for stream, i in enumerate(chosen)]
     spread = np.abs(models.points - WARM_START) / models.scale
     warm = int(np.where(models.variance > 0, spread.sum(axis=1), np.inf).argmin())
-    heard, _ = filters[warm].played(sizes.window, len(chosen))
+    samples, _ = filters[warm].played(sizes.window, len(chosen))
     noise = gaussian(0, 0, 0, 64)
     tensors |= {
         "golden.windows": np.stack(
-            [_window(heard, hands[i]) for (heard, _), i in zip(proved, chosen, strict=True)]
+            [_window(samples, hands[i]) for (samples, _), i in zip(proved, chosen, strict=True)]
         ),
         "golden.one_step": np.array([expected for _, expected in proved]),
         "golden.sigma": np.array([filters[i].root * filters[i].gain for i in chosen]),
         "golden.condition": np.tile(hands[warm], (64, 1)),
-        "golden.closed_loop": filters[warm].after(heard, noise),
-        "warm_start": _window(heard, hands[warm]),
+        "golden.closed_loop": filters[warm].after(samples, noise),
+        "warm_start": _window(samples, hands[warm]),
     }
     low, high = models.points.min(axis=0).tolist(), models.points.max(axis=0).tolist()
     own = {
@@ -116,8 +116,8 @@ def local_texture(models: LocalModels, scaling: Scaling, card: dict[str, Any]) -
     return ProvedTexture(texture_from_bytes(data), NativeTexture(data))
 
 
-def _window(heard: Array, hand: Array) -> Array:
-    return np.concatenate([heard[:, None], np.tile(hand, (len(heard), 1))], axis=1)
+def _window(samples: Array, hand: Array) -> Array:
+    return np.concatenate([samples[:, None], np.tile(hand, (len(samples), 1))], axis=1)
 
 
 @dataclass(frozen=True)
@@ -148,15 +148,15 @@ class _Filter:
         from scipy.signal import lfilter
 
         e = self.root * gaussian(1, stream, 0, _SETTLED + n)
-        heard = lfilter(self.gain * self.b, self.a, e)[-n:]
-        expected, _ = self._known(heard)
-        return heard, expected
+        samples = lfilter(self.gain * self.b, self.a, e)[-n:]
+        expected, _ = self._known(samples)
+        return samples, expected
 
-    def _known(self, heard: Array) -> tuple[float, Array]:
-        """Return what is expected after samples of which the first is not heard, and their innovations."""
+    def _known(self, samples: Array) -> tuple[float, Array]:
+        """Return what is expected after samples of which the first is not samples, and their innovations."""
         from scipy.signal import lfilter
 
-        past = heard[1:]
+        past = samples[1:]
         if self.gain * self.root == 0:
             return float(-self.a[1:] @ past[: -self.a.size : -1]), np.zeros(past.size)
         driven = lfilter(self.a, self.gain, past)
@@ -165,10 +165,10 @@ class _Filter:
         recent = innovations[: -self.b.size : -1] if self.b.size > 1 else np.empty(0)
         return float(-self.a[1:] @ past[: -self.a.size : -1] + self.gain * self.b[1:] @ recent), innovations
 
-    def after(self, heard: Array, noise: Array) -> Array:
+    def after(self, samples: Array, noise: Array) -> Array:
         """Return the samples that follow others under noise."""
-        _, innovations = self._known(heard)
-        y, e = list(heard[1:]), list(innovations)
+        _, innovations = self._known(samples)
+        y, e = list(samples[1:]), list(innovations)
         for z in noise:
             e.append(self.root * z)
             driven = sum(b * value for b, value in zip(self.b, reversed(e), strict=False))

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from foten.families.texture_file import Texture
 from foten.train.batched import fit_batched
-from foten.train.fit import Epoch, Progress, reproducible
+from foten.train.epochs import Epoch, Progress
+from foten.train.fit import reproducible
 from foten.train.foten_plus import prepare_foten_plus
 from foten.train.job import Trained, TrainingJob
 from foten.train.noise_model import prepare_dftnet, prepare_gan

@@ -20,7 +20,7 @@ from rich.progress import (
 )
 
 from foten.atomic_write import atomic_write, reason
-from foten.train.fit import Epoch, write_log
+from foten.train.epochs import Epoch, write_log
 
 if TYPE_CHECKING:
     from foten.train.job import Trained

@@ -10,7 +10,8 @@ from torch import nn
 
 from foten.families.texture_file import Texture
 from foten.train.blocks import ScaledBlocks
-from foten.train.fit import Epoch, Progress, TrainingWindows, fit
+from foten.train.epochs import Epoch, Progress
+from foten.train.fit import TrainingWindows, fit
 from foten.train.job import TrainingJob
 
 Stage = Callable[[str], None]

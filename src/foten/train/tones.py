@@ -24,10 +24,10 @@ MAX_TONES = 6
 N_SPEED, N_FORCE = 32, 2  # vertices: the tool turns a tone's phase by π within 30 mm/s
 ROUNDS = 8
 ROUGHNESS = 0.005  # how much neighbouring vertices are held together, as a share of what one vertex knows
-SMOOTHING = 0.6  # wavelengths over which a phase is taken to stray evenly
+SMOOTHING = 0.6  # wavelengths over which a phase is taken to deviate evenly
 TRUST = 3.0  # of the path, against what the samples of such a stretch say [1/rad²]
 WHITENING = 20  # order
-HEARD_BAND = 0.45  # of the rate, that tones keep to
+USABLE_BAND = 0.45  # of the rate, that tones keep to
 
 
 def wavelength(data: LatticeData, rate_hz: float) -> float | None:
@@ -65,8 +65,13 @@ def wavelength(data: LatticeData, rate_hz: float) -> float | None:
         for power in powers
     )
     # At either end all surroundings lie on one side, and a slope stands out.
-    heard = powers[0]
-    line = np.flatnonzero((heard[1:-1] > heard[:-2]) & (heard[1:-1] >= heard[2:])) + 1
+    power_over_path = powers[0]
+    line = (
+        np.flatnonzero(
+            (power_over_path[1:-1] > power_over_path[:-2]) & (power_over_path[1:-1] >= power_over_path[2:])
+        )
+        + 1
+    )
     ratio[np.setdiff1d(np.arange(len(ratio)), line)] = 0.0
     peak = int(np.argmax(ratio))
     enough = max(STANDS_OUT, TWICE_CHANCE * _largest_by_chance(len(stretches), len(cycles)))
@@ -85,7 +90,7 @@ def _largest_by_chance(n_stretches: int, n_bins: int) -> float:
     """Return what the largest of so many bins of noise, over their mean, exceeds once in twenty recordings.
 
     A mean over half-overlapping windowed stretches has about 1.2 degrees of freedom for each of them. Two seconds of real leather
-    have some sixty stretches of 5 mm, and a fixed threshold found tones in three splits of five.
+    have some sixty stretches of 5 mm, and a fixed threshold gave tones in three splits of five.
     """
     from scipy.stats import gamma
 
@@ -95,21 +100,21 @@ def _largest_by_chance(n_stretches: int, n_bins: int) -> float:
 
 def _stretches(path: Array, span: float) -> list[tuple[int, int]]:
     """Return first and last sample of half-overlapping stretches of a path [mm], without those of fewer than 30 samples."""
-    found: list[tuple[int, int]] = []
+    stretches: list[tuple[int, int]] = []
     first = 0
     while True:
         last = int(np.searchsorted(path, path[first] + span))
         if last >= len(path):
-            return found
+            return stretches
         if last - first > 30:
-            found.append((first, last))
+            stretches.append((first, last))
         first = int(np.searchsorted(path, path[first] + span / 2))
 
 
 def n_tones(wavelength_mm: float, speed: Array, rate_hz: float) -> int:
     """Return how many multiples the rate holds at the median speed [mm/s], at least one."""
     fundamental_hz = float(np.median(speed)) / wavelength_mm
-    return int(np.clip(HEARD_BAND * rate_hz / max(fundamental_hz, 1e-9), 1, MAX_TONES))
+    return int(np.clip(USABLE_BAND * rate_hz / max(fundamental_hz, 1e-9), 1, MAX_TONES))
 
 
 @dataclass(frozen=True)
@@ -133,7 +138,7 @@ def fit_tones(data: LatticeData, wavelength_mm: float, rate_hz: float) -> Fitted
     """Return the tones of a surface that seems to repeat.
 
     In turn, least squares for the coefficients given the phases, and a step of Gauss and Newton for the phases given the
-    coefficients, which may stray from the path by an even amount over about a wavelength. Errors are whitened: the tool's
+    coefficients, which may deviate from the path by an even amount over about a wavelength. Errors are whitened: the tool's
     resonance would else drown the high multiples, which know the phase best.
     """
     n = n_tones(wavelength_mm, data.speed[list(data.train)], rate_hz)
@@ -142,7 +147,7 @@ def fit_tones(data: LatticeData, wavelength_mm: float, rate_hz: float) -> Fitted
     chosen = list(data.train)
     table = spanning(data.speed[chosen], data.force[chosen], N_SPEED, N_FORCE)
     table = replace(table, values=np.zeros((len(table.values), 2 * n)))
-    fastest = HEARD_BAND * rate_hz * wavelength_mm
+    fastest = USABLE_BAND * rate_hz * wavelength_mm
     whitener = np.ones(1)
     for _ in range(ROUNDS):
         table = _fitted(data, table, phase, whitener, fastest)
@@ -155,17 +160,17 @@ def fit_tones(data: LatticeData, wavelength_mm: float, rate_hz: float) -> Fitted
         phase = phase + np.clip(step, -0.4, 0.4)
     turned = (phase[chosen][:, -1] - phase[chosen][:, 0]).sum() / (2 * np.pi)
     length = float((path[chosen][:, -1] - path[chosen][:, 0]).sum() / turned)
-    stray = phase - 2 * np.pi * path / length
-    unevenness = _unevenness(path[chosen], stray[chosen], data.speed[chosen], length)
+    deviation = phase - 2 * np.pi * path / length
+    unevenness = _unevenness(path[chosen], deviation[chosen], data.speed[chosen], length)
     return FittedTones(length, _fitted(data, table, phase, whitener, fastest), phase, unevenness)
 
 
-def _unevenness(path: Array, stray: Array, speed: Array, wavelength_mm: float) -> float:
+def _unevenness(path: Array, deviation: Array, speed: Array, wavelength_mm: float) -> float:
     """Return the standard deviation of a period's length, as a share of it, from how the phase's variance grows on the path.
 
     From 4 to 12 wavelengths: what is unsure of each phase by itself is the same at both distances and drops out. Only the
     quarter of places is compared where the hand was about as fast: the tool turns the phase by itself as speed changes, and of
-    simulated meshes ten times their jitter was found with all.
+    simulated meshes ten times their jitter came out with all.
     """
 
     def variance(n_wavelengths: int) -> float:
@@ -173,8 +178,8 @@ def _unevenness(path: Array, stray: Array, speed: Array, wavelength_mm: float) -
         faster: list[Array] = []
         for block, place in enumerate(path):
             at = np.arange(place[0], place[-1] - n_wavelengths * wavelength_mm, wavelength_mm / 2)
-            for found, row in ((moved, stray[block]), (faster, speed[block])):
-                found.append(
+            for differences, row in ((moved, deviation[block]), (faster, speed[block])):
+                differences.append(
                     np.interp(at + n_wavelengths * wavelength_mm, place, row) - np.interp(at, place, row)
                 )
         difference = np.abs(np.concatenate(faster))
@@ -197,7 +202,7 @@ def _demodulated(x: Array, path: Array, wavelength_mm: float) -> Array:
 
 
 def _along(path: Array, score: Array, information: Array, wavelength_mm: float) -> Array:
-    """Return the even stray of the phase that explains errors best, at every sample."""
+    """Return the even deviation of the phase that explains errors best, at every sample."""
     known = _smoothed(path, information, wavelength_mm, SMOOTHING)
     return _smoothed(path, score, wavelength_mm, SMOOTHING) / (known + TRUST)
 

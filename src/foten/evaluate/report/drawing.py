@@ -67,6 +67,13 @@ def log_hertz(axes: Any, low: float, high: float) -> None:
     axes.grid(color=INK, alpha=0.06, linewidth=0.6, which="minor")
 
 
+def style_colorbar(bar: Any, label: str) -> None:
+    """Label a colour bar, in the report's style."""
+    bar.set_label(label, color=INK)
+    bar.outline.set_visible(False)
+    bar.ax.tick_params(color=INK, labelcolor=INK, labelsize=8)
+
+
 def inline_svg(figure: Figure, name: str, description: str) -> str:
     """Return a figure as an SVG element for an HTML page; the same figure gives the same text.
 

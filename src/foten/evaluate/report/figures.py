@@ -9,7 +9,7 @@ import numpy as np
 from foten.evaluate import metrics
 from foten.evaluate.evaluate import Judgement
 from foten.evaluate.free_run import scored
-from foten.evaluate.report.drawing import COLOURS, INK, STYLES, log_hertz, new_figure
+from foten.evaluate.report.drawing import COLOURS, INK, STYLES, log_hertz, new_figure, style_colorbar
 from foten.evaluate.report.signals import (
     LABELS,
     N_WAVEFORM,
@@ -80,22 +80,22 @@ def spectrum(judgement: Judgement) -> Figure:
 def bands(judgement: Judgement) -> Figure | None:
     """Return the energy error of the nine bands for the texture's run, AR(20) and the ceiling; None without any."""
     document = judgement.document
-    found = {
+    shown = {
         name: document[name]["band_errors_db"]
         for name in (shown_run(judgement), "free_run_ar", "ceiling")
         if name is not None and document[name].get("band_errors_db")
     }
-    if not found:
+    if not shown:
         return None
     figure, axes = new_figure(4.9, 3.4)
-    width = 0.8 / len(found)
-    for k, (name, errors) in enumerate(found.items()):
+    width = 0.8 / len(shown)
+    for k, (name, errors) in enumerate(shown.items()):
         known = [i for i, error in enumerate(errors) if error is not None]
         left = np.array(known) - 0.4 + k * width
         heights = [errors[i] for i in known]
         axes.bar(left, heights, 0.92 * width, align="edge", color=COLOURS[name], label=LABELS[name])
     axes.axhline(0, color=INK, linewidth=0.8)
-    for i, error in enumerate(next(iter(found.values()))):
+    for i, error in enumerate(next(iter(shown.values()))):
         if error is None:
             axes.text(
                 i, 0, " no bin", rotation=90, ha="center", va="bottom", fontsize=8, color=INK, alpha=0.6
@@ -114,7 +114,7 @@ def bands(judgement: Judgement) -> Figure | None:
 
 
 def conditions(judgement: Judgement, texture: Texture) -> Figure | None:
-    """Return the judged blocks in the plane of speed and force, coloured by level error; None without a run."""
+    """Return the judged blocks at their speed and force, coloured by level error; None without a run."""
     name = shown_run(judgement)
     if name is None:
         return None
@@ -150,10 +150,7 @@ def conditions(judgement: Judgement, texture: Texture) -> Figure | None:
         linestyle=(0, (4, 3)),
         label="trained range",
     )
-    bar = figure.colorbar(points, ax=axes, pad=0.02, aspect=28)
-    bar.set_label("level error [dB]", color=INK)
-    bar.outline.set_visible(False)
-    bar.ax.tick_params(color=INK, labelcolor=INK, labelsize=8)
+    style_colorbar(figure.colorbar(points, ax=axes, pad=0.02, aspect=28), "level error [dB]")
     axes.set_xlabel("mean speed [mm/s]")
     axes.set_ylabel("mean force [N]")
     axes.margins(0.08, 0.12)

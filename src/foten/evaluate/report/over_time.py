@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from foten.evaluate import metrics
 from foten.evaluate.evaluate import Judgement
 from foten.evaluate.free_run import scored
-from foten.evaluate.report.drawing import COLOURS, INK, STYLES, new_figure
+from foten.evaluate.report.drawing import COLOURS, INK, STYLES, new_figure, style_colorbar
 from foten.evaluate.report.signals import LABELS, scored_channels, shown_blocks, shown_run
 
 if TYPE_CHECKING:
@@ -25,14 +26,11 @@ _SPECTROGRAM_DB = 50.0  # of the colour scale, down from the loudest recorded ce
 
 
 def over_time(judgement: Judgement) -> Figure:
-    """Return spectrograms, level, speed and force of the scored blocks, one after the other on one time axis.
-
-    Both spectrograms share the colour scale, one below the other so that a moment reads straight down.
-    """
-    trace, part, which = judgement.trace, scored(judgement.trace.block), shown_blocks(judgement)
-    rate_hz = trace.rate_hz
+    """Return spectrograms, level, speed and force of the scored blocks, joined on one time axis."""
+    part, which, rate_hz = scored(judgement.trace.block), shown_blocks(judgement), judgement.trace.rate_hz
+    every, *_ = scored_channels(judgement)
     recorded, speed, force = (channel[which] for channel in scored_channels(judgement))
-    runs = {name: judgement.synthesized[name][:, which][:, :, part] for name in judgement.synthesized}
+    runs = {name: signal[:, which][:, :, part] for name, signal in judgement.synthesized.items()}
     name = shown_run(judgement)
     seconds = recorded.shape[1] / rate_hz
     borders = np.arange(len(which) + 1) * seconds
@@ -41,58 +39,17 @@ def over_time(judgement: Judgement) -> Figure:
     figure, panels = new_figure(
         9.6, 1.6 * n + 4.0, nrows=n + 3, sharex=True, height_ratios=[1.45] * n + [1.5, 0.75, 0.75]
     )
-
-    cells = {key: _spectrogram(samples, rate_hz) for key, samples in pictured.items()}
-    loudest = float(cells["recorded"][1].max())
-    for axes, (key, (edges, decibels)) in zip(panels, cells.items(), strict=False):
-        axes.imshow(
-            decibels,
-            origin="lower",
-            aspect="auto",
-            interpolation="none",
-            extent=(0, borders[-1], *edges),
-            cmap="magma",
-            vmin=loudest - _SPECTROGRAM_DB,
-            vmax=loudest,
-        )
-        axes.grid(visible=False)
-        axes.set_ylabel("frequency\n[Hz]")
-        axes.set_title(LABELS[key], loc="left", color=COLOURS[key], fontsize=10)
-        for border in borders[1:-1]:
-            axes.axvline(border, color="white", linewidth=1.2)
-    bar = figure.colorbar(panels[0].images[0], ax=list(panels[:n]), pad=0.01, aspect=15 * n)
-    bar.set_label("dB re 1 (m/s²)²/Hz", color=INK)
-    bar.outline.set_visible(False)
-    bar.ax.tick_params(color=INK, labelcolor=INK, labelsize=8)
-
-    reference = float(np.sqrt(np.square(scored_channels(judgement)[0]).mean()))
-    lines = {"recorded": recorded[None]} | {key: runs[key] for key in (name, "free_run_ar") if key in runs}
-    frame_s = max(1, round(metrics.FRAME_MS * rate_hz / 1000)) / rate_hz
-    axes = panels[n]
-    for key, samples in lines.items():
-        levels = metrics.frame_levels(samples, rate_hz, reference)
-        times = borders[:-1, None] + (np.arange(levels.shape[-1]) + 0.5) * frame_s
-        times, levels = _with_gaps(times), np.stack([_with_gaps(run) for run in levels])
-        style = {"linewidth": 1.8 if key == "recorded" else 1.3, "linestyle": STYLES.get(key, "solid")}
-        axes.plot(times, levels.mean(axis=0), color=COLOURS[key], label=LABELS[key], **style)
-        if len(levels) > 1 and key == name:
-            low, high = levels.min(axis=0), levels.max(axis=0)
-            axes.fill_between(times, low, high, color=COLOURS[key], alpha=0.22, linewidth=0)
-    axes.set_ylabel("level\n[dB re recorded]")
-    axes.legend(
-        frameon=False,
-        fontsize=8.5,
-        ncols=len(lines),
-        loc="lower right",
-        bbox_to_anchor=(1.0, 0.98),
-        borderaxespad=0,
-        labelcolor=INK,
+    _draw_spectrograms(panels[:n], pictured, rate_hz, borders)
+    style_colorbar(
+        figure.colorbar(panels[0].images[0], ax=list(panels[:n]), pad=0.01, aspect=15 * n),
+        "dB re 1 (m/s²)²/Hz",
     )
+    lines = {"recorded": recorded[None]} | {key: runs[key] for key in (name, "free_run_ar") if key in runs}
+    _draw_levels(panels[n], lines, rate_hz, borders, float(np.sqrt(np.square(every).mean())))
     times = _with_gaps(borders[:-1, None] + np.arange(recorded.shape[1]) / rate_hz)
     step = max(1, len(times) // 4000)
-    for axes, channel, label in (
-        (panels[n + 1], speed, "speed\n[mm/s]"),
-        (panels[n + 2], force, "force\n[N]"),
+    for axes, channel, label in zip(
+        panels[n + 1 :], (speed, force), ("speed\n[mm/s]", "force\n[N]"), strict=True
     ):
         axes.plot(times[::step], _with_gaps(channel)[::step], color=INK, linewidth=1.1)
         axes.set_ylabel(label)
@@ -116,10 +73,58 @@ def over_time(judgement: Judgement) -> Figure:
     return figure
 
 
-def _spectrogram(blocks: Array, rate_hz: float) -> tuple[tuple[float, float], Array]:
-    """Return the lowest and highest edge [Hz] and the density [dB] of joined blocks (b, n), shape (frequency, time).
+def _draw_spectrograms(panels: Any, signals: Mapping[str, Array], rate_hz: float, borders: Array) -> None:
+    """Draw a spectrogram of each signal (n_blocks, n) on the colour scale of the recorded one."""
+    cells = {key: _spectrogram(blocks, rate_hz) for key, blocks in signals.items()}
+    loudest = float(cells["recorded"][1].max())
+    for axes, (key, (edges, decibels)) in zip(panels, cells.items(), strict=True):
+        axes.imshow(
+            decibels,
+            origin="lower",
+            aspect="auto",
+            interpolation="none",
+            extent=(0, borders[-1], *edges),
+            cmap="magma",
+            vmin=loudest - _SPECTROGRAM_DB,
+            vmax=loudest,
+        )
+        axes.grid(visible=False)
+        axes.set_ylabel("frequency\n[Hz]")
+        axes.set_title(LABELS[key], loc="left", color=COLOURS[key], fontsize=10)
+        for border in borders[1:-1]:
+            axes.axvline(border, color="white", linewidth=1.2)
 
-    Each block is mirrored at its ends, so that no window reaches over a border.
+
+def _draw_levels(
+    axes: Any, signals: Mapping[str, Array], rate_hz: float, borders: Array, reference: float
+) -> None:
+    """Draw the frame levels of each signal (n_seeds, n_blocks, n), and the range of the seeds of the texture's run."""
+    frame_s = max(1, round(metrics.FRAME_MS * rate_hz / 1000)) / rate_hz
+    for key, samples in signals.items():
+        levels = metrics.frame_levels(samples, rate_hz, reference)
+        times = borders[:-1, None] + (np.arange(levels.shape[-1]) + 0.5) * frame_s
+        times, levels = _with_gaps(times), np.stack([_with_gaps(run) for run in levels])
+        style = {"linewidth": 1.8 if key == "recorded" else 1.3, "linestyle": STYLES.get(key, "solid")}
+        axes.plot(times, levels.mean(axis=0), color=COLOURS[key], label=LABELS[key], **style)
+        if len(levels) > 1 and key != "free_run_ar":
+            low, high = levels.min(axis=0), levels.max(axis=0)
+            axes.fill_between(times, low, high, color=COLOURS[key], alpha=0.22, linewidth=0)
+    axes.set_ylabel("level\n[dB re recorded]")
+    axes.legend(
+        frameon=False,
+        fontsize=8.5,
+        ncols=len(signals),
+        loc="lower right",
+        bbox_to_anchor=(1.0, 0.98),
+        borderaxespad=0,
+        labelcolor=INK,
+    )
+
+
+def _spectrogram(blocks: Array, rate_hz: float) -> tuple[tuple[float, float], Array]:
+    """Return the lowest and highest edge [Hz] and the density [dB], shape (k, time), of joined blocks (n_blocks, n).
+
+    Each block is mirrored at its ends, so that no window crosses a border.
     """
     from scipy import signal
 
@@ -143,5 +148,5 @@ def _spectrogram(blocks: Array, rate_hz: float) -> tuple[tuple[float, float], Ar
 
 
 def _with_gaps(blocks: Array) -> Array:
-    """Return blocks (b, n) in one row with a NaN after each: a line drawn through them breaks at the borders."""
+    """Return blocks (n_blocks, n) in one row with a NaN after each, which interrupts a drawn line."""
     return np.concatenate([blocks, np.full((len(blocks), 1), np.nan)], axis=1).ravel()

@@ -13,17 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.runtime.actuator import ActuatorProfile
-from foten.runtime.live.devices import (
-    SOUND_RATE_HZ,
-    DaqSink,
-    NullSink,
-    OscSink,
-    Samples,
-    SoundSink,
-    UdpSink,
-    WavSink,
-)
+from foten.runtime.live.daq import DaqSink
 from foten.runtime.live.live import Live, LiveStatistics, Sink
+from foten.runtime.live.network import OscSink, UdpSink
+from foten.runtime.live.paced import NullSink, Samples, WavSink
+from foten.runtime.live.sound import SOUND_RATE_HZ, SoundSink
 from foten.runtime.renderer import Renderer
 from foten.runtime.stroke import Stroke
 
@@ -129,7 +123,7 @@ def sink_of(
     """
     if where != "sound" and (device is not None or channel is not None):
         raise ValueError(f"--device and --channel are a sound card's, and it is played to {where}")
-    kind, _, rest = where.partition(":")
+    kind, _, target = where.partition(":")
     if where == "null":
         return NullSink(rate_hz)
     if where == "sound":
@@ -137,10 +131,10 @@ def sink_of(
         return SoundSink(gain, chosen, rate_hz, channel or 0, (channel or 0) + 1)
     if where.lower().endswith(".wav"):
         return WavSink(Path(where), rate_hz, about, None if seconds is None else round(seconds * rate_hz))
-    if kind == "daq" and rest:
-        return DaqSink(rest, rate_hz, gain)
+    if kind == "daq" and target:
+        return DaqSink(target, rate_hz, gain)
     if kind in ("udp", "osc"):
-        host, _, port = rest.rpartition(":")
+        host, _, port = target.rpartition(":")
         if host and port.isdecimal() and 0 < int(port) < 65536:
             return (UdpSink if kind == "udp" else OscSink)(host, int(port), rate_hz)
     raise ValueError(
@@ -163,9 +157,9 @@ def play(
     hand: Hand,
     seconds: float | None,
     lead_ms: float,
-    begun: Callable[[], None],
+    on_start: Callable[[], None],
 ) -> Played:
-    """Play a hand for a while, or until Ctrl-C, and return what it came to; `begun` is called once it plays.
+    """Play a hand for a while, or until Ctrl-C, and return what it came to; `on_start` is called once it plays.
 
     Raises:
         OSError: the sink refused or died.
@@ -175,7 +169,7 @@ def play(
     begin = time.monotonic()
     try:
         live.start()
-        begun()
+        on_start()
         while live.running and not getattr(sink, "full", False):
             # A file is full when it is; a device plays in real time.
             left = 0.2 if seconds is None or sink.patient else seconds - (time.monotonic() - begin)

@@ -1,4 +1,4 @@
-#include "net.h"
+#include "network.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -15,9 +15,9 @@ typedef struct {
 static size_t up(size_t n, int lanes) { return (n + (size_t)lanes - 1) / (size_t)lanes * (size_t)lanes; }
 
 static float *room(maker *m, size_t n) {
-    float *found = arena_take(m->memory, n + (size_t)m->lanes, sizeof(float));
-    m->missing |= !found;
-    return found;
+    float *out = arena_take(m->memory, n + (size_t)m->lanes, sizeof(float));
+    m->missing |= !out;
+    return out;
 }
 
 /* A tensor of the network in doubles, (rows, columns) or (rows) where columns is 0; NULL where it is not so. */
@@ -25,9 +25,9 @@ static const double *tensor(maker *m, const char *layer, const char *part, size_
     char name[160];
     snprintf(name, sizeof name, "%s%s%s", m->prefix, layer, part);
     size_t shape[4] = {rows, columns, 0, 0};
-    double *found = m->missing ? NULL : file_take(m->file, name, shape, m->memory);
-    m->missing |= !found;
-    return found;
+    double *out = m->missing ? NULL : file_take(m->file, name, shape, m->memory);
+    m->missing |= !out;
+    return out;
 }
 
 /* Output o goes to place[o], times times[o]; where these are NULL to o, times 1. */
@@ -103,12 +103,12 @@ static const float *positions_of(maker *m, size_t window, size_t d, size_t strid
 }
 
 /* Eq. 6 and the last row of Eq. 9; what is zero in exact arithmetic is zero, so that a real bin has phase 0 or pi. */
-static void transform_of(maker *m, net *n, int half) {
+static void transform_of(maker *m, network *n, int half) {
     const double pi = 3.14159265358979323846;
     int window = n->window, bins = n->n_bins;
     double *real = arena_take(m->memory, (size_t)window * (size_t)bins, sizeof *real);
     double *imaginary = arena_take(m->memory, (size_t)window * (size_t)bins, sizeof *imaginary);
-    float *cosine = room(m, (size_t)bins), *sine = room(m, (size_t)bins), *counted = room(m, (size_t)bins);
+    float *cosine = room(m, (size_t)bins), *sine = room(m, (size_t)bins), *multiplicity = room(m, (size_t)bins);
     m->missing |= !real || !imaginary;
     if (m->missing) return;
     for (int t = 0; t < window; t++)
@@ -124,16 +124,16 @@ static void transform_of(maker *m, net *n, int half) {
         double weight = (half && mirrored ? 2.0 : 1.0) / window;
         cosine[k] = (float)(weight * cos(angle));
         sine[k] = (float)(weight * sin(angle));
-        counted[k] = n->n_magnitudes < bins && mirrored ? 2.0f : 1.0f;
+        multiplicity[k] = n->n_magnitudes < bins && mirrored ? 2.0f : 1.0f;
     }
     n->real = real;
     n->imaginary = imaginary;
     n->cosine = cosine;
     n->sine = sine;
-    n->counted = counted;
+    n->multiplicity = multiplicity;
 }
 
-static void spectral_of(maker *m, net *n, const net_sizes *s) {
+static void spectral_of(maker *m, network *n, const network_sizes *s) {
     size_t width = (size_t)s->spectral_width, heads = (size_t)s->n_heads, feed = (size_t)s->d_feedforward;
     n->n_bins = s->half_bins ? s->window / 2 + 1 : s->window;
     n->n_magnitudes = s->window / 2 + 1; /* magnitudes k and m - k are equal */
@@ -150,25 +150,70 @@ static void spectral_of(maker *m, net *n, const net_sizes *s) {
     n->spectral_embedding = linear_of(m, "spectral_embedding", (size_t)s->d_model, 1);
 }
 
-/* Floats that kernel.inc.h takes at most, counted generously: an encoder's and what lies before it. */
-static size_t scratch_of(const net *n, int feed, int most) {
-    size_t tokens = (size_t)(n->window > n->n_bins ? n->window : n->n_bins), stride = (size_t)(n->d_stride > n->width_stride ? n->d_stride : n->width_stride);
-    size_t hidden = up((size_t)feed, n->d_stride ? 16 : 16) + 16, widest = (size_t)most;
-    size_t encoder = tokens * stride * 5 + tokens * (hidden > 3 * stride ? hidden : 3 * stride) + tokens * stride + (2 * stride + tokens) * widest;
-    size_t bins = 8 * ((size_t)n->n_bins + 64) + tokens * stride + 4 * (size_t)n->n_bins;
-    size_t head = 6 * ((size_t)n->d + 64) + (size_t)n->first + (size_t)n->second + 256;
-    return tokens * stride + bins + encoder + head + 1024;
+/* Floats from `at` on, for n of them; `at` moves past them, to the next cache line. */
+static size_t reserve(size_t *at, size_t n) {
+    size_t from = *at, line = ALIGNED / sizeof(float);
+    *at = (from + n + line - 1) / line * line;
+    return from;
 }
 
-net *net_make(texture_file *file, const char *prefix, const net_sizes *s, const isa *isa, arena *memory) {
+/* Lay out what an encoder layer of n tokens needs from `begin` on, where the last `asked` are asked for; returns where that ends. */
+static size_t lay_out_encoder(encoder *e, size_t n, size_t asked, size_t begin, size_t queries) {
+    size_t attending = begin, feeding, stride = (size_t)e->stride, size = (size_t)(e->width / e->heads);
+    e->at.normed = reserve(&attending, n * stride);
+    feeding = attending;
+    e->at.packed = reserve(&attending, 3 * n * stride);
+    e->at.mixed = reserve(&attending, asked * stride);
+    e->at.query = reserve(&attending, size * queries);
+    e->at.share = reserve(&attending, n * queries);
+    e->at.weighted = reserve(&attending, size * queries);
+    e->at.hidden = reserve(&feeding, asked * (size_t)e->hidden_stride);
+    e->at.fed = reserve(&feeding, asked * stride);
+    return attending > feeding ? attending : feeding;
+}
+
+static size_t larger(size_t a, size_t b) { return a > b ? a : b; }
+
+/* Lay out the scratch memory of a step. */
+static void lay_out(network *n, encoder *layers, const isa *isa) {
+    size_t window = (size_t)n->window, bins = (size_t)n->n_bins, queries = (size_t)isa->queries, double_size = sizeof(double) / sizeof(float);
+    size_t at = 0, most;
+    network_scratch *s = &n->scratch;
+    s->tokens = reserve(&at, window * (size_t)n->d_stride);
+    size_t after_tokens = at;
+    most = after_tokens;
+    for (int i = 0; i < n->n_layers; i++)
+        most = larger(most, lay_out_encoder(&layers[i], window, i == n->n_layers - 1 ? 1 : window, after_tokens, queries));
+    if (n->fourier) {
+        s->real = reserve(&at, bins * double_size);
+        s->imaginary = reserve(&at, bins * double_size);
+        s->magnitude = reserve(&at, bins);
+        s->phase = reserve(&at, bins);
+        s->magnitude_out = reserve(&at, bins);
+        s->phase_out = reserve(&at, bins);
+        s->bins = reserve(&at, bins * (size_t)n->width_stride);
+        size_t layer = at;
+        s->numbers = reserve(&at, bins * (size_t)isa->lanes); /* after the layer */
+        most = larger(most, at);
+        most = larger(most, lay_out_encoder(&n->magnitude, (size_t)n->n_magnitudes, (size_t)n->n_magnitudes, layer, queries));
+        most = larger(most, lay_out_encoder(&n->phase, bins, bins, layer, queries));
+    }
+    at = after_tokens;
+    s->features = reserve(&at, (size_t)n->n_features + 2);
+    s->first = reserve(&at, larger((size_t)n->head_1.outputs, (size_t)n->d_stride)); /* the spectral token before that */
+    s->second = reserve(&at, (size_t)n->head_2.outputs);
+    s->n = larger(most, at);
+}
+
+network *network_make(texture_file *file, const char *prefix, const network_sizes *s, const isa *isa, arena *memory) {
     maker make = {file, prefix, isa->lanes, memory, 0}, *m = &make;
-    net *n = arena_take(memory, 1, sizeof *n);
+    network *n = arena_take(memory, 1, sizeof *n);
     encoder *layers = arena_take(memory, (size_t)s->n_layers, sizeof *layers);
     if (!n || !layers) return NULL;
-    size_t d = (size_t)s->d_model, n_found = d * (size_t)(1 + s->fourier);
-    *n = (net){.window = s->window, .n_inputs = s->n_inputs, .d = s->d_model, .width = s->spectral_width, .n_layers = s->n_layers,
+    size_t d = (size_t)s->d_model, n_features = d * (size_t)(1 + s->fourier);
+    *n = (network){.window = s->window, .n_inputs = s->n_inputs, .d = s->d_model, .width = s->spectral_width, .n_layers = s->n_layers,
                .first = s->first, .second = s->second, .pre_norm = s->pre_norm,
-               .lifted = s->spectral_width > 1, .fourier = s->fourier, .n_found = s->d_model * (1 + s->fourier)};
+               .lifted = s->spectral_width > 1, .fourier = s->fourier, .n_features = (int)n_features};
     n->d_stride = (int)up(d, m->lanes);
     n->embedding = linear_of(m, "temporal.embedding", d, (size_t)s->n_inputs);
     n->positions = positions_of(m, (size_t)s->window, d, (size_t)n->d_stride);
@@ -180,7 +225,7 @@ net *net_make(texture_file *file, const char *prefix, const net_sizes *s, const 
     n->layers = layers;
     if (s->pre_norm) n->last = norm_of(m, "temporal.norm", d);
     if (s->fourier) spectral_of(m, n, s);
-    n->head_1 = linear_of(m, "head_1", (size_t)s->first, n_found + 2);
+    n->head_1 = linear_of(m, "head_1", (size_t)s->first, n_features + 2);
     n->head_2 = linear_of(m, "head_2", (size_t)s->second, (size_t)s->first);
     const double *w = tensor(m, "head_3", ".weight", 1, (size_t)s->second), *bias = tensor(m, "head_3", ".bias", 1, 0);
     float *head = room(m, (size_t)s->second);
@@ -188,6 +233,6 @@ net *net_make(texture_file *file, const char *prefix, const net_sizes *s, const 
     for (int i = 0; i < s->second; i++) head[i] = (float)w[i];
     n->head_3 = head;
     n->head_3_bias = bias[0];
-    n->scratch = scratch_of(n, s->d_feedforward, isa->most);
+    lay_out(n, layers, isa);
     return n;
 }

@@ -1,17 +1,18 @@
-#include "local.h"
+#include "piecewise_ar.h"
 
 #include <math.h>
 #include <string.h>
 
+#include "clip.h"
+#include "constants.h"
+
 static const double PI = 3.14159265358979323846;
-static const double LEAK = 0.9997, HIGHEST_REFLECTION = 0.99999; /* as foten.dsp.lattice says */
-static const double LEAST_AREA = 1e-9, INSIDE = -1e-12;          /* as foten.dsp.mesh says */
-static const double FURTHEST[2] = {1e5, 1e4}, LOUDEST = 1e4;     /* mm/s and N that a model may stand at; standard deviations */
+static const double FURTHEST[2] = {1e5, 1e4}, LOUDEST = 1e4; /* mm/s and N that a model may stand at; gain in standard deviations */
 
 static double crossed(const double a[2], const double b[2]) { return a[0] * b[1] - a[1] * b[0]; }
 
 /* Corner k of a triangle: which model it is, and where it stands in units of the scale. */
-static int corner(const local_models *m, int triangle, int k, double at[2]) {
+static int corner(const piecewise_ar *m, int triangle, int k, double at[2]) {
     int model = (int)m->triangles[3 * triangle + k];
     for (int i = 0; i < 2; i++) at[i] = m->points[2 * model + i] / m->scale[i];
     return model;
@@ -39,7 +40,7 @@ static void multiply(double *polynomial, int n, double b, double c) {
 
 /* A of line spectral frequencies, 1 first. */
 static void polynomial_of(const double *angles, int p, double *a) {
-    double both[2][HIGHEST_LOCAL_ORDER + 4] = {{1}, {1}};
+    double both[2][FOTEN_HIGHEST_ORDER + 4] = {{1}, {1}};
     int degrees[2] = {0, 0};
     for (int i = 0; i < p; i++) {
         multiply(both[i % 2], degrees[i % 2], -2 * cos(angles[i]), 1);
@@ -57,10 +58,10 @@ static void polynomial_of(const double *angles, int p, double *a) {
 /* The reflections of a lattice, its leak included, that is 1/A; a is lost. Returns the product of their cosines. */
 static double reflections_of(double *a, int p, double *reflections) {
     double leak = 1, gain = 1;
-    for (int i = 1; i <= p; i++) a[i] /= leak *= LEAK;
+    for (int i = 1; i <= p; i++) a[i] /= leak *= FOTEN_LEAK;
     for (int i = p; i > 0; i--) {
-        double k = a[i] > HIGHEST_REFLECTION ? HIGHEST_REFLECTION : a[i] < -HIGHEST_REFLECTION ? -HIGHEST_REFLECTION : a[i];
-        double lower[HIGHEST_LOCAL_ORDER + 1];
+        double k = clip(a[i], FOTEN_MAX_REFLECTION);
+        double lower[FOTEN_HIGHEST_ORDER + 1];
         reflections[i - 1] = k;
         gain *= sqrt(1 - k * k);
         for (int j = 0; j < i; j++) lower[j] = (a[j] - k * a[i - j]) / (1 - k * k);
@@ -83,21 +84,21 @@ static int rising(texture_file *file, const char *name, const double *angles, in
 }
 
 static const double *never_negative(texture_file *file, const char *name, int n, arena *memory) {
-    const double *found = file_take(file, name, (size_t[]){(size_t)n, 0, 0, 0}, memory);
-    for (int i = 0; found && i < n; i++)
-        if (!(found[i] >= 0)) {
+    const double *values = file_take(file, name, (size_t[]){(size_t)n, 0, 0, 0}, memory);
+    for (int i = 0; values && i < n; i++)
+        if (!(values[i] >= 0)) {
             file_refuse(file, FOTEN_BAD_FILE, "a local model has a negative variance or gain");
             return NULL;
         }
-    return found;
+    return values;
 }
 
-const local_models *local_make(texture_file *file, int order, int ma, int n_models, int n_triangles, arena *memory) {
-    local_models *m = arena_take(memory, 1, sizeof *m);
+const piecewise_ar *piecewise_ar_read(texture_file *file, int order, int ma, int n_models, int n_triangles, arena *memory) {
+    piecewise_ar *m = arena_take(memory, 1, sizeof *m);
     size_t n = (size_t)n_models;
     const double *pair;
     if (!m) return NULL;
-    *m = (local_models){.order = order, .ma = ma, .n_models = n_models, .n_triangles = n_triangles};
+    *m = (piecewise_ar){.order = order, .ma = ma, .n_models = n_models, .n_triangles = n_triangles};
     if (!(m->points = file_take(file, "piecewise_ar.points", (size_t[]){n, 2, 0, 0}, memory))) return NULL;
     if (!(m->lsf = file_take(file, "piecewise_ar.lsf", (size_t[]){n, (size_t)order, 0, 0}, memory))) return NULL;
     if (!rising(file, "lsf", m->lsf, n_models, order)) return NULL;
@@ -110,14 +111,14 @@ const local_models *local_make(texture_file *file, int order, int ma, int n_mode
         if (!(gain = never_negative(file, "piecewise_ar.gain", n_models, memory))) return NULL;
     }
     for (int i = 0; i < n_models; i++) {
-        double a[HIGHEST_LOCAL_ORDER + 1], reflections[HIGHEST_LOCAL_ORDER];
+        double a[FOTEN_HIGHEST_ORDER + 1], reflections[FOTEN_HIGHEST_ORDER];
         polynomial_of(m->lsf + i * order, order, a);
-        double drive = sqrt(variance[i]) * (gain ? gain[i] : 1) / reflections_of(a, order, reflections);
-        if (!(drive <= LOUDEST)) {
+        double before = sqrt(variance[i]) * (gain ? gain[i] : 1) / reflections_of(a, order, reflections);
+        if (!(before <= LOUDEST)) {
             file_refuse(file, FOTEN_BAD_FILE, "a local model is louder than %g standard deviations", LOUDEST);
             return NULL;
         }
-        power[i] = drive * drive;
+        power[i] = before * before;
     }
     m->power = power;
     if (!(m->triangles = file_take(file, "piecewise_ar.triangles", (size_t[]){(size_t)n_triangles, 3, 0, 0}, memory))) return NULL;
@@ -133,7 +134,7 @@ const local_models *local_make(texture_file *file, int order, int ma, int n_mode
         int fits = m->scale[i] > 0 && m->scale[i] <= FURTHEST[i] && m->sd[i] > 0 && m->sd[i] <= FURTHEST[i] && fabs(m->mean[i]) <= FURTHEST[i];
         for (int k = 0; k < n_models; k++) fits &= m->points[2 * k + i] >= 0 && m->points[2 * k + i] <= FURTHEST[i];
         if (!fits) {
-            file_refuse(file, FOTEN_BAD_FILE, "the local models stand at speeds or forces, or are scaled by some, that are of no hand");
+            file_refuse(file, FOTEN_BAD_FILE, "the local models stand at speeds or forces, or are scaled by some, that cannot be");
             return NULL;
         }
     }
@@ -151,7 +152,7 @@ const local_models *local_make(texture_file *file, int order, int ma, int n_mode
             first[i] = at[1][i] - at[0][i];
             second[i] = at[2][i] - at[0][i];
         }
-        if (!(fabs(crossed(first, second)) > LEAST_AREA)) {
+        if (!(fabs(crossed(first, second)) > FOTEN_LEAST_AREA)) {
             file_refuse(file, FOTEN_BAD_FILE, "a triangle of the mesh is flat: three models in a line, or two in one place");
             return NULL;
         }
@@ -160,17 +161,17 @@ const local_models *local_make(texture_file *file, int order, int ma, int n_mode
 }
 
 /* Whether a point lies in a triangle, and what its corners count. */
-static int within(const local_models *m, int triangle, const double at[2], double shares[3]) {
+static int inside(const piecewise_ar *m, int triangle, const double at[2], double shares[3]) {
     double corners[3][2];
     for (int k = 0; k < 3; k++) corner(m, triangle, k, corners[k]);
     shares_of(corners, at, shares);
-    return shares[0] > INSIDE && shares[1] > INSIDE && shares[2] > INSIDE;
+    return shares[0] > FOTEN_INSIDE && shares[1] > FOTEN_INSIDE && shares[2] > FOTEN_INSIDE;
 }
 
 /* The triangle with the edge nearest to a point outside of all, and what its corners count at the nearest place. */
-static int nearest(const local_models *m, const double at[2], double shares[3]) {
+static int nearest_edge(const piecewise_ar *m, const double at[2], double shares[3]) {
     double best = INFINITY;
-    int found = 0;
+    int nearest = 0;
     for (int k = 0; k < 3; k++)
         for (int t = 0; t < m->n_triangles; t++) {
             double begin[2], end[2], over = 0, length = 0, distance = 0;
@@ -188,26 +189,26 @@ static int nearest(const local_models *m, const double at[2], double shares[3]) 
             }
             if (distance < best) {
                 best = distance;
-                found = t;
+                nearest = t;
                 shares[k] = 1 - share;
                 shares[(k + 1) % 3] = share;
                 shares[(k + 2) % 3] = 0;
             }
         }
-    return found;
+    return nearest;
 }
 
-void local_at(const local_models *m, const double condition[2], local_mixture *out) {
+void piecewise_ar_at(const piecewise_ar *m, const double scaled[2], mixture *out, double *reflections) {
     int p = m->order, q = m->ma;
-    double at[2], shares[3], angles[HIGHEST_LOCAL_ORDER] = {0}, a[HIGHEST_LOCAL_ORDER + 1], sum = 0, power = 0;
+    double at[2], shares[3], angles[FOTEN_HIGHEST_ORDER] = {0}, a[FOTEN_HIGHEST_ORDER + 1], sum = 0, power = 0;
     for (int i = 0; i < 2; i++) {
-        double physical = condition[i] * m->sd[i] + m->mean[i];
+        double physical = scaled[i] * m->sd[i] + m->mean[i];
         at[i] = (physical > 0 ? physical : 0) / m->scale[i];
     }
-    if (!within(m, out->triangle, at, shares)) {
+    if (!inside(m, out->triangle, at, shares)) {
         int t = 0;
-        while (t < m->n_triangles && !within(m, t, at, shares)) t++;
-        out->triangle = t < m->n_triangles ? t : nearest(m, at, shares);
+        while (t < m->n_triangles && !inside(m, t, at, shares)) t++;
+        out->triangle = t < m->n_triangles ? t : nearest_edge(m, at, shares);
     }
     int models[3];
     for (int k = 0; k < 3; k++) {
@@ -219,9 +220,9 @@ void local_at(const local_models *m, const double condition[2], local_mixture *o
     for (int i = 0; i < p; i++)
         for (int k = 0; k < 3; k++) angles[i] += shares[k] * m->lsf[models[k] * p + i];
     polynomial_of(angles, p, a);
-    reflections_of(a, p, out->reflections);
+    reflections_of(a, p, reflections);
     for (int k = 0; k < 3; k++) power += shares[k] * m->power[models[k]];
-    out->drive = sqrt(power);
+    out->gain = sqrt(power);
     if (!q) return;
     for (int i = 0; i < q; i++) {
         angles[i] = 0;

@@ -1,0 +1,73 @@
+/* Constants that the kernel shares with other languages, each defined once for C.
+ *
+ * A line is a name, a number, and in the comment the constant of the Python package that the number equals;
+ * tests/test_kernel_constants.py compares them all. */
+#ifndef FOTEN_CONSTANTS_H
+#define FOTEN_CONSTANTS_H
+
+/* The texture file and its proof. */
+#define FOTEN_FORMAT_VERSION 2 /* foten.families.texture_file.FORMAT_VERSION */
+#define FOTEN_LEAST_GOLDEN 8 /* foten.families.texture_file.MIN_GOLDEN */
+#define FOTEN_ONE_STEP_TOLERANCE 1e-5 /* foten.families.texture_file.ONE_STEP_TOLERANCE */
+#define FOTEN_CLOSED_LOOP_TOLERANCE 1e-4 /* foten.families.texture_file.CLOSED_LOOP_TOLERANCE */
+
+/* Sizes: their limits, and what holds where a card does not name one. */
+#define FOTEN_LARGEST_COUNT 65536 /* foten.families.sizes.LARGEST_COUNT */
+#define FOTEN_LONGEST_WINDOW 512 /* foten.families.sizes.LONGEST_WINDOW */
+#define FOTEN_LONGEST_GRAPH_WINDOW 4096 /* foten.families.sizes.LONGEST_GRAPH_WINDOW */
+#define FOTEN_HIGHEST_ORDER 40 /* foten.families.piecewise_ar.HIGHEST_ORDER */
+#define FOTEN_USUAL_WINDOW 20 /* foten.families.foten.FotenSizes.window */
+#define FOTEN_USUAL_PLUS_WINDOW 20 /* foten.families.foten_plus.FotenPlusSizes.window */
+#define FOTEN_USUAL_TEN_WINDOW 25 /* foten.families.ten.TenSizes.window */
+#define FOTEN_USUAL_AR_WINDOW 21 /* foten.families.piecewise_ar.PiecewiseArSizes.window */
+#define FOTEN_USUAL_D_MODEL 32 /* foten.families.ten.TenSizes.d_model */
+#define FOTEN_USUAL_N_HEADS 4 /* foten.families.ten.TenSizes.n_heads */
+#define FOTEN_USUAL_N_LAYERS 3 /* foten.families.ten.TenSizes.n_layers */
+#define FOTEN_USUAL_D_FEEDFORWARD 128 /* foten.families.ten.TenSizes.d_feedforward */
+#define FOTEN_USUAL_HEAD_1 256 /* foten.families.ten.TenSizes.head[0] */
+#define FOTEN_USUAL_HEAD_2 64 /* foten.families.ten.TenSizes.head[1] */
+#define FOTEN_USUAL_SPECTRAL_WIDTH 32 /* foten.families.foten.FotenSizes.spectral_width */
+#define FOTEN_USUAL_EXCITATION_WIDTH 16 /* foten.families.foten_plus.FotenPlusSizes.excitation_width */
+#define FOTEN_USUAL_ORDER 20 /* foten.families.foten_plus.FotenPlusSizes.order */
+#define FOTEN_USUAL_AR_ORDER 20 /* foten.families.piecewise_ar.PiecewiseArSizes.order */
+#define FOTEN_USUAL_CORRECTION_LIMIT 3.0 /* foten.families.foten_plus.FotenPlusSizes.correction_limit */
+
+/* Speed and force. */
+#define FOTEN_FADE_SPEED 5.0 /* foten.families.conditions.FADE_SPEED */
+#define FOTEN_FADE_FORCE 0.1 /* foten.families.conditions.FADE_FORCE */
+#define FOTEN_FURTHEST 2.0 /* foten.families.conditions.FURTHEST */
+#define FOTEN_FORCE_FLOOR 0.05 /* foten.dsp.speed_force_table.FORCE_FLOOR */
+#define FOTEN_LEAST_AREA 1e-9 /* foten.dsp.mesh.LEAST_AREA */
+#define FOTEN_INSIDE -1e-12 /* foten.dsp.mesh._INSIDE */
+#define FOTEN_STYLUS_NEWTONS 0.13 /* foten.runtime.stylus.PressureCalibration.a */
+#define FOTEN_STYLUS_STEEPNESS 3.32 /* foten.runtime.stylus.PressureCalibration.b */
+#define FOTEN_ACTUATOR_LOWEST_HZ 20.0 /* foten.runtime.actuator.ActuatorProfile.lowest_hz */
+
+/* Lattices, tones and spectra. */
+#define FOTEN_LEAK 0.9997 /* foten.dsp.lattice.LEAK */
+#define FOTEN_MAX_REFLECTION 0.99999 /* foten.dsp.lattice.MAX_REFLECTION */
+#define FOTEN_LARGEST_JITTER 3.0 /* foten.dsp.tones.LARGEST_JITTER */
+#define FOTEN_N_CANDIDATES 32 /* foten.dsp.tones.N_CANDIDATES */
+#define FOTEN_WEAKEST_BIN 1e-10 /* foten.dsp.spectrum.WEAKEST_BIN */
+
+/* Noise and excitation. */
+#define FOTEN_PHILOX_MULTIPLIER_0 0xD2511F53 /* foten.dsp.noise._MULTIPLIER_0 */
+#define FOTEN_PHILOX_MULTIPLIER_1 0xCD9E8D57 /* foten.dsp.noise._MULTIPLIER_1 */
+#define FOTEN_PHILOX_WEYL_0 0x9E3779B9 /* foten.dsp.noise._WEYL_0 */
+#define FOTEN_PHILOX_WEYL_1 0xBB67AE85 /* foten.dsp.noise._WEYL_1 */
+#define FOTEN_NOISE_SUM_SD 53509.91992145008 /* foten.dsp.noise._SUM_SD */
+#define FOTEN_NOISE_LINEAR 0.97846856 /* foten.dsp.noise._LINEAR */
+#define FOTEN_NOISE_CUBIC 0.00750807 /* foten.dsp.noise._CUBIC */
+#define FOTEN_MEAN_SIZE 0.7978845608028654 /* foten.dsp.noise._MEAN_SIZE */
+#define FOTEN_SIZE_SD 0.6028102749890869 /* foten.dsp.noise._SIZE_SD */
+#define FOTEN_HEAVIEST_TAIL 0.25 /* foten.families.excitation.HEAVIEST_TAIL */
+#define FOTEN_LARGEST_SHOCK 4.0 /* foten.dsp.noise.LARGEST_SHOCK */
+#define FOTEN_LARGEST_VOLATILITY 3.0 /* foten.dsp.noise.LARGEST_VOLATILITY */
+
+/* How a stream begins. */
+#define FOTEN_FIRST_INITIAL 0x8000000000000000 /* foten.reference.render.FIRST_INITIAL */
+#define FOTEN_LOUDEST_BEGINNING 50.0 /* foten.reference.window.LOUDEST_BEGINNING */
+#define FOTEN_SETTLED_AFTER 256 /* foten.reference.piecewise_ar.SETTLED_AFTER */
+#define FOTEN_LARGEST_INNOVATION 100.0 /* foten.reference.piecewise_ar.LARGEST_INNOVATION */
+
+#endif

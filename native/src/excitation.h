@@ -1,0 +1,31 @@
+/* The excitation, the random part of a texture: a scale over speed and force, heavy tails and volatility. */
+#ifndef FOTEN_EXCITATION_H
+#define FOTEN_EXCITATION_H
+
+#include "tables.h"
+
+typedef struct {
+    scale sigma;
+    double tail[5], tail_bias; /* of h over the logarithms of speed and force */
+    double largest[2];         /* of an excitation: over sigma, and in scaled acceleration */
+    double volatility_kept, volatility_sd;
+} excitation;
+
+/* Of one stream: sigma and h of the next sample, and the volatility, a logarithm. */
+typedef struct {
+    double sigma, tail, volatility;
+} excitation_state;
+
+int excitation_read(texture_file *file, arena *memory, int width, excitation *out);
+
+void excitation_set_condition(const excitation *e, excitation_state *s, const double scaled[2]);
+
+/* By how much the next excitation is larger than usual. */
+double excitation_factor(const excitation *e, const excitation_state *s);
+
+/* A volatility as if the stream had always been there, from a standard normal number. */
+void excitation_draw(const excitation *e, excitation_state *s, double noise);
+
+/* The excitation of a standard normal number, where a unit of it moves the sample by `unit`; the volatility moves on. */
+double excitation_next(const excitation *e, excitation_state *s, double noise, double unit);
+#endif

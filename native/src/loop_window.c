@@ -1,0 +1,75 @@
+/* The loop of models that are given the last samples alone: networks and graphs, with an excitation or without, and models of noise. */
+#include "loop.h"
+
+static void place(const foten_model *m, loop *l, block *from) { predictor_place(&m->predictor, &l->predictor, from); }
+
+/* Make ready for the sample after one under a condition. */
+static void set_condition(const foten_model *m, loop *l, const condition *c, int first) {
+    if (m->excited && (first || loop_moved(l, c))) excitation_set_condition(&m->excitation, &l->excitation, c->scaled);
+    l->condition = *c;
+}
+
+static void push(const foten_model *m, loop *l, const double *sample) {
+    condition now = condition_of(&m->lattice.level, sample + 1);
+    l->predictor.n_pending = 0; /* a hop goes on from its own samples */
+    predictor_push(&m->predictor, &l->predictor, sample[0], sample + 1, 0);
+    set_condition(m, l, &now, 0);
+}
+
+static void start(const foten_model *m, loop *l, const double *windows, int n, int as_prediction) {
+    (void)as_prediction;
+    condition last = condition_of(&m->lattice.level, windows + 3 * n - 2);
+    predictor_clear(&m->predictor, &l->predictor);
+    l->excitation.volatility = 0;
+    for (int t = 0; t < n; t++) predictor_push(&m->predictor, &l->predictor, windows[3 * t], windows + 3 * t + 1, 0);
+    set_condition(m, l, &last, 1);
+}
+
+static void predict(const foten_model *m, loop *l, foten_prediction_part part, foten_prediction *out) {
+    (void)part;
+    *out = (foten_prediction){predictor_predict(&m->predictor, &l->predictor), 0, 0};
+    if (!m->excited) return;
+    out->scale = l->excitation.sigma;
+    out->tail = l->excitation.tail;
+}
+
+static double scale_of_noise(const foten_model *m, const loop *l) {
+    return m->excited ? excitation_factor(&m->excitation, &l->excitation) * l->excitation.sigma : 0;
+}
+
+/* Nothing bounds a network on its own output, so it goes on from the cut sample. */
+static double step(const foten_model *m, loop *l, const condition *c, const double *noise, double limit, int *cut) {
+    double sample = predictor_predict(&m->predictor, &l->predictor);
+    if (noise && m->excited) sample += excitation_next(&m->excitation, &l->excitation, *noise, 1);
+    double played = loop_cut(sample, limit, cut);
+    double fed_back = !m->of_noise ? played : noise ? *noise : 0;
+    predictor_push(&m->predictor, &l->predictor, fed_back, c->scaled, 0);
+    set_condition(m, l, c, 0);
+    return played;
+}
+
+void loop_take_noise(const foten_model *m, loop *l, const noise_source *noise) {
+    noise_source from = noise ? *noise : (noise_source){0};
+    for (int i = 0; i < m->predictor.window; i++) l->predictor.window[i * m->predictor.n_inputs] = noise ? (float)noise_next(&from) : 0;
+}
+
+/* With an excitation run for a window's length. */
+static void begin(const foten_model *m, loop *l, const condition *c, noise_source noise) {
+    if (m->of_noise) {
+        predictor_fill(&m->predictor, &l->predictor, c->scaled);
+        loop_take_noise(m, l, &noise);
+    }
+    if (!m->excited) return;
+    set_condition(m, l, c, 1);
+    predictor_set_condition(&m->predictor, &l->predictor, c->scaled);
+    excitation_draw(&m->excitation, &l->excitation, noise_next(&noise));
+    for (int i = 0; i < m->predictor.window; i++) {
+        int cut;
+        double z = noise_next(&noise);
+        step(m, l, c, &z, FOTEN_LOUDEST_BEGINNING, &cut);
+    }
+}
+
+static void quiet(const foten_model *m, loop *l) { predictor_quiet(&m->predictor, &l->predictor); }
+
+const loop_kind window_loop = {place, start, begin, predict, push, scale_of_noise, step, quiet};

@@ -1,0 +1,135 @@
+#include "tables.h"
+
+#include <math.h>
+#include <stdio.h>
+
+#include "constants.h"
+
+enum { MOST_VERTICES = 1 << 28 };
+
+const double *table_take(texture_file *file, arena *memory, const char *prefix, const char *name, size_t rows, size_t columns) {
+    char full[96];
+    snprintf(full, sizeof full, "%s%s", prefix, name);
+    size_t shape[4] = {rows, columns, 0, 0};
+    return file_take(file, full, shape, memory);
+}
+
+int speed_force_table_read(texture_file *file, arena *memory, const char *prefix, const char *values, int n_speed, int n_force, int width,
+                           speed_force_table *out) {
+    *out = (speed_force_table){.n_speed = n_speed, .n_force = n_force, .width = width};
+    if ((long long)n_speed * n_force > MOST_VERTICES) {
+        file_refuse(file, FOTEN_BAD_FILE, "the card has more vertices than can be");
+        return 0;
+    }
+    out->speed_knots = table_take(file, memory, prefix, "speed_knots", (size_t)n_speed, 0);
+    out->force_knots = out->speed_knots ? table_take(file, memory, prefix, "force_knots", (size_t)n_force, 0) : NULL;
+    out->values = out->force_knots ? table_take(file, memory, prefix, values, (size_t)n_speed * (size_t)n_force, (size_t)width) : NULL;
+    if (!out->values) return 0;
+    for (int i = 0; i < 2; i++) {
+        const double *knots = i ? out->force_knots : out->speed_knots;
+        for (int k = 1; k < (i ? n_force : n_speed); k++)
+            if (!(knots[k] > knots[k - 1])) {
+                file_refuse(file, FOTEN_BAD_FILE, "the knots of speed or force do not rise");
+                return 0;
+            }
+    }
+    return 1;
+}
+
+/* The knot at or below which a value lies, and its share of the next one. */
+static int knot_at(const double *knots, int n, double value, double *share) {
+    *share = 0;
+    if (n == 1 || value <= knots[0]) return 0;
+    if (value >= knots[n - 1]) {
+        *share = 1;
+        return n - 2;
+    }
+    int low = 0, high = n - 1;
+    while (high - low > 1) {
+        int middle = (low + high) / 2;
+        if (knots[middle] <= value) low = middle;
+        else high = middle;
+    }
+    *share = (value - knots[low]) / (knots[low + 1] - knots[low]);
+    return low;
+}
+
+void speed_force_table_at(const speed_force_table *t, double speed, double force, double *out) {
+    double over_speed, over_force;
+    int i = knot_at(t->speed_knots, t->n_speed, speed, &over_speed);
+    int j = knot_at(t->force_knots, t->n_force, log((force > 0 ? force : 0) + FOTEN_FORCE_FLOOR), &over_force);
+    size_t width = (size_t)t->width, row = (size_t)t->n_force * width;
+    const double *a = t->values + (size_t)i * row + (size_t)j * width, *b = t->n_force > 1 ? a + width : a;
+    const double *c = t->n_speed > 1 ? a + row : a, *d = t->n_speed > 1 ? b + row : b;
+    double wa = (1 - over_speed) * (1 - over_force), wb = (1 - over_speed) * over_force;
+    double wc = over_speed * (1 - over_force), wd = over_speed * over_force;
+    if (t->n_speed * t->n_force == 1)
+        for (size_t k = 0; k < width; k++) out[k] = a[k];
+    else
+        for (size_t k = 0; k < width; k++) out[k] = wa * a[k] + wb * b[k] + wc * c[k] + wd * d[k];
+}
+
+int scale_read(texture_file *file, arena *memory, const char *prefix, int width, scale *out) {
+    const double *bias, *highest, *mean, *sd, *floor;
+    out->width = width;
+    if (!(out->hidden = table_take(file, memory, prefix, "hidden.weight", (size_t)width, 4))) return 0;
+    if (!(out->hidden_bias = table_take(file, memory, prefix, "hidden.bias", (size_t)width, 0))) return 0;
+    if (!(out->out = table_take(file, memory, prefix, "out.weight", 1, (size_t)width))) return 0;
+    if (!(bias = table_take(file, memory, prefix, "out.bias", 1, 0))) return 0;
+    if (!(out->power_law = table_take(file, memory, prefix, "power_law.weight", 1, 5))) return 0;
+    if (!(highest = table_take(file, memory, prefix, "highest", 1, 0))) return 0;
+    if (!(mean = table_take(file, memory, prefix, "mean", 2, 0)) || !(sd = table_take(file, memory, prefix, "sd", 2, 0))) return 0;
+    if (!(floor = table_take(file, memory, prefix, "floor", 2, 0))) return 0;
+    out->out_bias = *bias;
+    out->highest = *highest;
+    if (!(*highest > 0)) {
+        file_refuse(file, FOTEN_BAD_FILE, "tensor '%shighest' is not positive", prefix);
+        return 0;
+    }
+    for (int i = 0; i < 2; i++) {
+        out->mean[i] = mean[i];
+        out->sd[i] = sd[i];
+        out->floor[i] = floor[i];
+        if (!(floor[i] > 0 && mean[i] + floor[i] > 0)) {
+            file_refuse(file, FOTEN_BAD_FILE, "tensor '%sfloor' is not positive", prefix);
+            return 0;
+        }
+    }
+    return 1;
+}
+
+double scale_at(const scale *s, const double scaled[2], double logs[2]) {
+    double physical[2], powers[5];
+    scale_physical(s, scaled, physical);
+    for (int i = 0; i < 2; i++) logs[i] = log((physical[i] + s->floor[i]) / (s->mean[i] + s->floor[i]));
+    scale_powers(logs, powers);
+    double log_scale = s->out_bias;
+    for (int k = 0; k < 5; k++) log_scale += s->power_law[k] * powers[k];
+    for (int h = 0; h < s->width; h++) {
+        const double *w = s->hidden + 4 * h;
+        log_scale += s->out[h] * tanh(s->hidden_bias[h] + w[0] * scaled[0] + w[1] * scaled[1] + w[2] * logs[0] + w[3] * logs[1]);
+    }
+    double out = exp(log_scale);
+    return out < s->highest ? out : s->highest;
+}
+
+void scale_physical(const scale *s, const double scaled[2], double out[2]) {
+    for (int i = 0; i < 2; i++) {
+        double x = scaled[i] * s->sd[i] + s->mean[i];
+        out[i] = x > 0 ? x : 0;
+    }
+}
+
+condition condition_of(const scale *level, const double scaled[2]) {
+    double physical[2];
+    scale_physical(level, scaled, physical);
+    return (condition){{scaled[0], scaled[1]}, physical[0]};
+}
+
+void scale_powers(const double logs[2], double out[5]) {
+    out[0] = logs[0];
+    out[1] = logs[1];
+    out[2] = logs[0] * logs[0];
+    out[3] = logs[0] * logs[1];
+    out[4] = logs[1] * logs[1];
+}

@@ -1,0 +1,98 @@
+#include "tones.h"
+
+#include <math.h>
+
+#include "clip.h"
+#include "constants.h"
+
+static const double PI = 3.14159265358979323846;
+
+int tones_read(texture_file *file, arena *memory, int n, int n_speed, int n_force, tones *out) {
+    const double *motion;
+    out->n = n;
+    if (!speed_force_table_read(file, memory, "tones.", "values", n_speed, n_force, 2 * n, &out->values)) return 0;
+    if (!(motion = table_take(file, memory, "tones.", "motion", 3, 0))) return 0;
+    out->increment = motion[0];
+    out->jitter = motion[1];
+    out->drawn_back = motion[2];
+    if (!(motion[0] >= 0 && fabs(motion[1]) <= 10 && motion[2] >= 0 && motion[2] <= 1)) {
+        file_refuse(file, FOTEN_BAD_FILE, "tensor 'tones.motion' is out of range");
+        return 0;
+    }
+    return 1;
+}
+
+static double increment_of(const tones *t, const condition *c) { return t->increment * c->path_speed; }
+
+/* The sum of tones of coefficients c_1, s_1, c_2, ... at a phase. */
+static double sum_at(const double *coefficients, int n, double phase) {
+    double sum = 0;
+    for (int k = 0; k < n; k++) sum += coefficients[2 * k] * cos(phase * (k + 1)) + coefficients[2 * k + 1] * sin(phase * (k + 1));
+    return sum;
+}
+
+/* Coefficients for the sample after one under a condition. Of each multiple as much as the rate can hold: all up to 0.45 of it, nothing from 0.5. */
+static void coefficients_at(const tones *t, const scale *level_over, const condition *c, double increment, double *out) {
+    double logs[2], physical[2], level = scale_at(level_over, c->scaled, logs);
+    scale_physical(level_over, c->scaled, physical);
+    speed_force_table_at(&t->values, physical[0], physical[1], out);
+    for (int k = 0; k < t->n; k++) {
+        double audible = 10 - 10 * (k + 1) * increment / PI;
+        audible = audible > 1 ? 1 : audible < 0 ? 0 : audible;
+        out[2 * k] *= level * audible;
+        out[2 * k + 1] *= level * audible;
+    }
+}
+
+void tones_set_condition(const tones *t, const scale *level, tones_state *s, const condition *c, int changed) {
+    s->increment = increment_of(t, c);
+    if (changed) coefficients_at(t, level, c, s->increment, s->coefficients);
+    s->tone = sum_at(s->coefficients, t->n, s->phase);
+}
+
+void tones_fit(const tones *t, const scale *level_over, tones_state *s, const double *windows, int n) {
+    double best = INFINITY, missed[FOTEN_N_CANDIDATES] = {0}, travelled = 0;
+    s->phase = s->path = 0;
+    for (int i = 1; i < n; i++) {
+        condition before = condition_of(level_over, windows + 3 * i - 2);
+        double increment = increment_of(t, &before), logs[2], level = scale_at(level_over, before.scaled, logs);
+        travelled += increment;
+        coefficients_at(t, level_over, &before, increment, s->coefficients);
+        for (int k = 0; k < FOTEN_N_CANDIDATES; k++) {
+            double off = (windows[3 * i] - sum_at(s->coefficients, t->n, travelled + 2 * PI * k / FOTEN_N_CANDIDATES)) / level;
+            missed[k] += off * off;
+        }
+    }
+    for (int k = 0; k < FOTEN_N_CANDIDATES; k++)
+        if (missed[k] < best) {
+            best = missed[k];
+            s->phase = 2 * PI * k / FOTEN_N_CANDIDATES;
+        }
+}
+
+double tones_follow(const tones *t, const scale *level, tones_state *s, const condition *before) {
+    double increment = increment_of(t, before);
+    s->path += increment;
+    coefficients_at(t, level, before, increment, s->coefficients);
+    return sum_at(s->coefficients, t->n, s->path + s->phase);
+}
+
+/* The way to the first sample belongs to the recording, and nothing of it is kept: the phase is taken within half a turn. */
+void tones_begin_path(const tones *t, tones_state *s, const condition *last) {
+    s->phase = s->path + s->phase + increment_of(t, last);
+    s->phase -= 2 * PI * floor((s->phase + PI) / (2 * PI));
+    s->path = s->rate = 0;
+}
+
+void tones_draw(tones_state *s, double sine, double cosine) {
+    s->phase = s->path = atan2(sine, cosine);
+    s->rate = 0;
+}
+
+void tones_push(const tones *t, tones_state *s, double innovation, const condition *c) {
+    double kept = exp(-s->increment / PI), increment = increment_of(t, c);
+    s->phase -= t->drawn_back * (s->phase - s->path);
+    s->rate = kept * s->rate + sqrt(1 - kept * kept) * (t->jitter * clip(innovation, FOTEN_LARGEST_JITTER));
+    s->phase += s->increment * s->rate + increment;
+    s->path += increment;
+}

@@ -1,0 +1,159 @@
+"""The kernel's C interface in ctypes: structures, signatures, and the library itself. See `native/include/foten.h`."""
+
+from __future__ import annotations
+
+import ctypes
+from ctypes import POINTER, Structure, c_char_p, c_double, c_float, c_int, c_size_t, c_uint64, c_void_p
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+ABI = 4  # FOTEN_ABI of the header that this follows
+NO_MEMORY, NO_PREDICTOR = 3, 5
+_SUFFIXES = (".so", ".dylib", ".dll")
+
+
+class Info(Structure):
+    _fields_ = [
+        ("model", c_char_p),
+        ("texture", c_char_p),
+        ("rate_hz", c_double),
+        ("window", c_int),
+        ("has_excitation", c_int),
+        ("trained_speed", c_double * 2),
+        ("trained_force", c_double * 2),
+        ("acceleration_sd", c_double),
+        ("lowpass_hz", c_double),
+        ("state_bytes", c_size_t),
+        ("hop", c_int),
+    ]
+
+
+class NativeStatistics(Structure):
+    """What a state has counted: foten_stats."""
+
+    _fields_ = [
+        (name, c_uint64)
+        for name in (
+            "n",
+            "n_speed_beyond",
+            "n_force_beyond",
+            "n_speed_clamped",
+            "n_force_clamped",
+            "n_below",
+            "n_saturated",
+            "n_refused",
+            "n_limited",
+            "n_lost",
+        )
+    ]
+
+
+class NativeStylusStatistics(Structure):
+    """What a stylus has counted: foten_stylus_stats."""
+
+    _fields_ = [
+        (name, c_uint64) for name in ("n", "n_refused", "n_late", "n_dropped", "n_clipped", "n_jumps")
+    ]
+
+
+class NativeActuator(Structure):
+    """An actuator's figures: foten_actuator."""
+
+    _fields_ = [(name, c_double) for name in ("resonance_hz", "damping", "gain", "lowest_hz", "limit")]
+
+
+class StylusOptions(Structure):
+    _fields_ = [("newtons", c_double), ("steepness", c_double)]
+
+
+class Options(Structure):
+    _fields_ = [
+        ("rate_hz", c_double),
+        ("seed", c_uint64),
+        ("stream", c_uint64),
+        ("deterministic", c_int),
+        ("smooth", c_int),
+    ]
+
+
+FLOATS, DOUBLES = POINTER(c_float), POINTER(c_double)
+PREDICTOR = ctypes.CFUNCTYPE(None, c_void_p, POINTER(c_float), POINTER(c_float), c_int)
+_SIGNATURES = {
+    "foten_abi": (c_int, []),
+    "foten_version": (c_char_p, []),
+    "foten_isa": (c_char_p, []),
+    "foten_model_load": (c_int, [c_void_p, c_size_t, POINTER(c_void_p), c_char_p, c_size_t]),
+    "foten_model_load_with": (
+        c_int,
+        [c_void_p, c_size_t, PREDICTOR, c_void_p, POINTER(c_void_p), c_char_p, c_size_t],
+    ),
+    "foten_model_free": (None, [c_void_p]),
+    "foten_model_info": (Info, [c_void_p]),
+    "foten_state_new": (c_void_p, [c_void_p, POINTER(Options)]),
+    "foten_state_free": (None, [c_void_p]),
+    "foten_reset": (None, [c_void_p, c_uint64]),
+    "foten_start": (c_int, [c_void_p, FLOATS, FLOATS, FLOATS]),
+    "foten_start_scaled": (c_int, [c_void_p, DOUBLES]),
+    "foten_run_scaled": (None, [c_void_p, DOUBLES, DOUBLES, c_double, c_size_t, DOUBLES]),
+    "foten_predict": (c_int, [c_void_p, DOUBLES, c_size_t, c_int, DOUBLES]),
+    "foten_set_condition": (None, [c_void_p, c_float, c_float]),
+    "foten_render": (None, [c_void_p, FLOATS, c_size_t]),
+    "foten_render_stroke": (c_size_t, [c_void_p, FLOATS, FLOATS, c_size_t, FLOATS]),
+    "foten_rendered": (c_size_t, [c_void_p, c_size_t]),
+    "foten_delay_s": (c_double, [c_void_p]),
+    "foten_statistics": (NativeStatistics, [c_void_p]),
+    "foten_stylus_new": (c_void_p, [c_void_p, POINTER(StylusOptions)]),
+    "foten_stylus_free": (None, [c_void_p]),
+    "foten_stylus_push": (None, [c_void_p, c_double, c_double, c_double, c_double]),
+    "foten_stylus_next": (None, [c_void_p, FLOATS, FLOATS]),
+    "foten_render_stylus": (None, [c_void_p, c_void_p, FLOATS, c_size_t]),
+    "foten_stylus_statistics": (NativeStylusStatistics, [c_void_p]),
+    "foten_set_actuator": (c_int, [c_void_p, POINTER(NativeActuator)]),
+    "foten_noise": (None, [c_uint64, c_uint64, c_uint64, c_size_t, POINTER(c_double)]),
+}
+
+
+@cache
+def library() -> ctypes.CDLL:
+    """Return the library that was built with this package.
+
+    Raises:
+        OSError: there is none, or it does not load.
+    """
+    # An editable install has the library in another folder than the sources; a package's path knows both.
+    import foten.runtime
+
+    candidates = [
+        Path(folder) / "kernel" / f"libfoten{suffix}"
+        for folder in foten.runtime.__path__
+        for suffix in _SUFFIXES
+    ]
+    for path in candidates:
+        if path.exists():
+            kernel = ctypes.CDLL(str(path))
+            if not hasattr(kernel, "foten_abi") or kernel.foten_abi() != ABI:
+                raise OSError(
+                    f"{path.name} is of another version than this package: reinstall with 'pip install --force-reinstall .'"
+                )
+            for name, (result, arguments) in _SIGNATURES.items():
+                function = getattr(kernel, name)
+                function.restype, function.argtypes = result, arguments
+            return kernel
+    raise OSError(
+        "foten's kernel is not installed beside the package: reinstall with 'pip install .', which builds it with a C compiler"
+    )
+
+
+def isa() -> str:
+    """Return the instruction set that the kernel uses here."""
+    return str(library().foten_isa().decode())
+
+
+def noise(seed: int, stream: int, first: int, n: int) -> NDArray[np.float64]:
+    """Return the kernel's own noise, shape (n,); the numbers of `foten.dsp.noise.gaussian`."""
+    out = np.empty(n)
+    library().foten_noise(seed, stream, first, n, out.ctypes.data_as(POINTER(c_double)))
+    return out

@@ -1,0 +1,166 @@
+"""Sinks that take samples as time passes: silence and a WAV file."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.atomic_write import atomic_write
+
+Samples = NDArray[np.float32]
+Read = Callable[[Samples], None]
+
+PACKET_MS = 4.0
+_LARGEST_WAV = 2**32 - 4096  # bytes
+
+
+class Paced:
+    """A sink that takes a block every so often, in a thread of its own; what it does with it is a subclass's.
+
+    After a machine has stood still it goes on at its pace: what it did not take meanwhile it does not take at once, which would
+    empty the ring; `n_late` counts such blocks.
+
+    Args:
+        rate_hz: at which samples are taken.
+        block_ms: taken at once.
+        ratio: of simulated time to real time; infinite for as fast as possible.
+    """
+
+    patient = False
+
+    def __init__(self, rate_hz: float, block_ms: float = PACKET_MS, ratio: float = 1.0) -> None:
+        if not rate_hz > 0 or not block_ms > 0 or not ratio > 0:
+            raise ValueError(
+                f"a rate of {rate_hz} Hz in blocks of {block_ms} ms at {ratio} times, expected positive numbers"
+            )
+        self.rate_hz = float(rate_hz)
+        self._block = np.zeros(max(1, round(block_ms * rate_hz / 1000)), dtype=np.float32)
+        self._period_s = self._block.size / rate_hz / ratio
+        self.n_at_once = self._block.size
+        self.n_late = 0
+        self.failed: BaseException | None = None
+        self._stopping = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def start(self, read: Read) -> None:
+        """Begin to take samples."""
+        self._thread = threading.Thread(target=self._run, args=(read,), name="foten-sink", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End after the block that is being taken."""
+        self._stopping.set()
+        if self._thread is not None and self._thread.is_alive():
+            self._thread.join()
+
+    def take(self, block: Samples) -> None:
+        """Do something with a block."""
+
+    def _run(self, read: Read) -> None:
+        due = time.perf_counter()
+        try:
+            while not self._stopping.is_set():
+                read(self._block)
+                self.take(self._block)
+                due += self._period_s
+                wait = due - time.perf_counter()
+                if wait > 0:
+                    self._stopping.wait(wait)
+                elif self._period_s > 0:
+                    n_late = int(-wait / self._period_s)
+                    due += n_late * self._period_s
+                    self.n_late += n_late
+        except BaseException as error:  # told by `Live.stop`, in the thread that waits for it
+            self.failed = error
+
+
+class NullSink(Paced):
+    """Plays nowhere, at the pace of a real one: for trials and for measuring."""
+
+
+class WavSink(Paced):
+    """A WAV file of 32-bit floats, as they are, written as fast as they are rendered; the file is there when it stops.
+
+    Args:
+        path: of the file.
+        rate_hz: a whole number of samples a second.
+        about: kept in the file as a comment.
+        n: samples after which it is full; None for as many as come.
+    """
+
+    patient = True
+
+    def __init__(
+        self, path: Path, rate_hz: float, about: Mapping[str, Any] | None = None, n: int | None = None
+    ) -> None:
+        super().__init__(rate_hz, ratio=math.inf)
+        if rate_hz != round(rate_hz):
+            raise ValueError(f"a WAV file has a whole number of samples a second, got {rate_hz:g} Hz")
+        if not path.parent.is_dir():
+            raise FileNotFoundError(f"no such folder: {path.parent}")
+        self.most = min(_LARGEST_WAV // 4, _LARGEST_WAV if n is None else n)
+        if n is not None and n > self.most:
+            raise ValueError(
+                f"{n / rate_hz:.0f} s at {rate_hz:g} Hz are more than a WAV file holds, 4 GB; play fewer"
+            )
+        self._about = json.dumps(
+            {"unit": "m/s^2", "rate_hz": rate_hz, **(about or {})}, sort_keys=True
+        ).encode()
+        self._stack = ExitStack()
+        self._file = self._stack.enter_context(self._stack.enter_context(atomic_write(path)).open("wb"))
+        self._n = 0
+        self._file.write(self._header())
+
+    @property
+    def full(self) -> bool:
+        """Return whether it has all samples that it is to have."""
+        return self._n == self.most
+
+    def take(self, block: Samples) -> None:
+        """Append a block."""
+        some = block[: self.most - self._n]
+        self._file.write(some.astype("<f4").tobytes())
+        self._n += some.size
+        if self.full:
+            self._stopping.set()
+
+    def stop(self) -> None:
+        """End, and put the file in its place; where it died, no file is left."""
+        super().stop()
+        if self._file.closed:
+            return
+        if self.failed is not None:
+            self._stack.__exit__(type(self.failed), self.failed, None)
+            return
+        comment = self._about + b"\0" * (1 + (len(self._about) + 1) % 2)
+        info = b"INFO" + b"ICMT" + struct.pack("<I", len(comment)) + comment
+        self._file.write(b"LIST" + struct.pack("<I", len(info)) + info)
+        size = self._file.tell()
+        self._file.seek(0)
+        self._file.write(self._header(size - 8))
+        self._stack.close()
+
+    def _header(self, size: int = 0) -> bytes:
+        rate = round(self.rate_hz)
+        chunks = (
+            b"fmt "
+            + struct.pack("<IHHIIHHH", 18, 3, 1, rate, 4 * rate, 4, 32, 0)
+            + b"fact"
+            + struct.pack("<II", 4, self._n)
+        )
+        return b"RIFF" + struct.pack("<I", size) + b"WAVE" + chunks + b"data" + struct.pack("<I", 4 * self._n)
+
+
+def check_gain(gain: float) -> None:
+    if not math.isfinite(gain):
+        raise ValueError(f"the gain is {gain}, expected a finite number")

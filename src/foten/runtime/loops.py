@@ -1,0 +1,87 @@
+"""Many streams of a texture at once, over all cores: its loop by itself, and one step ahead along recordings."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.runtime.native import NativeState, NativeTexture, PredictionPart
+
+
+def on_all_cores(work: Callable[[int], None], n: int) -> None:
+    """Call a function with 0 … n − 1, shared out over the cores; the kernel's calls release the interpreter's lock.
+
+    Each number is worked on by itself, so the result does not depend on how many cores there are.
+    """
+    with ThreadPoolExecutor(min(n, os.cpu_count() or 1) or 1) as pool:
+        deque(pool.map(work, range(n)), maxlen=0)
+
+
+def run_loops(
+    texture: NativeTexture,
+    windows: NDArray[np.float64],
+    condition: NDArray[np.float64],
+    noise: NDArray[np.float64] | None,
+    limit: float = np.inf,
+) -> NDArray[np.float64]:
+    """Return n samples of each stream of a texture's loop by itself, shape (s, n), without fade and growth; all scaled.
+
+    Args:
+        windows: that the streams go on from, shape (s, window, 3).
+        condition: speed and force of each sample, and the speed that tones go by [mm/s], shape (s, n, 3).
+        noise: standard normal, shape (s, n); None for the deterministic loop.
+        limit: that samples are cut to.
+
+    Raises:
+        ValueError: a window holds NaN or infinity.
+    """
+    out = np.empty(condition.shape[:2])
+
+    def run(i: int) -> None:
+        window, conditions = (
+            np.ascontiguousarray(part[i], dtype=np.float64) for part in (windows, condition)
+        )
+        drawn = None if noise is None else np.ascontiguousarray(noise[i], dtype=np.float64)
+        NativeState(texture).run_scaled(window, conditions, drawn, limit, out[i])
+
+    on_all_cores(run, len(out))
+    return out
+
+
+class Prediction(NamedTuple):
+    """What is expected of samples, the scale of what is missed, and the tail of its distribution; scaled, of one shape.
+
+    A scale of 0 is not known: a rendering predicts from something else, or there is no excitation.
+    """
+
+    sample: NDArray[np.float64]
+    scale: NDArray[np.float64]
+    tail: NDArray[np.float64]
+
+
+def predict_blocks(
+    texture: NativeTexture, blocks: NDArray[np.float64], part: PredictionPart = "model"
+) -> Prediction:
+    """Return one-step predictions of recorded blocks, scaled (s, n, 3), from sample `window` on: (s, n − window) each.
+
+    Args:
+        texture: whose model predicts.
+        blocks: acceleration, speed and force; each sample is predicted from those before it in its block.
+        part: all of the "model"; its "linear" part alone; or what a "rendering" uses, the network only where it is in the loop.
+
+    Raises:
+        ValueError: a block is shorter than a window, or holds NaN or infinity.
+    """
+    out = np.empty((len(blocks), blocks.shape[1] - texture.info.window, 3))
+
+    def predict(i: int) -> None:
+        NativeState(texture).predict(np.ascontiguousarray(blocks[i], dtype=np.float64), part, out[i])
+
+    on_all_cores(predict, len(out))
+    return Prediction(*np.moveaxis(out, 2, 0))

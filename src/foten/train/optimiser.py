@@ -1,0 +1,103 @@
+"""The optimisers of our recipe and the paper's: orthogonalised momentum for matrices, AdamW for the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from foten.train.config import TrainConfig
+
+MOMENTUM = 0.95
+LEAST_SIDE = (
+    4  # a matrix is wider and taller than that: of what is narrower little is left by orthogonalisation
+)
+_COEFFICIENTS = 3.4445, -4.7750, 2.0315  # of the quintic that pushes singular values towards 1
+_STEPS = 5
+
+
+class Optimiser:
+    """Steps of all parameters, at a share of their learning rates.
+
+    Matrices move along the orthogonal factor of their momentum, so that no direction is slow: a network of 64 s of simulated mesh
+    gained 7.6 % in 1200 steps, and 1.0 % by AdamW at the better of two rates (`benchmarks/training.py`).
+
+    Args:
+        parameters: by name; in stacks of several networks' where `stacked`, along their first dimension.
+        config: which optimiser, and its rates.
+
+    Source: Jordan et al., "Muon: an optimizer for hidden layers in neural networks" (2024), the iteration and its coefficients;
+    for the paper's recipe Adam, Sec. IV-e.
+    """
+
+    def __init__(
+        self, parameters: Mapping[str, nn.Parameter], config: TrainConfig, stacked: bool = False
+    ) -> None:
+        self._config = config
+        self._matrices = {
+            name: one
+            for name, one in parameters.items()
+            if config.optimiser == "muon" and one.ndim - stacked == 2 and min(one.shape[-2:]) > LEAST_SIDE
+        }
+        self._momentum = {name: torch.zeros_like(one) for name, one in self._matrices.items()}
+        others = [one for name, one in parameters.items() if name not in self._matrices]
+        self._adam = torch.optim.AdamW(
+            others, lr=config.learning_rate, weight_decay=config.weight_decay, fused=True
+        )
+
+    def step(self, rate: float) -> None:
+        """Take a step with the gradients that there are, at a share of the highest learning rates."""
+        config = self._config
+        for group in self._adam.param_groups:
+            group["lr"] = config.learning_rate * rate
+        self._adam.step()
+        for name, matrix in self._matrices.items():
+            assert matrix.grad is not None
+            momentum = self._momentum[name].mul_(MOMENTUM).add_(matrix.grad)
+            direction = orthogonalised(matrix.grad + MOMENTUM * momentum)
+            tall = max(1.0, matrix.shape[-2] / matrix.shape[-1]) ** 0.5
+            with torch.no_grad():
+                matrix.mul_(1 - config.learning_rate * rate * config.weight_decay)
+                matrix.sub_(direction, alpha=config.matrix_learning_rate * rate * tall)
+
+    def keep(self, parameters: Mapping[str, nn.Parameter], kept: Tensor) -> Optimiser:
+        """Return the optimiser of some of the networks of a stack: their new parameters, and their numbers."""
+        other = Optimiser(parameters, self._config, stacked=True)
+        for name, momentum in self._momentum.items():
+            other._momentum[name] = momentum[kept]
+        old = [one for group in self._adam.param_groups for one in group["params"]]
+        new = [one for group in other._adam.param_groups for one in group["params"]]
+        for before, after in zip(old, new, strict=True):
+            other._adam.state[after] = {
+                key: value if key == "step" else value[kept]
+                for key, value in self._adam.state[before].items()
+            }
+        return other
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what a checkpoint keeps."""
+        return {"adam": self._adam.state_dict(), "momentum": self._momentum}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from a checkpoint."""
+        self._adam.load_state_dict(state["adam"])
+        for name, momentum in state["momentum"].items():
+            self._momentum[name].copy_(momentum)
+
+
+@torch.no_grad()
+def orthogonalised(matrices: Tensor) -> Tensor:
+    """Return the orthogonal factor of matrices, roughly: (…, a, b) → singular values of 0.7 to 1.2.
+
+    A quintic in odd powers, five times over, which is Newton and Schulz's iteration with a steeper start.
+    """
+    a, b, c = _COEFFICIENTS
+    x = matrices / (matrices.norm(dim=(-2, -1), keepdim=True) + 1e-7)
+    tall = x.shape[-2] > x.shape[-1]
+    x = x.mT if tall else x
+    for _ in range(_STEPS):
+        gram = x @ x.mT
+        x = a * x + (b * gram + c * gram @ gram) @ x
+    return x.mT if tall else x

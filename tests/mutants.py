@@ -1,0 +1,326 @@
+"""Small wrong changes of the sources, each of which some test has to notice; `tests/test_mutants.py` makes them one by one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+KERNEL = ("tests/test_loops.py", "tests/test_native.py", "tests/test_rendering.py", "tests/test_reference.py")
+NATIVE = "native/src/"
+PACKAGE = "src/foten/"
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """One change.
+
+    Attributes:
+        what: is wrong then.
+        path: of the file, from the root of the repository.
+        before, after: text, of which the former stands in the file once.
+        tests: files of tests, of which one fails.
+    """
+
+    what: str
+    path: str
+    before: str
+    after: str
+    tests: tuple[str, ...] = KERNEL
+
+
+MUTANTS = (
+    Mutant("the saturator is off", NATIVE + "loop.h", "clip(sample, limit)", "sample"),
+    Mutant(
+        "a network goes on from its uncut sample",
+        NATIVE + "loop_window.c",
+        "!m->of_noise ? played",
+        "!m->of_noise ? sample",
+    ),
+    Mutant(
+        "the fade with speed begins at 10 mm/s",
+        NATIVE + "constants.h",
+        "FOTEN_FADE_SPEED 5.0",
+        "FOTEN_FADE_SPEED 10.0",
+    ),
+    Mutant(
+        "the fade with force begins at 0.2 N",
+        NATIVE + "constants.h",
+        "FOTEN_FADE_FORCE 0.1",
+        "FOTEN_FADE_FORCE 0.2",
+    ),
+    Mutant("there is no fade", NATIVE + "api.c", "if (x < fade) factor *= x / fade;", ""),
+    Mutant(
+        "the level does not grow",
+        NATIVE + "api.c",
+        "factor *= pow(kept[i] / m->high[i], m->exponents[i]);",
+        ";",
+    ),
+    Mutant("the level grows without end", NATIVE + "constants.h", "FOTEN_FURTHEST 2.0", "FOTEN_FURTHEST 4.0"),
+    Mutant("a slower device is louder", NATIVE + "resample.c", "return sum / r->stretch;", "return sum;"),
+    Mutant(
+        "the resampler skips a carry",
+        NATIVE + "resample.c",
+        "r->integer + (r->fraction < before)",
+        "r->integer",
+    ),
+    Mutant(
+        "a stroke begins too loud", NATIVE + "loop_lattice.c", "pow(1 - 2 * l->excitation.tail, -0.75)", "2.0"
+    ),
+    Mutant(
+        "a stroke begins silent",
+        NATIVE + "loop_lattice.c",
+        "= size * noise_next(&noise);",
+        "= 0 * size * noise_next(&noise);",
+    ),
+    Mutant(
+        "a network's stroke begins with the warm start",
+        NATIVE + "loop_window.c",
+        "if (!m->excited) return;\n    set_condition(m, l, c, 1);",
+        "return;\n    set_condition(m, l, c, 1);",
+    ),
+    Mutant(
+        "local models begin silent",
+        NATIVE + "loop_piecewise_ar.c",
+        "size * noise_next(&noise)",
+        "0 * size * noise_next(&noise)",
+        ("tests/test_piecewise_ar.py", *KERNEL),
+    ),
+    Mutant(
+        "the lattice does not leak",
+        NATIVE + "constants.h",
+        "FOTEN_LEAK 0.9997",
+        "FOTEN_LEAK 1.0",
+        ("tests/test_kernel_constants.py", *KERNEL),
+    ),
+    Mutant(
+        "the innovation is not clipped for the jitter",
+        NATIVE + "tones.c",
+        "clip(innovation, FOTEN_LARGEST_JITTER)",
+        "innovation",
+    ),
+    Mutant(
+        "tones forget nothing", NATIVE + "tones.c", "s->phase -= t->drawn_back * (s->phase - s->path);", ""
+    ),
+    Mutant(
+        "tones stand still",
+        NATIVE + "tones.c",
+        "s->phase += s->increment * s->rate + increment;",
+        "s->phase += s->increment * s->rate;",
+    ),
+    Mutant(
+        "the volatility has no bound",
+        NATIVE + "excitation.c",
+        "clip(moved, FOTEN_LARGEST_VOLATILITY * e->volatility_sd)",
+        "moved",
+    ),
+    Mutant(
+        "the volatility's mean square is not one",
+        NATIVE + "excitation.c",
+        "exp(s->volatility - e->volatility_sd * e->volatility_sd)",
+        "exp(s->volatility)",
+    ),
+    Mutant(
+        "shocks have no bound",
+        NATIVE + "excitation.c",
+        "clip(z * exp(0.5 * s->tail * z * z), most)",
+        "z * exp(0.5 * s->tail * z * z)",
+    ),
+    Mutant("tails are Gaussian", NATIVE + "excitation.c", "z * exp(0.5 * s->tail * z * z)", "z"),
+    Mutant(
+        "the correction has no bound",
+        NATIVE + "loop_lattice.c",
+        "return m->correction_limit * tanh(predictor_predict(&m->predictor, &l->predictor) / m->correction_limit);",
+        "return predictor_predict(&m->predictor, &l->predictor);",
+    ),
+    Mutant(
+        "the network is in every loop",
+        NATIVE + "loop_lattice.c",
+        "double e = m->network_in_loop ? correction(m, l) : 0;",
+        "double e = correction(m, l);",
+    ),
+    Mutant(
+        "a prediction leaves the network out",
+        NATIVE + "loop_lattice.c",
+        "part == FOTEN_PREDICT_MODEL ||",
+        "0 ||",
+    ),
+    Mutant(
+        "the state is not reset after a prediction",
+        NATIVE + "api.c",
+        "foten_reset(s, s->seed);\n    return FOTEN_OK;",
+        "return FOTEN_OK;",
+    ),
+    Mutant(
+        "a reset keeps the counts",
+        NATIVE + "api.c",
+        "atomic_store_explicit(&s->counts[i], 0,",
+        "atomic_store_explicit(&s->counts[i], counted(s, i),",
+    ),
+    Mutant("negative forces are taken as they are", NATIVE + "api.c", "if (*force < 0) *force = 0;", ""),
+    Mutant(
+        "what is no number is passed on",
+        NATIVE + "api.c",
+        "if (out - out == 0) return out;",
+        "return out;",
+        (
+            "tests/test_native.py",
+            "tests/test_loops.py",
+            "tests/test_rendering.py",
+            "tests/test_kernel_build.py",
+        ),
+    ),
+    Mutant(
+        "a pressure of nothing presses",
+        NATIVE + "stylus.c",
+        "pressure > 0",
+        "pressure >= 0",
+        ("tests/test_stylus.py",),
+    ),
+    Mutant(
+        "Eq. 12 has another steepness",
+        PACKAGE + "runtime/stylus.py",
+        "b: float = 3.32",
+        "b: float = 3.0",
+        ("tests/test_stylus.py", "tests/test_kernel_constants.py"),
+    ),
+    Mutant(
+        "the level is never settled",
+        PACKAGE + "train/excitation.py",
+        "errors = settle_level(loop, excitation, windows.train, config.seed)",
+        "errors = [0.0]",
+        ("tests/test_closed_loop_training.py", "tests/test_excitation.py", "tests/test_pipeline.py"),
+    ),
+    Mutant(
+        "the level is settled the wrong way",
+        PACKAGE + "train/closed_loop.py",
+        "step = -np.linalg.solve(",
+        "step = np.linalg.solve(",
+        ("tests/test_closed_loop_training.py", "tests/test_excitation.py", "tests/test_pipeline.py"),
+    ),
+    Mutant(
+        "no volatility is ever fitted",
+        PACKAGE + "train/excitation.py",
+        "if config.volatility:",
+        "if False:",
+        ("tests/test_closed_loop_training.py", "tests/test_excitation.py", "tests/test_pipeline.py"),
+    ),
+    Mutant(
+        "the best AR is chosen on test blocks",
+        PACKAGE + "evaluate/evaluate.py",
+        "best_linear(samples, split.train, split.validation, block)",
+        "best_linear(samples, split.train, split.test, block)",
+        ("tests/test_references.py", "tests/test_report.py", "tests/test_evaluate.py"),
+    ),
+    Mutant(
+        "AR(20) is fitted on train and test",
+        PACKAGE + "evaluate/evaluate.py",
+        '"ar": fit_linear(samples, split.train, block, 20),',
+        '"ar": fit_linear(samples, (*split.train, *split.test), block, 20),',
+        ("tests/test_references.py", "tests/test_report.py", "tests/test_evaluate.py"),
+    ),
+    Mutant(
+        "the free run of AR(20) is fitted on train and test",
+        PACKAGE + "evaluate/evaluate.py",
+        "linear = None if split is None else fit_linear(samples, split.train, block, 20)",
+        "linear = None if split is None else fit_linear(samples, (*split.train, *split.test), block, 20)",
+        ("tests/test_references.py", "tests/test_report.py", "tests/test_evaluate.py"),
+    ),
+    Mutant(
+        "the network is fitted to the validation blocks",
+        PACKAGE + "train/fit.py",
+        "order = train[order_of(len(train), config.seed, epoch).to(device)]",
+        "order = validation[order_of(len(validation), config.seed, epoch).to(device)]",
+        ("tests/test_fit.py", "tests/test_batched.py", "tests/test_pipeline.py"),
+    ),
+    Mutant(
+        "the last network is kept, not the best",
+        PACKAGE + "train/epochs.py",
+        "best = loss < progress.best_loss",
+        "best = True",
+        ("tests/test_fit.py", "tests/test_batched.py", "tests/test_pipeline.py"),
+    ),
+    Mutant(
+        "a training that gains nothing goes on",
+        PACKAGE + "train/epochs.py",
+        "if epoch != config.probation or gained >= config.least_gain:",
+        "if True:",
+        ("tests/test_fit.py", "tests/test_epochs.py", "tests/test_pipeline.py"),
+    ),
+    Mutant(
+        "matrices are not orthogonalised",
+        PACKAGE + "train/optimiser.py",
+        "direction = orthogonalised(matrix.grad + MOMENTUM * momentum)",
+        "direction = matrix.grad + MOMENTUM * momentum",
+        ("tests/test_optimiser.py",),
+    ),
+    Mutant(
+        "windows see the sample that they predict",
+        PACKAGE + "recording/windows.py",
+        "np.arange(-m, 0)",
+        "np.arange(-m + 1, 1)",
+        ("tests/test_windows.py",),
+    ),
+    Mutant(
+        "the scaling looks at test blocks",
+        PACKAGE + "train/blocks.py",
+        "fit_scaling(trace, split.train)",
+        "fit_scaling(trace, (*split.train, *split.test))",
+        ("tests/test_pipeline.py", "tests/test_scaling.py", "tests/test_blocks.py"),
+    ),
+    Mutant(
+        "the warm start is the loudest window",
+        PACKAGE + "train/export.py",
+        "[(len(near) - 1) // 2]",
+        "[-1]",
+        ("tests/test_export.py", "tests/test_pipeline.py"),
+    ),
+    Mutant(
+        "the first fifth of a block is scored",
+        PACKAGE + "evaluate/free_run.py",
+        "SETTLING = 0.2",
+        "SETTLING = 0.0",
+        ("tests/test_free_run.py",),
+    ),
+    Mutant(
+        "the free run starts from another block",
+        PACKAGE + "evaluate/free_run.py",
+        "state.start(acceleration[:m], speed[:m], force[:m])",
+        "state.start(acceleration[1 : m + 1], speed[:m], force[:m])",
+        ("tests/test_free_run.py",),
+    ),
+    Mutant(
+        "kurtosis is not about the mean",
+        PACKAGE + "evaluate/free_run.py",
+        "6 * mean**2 * second - 3 * mean**4",
+        "6 * mean**2 * second",
+        ("tests/test_free_run.py",),
+    ),
+    Mutant(
+        "a linear predictor's free run forgets its constant",
+        PACKAGE + "evaluate/free_run.py",
+        "constant + stable.noise_sd * gaussian",
+        "stable.noise_sd * gaussian",
+        ("tests/test_free_run.py",),
+    ),
+    Mutant(
+        "the lattice is chosen on one fold",
+        PACKAGE + "train/lattice.py",
+        "of_kind = results[k * len(weights) : (k + 1) * len(weights)]",
+        "of_kind = results[: len(weights)]",
+        ("tests/test_lattice.py", "tests/test_linear_part.py"),
+    ),
+    Mutant(
+        "tones of any spectrum are taken",
+        PACKAGE + "train/foten_plus.py",
+        "allowed = TONES_MAY_DISTORT * renderings[0].distance[0]",
+        "allowed = np.inf",
+        ("tests/test_pipeline.py", "tests/test_linear_part.py", "tests/test_foten_plus_training.py"),
+    ),
+    Mutant(
+        "a file without proof is accepted",
+        NATIVE + "proof.c",
+        "if (worst <= tolerance) return 1;",
+        "return 1;",
+        ("tests/test_texture_file.py", *KERNEL),
+    ),
+)
+"""Those that an audit made and the tests of then let pass, and others of the same kind."""

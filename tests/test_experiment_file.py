@@ -1,0 +1,112 @@
+"""Experiments in TOML files: what is run, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from conftest import TINY, experiment
+from foten.cli.command_line import _status
+from foten.experiments.experiment_file import experiment_path, read_experiment
+
+
+def test_ar_is_run_once_whatever_the_grid(tmp_path: Path) -> None:
+    text = TINY.replace("[train]", '[grid]\nloss = ["mse", "mae"]\n[train]').replace(
+        "methods = [", 'methods = ["ar", '
+    )
+    assert [run.method for run in read_experiment(experiment(tmp_path, text)).runs()].count("ar") == 2
+
+
+@pytest.mark.parametrize("name", ["table-1", "table-1-small", "table-2", "figure-5", "figure-5-delta"])
+def test_ours_are_read_and_are_as_large_as_the_papers(name: str) -> None:
+    n = {"table-1": 12 * 7 * 3, "table-1-small": 12 * 8, "table-2": 12 * 5 * 3, "figure-5": 216}
+    n |= {"figure-5-delta": 12 * 6}
+    runs = read_experiment(experiment_path(name)).runs()
+    assert len(runs) == n[name]
+    paper = [run for run in runs if run.model == "foten" and name in ("table-1", "table-2")]
+    assert all(
+        (run.train["batch"], run.train["epochs"], run.train["learning_rate"]) == (16, 100, 1e-3)
+        for run in paper
+    )
+    windows = {run.sizes["window"] for run in runs if run.model == "foten"}
+    assert windows == ({5, 10, 15, 20, 25, 30} if name == "figure-5" else {20})
+
+
+def test_a_grid_crosses_sizes_and_training(tmp_path: Path) -> None:
+    text = TINY.replace("[train]", '[grid]\nwindow = [120, 144]\nloss = ["mse", "mae"]\n[train]')
+    runs = read_experiment(experiment(tmp_path, text)).runs()
+    assert len(runs) == 16
+    assert {(run.sizes["window"], run.train["loss"]) for run in runs} == {
+        (m, loss) for m in (120, 144) for loss in ("mse", "mae")
+    }
+    assert (runs[0].method, runs[0].label) == ("FNN [13]", "FNN [13] window 120, loss mse")
+
+
+def test_a_setting_that_a_method_does_not_use_is_no_grid(tmp_path: Path) -> None:
+    text = TINY.replace("[train]", '[grid]\nloss = ["mse", "mae"]\n[train]')
+    gan = text.replace('{model = "fnn", name = "FNN [13]"}', '"gan"').replace("block_ms = 1000", "")
+    with pytest.raises(ValueError, match="method 'gan': loss means nothing to gan"):
+        read_experiment(experiment(tmp_path, gan)).runs()
+    ar = 'title = "x"\nmethods = ["ar"]\ntextures = ["towel"]\n'
+    for more, match in (
+        ("[train]\nepoch = 1", "unknown key 'epoch'"),
+        ("[grid]\nepochs = [1]", "a grid is of netw"),
+    ):
+        with pytest.raises(ValueError, match=match):
+            read_experiment(experiment(tmp_path, ar + more))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "match"),
+    [
+        ("seconds = 8", "seconds = ", "this is not TOML"),
+        ("seconds = 8", "second = 8", "unknown key 'second' in the file, expected 'seconds'?"),
+        ("seconds = 8", "seconds = 0", "seconds is 0, expected 1 to 3600"),
+        ('"linear-twin"', '"silk"', "unknown texture 'silk'"),
+        ('"linear-twin"', '"silk.h5"', "there is no recording silk.h5 beside the file"),
+        ('name = "excited"', 'name = "FNN [13]"', "two methods have the same name"),
+        ('"fnn", name = "e', '"fn", name = "e', "unknown model 'fn'"),
+        ("excitation = true", "excited = true", "method 'excited': fnn has no size 'excited'"),
+        ("epochs = 1", "epoch = 1", "unknown key 'epoch' in [train], expected 'epochs'?"),
+        ("epochs = 1", "epochs = -1", "epochs is -1, expected 0 or more"),
+        ("block_ms = 1000", "block = 1000", "unknown key 'block' in [preprocess], expected 'block_ms'?"),
+        ("[train]", "split_seeds = [1.5]\n[train]", "split_seeds is"),
+        ("[train]", "split_seeds = [1, 1]\n[train]", "split_seeds is [1, 1], expected each once"),
+        ("[train]", "[grid]\nepoch = [1]\n[train]", "unknown key 'epoch' in [grid], expected 'epochs'?"),
+        ('"FNN [13]"}', '"FNN [13]", train = {epoch = 1}}', "unknown key 'epoch' in 'train' of a method"),
+        ("epochs = 1", 'recipe = "paper"', "'recipe' stands beside [train]"),
+        ("epochs = 1", "batch = 2.5", "batch is 2.5, expected a whole number"),
+        (
+            '"FNN [13]"}',
+            '"FNN [13]"}, {model = "fnn", name = "again"}',
+            "'FNN [13]' and 'again' are the same run",
+        ),
+        (
+            '"FNN [13]"}',
+            '"FNN [13]"}, {model = "ar", train = {epochs = 3}}',
+            "'ar' is fitted without a recipe",
+        ),
+        ('{model = "fnn", name = "FNN [13]"}', "5", "a method is 5, expected a model's name or a table"),
+        ("sizes = {excitation = true}", "sizes = 5", "'sizes' of a method is 5, expected a table"),
+        ('"linear-twin"', '"linear-cloth"', "two textures have the same name"),
+        ("[train]", "[grid]\nloss = 'mse'\n[train]", "'loss' in the grid is 'mse', expected a list"),
+    ],
+)
+def test_what_is_wrong_in_a_file_is_said_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, match: str
+) -> None:
+    assert old in TINY
+    path = experiment(tmp_path, TINY.replace(old, new, 1))
+    assert _status(["sweep", str(path), "-o", str(tmp_path / "results"), "--dry-run"]) == 2
+    message = capsys.readouterr().err.strip()
+    assert match in message
+    assert "\n" not in message
+    assert not (tmp_path / "results").exists()
+
+
+def test_runs_are_listed_without_running(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert _status(["sweep", str(experiment(tmp_path)), "-o", str(tmp_path / "results"), "--dry-run"]) == 0
+    assert capsys.readouterr().out.splitlines()[0] == "FNN [13], linear-cloth, split 1"
+    assert _status(["sweep", "no-such", "-o", str(tmp_path / "results")]) == 2
+    assert "table-1-small" in capsys.readouterr().err

@@ -1,0 +1,129 @@
+"""The sizes of the models, the tensors that follow from them, and what they cost."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from conftest import exported, sizes_with, untrained, untrained_tensors
+from foten.families import FAMILIES, FotenPlusSizes, FotenSizes, PiecewiseArSizes, sizes_of
+from foten.families.sizes import LONGEST_GRAPH_WINDOW, LONGEST_WINDOW
+from foten.networks import NETWORKS
+from foten.train.export import multiply_adds
+
+VARIANTS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "post-norm": {"pre_norm": False, "n_layers": 1},
+    "window-7": {"window": 7},
+    "literal-width": {"spectral_width": 1},
+    "half-of-the-bins": {"bins": "half", "window": 9},
+    "without-condition-in-tokens": {"condition_in_tokens": False},
+    "tables": {"n_speed": 4, "n_force": 3, "order": 7},
+    "tones": {"n_tones": 3, "n_tone_speed": 5, "residual_order": 8, "n_residual_force": 2},
+    "with-an-excitation": {"excitation": True, "excitation_width": 5},
+}
+RUN_BY_THE_KERNEL = [key for key, kind in FAMILIES.items() if not kind.in_graph]
+
+
+def test_every_family_but_the_piecewise_has_a_network() -> None:
+    assert set(NETWORKS) == set(FAMILIES) - {"ar"}
+
+
+@pytest.mark.parametrize("key", [key for key in RUN_BY_THE_KERNEL if key != "ar"])
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_tensor_shapes_are_the_networks(key: str, variant: str) -> None:
+    """Of PyTorch's modules: network, excitation, levels; tables are as wide as their sizes say."""
+    sizes = sizes_with(key, VARIANTS[variant])
+    tensors = untrained_tensors(key, sizes, untrained(key, sizes))
+    assert sizes.tensor_shapes() == {name: tensor.shape for name, tensor in tensors.items()}
+
+
+@pytest.mark.parametrize("ma", [0, 5])
+def test_tensor_shapes_are_those_of_local_models(ma: int) -> None:
+    sizes = PiecewiseArSizes(window=257, order=7, ma=ma, n_models=9, n_triangles=8)
+    tensors = exported("ar", sizes).tensors
+    result = {name: tensor.shape for name, tensor in tensors.items() if name.startswith("piecewise_ar.")}
+    assert sizes.tensor_shapes() == result
+
+
+@pytest.mark.parametrize("key", FAMILIES)
+def test_sizes_round_trip(key: str) -> None:
+    own = {"window": 296, "frame": 88} if key == "gan" else {"window": 99}
+    sizes = sizes_with(key, {**own, "head": (12, 5), "order": 4, "excitation": True})
+    assert sizes_of(key, sizes.to_card()) == sizes
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"window": 1}, "window is 1"),
+        ({"window": LONGEST_WINDOW + 1}, "window is 513, expected .*512"),
+        ({"n_heads": 0}, "n_heads is 0"),
+        ({"n_heads": -2}, "n_heads is -2"),
+        ({"n_layers": 0}, "n_layers is 0"),
+        ({"n_layers": 2.0}, "n_layers is 2.0"),
+        ({"n_layers": True}, "n_layers is True"),
+        ({"d_model": 10**9}, "d_model is 1000000000"),
+        ({"d_model": 10**5000}, "a number of thousands of digits"),
+        ({"d_model": 30}, "does not divide"),
+        ({"spectral_width": 0}, "spectral_width is 0"),
+        ({"spectral_width": 6}, "does not divide into 4 heads"),
+        ({"head": [10]}, "two layers"),
+        ({"head": "ab"}, "two layers"),
+        ({"head": [10, 0]}, "head is 0"),
+        ({"bins": "some"}, "'all' or 'half'"),
+        ({"pre_norm": 1}, "true or false"),
+        ({"condition_in_tokens": "tokens"}, "condition_in_tokens is 'tokens', expected true or false"),
+        ({"network_in_loop": 1}, "network_in_loop is 1, expected true or false"),
+        ({"gain_before_filter": None}, "gain_before_filter is None, expected true or false"),
+        ({"excitation_width": 0}, "excitation_width is 0"),
+        ({"n_tones": -1}, "n_tones is -1"),
+        ({"residual_order": 0}, "residual_order is 0"),
+        ({"correction_limit": 0}, "correction_limit is 0"),
+        ({"correction_limit": "3"}, "correction_limit is '3'"),
+        ({"width": 3}, "has no size 'width'"),
+        ({"phase_input": "angle"}, "has no size 'phase_input'"),
+    ],
+)
+def test_impossible_sizes_are_refused(change: dict[str, Any], match: str) -> None:
+    with pytest.raises(ValueError, match=match):
+        sizes_of("foten-plus", change)
+
+
+def test_unknown_models_are_refused() -> None:
+    with pytest.raises(ValueError, match="unknown model 'fotan', expected one of foten-plus, foten, ten, ar"):
+        sizes_of("fotan", {})
+
+
+def test_no_window_is_longer_than_what_renders_it_takes() -> None:
+    for key, kind in FAMILIES.items():
+        longest = LONGEST_GRAPH_WINDOW if kind.in_graph else LONGEST_WINDOW
+        own = {"frame": longest - 26 * 8 + 8, "stride": 8} if key == "gan" else {}
+        with pytest.raises(ValueError, match=f"window is {longest + 8}, expected .*{longest}"):
+            kind(window=longest + 8, **own)
+
+
+def test_our_network_costs_no_more_than_the_papers() -> None:
+    paper = FotenSizes().multiply_adds()
+    assert paper == pytest.approx(1.05e6, rel=0.01)  # summed by hand, layer by layer
+    for order in (20, 240):
+        assert FotenPlusSizes(order=order).multiply_adds() < 1.01 * paper
+    # Tones and a lattice alone: no network.
+    assert FotenPlusSizes(n_tones=6, residual_order=40).multiply_adds() < 1000
+    assert FotenPlusSizes(order=40, network_in_loop=False).multiply_adds() < 1000
+    with pytest.raises(ValueError, match="in its card"):
+        FAMILIES["fnn"]().multiply_adds()
+
+
+def test_what_a_network_costs_is_near_what_pytorch_counts() -> None:
+    """Oracle: PyTorch's own counter, which counts all of Eq. 9 and no symmetry of the magnitudes, so more."""
+    for key in ("foten", "ten"):
+        sizes = FAMILIES[key]()
+        counted = multiply_adds(untrained(key, sizes), sizes.window)
+        assert 0.6 * counted < sizes.multiply_adds() <= counted, key
+
+
+def test_a_family_without_excitation_says_nothing_of_one() -> None:
+    assert "excitation_width" not in FotenSizes().to_card()
+    assert FotenSizes(excitation=True).to_card()["excitation_width"] == 16

@@ -1,0 +1,187 @@
+"""Files that crash, outgrow or lead out of their library: refused in a sentence, by a process that the program outlives."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from foten.cli.command_line import _status
+from foten.datasets import isolated
+from foten.datasets.arrays import read_hdf5
+from foten.datasets.hdf5 import read_recording, write_recording
+from foten.datasets.isolated import read_isolated
+from foten.families.texture_file import Texture, write_texture
+from foten.recording.recording import Channel, Recording
+
+FORCE = np.linspace(0, 3, 400)
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """Return a small recording of ours."""
+    path = tmp_path / "a.h5"
+    write_recording(Recording({"force": Channel(FORCE, 100.0)}), path)
+    return path
+
+
+def _crashing_files(folder: Path) -> dict[str, str]:
+    """Write a reader that dies as HDF5 does on some damaged files; return its names."""
+    (folder / "dying.py").write_text(
+        "import os, signal, time\n"
+        "def crashes(path): os.kill(os.getpid(), signal.SIGSEGV)\n"
+        "def loops(path):\n    while True: pass\n"
+        "def grows(path): return None, [bytearray(1 << 40)]\n"
+        "def raises(path): raise RuntimeError('Unspecified error\\nin ' + 9999 * 'x')\n"
+        "def works(path): return {'pid': os.getpid()}, []\n"
+    )
+    return {name: f"dying.{name}" for name in ("crashes", "loops", "grows", "raises", "works")}
+
+
+def test_a_library_that_dies_is_a_sentence(
+    tmp_path: Path, recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    readers = _crashing_files(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    start = (
+        f"import sys; sys.path[:] = {sys.path!r}; from foten.datasets import isolated; "
+        f"isolated.READERS.update({readers!r}); isolated.LONGEST_S = 1; isolated.serve()"
+    )
+    monkeypatch.setattr(isolated, "_START", start.replace("{", "{{").replace("}", "}}"))
+    monkeypatch.setattr(isolated, "_running", [])
+    for kind, message in {
+        "crashes": r"a.h5 is truncated, damaged or no crashes file \(its library crashes on it, or does not end",
+        "loops": "or does not end",
+        "grows": "more than the memory",
+        "raises": r"Unspecified error in x{100}",
+    }.items():
+        with pytest.raises(ValueError, match=message) as refusal:
+            read_isolated(kind, recording)
+        assert len(str(refusal.value)) < 320
+    # One process has served them all.
+    pids = {read_isolated("works", recording)[0]["pid"] for _ in range(3)}
+    assert len(pids) == 3
+    assert os.getpid() not in pids
+    assert len(isolated._running) == 1
+    isolated._running[0].close()
+
+
+def test_a_process_that_is_gone_is_replaced(recording: Path) -> None:
+    read_recording(recording)
+    isolated._running[0].close()
+    assert read_recording(recording)["force"].samples.size == FORCE.size
+
+
+def test_reading_is_quick(recording: Path) -> None:
+    read_recording(recording)
+    start = time.process_time()
+    for _ in range(10):
+        read_recording(recording)
+    assert time.process_time() - start < 1.0  # of this process; the first one alone waits for the imports
+
+
+@pytest.mark.parametrize(
+    "lie",
+    [
+        lambda file: file.create_dataset("odd", shape=(10**12,), dtype="f8", chunks=(1000,)),
+        lambda file: file.create_dataset(
+            "odd", shape=(500,), dtype="f8", external=[("/etc/hostname", 0, 4000)]
+        ),
+        lambda file: file.__setitem__("odd", h5py.ExternalLink("/etc/hostname", "/")),
+        lambda file: file.__setitem__("odd", h5py.SoftLink("/force")),
+    ],
+    ids=["of 10^12 samples", "samples in any file", "a link to any file", "a link"],
+)
+def test_what_lies_elsewhere_or_nowhere_is_not_read(tmp_path: Path, lie) -> None:
+    path = tmp_path / "foreign.h5"
+    with h5py.File(path, "w") as file:
+        file["force"] = FORCE
+        lie(file)
+    columns = {column.name: column for column in read_hdf5(path)}
+    np.testing.assert_array_equal(columns["force"].samples, FORCE)
+    assert columns["odd"].fault
+    assert not columns["odd"].samples.size
+
+
+@pytest.mark.parametrize("command", ["inspect", "train"])
+def test_a_recording_that_leads_elsewhere_is_refused(
+    tmp_path: Path, recording: Path, command: str, capsys
+) -> None:
+    (tmp_path / "secret").write_bytes(FORCE.tobytes())
+    with h5py.File(recording, "r+") as file:
+        attributes = dict(file["channels/force"].attrs)
+        del file["channels/force"]
+        storage = [(str(tmp_path / "secret"), 0, 8 * FORCE.size)]
+        file.create_dataset("channels/force", shape=FORCE.shape, dtype="f8", external=storage).attrs.update(
+            attributes
+        )
+    output = ["-o", str(tmp_path / "t.foten")] if command == "train" else []
+    assert _status([command, str(recording), *output]) == 2
+    error = capsys.readouterr().err
+    assert "channel force: keeps its samples in another place, which is not opened" in error
+    assert error.count("\n") == 1
+
+
+def test_groups_that_hold_each_other_end(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["force"] = FORCE
+        inner = file.create_group("a/b")
+        inner["top"], inner["again"] = file["/"], file["force"]
+    assert [column.name for column in read_hdf5(tmp_path / "a.h5")] == ["force"]
+
+
+def test_a_pipe_is_no_file(tmp_path: Path, capsys) -> None:
+    for name in ("a.h5", "a.csv", "a.npz", "a.mat", "a.tdms", "a.wav", "a.xlsx", "a.xml", "a.foten"):
+        os.mkfifo(tmp_path / name)
+        commands = {".h5": ["inspect"], ".foten": ["info"]}
+        command = commands.get(
+            Path(name).suffix, ["import", "-o", str(tmp_path / ("x.foten" if name == "a.xml" else "x.h5"))]
+        )
+        assert _status([*command, str(tmp_path / name)]) == 2
+        assert "is a pipe or a device, expected a file" in capsys.readouterr().err
+    assert _status(["import", "/dev/zero", "-o", str(tmp_path / "x.h5")]) == 2
+
+
+def test_a_missing_library_is_named(
+    recording: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys
+) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "empty" / "h5py.py").write_text("raise ModuleNotFoundError('no h5py', name='h5py')")
+    monkeypatch.syspath_prepend(tmp_path / "empty")
+    monkeypatch.setattr(isolated, "_running", [])
+    assert _status(["inspect", str(recording)]) == 2
+    assert "this needs h5py, which is not installed" in capsys.readouterr().err
+    isolated._running[0].close()
+
+
+def test_the_process_ends_with_the_program(recording: Path) -> None:
+    code = (
+        "import sys; from pathlib import Path; from foten.datasets import isolated, hdf5; "
+        f"hdf5.read_recording(Path({str(recording)!r})); print(isolated._running[0]._process.pid)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(done.stdout), 0)
+    assert done.stderr == ""
+
+
+def test_a_loop_of_links_as_output_is_one_line_or_replaced(
+    texture: Texture, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_texture(texture, tmp_path / "t.foten")
+    (tmp_path / "loop.wav").symlink_to(tmp_path / "loop.wav")
+    (tmp_path / "folder").symlink_to(tmp_path / "folder")
+    hand = ["--speed", "50", "--force", "1", "--seconds", "0.1"]
+    assert _status(["render", str(tmp_path / "t.foten"), *hand, "-o", str(tmp_path / "loop.wav")]) == 0
+    assert (tmp_path / "loop.wav").stat().st_size > 100
+    capsys.readouterr()
+    assert (
+        _status(["render", str(tmp_path / "t.foten"), *hand, "-o", str(tmp_path / "folder" / "a.wav")]) == 2
+    )
+    assert capsys.readouterr().err.count("\n") == 1
+    assert _status(["info", str(tmp_path / "folder")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1

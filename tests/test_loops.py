@@ -1,0 +1,379 @@
+"""Closed loops and one-step predictions in the kernel: the reference's, sample by sample, for every family."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from conftest import SCALING, SMALL, exported, sizes_with, untrained
+from foten.dsp.lattice import LEAK, polynomial
+from foten.families import FAMILIES, FotenPlusSizes, PiecewiseArSizes
+from foten.families.sizes import Sizes
+from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, ONE_STEP_TOLERANCE, Texture
+from foten.reference import model_of
+from foten.reference.excitation import Excitation
+from foten.reference.foten_plus import FotenPlus, FotenPlusStream
+from foten.reference.piecewise_ar import PiecewiseAr
+from foten.reference.stream import Model, run
+from foten.runtime.loops import predict_blocks, run_loops
+from foten.runtime.native import NativeState, NativeTexture, PredictionPart
+from foten.train.export import in_float64
+from test_piecewise_ar import LOCAL
+from test_reference import CASES, sizes_for
+
+GRAPHS: dict[str, dict[str, Any]] = {
+    "fnn": {"window": 40, "n_lags": 3, "first": 8, "second": 4, "excitation": True},
+    "dstn": {"channels": 8, "squeezed": 2, "recurrent": 8, "dense": 8},
+    "ldhtd-hop": {"window": 50, "recurrent": 8, "d_model": 8, "n_heads": 2, "excitation": True},
+    "dftnet": {"first": 16, "second": 16, "third": 16},
+    "gan": {"window": 42, "frame": 16, "stride": 1, "channels": 8},
+}
+"""One network of each kind: excited or not, of a sample or a hop, of noise."""
+EVERY = [*CASES, *(("ar", name) for name in LOCAL), *((key, "graph") for key in GRAPHS)]
+
+
+@cache
+def case(key: str, variant: str) -> tuple[Texture, Model]:
+    """Return a case's texture, and its model in the reference."""
+    if key == "ar":
+        texture = exported(key, PiecewiseArSizes(**LOCAL[variant]))
+        return texture, model_of(texture.sizes, texture.tensors)
+    if variant != "graph":
+        texture = exported(key, sizes_for(key, variant))
+        return texture, model_of(texture.sizes, texture.tensors)
+    sizes = sizes_with(key, GRAPHS[key])
+    network: Callable[[np.ndarray], np.ndarray] = in_float64(untrained(key, sizes))
+    texture = exported(key, sizes)
+    return texture, model_of(sizes, texture.tensors, network)
+
+
+def in_float64_alone(sizes: Sizes) -> bool:
+    """Return whether the kernel does all of a loop in float64: no network is in it."""
+    if isinstance(sizes, FotenPlusSizes):
+        return not sizes.renders_with_network
+    return isinstance(sizes, PiecewiseArSizes)
+
+
+def moving(n_streams: int, n: int, seed: int = 0) -> np.ndarray:
+    """Return scaled conditions over the trained range, and the speed of their path [mm/s]; they stand still at times."""
+    rng = np.random.default_rng(seed)
+    speed = 110 + 100 * np.sin(np.cumsum(0.05 * rng.standard_normal((n_streams, n)), axis=1))
+    force = 1.4 + np.sin(np.cumsum(0.05 * rng.standard_normal((n_streams, n)), axis=1))
+    for channel in (speed, force):
+        channel[:, n // 2 : n // 2 + 10] = channel[:, n // 2 : n // 2 + 1]
+    scaled = (np.stack([speed, force], axis=2) - SCALING.mean[1:]) / SCALING.sd[1:]
+    return np.concatenate([scaled, speed[..., None]], axis=2)
+
+
+def recorded(n_streams: int, n: int, seed: int = 1) -> np.ndarray:
+    """Return blocks of noise under such conditions, scaled, shape (n_streams, n, 3)."""
+    samples = np.random.default_rng(seed).standard_normal((n_streams, n, 1))
+    return np.concatenate([samples, moving(n_streams, n, seed)[..., :2]], axis=2)
+
+
+def rounding(sizes: Sizes) -> float:
+    """Return what float64 rounds in sums of another order, as a share of a sample."""
+    if isinstance(sizes, PiecewiseArSizes):
+        return 1e-9 if sizes.order < 40 else 1e-6  # from forty angles to a polynomial digits are lost
+    return 1e-9
+
+
+@pytest.mark.parametrize(("key", "variant"), EVERY)
+def test_the_kernels_loop_is_the_references(key: str, variant: str) -> None:
+    """Seam: from recorded windows, with noise and without, cut and not."""
+    texture, model = case(key, variant)
+    native = NativeTexture(texture.to_bytes())
+    windows, condition = recorded(2, texture.window), moving(2, 96)
+    drawn = np.random.default_rng(2).standard_normal((2, 96))
+    # A network is in float32, and what it rounds is fed back: for 64 steps the file's own tolerance, then ten times that.
+    double = in_float64_alone(texture.sizes)
+    first, later = (rounding(texture.sizes),) * 2 if double else (1e-4, 1e-3)
+    for noise in (drawn, None):
+        for limit in (np.inf, 0.6):
+            expected = run(model.start(windows), condition, noise, limit)
+            out = run_loops(native, windows, condition, noise, limit)
+            error = np.abs(out - expected) / np.maximum(1.0, np.abs(expected))
+            assert error[:, :64].max() < first, (noise is None, limit)
+            assert error.max() < later, (noise is None, limit)
+            assert np.abs(expected).max() > 0.01 or (FAMILIES[key].from_noise and noise is None)
+
+
+def followed(
+    model: Model, blocks: np.ndarray, part: PredictionPart
+) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+    """Return the reference's predictions of recorded blocks, which it takes in sample by sample, with scales and tails."""
+    m, n = model.window, blocks.shape[1]  # type: ignore[attr-defined]
+    if isinstance(model, FotenPlus):
+        m = model.sizes.history
+        corrected = part == "model" or (part == "rendering" and model.sizes.renders_with_network)
+        conditions = model.with_path(blocks[:, :, 1:])
+        s, order = len(blocks), model.lattice.order
+        empty = np.zeros((s, model.sizes.window, 4))
+        stream: Any = FotenPlusStream(
+            model,
+            model.lattice,
+            corrected,
+            np.zeros((order, s)),
+            empty,
+            Volatilities(),  # the usual volatility
+            conditions[:, 0],
+        )
+        predictions = []
+        for t in range(1, n):
+            predictions.append(stream.predict())
+            stream.analyse(blocks[:, t, 0])
+            stream.set_condition(conditions[:, t])
+        predictions = predictions[m - 1 :]
+        samples, scales, tails = (
+            np.stack(some, axis=1) for some in zip(*(p[:3] for p in predictions), strict=True)
+        )
+        known = not model.sizes.n_tones and corrected == model.sizes.network_in_loop
+        return samples, scales if known else None, tails if known else None
+    if isinstance(model, PiecewiseAr):
+        local, predictions = model.start(blocks[:, :m]), []
+        for t in range(m, n):
+            predictions.append(local.predict())
+            local.infer(blocks[:, t, 0], blocks[:, t, 1:], known=True)
+        samples, scales = (np.stack(some, axis=1) for some in zip(*(p[:2] for p in predictions), strict=True))
+        return samples, np.maximum(scales, 1e-9), np.zeros_like(samples)
+    windows = np.lib.stride_tricks.sliding_window_view(blocks, m, axis=1)[:, : n - m].swapaxes(2, 3)
+    flat = windows.reshape(-1, m, 3)
+    shape = (len(blocks), n - m)
+    samples = model.predict(flat).reshape(shape)
+    excitation: Excitation | None = model.excitation  # type: ignore[attr-defined]
+    if excitation is None:
+        return samples, None, None
+    return samples, *(of(flat[:, -1, 1:]).reshape(shape) for of in (excitation.sigma, excitation.tail))
+
+
+class Volatilities:
+    """The usual volatility, which no sample changes."""
+
+    def factor(self) -> float:
+        return 1.0
+
+
+@pytest.mark.parametrize(
+    ("key", "variant"), [(key, variant) for key, variant in EVERY if not FAMILIES[key].from_noise]
+)
+def test_the_kernel_predicts_recorded_samples_as_the_reference(key: str, variant: str) -> None:
+    """Seam: sample, scale of the excitation and its tails, each part of the model by itself."""
+    texture, model = case(key, variant)
+    native, blocks = NativeTexture(texture.to_bytes()), recorded(2, texture.window + 40)
+    exact = rounding(texture.sizes)
+    predictions = {}
+    for part in get_args(PredictionPart):
+        sample, scale, tail = followed(model, blocks, part)
+        predictions[part] = predicted = predict_blocks(native, blocks, part)
+        alone = isinstance(model, PiecewiseAr) or (isinstance(model, FotenPlus) and part == "linear")
+        tolerance = exact if alone else ONE_STEP_TOLERANCE  # a network's float32
+        np.testing.assert_allclose(predicted.sample, sample, rtol=tolerance, atol=tolerance)
+        if scale is None or tail is None:
+            np.testing.assert_array_equal(predicted.scale, 0.0)
+        else:
+            np.testing.assert_allclose(predicted.scale, scale, rtol=exact)
+            np.testing.assert_allclose(predicted.tail, tail, rtol=exact, atol=1e-12)
+    if isinstance(texture.sizes, FotenPlusSizes):
+        corrected = predictions["model"].sample
+        assert np.abs(predictions["linear"].sample - corrected).max() > 1e-3
+        same = np.array_equal(predictions["rendering"].sample, corrected)
+        assert same == texture.sizes.renders_with_network
+
+
+def test_a_model_of_spectra_predicts_no_sample() -> None:
+    texture, _ = case("dftnet", "graph")
+    with pytest.raises(ValueError, match="the samples hold NaN"):
+        predict_blocks(NativeTexture(texture.to_bytes()), recorded(1, texture.window + 5))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_what_is_not_finite_is_refused(texture: Texture, bad: float) -> None:
+    native = NativeTexture(texture.to_bytes())
+    blocks = recorded(1, texture.window + 5)
+    blocks[0, 3, 1] = bad
+    with pytest.raises(ValueError, match="NaN or infinity"):
+        predict_blocks(native, blocks)
+    with pytest.raises(ValueError, match="NaN or infinity"):
+        run_loops(native, blocks[:, : texture.window], moving(1, 5), None)
+    with pytest.raises(ValueError, match=r"dimension|fewer"):
+        predict_blocks(native, blocks[:, : texture.window - 1])
+    assert predict_blocks(native, blocks[:, 4 : texture.window + 4]).sample.shape == (1, 0)
+
+
+@pytest.mark.parametrize(
+    ("key", "variant"), [("foten", "one-layer"), ("foten", "excited"), ("ten", "default")]
+)
+def test_a_networks_history_is_its_own_output_as_it_was_cut(key: str, variant: str) -> None:
+    """Each sample of the loop is what the network predicts of those before it, as if they had been recorded."""
+    sizes = sizes_for(key, variant)
+    weight = exported(key, sizes).tensors["head_3.weight"]
+    # Untrained, its samples would hardly differ.
+    texture = exported(key, sizes, {"head_3.weight": 40 * weight})
+    native = NativeTexture(texture.to_bytes())
+    windows, condition = recorded(2, texture.window), moving(2, 200)
+    uncut = run_loops(native, windows, condition, None)
+    for limit in (np.inf, 0.9 * float(np.median(np.abs(uncut)))):
+        out = run_loops(native, windows, condition, None, limit)
+        rendered = np.concatenate([out[..., None], condition[..., :2]], axis=2)
+        predicted = predict_blocks(native, np.concatenate([windows, rendered], axis=1)).sample
+        np.testing.assert_allclose(out, np.clip(predicted, -limit, limit), rtol=1e-6, atol=1e-6)  # float32
+    was_cut = np.abs(out) == limit
+    assert 0.05 < was_cut.mean() < 1
+    # Going on from what was not cut would be seen.
+    assert np.abs(np.clip(uncut, -limit, limit) - out).max() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("key", "variant"), [("foten-plus", "a-table"), ("foten-plus", "tones"), ("ar", "with-zeros")]
+)
+def test_a_bounded_model_goes_on_from_what_was_not_cut(key: str, variant: str) -> None:
+    texture, _ = case(key, variant)
+    native = NativeTexture(texture.to_bytes())
+    windows, condition = recorded(2, texture.window), moving(2, 300)
+    noise = np.random.default_rng(5).standard_normal((2, 300))
+    uncut, cut = (run_loops(native, windows, condition, noise, limit) for limit in (np.inf, 0.2))
+    assert (np.abs(uncut) > 0.2).mean() > 0.05
+    np.testing.assert_array_equal(cut, np.clip(uncut, -0.2, 0.2))
+
+
+@pytest.mark.parametrize(
+    ("key", "variant"),
+    [
+        ("foten-plus", "a-table"),
+        ("foten-plus", "tones"),
+        ("foten", "excited"),
+        ("ar", "models"),
+        ("dstn", "graph"),
+    ],
+)
+def test_a_sample_goes_by_the_condition_before_it(key: str, variant: str) -> None:
+    """Eq. 1: a change of speed and force at a sample changes the next one first."""
+    texture, _ = case(key, variant)
+    native = NativeTexture(texture.to_bytes())
+    windows, condition = recorded(1, texture.window), moving(1, 30)
+    noise = np.random.default_rng(6).standard_normal((1, 30))
+    changed = condition.copy()
+    changed[0, 20] += [0.5, -0.5, 30.0]
+    one, other = (run_loops(native, windows, some, noise) for some in (condition, changed))
+    np.testing.assert_array_equal(one[0, :21], other[0, :21])
+    assert one[0, 21] != other[0, 21]
+
+
+def linear_texture(**tensors: np.ndarray) -> Texture:
+    """Return a lattice of constant reflections without network in the loop, volatility and tails: a filter of white noise."""
+    sizes = FotenPlusSizes(**{**SMALL, "n_layers": 1, "order": 6, "network_in_loop": False})
+    silent = {
+        "excitation.tail.weight": np.zeros((1, 5)),
+        "excitation.tail.bias": np.array([-40.0]),
+        "excitation.volatility": np.zeros(2),
+    }
+    return exported("foten-plus", sizes, silent | tensors)
+
+
+def test_under_a_constant_condition_the_lattice_is_an_all_pole_filter() -> None:
+    """Oracle: scipy.signal.lfilter and the step-up recursion; white noise in, and a recorded window that rings out."""
+    texture = linear_texture()
+    native, model = NativeTexture(texture.to_bytes()), model_of(texture.sizes, texture.tensors)
+    assert isinstance(model, FotenPlus)
+    condition = np.tile([[[0.3, -0.2, 118.0]]], (2, 500, 1))
+    noise = np.random.default_rng(0).standard_normal((2, 500))
+    windows = np.zeros((2, texture.window, 3))
+    windows[..., 1:] = condition[0, 0, :2]
+    k = model.lattice.reflections(condition[:1, 0, :2])[:, 0]
+    unit = model.lattice.level(condition[:1, 0, :2]) * model.excitation.sigma(condition[:1, 0, :2])
+    expected = lfilter(unit * np.sqrt(1 - k * k).prod(), polynomial(k), noise)
+    np.testing.assert_allclose(run_loops(native, windows, condition, noise), expected, rtol=1e-9, atol=1e-9)
+    windows[:, -1, 0] = 1.0
+    impulse = lfilter([1.0], polynomial(k), np.eye(1, 501)[0])[1:]
+    np.testing.assert_allclose(run_loops(native, windows, condition, None)[0], impulse, rtol=1e-9, atol=1e-9)
+
+
+def test_noise_without_an_excitation_is_the_deterministic_loop() -> None:
+    for key, variant in (("foten", "one-layer"), ("dstn", "graph")):
+        texture, _ = case(key, variant)
+        native = NativeTexture(texture.to_bytes())
+        windows, condition = recorded(1, texture.window), moving(1, 20)
+        silent, noisy = (run_loops(native, windows, condition, noise) for noise in (None, np.ones((1, 20))))
+        np.testing.assert_array_equal(silent, noisy)
+
+
+def test_streams_do_not_depend_on_each_other() -> None:
+    texture, _ = case("foten-plus", "a-table")
+    native = NativeTexture(texture.to_bytes())
+    windows, condition = recorded(5, texture.window), moving(5, 50)
+    noise = np.random.default_rng(7).standard_normal((5, 50))
+    at_once = run_loops(native, windows, condition, noise)
+    alone = [run_loops(native, windows[[k]], condition[[k]], noise[[k]])[0] for k in range(5)]
+    np.testing.assert_array_equal(at_once, alone)
+    blocks = recorded(5, texture.window + 30)
+    predicted = predict_blocks(native, blocks)
+    for k in range(5):
+        for one, other in zip(predicted, predict_blocks(native, blocks[[k]]), strict=True):
+            np.testing.assert_array_equal(one[k], other[0])
+
+
+def test_a_prediction_leaves_a_state_as_it_began(texture: Texture) -> None:
+    native, blocks = NativeTexture(texture.to_bytes()), recorded(1, texture.window + 30)
+    state, other = NativeState(native, seed=3), NativeState(native, seed=3)
+    state.predict(blocks[0], "model", np.empty((30, 3)))
+    speed, force = np.full(50, 80.0), np.full(50, 1.0)
+    np.testing.assert_array_equal(state.render_stroke(speed, force), other.render_stroke(speed, force))
+
+
+SWITCHED = [(0.0, 0.0, 0.0), (350.0, 4.0, 350.0)]  # mm/s, N and the path's mm/s, in turn
+
+
+@pytest.mark.parametrize("gain_before", [False, True])
+@pytest.mark.parametrize("tones", [False, True])
+def test_nothing_makes_it_grow(tones: bool, gain_before: bool) -> None:
+    """Windows of ±50 standard deviations, speed and force switched at every sample, noise at its bound; and the saturator.
+
+    The reference's lattice can be looked at; the kernel renders the same samples.
+    """
+    sizes = {**SMALL, "n_layers": 1, "order": 6, "n_speed": 3, "n_force": 2}
+    of_tones = {"n_tones": 3, "n_tone_speed": 4, "n_tone_force": 2, "residual_order": 4}
+    family = FotenPlusSizes(
+        **(sizes | of_tones if tones else sizes),
+        gain_before_filter=gain_before,
+        residual_gain_before_filter=gain_before,
+    )
+    texture = exported("foten-plus", family)
+    model = model_of(family, texture.tensors)
+    assert isinstance(model, FotenPlus)
+    rng = np.random.default_rng(2)
+    streams, n = 16, 1000
+    windows = 50 * rng.standard_normal((streams, texture.window, 3)).clip(-1, 1)
+    condition = np.array(SWITCHED)[rng.integers(0, 2, (streams, n))]
+    condition[..., :2] = (condition[..., :2] - SCALING.mean[1:]) / np.array(SCALING.sd[1:])
+    noise = 5.68 * rng.choice([-1.0, 1.0], (streams, n))
+    stream = model.start(windows)
+    at_first = np.square(stream.states).sum(axis=0)
+    expected = run(stream, condition, noise)
+    assert np.isfinite(expected).all()
+    energy = np.square(stream.states).sum(axis=0)
+    # The correction's limit, and σ times the largest volatility times the largest shock that the noise can give.
+    flat, sd = condition[..., :2].reshape(-1, 2), float(texture.tensors["excitation.volatility"][1])
+    tail, largest = model.excitation.tail(flat).max(), model.excitation.largest[0]
+    shock = min(5.68 * float(np.exp(0.5 * tail * 5.68**2)), largest)
+    innovation = 3.0 + float(model.excitation.sigma(flat).max()) * np.exp(3 * sd - sd * sd) * shock
+    before, after = model.excited_lattice.gains(model.excited_lattice.level(flat))
+    innovation *= float(before.max())
+    left = LEAK ** (2 * n)
+    assert (energy <= left * at_first + (1 - left) * innovation**2 / (1 - LEAK**2)).all()
+    native = NativeTexture(texture.to_bytes())
+    out = run_loops(native, windows, condition, noise)
+    # A network's float32: its correction is bounded and the lattice forgets, so what it rounds does not add up.
+    error = np.abs(out - expected) / np.maximum(1.0, np.abs(expected))
+    assert error.max() < (1e-9 if tones else 10 * CLOSED_LOOP_TOLERANCE)
+    loudest = np.sqrt(at_first.max() + innovation**2 / (1 - LEAK**2)) * float(after.max())
+    if tones:
+        tone = np.abs(texture.tensors["tones.values"]).sum(axis=1).max()
+        loudest += float(model.lattice.level(flat).max()) * tone
+    assert np.abs(out).max() <= loudest
+    cut = run_loops(native, windows, condition, noise, 2.0)
+    np.testing.assert_array_equal(cut, np.clip(out, -2.0, 2.0))

@@ -1,0 +1,302 @@
+"""The reference: the networks that PyTorch trains, and a closed loop that is the one of Sec. V."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from scipy.signal import lfilter
+
+from conftest import SMALL, exported, resonance, sizes_with, untrained
+from foten.families import FAMILIES, FotenPlusSizes
+from foten.families.ten import TransformerSizes
+from foten.reference import model_of
+from foten.reference.foten_plus import FotenPlus
+from foten.reference.network import Network
+from foten.reference.stream import Prediction, run
+from foten.reference.window import WindowModel
+from foten.train.export import tensors_of
+
+VARIANTS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "post-norm": {**SMALL, "pre_norm": False},
+    "literal-width": {**SMALL, "spectral_width": 1},
+    "literal-width-post-norm": {**SMALL, "spectral_width": 1, "pre_norm": False},
+    "window-5": {**SMALL, "window": 5},
+    "window-30": {**SMALL, "window": 30},
+    "one-layer": {**SMALL, "n_layers": 1},
+    "one-head": {**SMALL, "n_heads": 1},
+    "half-of-the-bins": {**SMALL, "bins": "half"},
+    "half-of-odd-bins": {**SMALL, "bins": "half", "window": 9},
+    "excited": {**SMALL, "excitation": True},
+}
+"""Of every network."""
+PLUS: dict[str, dict[str, Any]] = {
+    "condition-in-head-alone": {**SMALL, "condition_in_tokens": False},
+    "network-not-in-loop": {**SMALL, "network_in_loop": False, "order": 7},
+    "a-table": {**SMALL, "order": 7, "n_speed": 4, "n_force": 3},
+    "tones": {**SMALL, "order": 5, "n_tones": 3, "n_tone_speed": 5, "n_tone_force": 2, "residual_order": 8},
+    "gain-before": {**SMALL, "order": 7, "n_speed": 4, "n_force": 3, "gain_before_filter": True},
+    "gain-before-not-in-loop": {
+        **SMALL,
+        "order": 7,
+        "gain_before_filter": True,
+        "network_in_loop": False,
+    },
+    "gain-before-of-the-residual": {
+        **SMALL,
+        "n_tones": 2,
+        "residual_order": 6,
+        "residual_gain_before_filter": True,
+    },
+    "gain-before-of-one-of-two": {
+        **SMALL,
+        "order": 5,
+        "n_tones": 2,
+        "residual_order": 6,
+        "gain_before_filter": True,
+    },
+    "tones-on-a-table": {
+        **SMALL,
+        "n_tones": 2,
+        "n_tone_speed": 4,
+        "n_residual_speed": 3,
+        "n_residual_force": 2,
+    },
+    "tones-and-no-network": {**SMALL, "n_tones": 2, "residual_order": 6, "network_in_loop": False},
+}
+"""Of foten-plus."""
+
+
+def cases() -> list[tuple[str, str]]:
+    """Return each family that the kernel runs but the piecewise one, with each variant that it has."""
+    pairs = []
+    for key in ("foten-plus", "foten", "ten"):
+        known = {one.name for one in fields(FAMILIES[key])}
+        pairs += [(key, name) for name, wanted in VARIANTS.items() if set(wanted) - set(SMALL) <= known]
+    pairs = [(key, name) for key, name in pairs if key != "ten" or "literal" not in name]
+    return [*pairs, *(("foten-plus", name) for name in PLUS)]
+
+
+CASES = cases()
+
+
+def sizes_for(key: str, variant: str) -> Any:
+    """Return the sizes of a case."""
+    return sizes_with(key, {**VARIANTS, **PLUS}[variant])
+
+
+def network_windows(sizes: TransformerSizes) -> np.ndarray:
+    """Return windows for a network: chance, loud and soft, silence, and spectra of one bin."""
+    rng = np.random.default_rng(0)
+    m, n_channels = sizes.window, 4 if isinstance(sizes, FotenPlusSizes) else 3
+    rows = rng.standard_normal((60, m, n_channels))
+    constant = np.repeat(rng.standard_normal((5, 1, n_channels)), m, axis=1)
+    alternating = 0 * rows[:5]
+    alternating[:, :, 0] = (-1.0) ** np.arange(m)  # Nyquist alone, on the negative axis for odd phase
+    return np.concatenate(
+        [rows, 10 * rows[:5], 1e-6 * rows[:5], 0 * rows[:1], constant, -constant, alternating]
+    )
+
+
+@pytest.mark.parametrize(("key", "variant"), CASES)
+def test_its_network_is_pytorchs(key: str, variant: str) -> None:
+    """Seam: PyTorch in float64 on the same tensors, pruned, where this one leaves nothing out."""
+    sizes = sizes_for(key, variant)
+    network = untrained(key, sizes)
+    windows = network_windows(sizes)
+    with torch.no_grad():
+        expected = network.double()(torch.from_numpy(windows)).numpy()
+    tensors = tensors_of(network)
+    if key == "foten-plus":
+        prefixed = {f"network.{name}": tensor for name, tensor in tensors.items()}
+        result = FotenPlus(sizes, {**exported(key, sizes).tensors, **prefixed}).correction(windows)
+    else:
+        result = Network(sizes, tensors)(windows)
+    assert expected.std() > 1e-4  # the head of foten-plus is a tenth of the others'
+    # Rounding of float64 in sums of another order, through six layers; √(|Z|² + 1e-16) has a steep slope at nothing.
+    np.testing.assert_allclose(result, expected, rtol=1e-9, atol=1e-9)
+
+
+def test_bins_that_hold_only_rounding_have_no_phase() -> None:
+    """Constant and alternating windows leave empty bins; 1e-9 of a change must not turn their phases."""
+    sizes = sizes_with("foten", SMALL)
+    network = Network(sizes, tensors_of(untrained("foten", sizes)))
+    signs = np.where(np.arange(sizes.window) % 2, -1.0, 1.0)
+    for shape in (np.ones(sizes.window), signs):
+        windows = np.zeros((1, sizes.window, 3))
+        windows[0, :, 0] = 12 * shape
+        # A turned phase moves it by 4e-3 and more.
+        assert network(windows) == pytest.approx(network(windows * (1 + 1e-9)), abs=1e-7)
+
+
+@pytest.mark.parametrize("variant", ["default", "excited", "a-table", "tones"])
+def test_it_is_stateless_and_takes_windows_in_any_number(variant: str) -> None:
+    key = "foten-plus" if variant in PLUS else "foten"
+    sizes = sizes_for(key, variant)
+    model = model_of(sizes, exported(key, sizes).tensors)
+    windows = np.random.default_rng(0).standard_normal((9, sizes.history, 3))
+    before = windows.copy()
+    at_once = model.predict(windows)
+    alone = np.concatenate([model.predict(window[None]) for window in windows[::-1]])[::-1]
+    # Products of other shapes sum in another order, in float64.
+    np.testing.assert_allclose(alone, at_once, rtol=1e-10, atol=1e-12)
+    np.testing.assert_array_equal(windows, before)
+
+
+def test_every_tensor_of_a_model_is_needed() -> None:
+    for key, variant in (("foten-plus", "tones"), ("foten", "excited"), ("ten", "default")):
+        sizes = sizes_for(key, variant)
+        tensors = exported(key, sizes).tensors
+        windows = np.random.default_rng(0).standard_normal((1, sizes.history, 3))
+
+        def use(given: dict[str, np.ndarray], sizes: Any = sizes, windows: np.ndarray = windows) -> None:
+            model = model_of(sizes, given)
+            model.predict(windows)
+            model.start(windows).begin(np.zeros((1, 3)), np.ones((1, 99)))
+
+        for name in sizes.tensor_shapes():
+            without = {other: tensor for other, tensor in tensors.items() if other != name}
+            with pytest.raises(ValueError, match="has no tensor"):
+                use(without)
+
+
+@dataclass
+class Taps:
+    """Streams of a linear predictor that remember what they were shown."""
+
+    taps: np.ndarray
+    windows: np.ndarray
+    sigma: float = 0.0
+    bounded: bool = False
+    shown: list[np.ndarray] = field(default_factory=list)
+    n_initial: int = 0
+
+    def begin(self, condition: np.ndarray, noise: np.ndarray) -> None:
+        raise AssertionError
+
+    def predict(self) -> Prediction:
+        self.shown.append(self.windows.copy())
+        sample = self.windows[:, :, 0] @ self.taps
+        return Prediction(sample, np.full(len(sample), self.sigma) if self.sigma else None)
+
+    def push(self, sample: np.ndarray, condition: np.ndarray, noise: np.ndarray | None) -> None:
+        self.windows = np.roll(self.windows, -1, axis=1)
+        self.windows[:, -1, 0], self.windows[:, -1, 1:] = sample, condition[:, :2]
+
+
+M = 4
+TAPS = resonance(120.0, 0.95, M)
+
+
+def test_with_noise_a_loop_is_the_ar_filter() -> None:
+    """Oracle: scipy.signal.lfilter."""
+    noise = np.random.default_rng(0).standard_normal((3, 500))
+    result = run(Taps(TAPS, np.zeros((3, M, 3)), 0.7), np.zeros((3, 500, 3)), noise)
+    expected = lfilter([0.7], np.concatenate([[1.0], -TAPS[::-1]]), noise)
+    np.testing.assert_allclose(result, expected, atol=1e-10)  # rounding, amplified by 1/(1 − 0.95)
+
+
+def test_without_noise_the_first_window_rings_out() -> None:
+    window = np.zeros((1, M, 3))
+    window[0, -1, 0] = 1.0
+    result = run(Taps(TAPS, window), np.zeros((1, 400, 3)), None)[0]
+    impulse = lfilter([1.0], np.concatenate([[1.0], -TAPS[::-1]]), np.eye(1, 401)[0])
+    np.testing.assert_allclose(result, impulse[1:], atol=1e-12)  # the first sample stands in the window
+
+
+def test_a_prediction_is_given_speed_and_force_up_to_the_sample_before() -> None:
+    """Eq. 1: the window for n ends at n − 1, for speed and force too."""
+    stream = Taps(np.zeros(M), np.zeros((1, M, 3)))
+    condition = np.arange(1.0, 19).reshape(1, 6, 3)
+    run(stream, condition, None)
+    for n, window in enumerate(stream.shown):
+        past = np.concatenate([np.zeros((M, 2)), condition[0, :, :2]])[n : n + M]
+        np.testing.assert_array_equal(window[0, :, 1:], past)
+
+
+def test_its_own_output_is_its_history() -> None:
+    stream = Taps(np.zeros(M), np.zeros((1, M, 3)), 1.0)
+    result = run(stream, np.zeros((1, 10, 3)), np.arange(1.0, 11)[None])
+    np.testing.assert_array_equal(result[0], np.arange(1.0, 11))
+    np.testing.assert_array_equal(stream.shown[-1][0, :, 0], result[0, -1 - M : -1])
+
+
+@pytest.mark.parametrize(
+    ("bounded", "expected"),
+    # 2 a[n−1] − 1.5 a[n−2] after 0, 1. From 2 and 2.5 the next is 2, from 2 and the cut 2.2 it is 1.4.
+    [(False, [2.0, 2.2, 1.4, -0.5, -2.2]), (True, [2.0, 2.2, 2.0, 0.25, -2.2])],
+)
+def test_what_is_cut_off_is_fed_back_to_bounded_streams_alone(bounded: bool, expected: list[float]) -> None:
+    window = np.zeros((2, 2, 3))
+    window[0, -1, 0], window[1, -1, 0] = 1.0, -1.0
+    stream = Taps(np.array([-1.5, 2.0]), window, bounded=bounded)
+    result = run(stream, np.zeros((2, 5, 3)), None, limit=2.2)
+    np.testing.assert_allclose(result, [expected, [-sample for sample in expected]], rtol=1e-12)
+
+
+def test_noise_without_a_scale_and_a_scale_without_noise_are_the_deterministic_loop() -> None:
+    window, noise = np.random.default_rng(0).standard_normal((1, M, 3)), np.ones((1, 20))
+
+    def looped(sigma: float, noise: np.ndarray | None) -> np.ndarray:
+        return run(Taps(TAPS, window.copy(), sigma), np.zeros((1, 20, 3)), noise)
+
+    np.testing.assert_array_equal(looped(0.0, noise), looped(0.0, None))
+    np.testing.assert_array_equal(looped(1.0, None), looped(0.0, None))
+    assert not np.array_equal(looped(1.0, noise), looped(0.0, noise))
+
+
+def test_a_network_of_several_samples_ahead_is_asked_once_for_them() -> None:
+    """Oracle: a list of what it was asked."""
+    windows_given = []
+
+    def network(windows: np.ndarray) -> np.ndarray:
+        windows_given.append(windows.copy())
+        return windows[:, -1:, 0] + np.array([1.0, 2.0, 3.0])
+
+    stream = WindowModel(network, 2).start(np.zeros((1, 2, 3)))
+    result = run(stream, np.zeros((1, 7, 3)), None)[0]
+    np.testing.assert_array_equal(result, [1, 2, 3, 4, 5, 6, 7])
+    assert [window[0, :, 0].tolist() for window in windows_given] == [[0, 0], [2, 3], [5, 6]]
+
+
+@pytest.mark.parametrize("sizes", [{"order": 6}, {"n_tones": 2, "residual_order": 6}])
+def test_what_a_stream_begins_with_is_chance_alone(sizes: dict[str, Any]) -> None:
+    """Not the window that it was started with, network and tones included; another seed, another beginning."""
+    family = FotenPlusSizes(**{**SMALL, "n_layers": 1, **sizes})
+    model = model_of(family, exported("foten-plus", family).tensors)
+    rng = np.random.default_rng(3)
+    condition = np.array([[0.3, -0.2, 118.0], [1.0, 0.5, 160.0]])
+    streams: list[Any] = [model.start(rng.standard_normal((2, family.history, 3))) for _ in range(3)]
+    noise = rng.standard_normal((2, streams[0].n_initial))
+    for stream, drawn in zip(streams, (noise, noise, -noise), strict=True):
+        stream.begin(condition, drawn)
+    # What came since does not tell noise from −noise.
+    assert (streams[0].volatility.state != streams[2].volatility.state).all()
+    one, same, other = (run(stream, np.tile(condition[:, None], (1, 50, 1)), None) for stream in streams)
+    np.testing.assert_array_equal(one, same)
+    assert (one[:, 0] != other[:, 0]).all()
+
+
+def test_a_network_in_the_loop_is_given_what_the_stream_began_with() -> None:
+    """As many samples as its window holds; the last of them is the lattice's own last one."""
+    sizes = FotenPlusSizes(**{**SMALL, "n_layers": 1, "order": 6})
+    model = model_of(sizes, exported("foten-plus", sizes).tensors)
+    condition = np.array([[0.3, -0.2, 118.0]])
+    stream: Any = model.start(np.zeros((1, sizes.history, 3)))
+    assert stream.n_initial == 6 + 1 + sizes.window
+    stream.begin(condition, np.random.default_rng(4).standard_normal((1, stream.n_initial)))
+    assert (stream.network_window[..., 0] != 0).all()
+    assert (stream.network_window[..., 1:3] == condition[:, :2]).all()
+    # With the gain after the filter, what leaves over the level is b₀.
+    assert stream.network_window[0, -1, 0] == pytest.approx(float(stream.states[0, 0]))
+
+
+def test_a_prediction_may_be_taken_twice() -> None:
+    sizes = FotenPlusSizes(**{**SMALL, "n_layers": 1, "n_tones": 2})
+    model = model_of(sizes, exported("foten-plus", sizes).tensors)
+    stream = model.start(np.random.default_rng(0).standard_normal((2, sizes.history, 3)))
+    np.testing.assert_array_equal(stream.predict().sample, stream.predict().sample)
