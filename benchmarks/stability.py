@@ -37,8 +37,9 @@ import numpy as np
 
 from foten.datasets.stroking import stroking
 from foten.dsp.lattice import LEAK
+from foten.dsp.noise import LARGEST_VOLATILITY
 from foten.families import FotenPlusSizes
-from foten.families.excitation import HEAVIEST_TAIL, LARGEST_VOLATILITY
+from foten.families.excitation import HEAVIEST_TAIL
 from foten.families.texture_file import Texture, read_texture
 from foten.reference import model_of
 from foten.runtime.loops import run_loops
