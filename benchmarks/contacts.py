@@ -43,7 +43,7 @@ def built(folder: Path) -> Path:
 def measured(
     program: Path, file: Path, isa: str, share: float, seconds: int, tick_us: float
 ) -> dict[str, Any]:
-    """Return what the loop found in one instruction set."""
+    """Return what the loop measured in one instruction set."""
     done = subprocess.run(
         [str(program), str(file), f"{share:g}", str(seconds), f"{tick_us:g}"],
         env={**os.environ, "FOTEN_ISA": isa},
@@ -73,21 +73,21 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         program, file = built(Path(folder) / "build"), Path(folder) / "t.foten"
         file.write_bytes(data)
-        found: dict[str, dict[str, Any]] = {}
+        by_isa: dict[str, dict[str, Any]] = {}
         for isa in INSTRUCTION_SETS:
-            seconds = arguments.seconds if not found else min(10, arguments.seconds)
+            seconds = arguments.seconds if not by_isa else min(10, arguments.seconds)
             line = measured(program, file, isa, SHARE, seconds, 1000.0)
             if line["isa"] == isa:
-                found[isa] = line
+                by_isa[isa] = line
         # Ten times as fast as the texture's clock: the deadline of a texture at 10 kHz, whose step costs the same.
         texture.card["rate_hz"] = texture.card["preprocess"]["rate_hz"] = 10_000.0
         file.write_bytes(texture.to_bytes())
-        alone = measured(program, file, next(iter(found)), 0.0, arguments.seconds, 100.0)
+        alone = measured(program, file, next(iter(by_isa)), 0.0, arguments.seconds, 100.0)
     lines = [
         "| instruction set | p50 [µs] | contacts | states held | missed | an empty loop misses |",
         "|---|---|---|---|---|---|",
     ]
-    for isa, line in [*found.items(), (f"{alone['isa']}, 10 kHz", alone)]:
+    for isa, line in [*by_isa.items(), (f"{alone['isa']}, 10 kHz", alone)]:
         missed, empty = line["n_missed"] / line["n_ticks"], line["n_empty_missed"] / line["n_empty_ticks"]
         held = f"{line['n_states']} for {line['n_ticks'] * line['tick_us'] / 1e6:.0f} s"
         lines.append(
@@ -98,7 +98,7 @@ def main() -> None:
         from foten.atomic_write import atomic_write
 
         with atomic_write(arguments.json) as part:
-            part.write_text(json.dumps({"1 kHz": found, "10 kHz": alone}, indent=1) + "\n")
+            part.write_text(json.dumps({"1 kHz": by_isa, "10 kHz": alone}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

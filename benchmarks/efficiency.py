@@ -27,29 +27,28 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import torch
-from foten.architecture import ARCHITECTURES, GRAPHS, NETWORKS
-from foten.train.goals import ahead, spectra
-from foten.train.prepared import Prepared, prepare
 
 from foten.atomic_write import atomic_write
 from foten.datasets.simulate import simulate
 from foten.experiments.paper import PAPER
+from foten.families import FAMILIES, FotenPlusSizes
 from foten.families.texture_file import Texture
 from foten.networks import build
 from foten.networks.dftnet import Dftnet
-from foten.networks.foten_plus import FotenPlus
+from foten.networks.foten_plus import Corrector
 from foten.networks.gan import Gan
 from foten.recording.preprocess import PreprocessConfig, preprocess
-from foten.recording.scaling import fit_scaling
+from foten.recording.recording import Recording
 from foten.recording.split import split_blocks
-from foten.recording.windows import targets
 from foten.runtime.native import NativeState, NativeTexture
-from foten.runtime.onnx_predictor import GRAPH, GraphEngine
+from foten.runtime.onnx_predictor import GRAPH, OnnxPredictor
 from foten.train.adversarial import STEPS, fit_adversarial
+from foten.train.blocks import ScaledBlocks, scaled_blocks
 from foten.train.card import card_of
 from foten.train.config import OWN_RECIPES, RECIPES
-from foten.train.export import export, graph_of
-from foten.train.fit import Data, fit, reproducible
+from foten.train.export import graph_of, proved, tensors_of
+from foten.train.fit import TrainingWindows, fit, reproducible
+from foten.train.targets import log_spectra, multi_step
 from main_table import between
 
 MODELS = (
@@ -82,104 +81,97 @@ def p50_us(step: Callable[[], object], n: int) -> float:
     return float(np.median(times)) / 1000
 
 
-def steps(key: str, n: int, texture: Texture | None) -> dict[str, float]:
+def steps(model: str, n: int, texture: Texture | None) -> dict[str, float]:
     """Return the median time of a step of each runtime [µs]."""
-    if key == "foten-plus":  # as foten's where its network is heard, else its lattice's
+    if model == "foten-plus":  # as foten's where its network is in the loop, else its lattice's
         return {}
     torch.manual_seed(0)
-    architecture = ARCHITECTURES[key]()
-    network = build(key, architecture).eval()
-    window = torch.randn(1, architecture.history, 3)
-    engine = GraphEngine(architecture, {GRAPH: graph_of(network, architecture.history)})
+    sizes = FAMILIES[model]()
+    network = build(model, sizes).eval()
+    window = torch.randn(1, sizes.history, 3)
+    predictor = OnnxPredictor(sizes, {GRAPH: graph_of(network, sizes.history)})
     array = window.numpy()
-    found = {}
+    times = {}
     with torch.no_grad():
-        found["pytorch"] = p50_us(lambda: network(window), n)
+        times["pytorch"] = p50_us(lambda: network(window), n)
         if torch.cuda.is_available():
             network, given = network.cuda(), window.cuda()
-            found["gpu"] = p50_us(lambda: network(given).item(), n)
-    out = np.empty(architecture.n_ahead, np.float32)
-    found["onnxruntime"] = p50_us(lambda: engine.answer(array, out), n)
-    found = {name: of / architecture.n_ahead for name, of in found.items()}
+            times["gpu"] = p50_us(lambda: network(given).item(), n)
+    out = np.empty(sizes.n_ahead, np.float32)
+    times["onnxruntime"] = p50_us(lambda: predictor.predict_into(array, out), n)
+    times = {name: of / sizes.n_ahead for name, of in times.items()}
     if texture is not None:
         state, out = NativeState(NativeTexture(texture.to_bytes()), excitation=False), out[:1]
         state.set_hand(80.0, 0.8)
-        found["kernel"] = p50_us(lambda: state.render(out), n)
-    return found
+        times["kernel"] = p50_us(lambda: state.render(out), n)
+    return times
 
 
-def epoch_s(key: str, data: Data, prepared: Prepared, recipe: str) -> float:
+def epoch_s(model: str, blocks: ScaledBlocks, recipe: str) -> float:
     """Return how long an epoch takes with its validation, the quicker of two [s]; of the GAN, as many spectrograms as windows."""
-    own = {**OWN_RECIPES.get(key, {}), "epochs": 2, "threads": 1, "batch": RECIPES[recipe].batch}
-    config = dataclasses.replace(RECIPES[recipe], **own)
-    architecture = ARCHITECTURES[key]()
+    own = {**OWN_RECIPES.get(model, {}), "epochs": 2, "threads": 1, "batch": RECIPES[recipe].batch}
+    config, sizes = dataclasses.replace(RECIPES[recipe], **own), FAMILIES[model]()
+    windows = TrainingWindows(blocks.flat, *blocks.targets(sizes.window), sizes.window)
     with reproducible():
         torch.manual_seed(0)
-        network = build(key, architecture)
+        network = build(model, sizes)
         if isinstance(network, Gan):
-            before, *lines = fit_adversarial(network, architecture.window, prepared, config).epochs
+            before, *lines = fit_adversarial(network, sizes.window, blocks, config).epochs
             # Epoch 0 is a validation and no more.
             steps_s = min(line.seconds for line in lines) - before.seconds
-            return before.seconds + steps_s * len(data.train) / (STEPS * config.batch)
+            return before.seconds + steps_s * len(windows.train) / (STEPS * config.batch)
         if isinstance(network, Dftnet):
-            network, data = network.spectrum, spectra(data, prepared)
-        elif isinstance(network, FotenPlus):
-            network, data = network.network, _of_innovations(data)
-        elif architecture.n_ahead > 1:
-            data = ahead(data, prepared, architecture.n_ahead)
-        return min(line.seconds for line in fit(network, data, config).epochs[1:])
+            network, windows = network.spectrum, log_spectra(windows, blocks)
+        elif isinstance(network, Corrector):
+            windows = _of_innovations(windows)
+        elif sizes.n_ahead > 1:
+            windows = multi_step(windows, blocks, sizes.n_ahead)
+        return min(line.seconds for line in fit(network, windows, config).epochs[1:])
 
 
-def _of_innovations(data: Data) -> Data:
-    """Return data as foten-plus learns them, with a channel of innovations: here the samples themselves."""
-    innovations = data.samples[:, 0].copy()
-    samples = np.concatenate([data.samples, innovations[:, None]], axis=1)
-    return Data(samples, data.train, data.validation, data.window, innovations, np.ones(len(samples)))
+def _of_innovations(windows: TrainingWindows) -> TrainingWindows:
+    """Return windows as foten-plus is fitted to them, with a channel of innovations: here the samples themselves."""
+    innovations = windows.samples[:, 0].copy()
+    samples = np.concatenate([windows.samples, innovations[:, None]], axis=1)
+    units = {"target": innovations, "unit": np.ones(len(samples))}
+    return dataclasses.replace(windows, samples=samples, **units)
+
+
+def untrained(model: str, recording: Recording, blocks: ScaledBlocks, config: PreprocessConfig) -> Texture:
+    """Return a texture that the kernel runs, its network untrained."""
+    sizes = FAMILIES[model]()
+    card = card_of(recording, blocks, config, "towel", "") | {
+        "beyond_exponents": {"speed": 0.0, "force": 0.0},
+        "warm_start": {},
+        "training": {},
+        "metrics": {"validation_mae_scaled": 1.0},
+    }
+    windows = np.random.default_rng(0).standard_normal((64, sizes.window, 3))
+    torch.manual_seed(0)
+    tensors = tensors_of(build(model, sizes))
+    return proved(model, sizes, tensors, blocks.scaling, windows, windows[0], card).texture
 
 
 def measure(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return all times of all models."""
-    recording = simulate("towel", arguments.seconds + 4.0)
-    config = PreprocessConfig()
+    recording, config = simulate("towel", arguments.seconds + 4.0), PreprocessConfig()
     trace = preprocess(recording, config)
-    split = split_blocks(trace)
-    prepared = prepare(trace, split)
-    samples = fit_scaling(trace, split.train).scale(trace.stacked())
-    found: dict[str, Any] = {}
-    for key in arguments.models:
-        m = ARCHITECTURES[key]().window
-        data = Data(
-            samples, targets(split.train, trace.block, m), targets(split.validation, trace.block, m), m
-        )
-        texture = None
-        if key in NETWORKS and key != "foten-plus":
-            card = card_of(recording, prepared, config, "towel", "") | {
-                "beyond_exponents": {"speed": 0.0, "force": 0.0},
-                "warm_start": {},
-                "training": {},
-                "metrics": {"validation_mae_scaled": 1.0},
-            }
-            windows = np.random.default_rng(0).standard_normal((64, m, 3))
-            torch.manual_seed(0)
-            texture = export(
-                build(key, ARCHITECTURES[key]()),
-                key,
-                ARCHITECTURES[key](),
-                prepared.scaling,
-                windows,
-                windows[0],
-                card,
-            )
-        found[key] = {
-            "window": m,
-            "step_us": steps(key, arguments.steps, texture),
-            "epoch_s": {recipe: epoch_s(key, data, prepared, recipe) for recipe in ("paper", "default")},
+    blocks = scaled_blocks(trace, split_blocks(trace))
+    models: dict[str, Any] = {}
+    for model in arguments.models:
+        sizes = FAMILIES[model]()
+        in_kernel = not sizes.in_graph and not isinstance(sizes, FotenPlusSizes)
+        texture = untrained(model, recording, blocks, config) if in_kernel else None
+        models[model] = {
+            "window": sizes.window,
+            "step_us": steps(model, arguments.steps, texture),
+            "epoch_s": {recipe: epoch_s(model, blocks, recipe) for recipe in ("paper", "default")},
         }
-        print(key, json.dumps(found[key]), file=sys.stderr, flush=True)
+        print(model, json.dumps(models[model]), file=sys.stderr, flush=True)
     return {
         "machine": f"{platform.machine()}, {os.cpu_count()} cores",
-        "n_train_windows": len(data.train),
-        "models": found,
+        "n_train_windows": len(blocks.targets(sizes.window)[0]),
+        "models": models,
     }
 
 
@@ -214,9 +206,9 @@ def table(result: dict[str, Any]) -> str:
             paper_ratio,
         ]
         lines.append(f"| {' | '.join(cells)} |")
-    said = f"{result['machine']}; {result['n_train_windows']:,} training windows an epoch."
+    about = f"{result['machine']}; {result['n_train_windows']:,} training windows an epoch."
     unmeasured = "" if any("gpu" in of["step_us"] for of in models.values()) else " There was no GPU."
-    lines.append(f"\n{said}{unmeasured} The paper's figures are of Keras on its own machine.")
+    lines.append(f"\n{about}{unmeasured} The paper's figures are of Keras on its own machine.")
     return "\n".join(lines)
 
 
@@ -232,7 +224,7 @@ def main() -> None:
         "--page", type=Path, metavar="FILE", help="put what is saved between its markers there"
     )
     arguments = parser.parse_args()
-    unknown = set(arguments.models) - {*NETWORKS, *GRAPHS}
+    unknown = set(arguments.models) - set(MODELS)
     if unknown:
         parser.error(f"unknown model {sorted(unknown)[0]}")
     if arguments.page is not None and arguments.save is not None and arguments.save.exists():

@@ -9,8 +9,9 @@ again; and the default of a split that `main_table.py` has run is that of `resul
 differ in what is fitted after the lattices share those. Several processes share the work best by `--textures`. The table gives,
 for each ingredient, the validation error and the figures on the test blocks as ratios to those of what it stands beside on the
 same texture and split, made by the same sources, or by such as are known to make the same (`main_table.py run --again`): mean,
-standard error over textures (over splits of a single one), number of pairs. A copy is no pair, and where neither run hears its
-network their free runs are the same and not compared. Choose by the columns of the validation blocks; the others report.
+standard error over textures (over splits of a single one), number of pairs. A copy is no pair, and where neither rendering uses
+its network their free runs are the same and not compared. Ingredients that foten no longer has are of earlier runs alone. Choose
+by the columns of the validation blocks; the others report.
 """
 
 from __future__ import annotations
@@ -18,84 +19,101 @@ from __future__ import annotations
 import argparse
 import copy
 import dataclasses
-import json
 import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import foten.train.train as train_module
 import numpy as np
-from foten.architecture import ARCHITECTURES, sizes
-from foten.runtime.engine import engine_for
-from foten.train.train import Trained, train_texture
 
+import foten.train.foten_plus as training
 from foten.datasets.simulate import LINEAR_FAMILY, TEXTURES
 from foten.evaluate.evaluate import evaluate
-from foten.evaluate.one_step import one_step
+from foten.evaluate.one_step import TexturePredictor, one_step
 from foten.experiments.truth import truth_for
+from foten.families import FotenPlusSizes
 from foten.recording.windows import targets
+from foten.runtime.native import NativeTexture
 from foten.train.config import RECIPES, TrainConfig
+from foten.train.job import Trained, TrainingJob
 from foten.train.linear_part import LinearPart, fit_linear_parts
-from main_table import REAL, SOURCES, alike, at, audible_share, between, recording_of, work_through
+from foten.train.pipeline import train
+from main_table import (
+    REAL,
+    SOURCES,
+    alike,
+    at,
+    between,
+    read,
+    recording_of,
+    validation_free_run,
+    work_through,
+)
 from main_table import RESULTS as MAIN
-from self_forced import fine_tuning
 
 RESULTS = Path(__file__).parent / "results" / "fidelity"
 DEFAULT, BARE, HEAD = "default", "no network", "speed and force at the head alone"
 INGREDIENTS: dict[str, dict[str, Any]] = {
     DEFAULT: {},
     BARE: {"train": {"epochs": 0}},
-    # What is fitted before the network is heard without one, beside the default without one.
+    # What is fitted before the network is judged without one, beside the default without one.
     **{
         name: {"train": {"epochs": 0, **change}, "beside": BARE}
         for name, change in {
             "no tones": {"tones": False},
             "lattice of 20": {"max_order": 20},
-            "level behind the lattice alone": {"driven": False},
+            "gain after the filter alone": {"gain_before_filter": False},
             "Gaussian excitation": {"tails": False},
-            "no swell": {"swell": False},
+            "no volatility": {"volatility": False},
         }.items()
     },
     "one filter for all speeds": {
         "train": {"epochs": 0, "table": False, "tones": False},
         "beside": "no tones",
     },
-    HEAD: {"sizes": {"hand": "head"}},
-    # Measured when the head alone was told the hand.
+    HEAD: {"sizes": {"condition_in_tokens": False}},
+    # Measured when the head alone was given speed and force.
     **{
         name: {
             "train": change.get("train", {}),
-            "sizes": {"hand": "head", **change.get("sizes", {})},
+            "sizes": {"condition_in_tokens": False},
             "beside": HEAD,
+            "earlier": change.get("earlier", False),
         }
         for name, change in {
-            "speed and force modulate": {"sizes": {"hand": "modulation"}},
+            "speed and force modulate": {"earlier": True},
             "absolute loss": {"train": {"loss": "mae"}},
             "squared loss": {"train": {"loss": "mse"}},
             "dropout 0.2": {"train": {"dropout": 0.2}},
             "no weight decay": {"train": {"weight_decay": 0.0}},
-            "averaged weights": {"train": {"average": 0.999}},
-            "cosine and sine of the phase": {"sizes": {"phase_input": "cos_sin"}},
-            "log magnitude": {"sizes": {"magnitude_input": "log"}},
-            "bin embedding": {"sizes": {"bin_embedding": True}},
+            "averaged weights": {"earlier": True},
+            "cosine and sine of the phase": {"earlier": True},
+            "log magnitude": {"earlier": True},
+            "bin embedding": {"earlier": True},
         }.items()
     },
     "twice the epochs": {"train": {"epochs": 64, "patience": 20}},
     "four times the learning rate": {"train": {"learning_rate": 2e-3}},
-    "fine-tuned on its own output": {"fine_tune": True},
+    "fine-tuned on its own output": {"earlier": True},
     **{f"window {m}": {"sizes": {"window": m}} for m in (5, 10, 40, 64)},
 }
+RENAMED = {
+    "level behind the lattice alone": "gain after the filter alone",
+    "no swell": "no volatility",
+}
+"""Ingredients by the names that they had in earlier results."""
 LACKS: dict[str, Callable[[dict[str, Any]], bool]] = {
     "no tones": lambda has: not has["n_tones"],
-    "lattice of 20": lambda has: max(has["order"], has["rest_order"] if has["n_tones"] else 0) <= 20,
-    "level behind the lattice alone": lambda has: not has["level_drives"] and not has["rest_level_drives"],
-    "no swell": lambda has: not has["swell"],
+    "lattice of 20": lambda has: max(has["order"], has["residual_order"] if has["n_tones"] else 0) <= 20,
+    "gain after the filter alone": lambda has: (
+        not has["gain_before_filter"] and not has["residual_gain_before_filter"]
+    ),
+    "no volatility": lambda has: not has["volatility"],
     "one filter for all speeds": lambda has: has["n_speed"] * has["n_force"] == 1,
 }
 """Whether what a texture has, beside an ingredient that is left out, has nothing of it."""
@@ -107,8 +125,8 @@ OF_NETWORK = {
 """Ingredients of the network alone: its lattice, tones and excitation without it are the same."""
 FIGURES = {
     "validation: one step": "validation.mae_scaled",
-    "validation: LSD": "heard.lsd_db",
-    "validation: level error": "heard.level_error_db",
+    "validation: LSD": "validation_free_run.lsd_db",
+    "validation: level error": "validation_free_run.level_error_db",
     "test: one step": "one_step.mae_scaled",
     "test: LSD": "free_run.lsd_db",
     "test: long LSD": "free_run.lsd_long_db",
@@ -131,11 +149,15 @@ class Run:
 
 
 def runs(seeds: list[int], textures: list[str]) -> Iterator[Run]:
-    """Return every run, those of one texture, rate and split together, what others stand beside first."""
+    """Return every run, those of one texture, rate and split in a row, what others stand beside first."""
     for seed in seeds:
         for texture in textures:
             for rate in (10_000.0, 2500.0) if texture in REAL else (1000.0,):
-                yield from (Run(texture, rate, seed, ingredient) for ingredient in INGREDIENTS)
+                yield from (
+                    Run(texture, rate, seed, ingredient)
+                    for ingredient, changed in INGREDIENTS.items()
+                    if not changed.get("earlier")
+                )
 
 
 class LinearParts:
@@ -154,25 +176,23 @@ class LinearParts:
         if self.of != (run.texture, run.rate_hz, run.seed):
             self.of, self.kept = (run.texture, run.rate_hz, run.seed), {}
 
-        def parts(
-            architecture: Any, data: Any, prepared: Any, config: TrainConfig, *rest: Any
-        ) -> list[LinearPart]:
+        def parts(sizes: Any, windows: Any, blocks: Any, config: TrainConfig, *more: Any) -> list[LinearPart]:
             if config.epochs > 0:
-                return fit_linear_parts(architecture, data, prepared, config, *rest)
-            fitted_with = (architecture, config.max_order, config.table, config.driven)
+                return fit_linear_parts(sizes, windows, blocks, config, *more)
+            fitted_with = (sizes, config.max_order, config.table, config.gain_before_filter)
             # The first is that without tones, whether there are some or not.
             if not config.tones and (*fitted_with, True) in self.kept:
                 return copy.deepcopy(self.kept[*fitted_with, True][:1])
             key = (*fitted_with, config.tones)
             if key not in self.kept:
-                self.kept[key] = fit_linear_parts(architecture, data, prepared, config, *rest)
+                self.kept[key] = fit_linear_parts(sizes, windows, blocks, config, *more)
             return copy.deepcopy(self.kept[key])
 
-        train_module.fit_linear_parts = parts
+        training.fit_linear_parts = parts
         try:
             yield
         finally:
-            train_module.fit_linear_parts = fit_linear_parts
+            training.fit_linear_parts = fit_linear_parts
 
 
 LINEAR_PARTS = LinearParts()
@@ -184,7 +204,7 @@ def execute(run: Run, recordings: Path) -> dict[str, Any]:
     beside = dataclasses.replace(run, ingredient=changed.get("beside", DEFAULT))
     path = RESULTS / f"{beside.name}.json"
     if run.ingredient in LACKS and path.exists():
-        document = json.loads(path.read_text())
+        document = read(path)
         if document["source_sha256"] == SOURCES and LACKS[run.ingredient](document["has"]):
             return {
                 **document,
@@ -196,13 +216,11 @@ def execute(run: Run, recordings: Path) -> dict[str, Any]:
     config = dataclasses.replace(
         RECIPES["default"], **{"threads": 1, "seed": run.seed, **changed.get("train", {})}
     )
-    architecture = ARCHITECTURES["foten-plus"](**changed.get("sizes", {}))
+    sizes = FotenPlusSizes(**changed.get("sizes", {}))
+    job = TrainingJob(recording, "foten-plus", sizes, config, preprocess, split_seed=run.seed)
     started = time.perf_counter()
-    tuning = fine_tuning() if changed.get("fine_tune") else nullcontext([])
-    with LINEAR_PARTS.shared(run), tuning as looks:
-        trained = train_texture(
-            recording, "foten-plus", architecture, config, preprocess, split_seed=run.seed
-        )
+    with LINEAR_PARTS.shared(run):
+        trained = train(job)
     if trained.progress.interrupted:
         raise KeyboardInterrupt  # what was trained by then is no result
     seconds = time.perf_counter() - started
@@ -217,12 +235,11 @@ def execute(run: Run, recordings: Path) -> dict[str, Any]:
         "versions": trained.texture.card["training"]["versions"],
         "source_sha256": SOURCES,
         "validation": validation(trained, document["first_scored"]),
-        "heard": audible_share(trained.texture),
+        "validation_free_run": validation_free_run(trained.texture),
         "has": {
-            **sizes(trained.texture.architecture),
-            "swell": float(trained.texture.tensors["excitation.swell"][1]),
+            **trained.texture.sizes.to_card(),
+            "volatility": float(trained.texture.tensors["excitation.volatility"][1]),
         },
-        "fine_tuning": looks,
         **kept,
         "ceiling": {k: v for k, v in document["ceiling"].items() if k != "intervals"},
         "ar_best": document["references"]["ar_best"]["mae_scaled"],
@@ -234,23 +251,24 @@ def validation(trained: Trained, first: int) -> dict[str, float]:
     """Return the one-step error of the exported file on the validation blocks, from sample `first` of each on."""
     texture, trace, blocks = trained.texture, trained.trace, trained.split.validation
     n = targets(blocks, trace.block, first).reshape(len(blocks), -1)
-    scores = one_step(engine_for(texture), texture.scaling.scale(trace.stacked()), n, texture.scaling)
+    predictor = TexturePredictor(NativeTexture(texture.to_bytes()))
+    scores = one_step(predictor, texture.scaling.scale(trace.stacked()), n, texture.scaling)
     return {"mae_scaled": scores["mae_scaled"]}
 
 
 def run_all(arguments: argparse.Namespace) -> None:
-    def told(document: dict[str, Any]) -> str:
+    def line(document: dict[str, Any]) -> str:
         return "  ".join(f"{name} {at(document, path):.4f}" for name, path in FIGURES.items())
 
     chosen = runs(arguments.seeds, arguments.textures)
-    work_through(chosen, RESULTS, arguments, lambda run: execute(run, arguments.recordings), told)
+    work_through(chosen, RESULTS, arguments, lambda run: execute(run, arguments.recordings), line)
 
 
 def table(arguments: argparse.Namespace) -> None:
     """Print the ratios to what each ingredient stands beside, by kind of texture, or put them into a page."""
     by_run, same = {}, alike()
     for path in sorted(MAIN.glob("*-foten-plus-*.json")):
-        d = json.loads(path.read_text())
+        d = read(path)
         run = d["run"]
         source = same.get(d["source_sha256"], d["source_sha256"])
         # Its validation error is that of the training, from another sample of each block on.
@@ -259,9 +277,11 @@ def table(arguments: argparse.Namespace) -> None:
             "validation": {"mae_scaled": None},
         }
     for path in sorted(RESULTS.glob("*.json")):
-        d = json.loads(path.read_text())
-        run = (d["run"][key] for key in ("texture", "rate_hz", "seed", "ingredient"))
-        by_run[(*run, same.get(d["source_sha256"], d["source_sha256"]))] = d
+        d = read(path)
+        *run, ingredient = (d["run"][key] for key in ("texture", "rate_hz", "seed", "ingredient"))
+        by_run[
+            (*run, RENAMED.get(ingredient, ingredient), same.get(d["source_sha256"], d["source_sha256"]))
+        ] = d
     kinds = {
         "simulated twelve, 1 kHz": (tuple(TEXTURES), 1000.0),
         "linear family, 1 kHz": (tuple(LINEAR_FAMILY), 1000.0),
@@ -287,9 +307,9 @@ def table(arguments: argparse.Namespace) -> None:
                         [
                             (a["run"]["texture"], at(a, path), at(b, path))
                             for a, b in own
-                            if not (of_network and path.startswith(("heard", "free_run")))
-                            or a["heard"].get("network")
-                            or b["heard"].get("network")
+                            if not (of_network and path.startswith(("validation_free_run", "free_run")))
+                            or a["validation_free_run"].get("network_in_loop")
+                            or b["validation_free_run"].get("network_in_loop")
                         ]
                     )
                     for path in FIGURES.values()

@@ -3,9 +3,9 @@
     python benchmarks/innovations.py TEXTURE.foten... --recordings DIR [--save FILE] [--page docs/fidelity.md]
 
 Innovations of the lattice over the scale that the texture gives them at their speed and force, less what the network adds where
-it is heard. A Gaussian, a Student t, two Gaussians about zero, and z·exp(h z²/2) of a Gaussian z, which is rendered; each with a
-constant scale and shape. Mean negative log-likelihood [nat], less that of the Gaussian: below zero is likelier. Textures that are
-rendered with tones are left out, since their excitation belongs to what the tones leave.
+it is in the loop. A Gaussian, a Student t, two Gaussians about zero, and z·exp(h z²/2) of a Gaussian z, which is rendered; each
+with a constant scale and shape. Mean negative log-likelihood [nat], less that of the Gaussian: below zero is likelier. Textures
+that are rendered with tones are left out, since their excitation belongs to what the tones leave.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from foten.runtime.engine import NumpyFotenPlus, engine_for
 from scipy import optimize, stats
 
 from foten.atomic_write import atomic_write
@@ -29,6 +28,8 @@ from foten.families.conditions import FADE_FORCE, FADE_SPEED
 from foten.families.texture_file import Texture, read_texture
 from foten.recording.preprocess import preprocess
 from foten.recording.split import Split
+from foten.runtime.loops import predict_blocks
+from foten.runtime.native import NativeTexture
 from main_table import SOURCES, between, name_of, recording_of
 
 Array = np.ndarray
@@ -71,21 +72,19 @@ def judge(texture: Texture, recordings: Path) -> dict[str, float]:
     recording, config = recording_of(texture.card["texture"], rate, seed, recordings)
     trace, split = preprocess(recording, config), Split.from_fields(texture.card["split"])
     samples = texture.scaling.scale(trace.stacked()).reshape(trace.n_blocks, trace.block, 3)
-    engine = engine_for(texture)
-    assert isinstance(engine, NumpyFotenPlus)
-    asked = slice(engine.window, None)
+    kernel = NativeTexture(texture.to_bytes())
+    asked = slice(texture.window, None)
     moving = (trace.blocks(trace.speed) >= FADE_SPEED) & (trace.blocks(trace.force) >= FADE_FORCE)
 
     def of(blocks: tuple[int, ...]) -> Array:
         chosen = list(blocks)
         some = samples[chosen]
-        forecast = engine.follow(some, corrected=engine.network_heard)
-        assert forecast.scale is not None
-        u = (some[:, asked, 0] - forecast.sample) / forecast.scale
+        predicted = predict_blocks(kernel, some, "rendering")
+        u = (some[:, asked, 0] - predicted.sample) / predicted.scale
         return np.asarray(u[moving[chosen][:, asked]])
 
     train, validation = of(split.train), of(split.validation)
-    found = {}
+    nats = {}
     for name, (density, start) in KINDS.items():
         fitted = optimize.minimize(
             lambda parameters, density=density: -float(density(train, *parameters).mean()),
@@ -93,8 +92,8 @@ def judge(texture: Texture, recordings: Path) -> dict[str, float]:
             method="Nelder-Mead",
             options={"maxiter": 400, "xatol": 1e-3, "fatol": 1e-5},
         )
-        found[name] = -float(density(validation, *fitted.x).mean())
-    return found
+        nats[name] = -float(density(validation, *fitted.x).mean())
+    return nats
 
 
 def main() -> None:
@@ -110,15 +109,15 @@ def main() -> None:
     results = []
     for path in arguments.textures:
         texture = read_texture(path)
-        if texture.architecture.n_tones:
+        if texture.sizes.n_tones:
             print(f"{path.name}: left out, it is rendered with tones", file=sys.stderr)
             continue
-        found = judge(texture, arguments.recordings)
+        nats = judge(texture, arguments.recordings)
         about = {"file": path.stem, "rate_hz": texture.rate_hz, "source_sha256": SOURCES}
-        results.append({**about, "nats": found})
-        gains = [f"{found[name] - found['Gaussian']:+.3f}" for name in list(KINDS)[1:]]
-        lines.append(f"| {name_of(about, '')} | {found['Gaussian']:.3f} | {' | '.join(gains)} |")
-        print(f"{path.stem}: {found}", file=sys.stderr, flush=True)
+        results.append({**about, "nats": nats})
+        gains = [f"{nats[name] - nats['Gaussian']:+.3f}" for name in list(KINDS)[1:]]
+        lines.append(f"| {name_of(about, '')} | {nats['Gaussian']:.3f} | {' | '.join(gains)} |")
+        print(f"{path.stem}: {nats}", file=sys.stderr, flush=True)
     if arguments.save is not None:
         with atomic_write(arguments.save) as part:
             part.write_text(json.dumps(results, indent=1) + "\n")

@@ -2,7 +2,7 @@
 
     python benchmarks/lattice.py [--order 240] [--samples 400]
 
-Both run the same lattice on the same innovations, in turn, block by block; what they play is compared. Figures: the median over
+Both run the same lattice on the same innovations, in turn, block by block; what they render is compared. Figures: the median over
 blocks of the time of a sample, and of the ratio. The reflections differ from sample to sample, as under a hand.
 """
 
@@ -26,8 +26,8 @@ N_BLOCKS = 9
 
 def at_once(states: np.ndarray, reflections: np.ndarray, innovation: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return the states after a sample, shape (p, s), and that sample, shape (s,)."""
-    expected, gain = predict(states, reflections)
-    x = expected + gain * innovation
+    predicted, gain = predict(states, reflections)
+    x = predicted + gain * innovation
     return push(states, reflections, x)[0], x
 
 
@@ -51,12 +51,12 @@ def seconds_of(
     reflections: np.ndarray,
     noise: np.ndarray,
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """Return the time of a sample [s], the states after the block and what was played, shape (n, s)."""
-    played = np.empty_like(noise)
+    """Return the time of a sample [s], the states after the block and what was rendered, shape (n, s)."""
+    rendered = np.empty_like(noise)
     begin = time.perf_counter()
     for n, innovation in enumerate(noise):
-        states, played[n] = step(states, reflections[n % len(reflections)], innovation)
-    return (time.perf_counter() - begin) / len(noise), states, played
+        states, rendered[n] = step(states, reflections[n % len(reflections)], innovation)
+    return (time.perf_counter() - begin) / len(noise), states, rendered
 
 
 def main() -> None:
@@ -75,8 +75,8 @@ def main() -> None:
         for _ in range(N_BLOCKS):
             noise = rng.standard_normal((arguments.samples, n_streams))
             slow, after, expected = seconds_of(by_section, states, reflections, noise)
-            fast, _, found = seconds_of(at_once, states, reflections, noise)
-            np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9)
+            fast, _, rendered = seconds_of(at_once, states, reflections, noise)
+            np.testing.assert_allclose(rendered, expected, rtol=1e-7, atol=1e-9)
             states = after
             times.append((slow, fast))
         slow, fast = np.median(times, axis=0)

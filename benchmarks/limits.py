@@ -5,7 +5,7 @@
 
 All on the test blocks of five splits, scored as the judge does (`free_run`): AR(20) with white noise, the anchor; Gaussian
 noise with the mean spectrum of all training and validation blocks; the same, smoothed over five bins (98 Hz at 10 kHz); as loud
-as speed and force foretell, by least squares of the known blocks' levels on their logarithms; with the mean of their log spectra,
+as speed and force predict, by least squares of the known blocks' levels on their logarithms; with the mean of their log spectra,
 which this figure favours; the other blocks themselves, which are the real texture; and three that cheat: the noise as loud as
 each test block, noise with the mean spectrum of the test blocks, and with each test block's own.
 
@@ -84,8 +84,8 @@ def judge(texture: str, rate_hz: float, seed: int, recordings: Path) -> dict[str
         return np.stack([noise_like(source, test.shape[1], rate_hz, rng, **kind) for source in of], axis=1)
 
     def unit_noise() -> np.ndarray:
-        found = noise([known] * len(test))
-        return found / found.std(axis=(0, 2), keepdims=True)
+        white = noise([known] * len(test))
+        return white / white.std(axis=(0, 2), keepdims=True)
 
     level = test.std(axis=1)[None, :, None]
     hand = np.stack(
@@ -95,13 +95,13 @@ def judge(texture: str, rate_hz: float, seed: int, recordings: Path) -> dict[str
     )
     of_known = [*split.train, *split.validation]
     terms = np.linalg.lstsq(hand[of_known], np.log(known.std(axis=1)), rcond=None)[0]
-    foretold = np.exp(hand[list(split.test)] @ terms)[None, :, None]
+    predicted = np.exp(hand[list(split.test)] @ terms)[None, :, None]
     anchor = synthesize_linear(linear, trace, split.test, scaling, seed, N_RUNS)[:, :, part]
     return {
         ANCHOR: distance(anchor),
         "noise like all known blocks": distance(noise([known] * len(test))),
         "noise like all known, smoothed": distance(noise([known] * len(test), smoothed=True)),
-        "noise like all known, as loud as the hand foretells": distance(foretold * unit_noise()),
+        "noise like all known, as loud as the hand foretells": distance(predicted * unit_noise()),
         "noise like the mean of their log spectra": distance(noise([known] * len(test), of_logs=True)),
         "the known blocks themselves": distance(np.repeat(known[:, None], len(test), axis=1)),
         "cheating: noise like all known, as loud as each": distance(level * unit_noise()),
@@ -110,10 +110,10 @@ def judge(texture: str, rate_hz: float, seed: int, recordings: Path) -> dict[str
     }
 
 
-def over_anchor(found: dict[str, list[dict[str, float]]], name: str) -> tuple[float, float]:
+def over_anchor(distances: dict[str, list[dict[str, float]]], name: str) -> tuple[float, float]:
     """Return a distance over the anchor's as the tables have it: ratios of splits, their mean, mean over textures; its error."""
     mean, error = mean_and_error(
-        [split[name] / split[ANCHOR] for split in splits] for splits in found.values()
+        [split[name] / split[ANCHOR] for split in splits] for splits in distances.values()
     )
     return mean, error or 0.0
 
@@ -130,12 +130,12 @@ def orders(rate_hz: float, recordings: Path) -> str:
             split = split_blocks(trace, "regrouped", seed)
             samples = fit_scaling(trace, split.train).scale(trace.stacked())
             n = targets(split.test, trace.block, first_scored(trace.block)).ravel()
-            found = [fit_linear(samples, split.train, trace.block, order) for order in tried]
-            assert None not in found
+            fitted = [fit_linear(samples, split.train, trace.block, order) for order in tried]
+            assert None not in fitted
             errors.append(
                 [
                     np.abs(one.predict(windows(samples, n, one.window)) - samples[n, 0]).mean()
-                    for one in found
+                    for one in fitted
                     if one is not None
                 ]
             )
@@ -161,18 +161,18 @@ def main() -> None:
     if arguments.orders:
         print(orders(arguments.rate, arguments.recordings))
         return
-    found = {
+    distances = {
         texture: [judge(texture, arguments.rate, seed, arguments.recordings) for seed in SEEDS]
         for texture in REAL
     }
     if arguments.save is not None:
         with atomic_write(arguments.save) as part:
-            part.write_text(json.dumps(found, indent=1) + "\n")
+            part.write_text(json.dumps(distances, indent=1) + "\n")
     print("| LSD [dB], mean over splits | " + " | ".join(REAL) + " | mean | ÷ AR(20) |\n|" + "---|" * 7)
-    for name in found[REAL[0]][0]:
-        row = [np.mean([split[name] for split in found[texture]]) for texture in REAL]
+    for name in distances[REAL[0]][0]:
+        row = [np.mean([split[name] for split in distances[texture]]) for texture in REAL]
         cells = [f"{value:.2f}" for value in (*row, np.mean(row))]
-        ratio, error = over_anchor(found, name)
+        ratio, error = over_anchor(distances, name)
         print(f"| {name} | {' | '.join(cells)} | {ratio:.3f} ± {error:.3f} |")
 
 

@@ -27,8 +27,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from foten.architecture import ARCHITECTURES, FotenArchitecture, FotenPlusArchitecture, multiply_adds
-from foten.train.train import train_texture
 
 import foten
 from foten.atomic_write import atomic_write
@@ -36,11 +34,14 @@ from foten.datasets.simulate import LINEAR_FAMILY, TEXTURES, simulate
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.metrics import kurtosis
 from foten.experiments.truth import truth_for
+from foten.families import FAMILIES, FotenPlusSizes, FotenSizes
 from foten.families.texture_file import Texture, write_texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Channel, Recording
 from foten.recording.trace import Trace
 from foten.train.config import RECIPES
+from foten.train.job import TrainingJob
+from foten.train.pipeline import train
 
 
 def source_sha256() -> str:
@@ -131,9 +132,8 @@ def execute(run: Run, recordings: Path, keep: Path | None) -> dict[str, Any]:
     recording, preprocess = recording_of(run.texture, run.rate_hz, run.split_seed, recordings)
     config = dataclasses.replace(RECIPES["default"], threads=1, seed=run.split_seed)
     started = time.perf_counter()
-    trained = train_texture(
-        recording, run.model, ARCHITECTURES[run.model](), config, preprocess, split_seed=run.split_seed
-    )
+    sizes = FAMILIES[run.model]()
+    trained = train(TrainingJob(recording, run.model, sizes, config, preprocess, split_seed=run.split_seed))
     if trained.progress.interrupted:
         raise KeyboardInterrupt  # what was trained by then is no result
     seconds = time.perf_counter() - started
@@ -147,28 +147,41 @@ def execute(run: Run, recordings: Path, keep: Path | None) -> dict[str, Any]:
         "source_sha256": SOURCES,
         "training_seconds": seconds,
         "recording": kurtosis_of(judgement.trace),
-        "heard": audible_share(trained.texture),
+        "validation_free_run": validation_free_run(trained.texture),
         **judgement.document,
     }
 
 
-def audible_share(texture: Texture) -> dict[str, Any]:
+def validation_free_run(texture: Texture) -> dict[str, Any]:
     """Return how far the free run is from the validation blocks [dB], as its card says; none of a model without excitation.
 
-    And whether a rendering hears the network.
+    And whether a rendering uses the network.
     """
     names = ("lsd_db", "level_error_db")
-    metrics, architecture = texture.card["metrics"], texture.architecture
-    heard: dict[str, Any] = {
+    metrics, sizes = texture.card["metrics"], texture.sizes
+    known: dict[str, Any] = {
         name: metrics[f"validation_{name}"] for name in names if f"validation_{name}" in metrics
     }
-    if isinstance(architecture, FotenPlusArchitecture):
-        heard["network"] = architecture.network_heard and not architecture.n_tones
-    return heard
+    if isinstance(sizes, FotenPlusSizes):
+        known["network_in_loop"] = sizes.renders_with_network
+    return known
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Return a result, under today's names whenever it was made."""
+    document: dict[str, Any] = json.loads(path.read_text())
+    if "heard" in document:
+        free_run = document.pop("heard")
+        network = {"network_in_loop": free_run.pop("network")} if "network" in free_run else {}
+        document["validation_free_run"] = free_run | network
+    for before, today in (("network_heard", "network_in_loop"), ("rest_m_s2", "still_m_s2")):
+        if before in document:
+            document[today] = document.pop(before)
+    return document
 
 
 def kurtosis_of(trace: Trace, n_draws: int = 2000) -> dict[str, Any]:
-    """Return the kurtosis of a whole recording, and the central 95 % of it over blocks drawn anew."""
+    """Return the kurtosis of a recording, and the central 95 % of it over blocks drawn anew."""
     blocks = trace.blocks(trace.acceleration)
     rng = np.random.default_rng(0)
     drawn = [kurtosis(blocks[rng.integers(0, len(blocks), len(blocks))]) for _ in range(n_draws)]
@@ -181,7 +194,7 @@ def work_through(
     results: Path,
     arguments: argparse.Namespace,
     execute: Callable[[Any], dict[str, Any]],
-    told: Callable[[dict[str, Any]], str],
+    line: Callable[[dict[str, Any]], str],
 ) -> None:
     """Execute the runs that have no result yet and match `--only`, and keep one JSON each."""
     results.mkdir(parents=True, exist_ok=True)
@@ -206,7 +219,7 @@ def work_through(
         finally:
             claim.unlink(missing_ok=True)
         seconds = document["training_seconds"]
-        print(f"{run.name}: {told(document)} ({seconds:.0f} s)", file=sys.stderr, flush=True)
+        print(f"{run.name}: {line(document)} ({seconds:.0f} s)", file=sys.stderr, flush=True)
 
 
 def run_again(arguments: argparse.Namespace) -> None:
@@ -215,32 +228,32 @@ def run_again(arguments: argparse.Namespace) -> None:
         path = RESULTS / f"{run.name}.json"
         if not path.exists() or not fnmatch.fnmatch(run.name, arguments.only):
             continue
-        before = json.loads(path.read_text())
+        before = read(path)
         if before["source_sha256"] == SOURCES:
             continue
         keep(path, execute(run, arguments.recordings, arguments.keep))
 
 
-def _said(value: Any) -> Any:
+def _known(value: Any) -> Any:
     """Return a JSON value without the keys that have none: a figure that later states know of, and this run has not."""
     if not isinstance(value, dict):
         return value
-    return {key: _said(of) for key, of in value.items() if of is not None}
+    return {key: _known(of) for key, of in value.items() if of is not None}
 
 
-def keep(path: Path, found: dict[str, Any]) -> None:
+def keep(path: Path, result: dict[str, Any]) -> None:
     """Keep a result and, where it replaces one that an earlier state of the sources made of the same, whether it is equal."""
-    before = json.loads(path.read_text()) if path.exists() else found
-    of_one = before.get("texture_sha256") == found.get("texture_sha256") or path.parent == RESULTS
+    before = read(path) if path.exists() else result
+    of_one = before.get("texture_sha256") == result.get("texture_sha256") or path.parent == RESULTS
     if before["source_sha256"] != SOURCES and of_one:
         differ = sorted(
             name
-            for name in found.keys() | before.keys()
+            for name in result.keys() | before.keys()
             if name not in ("source_sha256", "training_seconds", "times_real_time")
-            and json.dumps(_said(found.get(name))) != json.dumps(_said(before.get(name)))
+            and json.dumps(_known(result.get(name))) != json.dumps(_known(before.get(name)))
         )
-        told = "other " + ", ".join(differ) if differ else "equal"
-        print(f"{path.stem}: {told}", file=sys.stderr, flush=True)
+        outcome = "other " + ", ".join(differ) if differ else "equal"
+        print(f"{path.stem}: {outcome}", file=sys.stderr, flush=True)
         made_again = _made_again()
         by_today = made_again.setdefault(SOURCES, {"equal": {}, "differ": {}})
         name = path.stem if path.parent == RESULTS else f"{path.parent.name}/{path.stem}"
@@ -248,7 +261,7 @@ def keep(path: Path, found: dict[str, Any]) -> None:
         with atomic_write(SAME) as part:
             part.write_text(json.dumps(made_again, indent=1) + "\n")
     with atomic_write(path) as part:
-        part.write_text(json.dumps(found, indent=1) + "\n")
+        part.write_text(json.dumps(result, indent=1) + "\n")
 
 
 def run_all(arguments: argparse.Namespace) -> None:
@@ -256,7 +269,7 @@ def run_all(arguments: argparse.Namespace) -> None:
         run_again(arguments)
         return
 
-    def told(document: dict[str, Any]) -> str:
+    def line(document: dict[str, Any]) -> str:
         return (
             f"mae {document['one_step']['mae_scaled']:.4f} ar {document['references']['ar']['mae_scaled']:.4f} "
             f"lsd {document['free_run']['lsd_db']} ceiling {document['ceiling']['lsd_db']} "
@@ -264,7 +277,7 @@ def run_all(arguments: argparse.Namespace) -> None:
         )
 
     work_through(
-        runs(), RESULTS, arguments, lambda run: execute(run, arguments.recordings, arguments.keep), told
+        runs(), RESULTS, arguments, lambda run: execute(run, arguments.recordings, arguments.keep), line
     )
 
 
@@ -278,10 +291,10 @@ class Figure:
     model: str = "foten-plus"
 
     def __call__(self, document: dict[str, Any]) -> float | None:
-        found = [at(document, path) for path in (self.path, self.over) if path]
-        if any(value is None for value in found):
+        values = [at(document, path) for path in (self.path, self.over) if path]
+        if any(value is None for value in values):
             return None
-        return float(found[0] if len(found) == 1 else found[0] / found[1])
+        return float(values[0] if len(values) == 1 else values[0] / values[1])
 
     def cell(self, documents: list[dict[str, Any]]) -> str:
         """Return mean ± standard error over split seeds, "(one)" for one, a dash where the figure is not known."""
@@ -304,12 +317,12 @@ class Figure:
 
 def mean_and_error(by_texture: Iterable[list[float]]) -> tuple[float, float | None]:
     """Return the mean over textures of their means over splits, and its standard error by theirs; None where a split is alone."""
-    found = [np.array(values) for values in by_texture]
-    errors = [values.std(ddof=1) / np.sqrt(values.size) if values.size > 1 else None for values in found]
-    mean = float(np.mean([values.mean() for values in found]))
+    arrays = [np.array(values) for values in by_texture]
+    errors = [values.std(ddof=1) / np.sqrt(values.size) if values.size > 1 else None for values in arrays]
+    mean = float(np.mean([values.mean() for values in arrays]))
     if None in errors:
         return mean, None
-    return mean, float(np.sqrt(np.square(errors).sum()) / len(found))
+    return mean, float(np.sqrt(np.square(errors).sum()) / len(arrays))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -320,8 +333,8 @@ class Share:
     model: str = "foten-plus"
 
     def cell(self, documents: list[dict[str, Any]]) -> str:
-        found = [self.so(document) for document in documents]
-        return "–" if None in found or not found else f"{sum(found)} of {len(found)}"
+        so = [self.so(document) for document in documents]
+        return "–" if None in so or not so else f"{sum(so)} of {len(so)}"
 
     def mean(self, by_texture: list[list[dict[str, Any]]]) -> str:
         return self.cell([document for documents in by_texture for document in documents])
@@ -358,7 +371,7 @@ SUMMARY = {
     "level error ÷ ceiling": Figure("free_run.level_error_db", 3, "ceiling.level_error_db"),
     "kurtosis": Figure("free_run.kurtosis", 2),
     "recorded": Interval("recording.kurtosis", 2),
-    "network heard": Share(lambda document: document["heard"].get("network")),
+    "network in the loop": Share(lambda document: document["validation_free_run"].get("network_in_loop")),
 }
 ONE_STEP = {
     "zero": Figure("references.zero.mae_scaled", 3),
@@ -408,7 +421,7 @@ Groups = dict[tuple[str, float], dict[str, list[dict[str, Any]]]]
 def summary() -> str:
     """Return the README's table as Markdown, from the result files alone."""
     groups, states = _groups()
-    return "\n\n".join([_rows(groups, SUMMARY), *_told(states, "named in docs/results.md")])
+    return "\n\n".join([_rows(groups, SUMMARY), *_earlier_states(states, "named in docs/results.md")])
 
 
 def tables() -> str:
@@ -423,7 +436,7 @@ def tables() -> str:
         )
     ]
     aims = f"**What was aimed at**\n\n{_aims(groups)}"
-    return "\n\n".join([aims, *parts, *_told(states), *_training()])
+    return "\n\n".join([aims, *parts, *_earlier_states(states), *_training()])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -460,8 +473,8 @@ class Aim:
         if not known:
             return f"| {self.title} | {of} | {self._asked(self.mean)} | – | {self._asked(self.each)} | – |"
         worst = (min if self.at_least else max)(known, key=lambda texture: float(np.mean(known[texture])))
-        mean = self._told(known.values(), self.mean)
-        each = f"{self._told([known[worst]], self.each)} ({worst})"
+        mean = self._reached(known.values(), self.mean)
+        each = f"{self._reached([known[worst]], self.each)} ({worst})"
         return (
             f"| {self.title} | {of} | {self._asked(self.mean)} | {mean} | {self._asked(self.each)} | {each} |"
         )
@@ -469,19 +482,19 @@ class Aim:
     def _asked(self, aim: float | None) -> str:
         return "" if aim is None else f"{'≥' if self.at_least else '≤'} {aim:g}"
 
-    def _told(self, by_texture: Iterable[list[float]], aim: float | None) -> str:
+    def _reached(self, by_texture: Iterable[list[float]], aim: float | None) -> str:
         value, error = mean_and_error(by_texture)
-        told = f"{value:.3f}" + ("" if error is None else f" ± {error:.3f}")
+        text = f"{value:.3f}" + ("" if error is None else f" ± {error:.3f}")
         if aim is None:
-            return told
+            return text
         if error is not None and abs(value - aim) < error:
-            return f"{told} ○"
-        return f"{told} {'✓' if (value >= aim if self.at_least else value <= aim) else '✗'}"
+            return f"{text} ○"
+        return f"{text} {'✓' if (value >= aim if self.at_least else value <= aim) else '✗'}"
 
 
 def _behind_ceiling(document: dict[str, Any]) -> float | None:
-    found = [at(document, f"{of}.level_corr") for of in ("free_run", "ceiling")]
-    return None if None in found else found[0] - found[1]
+    ours, ceiling = (at(document, f"{of}.level_corr") for of in ("free_run", "ceiling"))
+    return None if None in (ours, ceiling) else ours - ceiling
 
 
 def _in_interval(document: dict[str, Any]) -> float:
@@ -545,42 +558,39 @@ def _aims(groups: Groups) -> str:
 
 def _other_aims() -> Iterator[str]:
     """Return the rows of what `stability.py` and `onset.py` have measured, and of what a sample costs."""
-    attacked, begun = (
-        [json.loads(path.read_text()) for path in sorted((RESULTS.parent / name).glob("*.json"))]
+    attacked, onsets = (
+        [read(path) for path in sorted((RESULTS.parent / name).glob("*.json"))]
         for name in ("stability", "onset")
     )
-    cost = multiply_adds(FotenPlusArchitecture()) / multiply_adds(FotenArchitecture())
+    cost = FotenPlusSizes().multiply_adds() / FotenSizes().multiply_adds()
     yield f"| multiply-adds of the default network ÷ the paper's | | ≤ 1.25 | {cost:.3f} {_mark(cost <= 1.25)} | | |"
     if attacked:
         bounded = [
-            found["attack_finite"] and found["attack_later_max_sd"] <= found["attack_bound_sd"]
-            for found in attacked
+            one["attack_finite"] and one["attack_later_max_sd"] <= one["attack_bound_sd"] for one in attacked
         ]
-        worst = max(attacked, key=lambda found: found["forgets_s"] or np.inf)
-        hits, steps = (sum(found[name] for found in attacked) for name in ("n_saturated", "samples"))
+        worst = max(attacked, key=lambda one: one["forgets_s"] or np.inf)
+        hits, steps = (sum(one[name] for one in attacked) for name in ("n_saturated", "samples"))
         of = f"{len(attacked)} texture files"
         yield f"| 10⁶ steps of attack: within the proven bound | {of} | all | {sum(bounded)} {_mark(all(bounded))} | | |"
         yield f"| samples cut in normal strokes | {of} | 0 | {hits} of {steps:,} {_mark(hits == 0)} | | |"
         forgets = worst["forgets_s"]
-        told = f"{forgets:.1f} {_mark(True)}" if forgets is not None else f"never {_mark(False)}"
-        told += f" ({name_of(worst, 'stability')})"
-        yield f"| windows of ±50 sd forgotten to 1 % [s] | {of} | | | ≤ 12 (3 at 10 kHz) | {told} |"
-    if begun:
-        of = f"{len(begun)} texture files"
+        text = f"{forgets:.1f} {_mark(True)}" if forgets is not None else f"never {_mark(False)}"
+        text += f" ({name_of(worst, 'stability')})"
+        yield f"| windows of ±50 sd forgotten to 1 % [s] | {of} | | | ≤ 12 (3 at 10 kHz) | {text} |"
+    if onsets:
+        of = f"{len(onsets)} texture files"
         for title, figure in (
-            ("size of the level 100 ms after a start [dB]", lambda found: abs(found["level_db"][-1])),
-            ("spectrum 100 ms after a start [dB]", lambda found: found["spectrum_db"][-1]),
+            ("size of the level 100 ms after a start [dB]", lambda one: abs(one["level_db"][-1])),
+            ("spectrum 100 ms after a start [dB]", lambda one: one["spectrum_db"][-1]),
         ):
-            worst = max(begun, key=figure)
-            mean = float(np.mean([figure(found) for found in begun]))
+            worst = max(onsets, key=figure)
+            mean = float(np.mean([figure(one) for one in onsets]))
             each = f"{figure(worst):.2f} {_mark(figure(worst) <= 1)} ({name_of(worst, 'onset')})"
             yield f"| {title} | {of} | | {mean:.2f} | ≤ 1 | {each} |"
-        clicks = [
-            (found["click_share"] - found["settled_share"]) / found["click_standard_error"] for found in begun
-        ]
-        worst = begun[int(np.argmax(clicks))]
+        clicks = [(one["click_share"] - one["settled_share"]) / one["click_standard_error"] for one in onsets]
+        worst = onsets[int(np.argmax(clicks))]
         # What chance exceeds in one of twenty such sets of files.
-        limit = NormalDist().inv_cdf(1 - 0.05 / len(begun))
+        limit = NormalDist().inv_cdf(1 - 0.05 / len(onsets))
         yield (
             f"| loud samples in the first 20 ms beyond settled sound's, in standard errors | {of} | | {np.mean(clicks):+.1f} | "
             f"≤ {limit:.1f}, chance | {max(clicks):+.1f} {_mark(max(clicks) <= limit)} ({name_of(worst, 'onset')}) |"
@@ -596,7 +606,7 @@ def _groups() -> tuple[Groups, dict[str, list[str]]]:
     groups: Groups = {}
     states: dict[str, list[str]] = {}
     for path in sorted(RESULTS.glob("*.json")):
-        document = json.loads(path.read_text())
+        document = read(path)
         run = document["run"]
         states.setdefault(document["source_sha256"], []).append(path.stem)
         groups.setdefault((run["texture"], run["rate_hz"]), {}).setdefault(run["model"], []).append(document)
@@ -626,18 +636,18 @@ def _rows(groups: Groups, columns: Mapping[str, Figure | Share]) -> str:
     return "\n".join(lines)
 
 
-def name_of(found: dict[str, Any], kind: str) -> str:
+def name_of(result: dict[str, Any], kind: str) -> str:
     """Return the texture's name of a result that is kept in the folder `kind`, marked where it may come out other today."""
-    name = found["file"].split("-foten-plus-")
+    name = result["file"].split("-foten-plus-")
     split = f", split {name[1]}" if name[1:] and name[1] != "1" else ""
-    mark = "" if found["source_sha256"] in {SOURCES, *_vouched(kind)} else " †"
-    texture = name[0].removesuffix(f"-{found['rate_hz']:g}")
+    mark = "" if result["source_sha256"] in {SOURCES, *_vouched(kind)} else " †"
+    texture = name[0].removesuffix(f"-{result['rate_hz']:g}")
     return f"{texture}{split}{mark}"
 
 
 def made_earlier(folder: Path) -> Iterator[str]:
     """Say what the mark of `name_of` is, where one is."""
-    if any("†" in name_of(json.loads(path.read_text()), folder.name) for path in folder.glob("*.json")):
+    if any("†" in name_of(read(path), folder.name) for path in folder.glob("*.json")):
         yield "\n† made by an earlier state of the sources."
 
 
@@ -646,15 +656,16 @@ def _made_again() -> dict[str, dict[str, dict[str, list[str]]]]:
     return json.loads(SAME.read_text()) if SAME.exists() else {}
 
 
-def _vouched(kind: str = "") -> dict[str, tuple[str, list[str], bool]]:
+def _vouched(kind: str = "", today: str = SOURCES) -> dict[str, tuple[str, list[str], bool]]:
     """Return the states whose results come out the same today: by which other that is known, of which runs, and whether the
     other made them again, or they those of the other.
 
     Args:
         kind: of the results: runs of this table, or the folder's name of others.
+        today: the state that others are to be the same as.
     """
-    found: dict[str, tuple[str, list[str], bool]] = {}
-    waiting, made_again = [SOURCES], _made_again()
+    vouched: dict[str, tuple[str, list[str], bool]] = {}
+    waiting, made_again = [today], _made_again()
 
     def of_kind(names: list[str]) -> list[str]:
         return [name for name in names if name.rpartition("/")[0] == kind]
@@ -672,18 +683,22 @@ def _vouched(kind: str = "") -> dict[str, tuple[str, list[str], bool]]:
         ]
         for other, source, names, again in pairs:
             new = source if again else other
-            if names and new not in {SOURCES, *differ, *found}:
-                found[new] = (by, names, again)
+            if names and new not in {today, *differ, *vouched}:
+                vouched[new] = (by, names, again)
                 waiting.append(new)
-    return found
+    return vouched
 
 
 def alike() -> dict[str, str]:
-    """Return for each state whose results come out the same today the digest of today's."""
-    return dict.fromkeys([SOURCES, *_vouched()], SOURCES)
+    """Return for each state one of those whose results come out the same: today's, where it is among them."""
+    same: dict[str, str] = {}
+    for state in (SOURCES, *sorted(_made_again())):
+        if state not in same:
+            same |= dict.fromkeys([state, *_vouched(today=state)], state)
+    return same
 
 
-def _told(states: dict[str, list[str]], where: str = "") -> Iterator[str]:
+def _earlier_states(states: dict[str, list[str]], where: str = "") -> Iterator[str]:
     """Say how many results were made by other sources than those that are here, and name them, or say where they are named.
 
     Those of a state of which some were made again, by today's or by one of which that holds, and none came out other, are not
@@ -692,7 +707,7 @@ def _told(states: dict[str, list[str]], where: str = "") -> Iterator[str]:
     n, vouched = sum(map(len, states.values())), _vouched()
     known = [source for source in sorted(states) if source in vouched]
     if known:
-        told = []
+        lines = []
         for source in known:
             by, names, again = vouched[source]
             who = "today's" if by == SOURCES else f"{by[:8]}"
@@ -701,12 +716,12 @@ def _told(states: dict[str, list[str]], where: str = "") -> Iterator[str]:
                 if again
                 else f"which made {len(names)} of {who} again"
             )
-            told.append(
+            lines.append(
                 f"{len(states[source])} by {source[:8]}, {of}"
                 + ("" if where else f" ({', '.join(sorted(names))})")
             )
         yield (
-            f"Of {n} runs, some were made by earlier states of the sources: {'; '.join(told)}. All that were made again were "
+            f"Of {n} runs, some were made by earlier states of the sources: {'; '.join(lines)}. All that were made again were "
             "equal to the last digit, each pair on one machine."
         )
     earlier = sorted(
@@ -728,17 +743,17 @@ def _training() -> Iterator[str]:
     """Return the table of what `training.py` measured, where it was run."""
     if not TRAINING.exists():
         return
-    found = json.loads(TRAINING.read_text())
+    training = json.loads(TRAINING.read_text())
+    about = f"{training['seconds']:g} s of {training['texture']}, {training['n_train_windows']} windows, {training['device']}"
     lines = [
-        f"**Training** `{found['model']}` on {found['seconds']:g} s of {found['texture']}, {found['n_train_windows']} windows, "
-        f"{found['device']}; `foten train` of `foten-plus` there takes {found['foten_train_command_seconds']:.0f} s, start and "
-        "proof included",
+        f"**Training** `{training['model']}` on {about}; `foten train` of `foten-plus` there takes "
+        f"{training['foten_train_command_seconds']:.0f} s, start and proof included",
         "",
         "| recipe | threads | s an epoch | s in all | lowest validation loss | s to the paper's lowest | paper's ÷ its |",
         "|" + "---|" * 7,
     ]
-    for name, arm in found["arms"].items():
-        seconds, paper = (a["seconds_to"]["1"] for a in (arm, found["arms"]["paper"]))
+    for name, arm in training["arms"].items():
+        seconds, paper = (a["seconds_to"]["1"] for a in (arm, training["arms"]["paper"]))
         lines.append(
             f"| {name} | {arm['config']['threads']} | {arm['seconds_per_epoch']:.1f} | {arm['total_seconds']:.0f} | "
             f"{arm['lowest_validation_loss']:.5f} | "
@@ -753,9 +768,9 @@ def between(page: Path | None, name: str, text: str) -> None:
         print(text)
         return
     begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
-    before, found, rest = page.read_text().partition(begin)
-    _, closed, after = rest.partition(end)
-    if not found or not closed:
+    before, opened, others = page.read_text().partition(begin)
+    _, closed, after = others.partition(end)
+    if not opened or not closed:
         sys.exit(f"{page.name}: has no {begin} … {end} to put the tables between")
     with atomic_write(page) as part:
         part.write_text(f"{before}{begin}\n{text}\n{end}{after}")

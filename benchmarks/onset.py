@@ -67,13 +67,13 @@ def judge(texture: Texture, n_strokes: int, n_streams: int, seed: int = 0) -> di
     cut = settled[..., : settled.shape[2] // window * window].reshape(n_strokes, -1, window)
     loud = np.square(settled).mean(axis=(1, 2))
     colours = np.stack([band_powers(windows, rate) for windows in cut])
-    heard = (colours > 0).all(axis=0)
+    present = (colours > 0).all(axis=0)
 
     def away(first: int) -> tuple[float, float, float]:
         part = played[:, :, first : first + window]
         level = 10 * np.log10(np.square(part).mean(axis=(1, 2)) / loud)
         powers = np.stack([band_powers(windows, rate) for windows in part])
-        ratio = 10 * np.log10(powers[:, heard] / colours[:, heard])
+        ratio = 10 * np.log10(powers[:, present] / colours[:, present])
         spectrum = np.sqrt(np.square(ratio.mean(axis=0)).mean())
         return float(level.mean()), float(spectrum), float(np.abs(level).mean())
 
@@ -90,26 +90,28 @@ def judge(texture: Texture, n_strokes: int, n_streams: int, seed: int = 0) -> di
     streams = MORE_STREAMS * n_streams
     hand = (np.repeat(values, streams)[:, None] * first for values in (speeds, forces))
     at_once, _ = rendered(texture, seed + 1, *hand)
-    begun = np.abs(at_once.reshape(n_strokes, streams, -1)) > limits[:, None, None]
+    loud_samples = np.abs(at_once.reshape(n_strokes, streams, -1)) > limits[:, None, None]
     begin = [away(round(start * rate / 1000)) for start in STARTS_MS]
-    strays = [away(round(SETTLED_S * rate) + k * window) for k in range(10)]
+    later = [away(round(SETTLED_S * rate) + k * window) for k in range(10)]
     return {
         "texture_sha256": texture.sha256(),
         "source_sha256": SOURCES,
         "rate_hz": rate,
         "n_strokes": n_strokes,
         "starts_ms": STARTS_MS,
-        "level_db": [found[0] for found in begin],
-        "spectrum_db": [found[1] for found in begin],
+        "level_db": [one[0] for one in begin],
+        "spectrum_db": [one[1] for one in begin],
         # Of each stroke by itself, over several streams of noise: what chance does is in the settled one as well.
-        "level_abs_db": [found[2] for found in begin],
-        "settled_level_db": max(abs(stray[0]) for stray in strays),
-        "settled_spectrum_db": max(stray[1] for stray in strays),
-        "settled_level_abs_db": max(stray[2] for stray in strays),
-        "click_share": float(begun.mean()),
+        "level_abs_db": [one[2] for one in begin],
+        "settled_level_db": max(abs(one[0]) for one in later),
+        "settled_spectrum_db": max(one[1] for one in later),
+        "settled_level_abs_db": max(one[2] for one in later),
+        "click_share": float(loud_samples.mean()),
         "settled_share": float(usual.mean()),
         # Of their difference, over strokes.
-        "click_standard_error": float((begun.mean(axis=(1, 2)) - usual).std(ddof=1) / np.sqrt(n_strokes)),
+        "click_standard_error": float(
+            (loud_samples.mean(axis=(1, 2)) - usual).std(ddof=1) / np.sqrt(n_strokes)
+        ),
     }
 
 
@@ -125,15 +127,15 @@ def table(folder: Path) -> str:
     ]
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
     for path in sorted(folder.glob("*.json")):
-        found = json.loads(path.read_text())
-        cells = [name_of(found, folder.name), f"{found['rate_hz'] / 1000:g}"]
+        result = json.loads(path.read_text())
+        cells = [name_of(result, folder.name), f"{result['rate_hz'] / 1000:g}"]
         names = ("level_db", "level_abs_db", "spectrum_db")
         cells += [
-            f"{a:+.2f} / {b:.2f} / {c:.2f}" for a, b, c in zip(*(found[name] for name in names), strict=True)
+            f"{a:+.2f} / {b:.2f} / {c:.2f}" for a, b, c in zip(*(result[name] for name in names), strict=True)
         ]
-        cells.append(" / ".join(f"{found[f'settled_{name}']:.2f}" for name in names))
-        cells.append(f"{100 * found['click_share']:.3f} ± {100 * found['click_standard_error']:.3f} %")
-        cells.append(f"{100 * found['settled_share']:.3f} %")
+        cells.append(" / ".join(f"{result[f'settled_{name}']:.2f}" for name in names))
+        cells.append(f"{100 * result['click_share']:.3f} ± {100 * result['click_standard_error']:.3f} %")
+        cells.append(f"{100 * result['settled_share']:.3f} %")
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join([*lines, *made_earlier(folder)])
 
@@ -158,17 +160,17 @@ def main() -> None:
             "over the 99.9th percentile in the first 20 ms, and in settled sound"
         )
     for path in arguments.textures:
-        found = {"file": path.stem, **judge(read_texture(path), arguments.strokes, arguments.streams)}
+        result = {"file": path.stem, **judge(read_texture(path), arguments.strokes, arguments.streams)}
         if arguments.save is not None:
             arguments.save.mkdir(parents=True, exist_ok=True)
-            keep(arguments.save / f"{path.stem}.json", found)
+            keep(arguments.save / f"{path.stem}.json", result)
         names = ("level_db", "level_abs_db", "spectrum_db")
         cells = [
-            f"{a:+.2f}/{b:.2f}/{c:.2f}" for a, b, c in zip(*(found[name] for name in names), strict=True)
+            f"{a:+.2f}/{b:.2f}/{c:.2f}" for a, b, c in zip(*(result[name] for name in names), strict=True)
         ]
-        cells.append("/".join(f"{found[f'settled_{name}']:.2f}" for name in names))
-        click = f"{100 * found['click_share']:.3f} ± {100 * found['click_standard_error']:.3f} %"
-        click += f", {100 * found['settled_share']:.3f} %"
+        cells.append("/".join(f"{result[f'settled_{name}']:.2f}" for name in names))
+        click = f"{100 * result['click_share']:.3f} ± {100 * result['click_standard_error']:.3f} %"
+        click += f", {100 * result['settled_share']:.3f} %"
         print(f"{path.stem:36s} {'  '.join(cells)}  {click}", flush=True)
     if arguments.page is not None:
         between(arguments.page, "onset", table(arguments.save))

@@ -5,7 +5,7 @@
 Each simulated texture is recorded under a hand that uses half of the range (0 to 175 mm/s, 0.05 to 2 N), trained without a
 network, and rendered under another hand that uses all of it and, once more, under speeds and forces that jump every half
 second. Frames of 40 ms of the rendering and of the truth are compared where the hand was: level bias, level error and the
-distance of the pooled spectra. `grow` is what the synthesizer does; `clamp` hands it the range's end, `fade` takes that
+distance of the pooled spectra. `grow` is what a rendering does; `clamp` hands it the range's end, `fade` takes that
 down again by the factor that the range was exceeded by.
 """
 
@@ -22,19 +22,20 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from foten.architecture import FotenPlusArchitecture
-from foten.train.train import train_texture
 
 from foten.atomic_write import atomic_write
 from foten.datasets.simulate import ACCELEROMETER_NOISE, TEXTURES, vibration
 from foten.datasets.stroking import Stroking, stroking
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
-from foten.families.conditions import Synthesizer
+from foten.families import FotenPlusSizes
 from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Channel, Recording
 from foten.recording.trace import Trace
 from foten.train.config import RECIPES
+from foten.train.job import TrainingJob
+from foten.train.pipeline import train
+from streams import rendered as rendered_by
 
 RATE_HZ = 10_000.0
 N_STREAMS = 5
@@ -78,10 +79,15 @@ def rendered(texture: Texture, trace: Trace) -> dict[str, np.ndarray]:
         np.minimum(channel, texture.trained_range(name)[1])
         for name, channel in (("speed", trace.speed), ("force", trace.force))
     )
-    clamped = Synthesizer(texture, 0, N_STREAMS).render(speed, force)
+
+    def streams(speed: np.ndarray, force: np.ndarray) -> np.ndarray:
+        hands = (np.tile(channel, (N_STREAMS, 1)) for channel in (speed, force))
+        return rendered_by(texture, 0, *hands)[0]
+
+    clamped = streams(speed, force)
     exceeded = np.maximum(trace.speed, speed + 1e-9) / (speed + 1e-9)
     exceeded *= np.maximum(trace.force, force + 1e-9) / (force + 1e-9)
-    grown = Synthesizer(texture, 0, N_STREAMS).render(trace.speed, trace.force)
+    grown = streams(trace.speed, trace.force)
     return dict(zip(POLICIES, (clamped, clamped / exceeded, grown), strict=True))
 
 
@@ -111,32 +117,32 @@ def judge(key: str) -> dict[str, Any]:
     """Return the figures of one texture by region and policy."""
     config = dataclasses.replace(RECIPES["default"], threads=1, epochs=0)
     half = recorded(key, halved(stroking(64.0, 100, RATE_HZ)), 1)
-    texture = train_texture(half, "foten-plus", FotenPlusArchitecture(), config).texture
+    texture = train(TrainingJob(half, "foten-plus", FotenPlusSizes(), config)).texture
     high = [texture.trained_range(channel)[1] for channel in ("speed", "force")]
-    whole = preprocess(recorded(key, stroking(64.0, 101, RATE_HZ), 2), PreprocessConfig())
+    inside = preprocess(recorded(key, stroking(64.0, 101, RATE_HZ), 2), PreprocessConfig())
     jumps = preprocess(recorded(key, jumping(64.0, 3), 3), PreprocessConfig())
-    speed, force = (frame_means(channel, whole.rate_hz) for channel in (whole.speed, whole.force))
+    speed, force = (frame_means(channel, inside.rate_hz) for channel in (inside.speed, inside.force))
     # The frames in which a jump is, every half second, and the next; every other jump falls within a frame.
     at = np.arange(len(frame_means(jumps.speed, jumps.rate_hz)))
     since_jump = (at * FRAME_MS) % 500
     regions = {
-        "inside": (whole, (speed > 20) & (speed < high[0]) & (force < high[1])),
-        "towards rest": (whole, (speed < 20) & (force < high[1])),
-        "faster": (whole, (speed > high[0]) & (force < high[1])),
-        "firmer": (whole, (speed > 20) & (speed < high[0]) & (force > high[1])),
-        "both": (whole, (speed > high[0]) & (force > high[1])),
+        "inside": (inside, (speed > 20) & (speed < high[0]) & (force < high[1])),
+        "towards rest": (inside, (speed < 20) & (force < high[1])),
+        "faster": (inside, (speed > high[0]) & (force < high[1])),
+        "firmer": (inside, (speed > 20) & (speed < high[0]) & (force > high[1])),
+        "both": (inside, (speed > high[0]) & (force > high[1])),
         "80 ms from a jump": (jumps, (since_jump < 2 * FRAME_MS) | (since_jump > 500 - FRAME_MS)),
         "later": (jumps, (since_jump >= 4 * FRAME_MS) & (since_jump <= 500 - 2 * FRAME_MS)),
     }
-    found: dict[str, Any] = {"beyond_exponents": dict(texture.card["beyond_exponents"]), "trained_to": high}
-    signals = {id(trace): rendered(texture, trace) for trace in (whole, jumps)}
+    result: dict[str, Any] = {"beyond_exponents": dict(texture.card["beyond_exponents"]), "trained_to": high}
+    signals = {id(trace): rendered(texture, trace) for trace in (inside, jumps)}
     for policy in POLICIES:
-        found[policy] = {
+        result[policy] = {
             name: figures(trace.acceleration, signals[id(trace)][policy], where, trace.rate_hz)
             for name, (trace, where) in regions.items()
             if where.sum() >= 10
         }
-    return found
+    return result
 
 
 def main() -> None:
@@ -146,20 +152,20 @@ def main() -> None:
     parser.add_argument("--textures", type=lambda text: text.split(","), default=list(TEXTURES))
     parser.add_argument("--save", type=Path, metavar="FILE", help="keep the figures as JSON there")
     arguments = parser.parse_args()
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     for key in arguments.textures:
-        found[key] = judge(key)
+        results[key] = judge(key)
         if arguments.save is not None:
             with atomic_write(arguments.save) as part:
-                part.write_text(json.dumps(found, indent=1) + "\n")
+                part.write_text(json.dumps(results, indent=1) + "\n")
         print(f"{key}: done", flush=True)
-    regions = list(found[arguments.textures[0]]["grow"])
-    print(f"\nmean of {len(found)} textures: level bias / level error / distance of pooled spectra [dB]\n")
+    regions = list(results[arguments.textures[0]]["grow"])
+    print(f"\nmean of {len(results)} textures: level bias / level error / distance of pooled spectra [dB]\n")
     print("| where | " + " | ".join(POLICIES) + " |\n|" + "---|" * (1 + len(POLICIES)))
     for region in regions:
         cells = []
         for policy in POLICIES:
-            rows = [f[policy][region] for f in found.values() if region in f[policy]]
+            rows = [f[policy][region] for f in results.values() if region in f[policy]]
             means = [np.mean([row[k] for row in rows]) for k in ("level_bias_db", "level_error_db", "lsd_db")]
             cells.append(" / ".join(f"{mean:.1f}" for mean in means))
         print(f"| {region} | " + " | ".join(cells) + " |")

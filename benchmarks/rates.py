@@ -31,13 +31,13 @@ SECONDS = 16.0
 
 def densities(recordings: Path) -> dict[str, dict[str, tuple[np.ndarray, np.ndarray]]]:
     """Return frequency [Hz] and power density of each axis of each texture."""
-    found = {}
+    by_texture = {}
     for texture in REAL:
         try:
-            found[texture] = spectra(recording_of(texture, RATE_HZ, 0, recordings)[0])
+            by_texture[texture] = spectra(recording_of(texture, RATE_HZ, 0, recordings)[0])
         except FileNotFoundError as error:
             print(f"{texture}: skipped, no {error.filename}", file=sys.stderr)
-    return found | {texture: spectra(simulate(texture, SECONDS, seed=0)) for texture in TEXTURES}
+    return by_texture | {texture: spectra(simulate(texture, SECONDS, seed=0)) for texture in TEXTURES}
 
 
 def spectra(recording: Recording) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -62,18 +62,18 @@ def table(recordings: Path) -> str:
     head += ["recommended", "at 12 dB"]
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
     for texture, axes in densities(recordings).items():
-        felt, milder = (
+        perceived, milder = (
             carried(axes, RATE_HZ),
             carried({name: gentler(*axis) for name, axis in axes.items()}, RATE_HZ),
         )
-        whole = sum(density.sum() for _, density in axes.values())
+        total = sum(density.sum() for _, density in axes.values())
         plain = [
-            sum(density[hertz <= USABLE_BAND * rate].sum() for hertz, density in axes.values()) / whole
+            sum(density[hertz <= USABLE_BAND * rate].sum() for hertz, density in axes.values()) / total
             for rate in SHOWN_HZ
         ]
-        shares = [*(felt[rate] for rate in SHOWN_HZ), *(milder[rate] for rate in SHOWN_HZ), *plain]
+        shares = [*(perceived[rate] for rate in SHOWN_HZ), *(milder[rate] for rate in SHOWN_HZ), *plain]
         cells = [texture, *(f"{100 * share:.1f} %" for share in shares)]
-        cells += [f"{smallest_rate(kind) / 1000:g} kHz" for kind in (felt, milder)]
+        cells += [f"{smallest_rate(kind) / 1000:g} kHz" for kind in (perceived, milder)]
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 

@@ -68,7 +68,7 @@ class Tablet:
         self._at += speed / EVENTS_HZ * np.array([math.cos(0.7 * t), math.sin(0.7 * t)])
         pressure = 0.45 + 0.4 * math.sin(0.37 * t)
         happens = self._draw.random()
-        # Faults of the whole tablet wait for a good event before and after, so that each is told from the others.
+        # Faults of the tablet itself wait for a good event before and after, so that each can be told apart.
         if self._good_since_fault > 20:
             for name, due in self._next.items():
                 if t >= due:
@@ -166,20 +166,20 @@ def soaked(texture: Any, hours: float, ratio: float) -> dict[str, Any]:
 
     live = Live(render, NullSink(rate, ratio=ratio), lead_ms=500.0)
     begin = time.perf_counter()
-    told = begin
+    reported = begin
     with live:
         while state["n"] / rate < seconds and live.running:
             time.sleep(0.2)
-            if time.perf_counter() - told > 10:
-                told = time.perf_counter()
+            if time.perf_counter() - reported > 10:
+                reported = time.perf_counter()
                 print(
                     f"{state['n'] / rate / 60:.1f} of {seconds / 60:.0f} min, "
-                    f"{state['n'] / rate / (told - begin):.1f} times real time",
+                    f"{state['n'] / rate / (reported - begin):.1f} times real time",
                     file=sys.stderr,
                 )
     took = time.perf_counter() - begin
     settled = [used for t, used in memory if t >= SETTLED * seconds]
-    found = stylus.stats
+    counted = stylus.stats
     return {
         "simulated_s": state["n"] / rate,
         "ratio": state["n"] / rate / took,
@@ -192,7 +192,7 @@ def soaked(texture: Any, hours: float, ratio: float) -> dict[str, Any]:
         "step": live.statistics.line(),
         "done": dict(tablet.done),
         "expected": tablet.expected(),
-        "counted": {name: int(getattr(found, name)) for name, _ in found._fields_},
+        "counted": {name: int(getattr(counted, name)) for name, _ in counted._fields_},
     }
 
 
@@ -207,7 +207,7 @@ def main() -> None:
     )
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument(
-        "--page", type=Path, metavar="FILE", help="put what is told between its markers there"
+        "--page", type=Path, metavar="FILE", help="put what is said between its markers there"
     )
     arguments = parser.parse_args()
     if arguments.texture is None:
@@ -217,29 +217,29 @@ def main() -> None:
         texture = exported("foten-plus")
     else:
         texture = read_texture(arguments.texture)
-    found = soaked(texture, arguments.hours, arguments.ratio)
-    told = [
-        f"{found['simulated_s'] / 3600:.2f} h at {found['ratio']:.1f} times real time: {found['n_not_finite']} of "
-        f"{found['n_samples']:,} samples not finite, the largest {found['largest']:.3g} m/s² at {found['rms']:.3g} m/s² rms; "
-        f"memory grew by {found['memory_grew_bytes'] / 1024:.0f} kB. {found['step'][0].upper()}{found['step'][1:]}.",
+    result = soaked(texture, arguments.hours, arguments.ratio)
+    lines = [
+        f"{result['simulated_s'] / 3600:.2f} h at {result['ratio']:.1f} times real time: {result['n_not_finite']} of "
+        f"{result['n_samples']:,} samples not finite, the largest {result['largest']:.3g} m/s² at {result['rms']:.3g} m/s² rms; "
+        f"memory grew by {result['memory_grew_bytes'] / 1024:.0f} kB. {result['step'][0].upper()}{result['step'][1:]}.",
         "",
         "| fault | done | counted |",
         "|---|---|---|",
     ]
-    told += [
-        f"| `{name}` | {count} | {found['counted'][name]} |" for name, count in found["expected"].items()
+    lines += [
+        f"| `{name}` | {count} | {result['counted'][name]} |" for name, count in result["expected"].items()
     ]
-    between(arguments.page, "soak", "\n".join(told))
+    between(arguments.page, "soak", "\n".join(lines))
     if arguments.json is not None:
         from foten.atomic_write import atomic_write
 
         with atomic_write(arguments.json) as part:
-            part.write_text(json.dumps(found, indent=1) + "\n")
-    fine = all(found["counted"][name] == count for name, count in found["expected"].items())
-    fine &= found["simulated_s"] >= 3600 * arguments.hours and found["ratio"] >= min(
+            part.write_text(json.dumps(result, indent=1) + "\n")
+    fine = all(result["counted"][name] == count for name, count in result["expected"].items())
+    fine &= result["simulated_s"] >= 3600 * arguments.hours and result["ratio"] >= min(
         10.0, 0.9 * arguments.ratio
     )
-    if found["n_not_finite"] or not fine or found["memory_grew_bytes"] > MAY_GROW:
+    if result["n_not_finite"] or not fine or result["memory_grew_bytes"] > MAY_GROW:
         sys.exit(1)
 
 

@@ -83,7 +83,7 @@ class Child:
             text=True,
             env={**os.environ, **(env or {})},
         )
-        self.told = self._line()
+        self.isa = self._line()
 
     def __call__(self, n: int) -> list[float]:
         """Return n times [ns]."""
@@ -110,12 +110,12 @@ def timed(call: Callable[[], Any]) -> Callable[[int], list[float]]:
     """Return what times a call n times [ns]."""
 
     def times(n: int) -> list[float]:
-        found = []
+        times_ns = []
         for _ in range(n):
             begin = time.perf_counter_ns()
             call()
-            found.append(time.perf_counter_ns() - begin)
-        return found
+            times_ns.append(time.perf_counter_ns() - begin)
+        return times_ns
 
     return times
 
@@ -138,11 +138,11 @@ def engines(texture: Any, file: Path) -> dict[str, Any]:
     """Return what times each engine that is here, by name; None for one that is missing, which is told."""
     low, high = texture.trained_range("speed")
     hand = [f"{0.5 * (low + high):g}", f"{sum(texture.trained_range('force')) / 2:g}"]
-    found: dict[str, Any] = {}
+    runners: dict[str, Any] = {}
     for name in INSTRUCTION_SETS:
         child = Child([sys.executable, "-c", CHILD, str(file), *hand], {"FOTEN_ISA": name})
-        if child.told == name:
-            found[name] = child
+        if child.isa == name:
+            runners[name] = child
         else:
             child.close()
     if shutil.which("node"):
@@ -153,9 +153,9 @@ def engines(texture: Any, file: Path) -> dict[str, Any]:
         }
         script = file.with_suffix(".mjs")
         script.write_text(program)
-        found["wasm"] = Child(["node", str(script), str(file), *hand])
-    found |= frameworks(texture, file)
-    return found
+        runners["wasm"] = Child(["node", str(script), str(file), *hand])
+    runners |= frameworks(texture, file)
+    return runners
 
 
 def frameworks(texture: Any, file: Path) -> dict[str, Any]:
@@ -165,20 +165,20 @@ def frameworks(texture: Any, file: Path) -> dict[str, Any]:
     from foten.networks import build
 
     torch.set_num_threads(1)
-    network = build(texture.card["model"], texture.architecture)
+    network = build(texture.card["model"], texture.sizes)
     network.load_state_dict(
         {name: torch.from_numpy(texture.tensors[name].copy()) for name in network.state_dict()}
     )
     network = network.float().eval()
     window = _plain(texture.tensors["golden.windows"])[None].astype(np.float32)
     tensor = torch.from_numpy(window)
-    found: dict[str, Any] = {}
+    runners: dict[str, Any] = {}
     with torch.inference_mode():
-        found["eager"] = timed(lambda: network(tensor))
+        runners["eager"] = timed(lambda: network(tensor))
         try:
             compiled = torch.compile(network)
             compiled(tensor)
-            found["compiled"] = timed(lambda: compiled(tensor))
+            runners["compiled"] = timed(lambda: compiled(tensor))
         except (
             Exception
         ) as error:  # a compiler that is missing, and much else: the row is left out and says so
@@ -194,7 +194,7 @@ def frameworks(texture: Any, file: Path) -> dict[str, Any]:
         session = onnxruntime.InferenceSession(str(onnx), options, providers=["CPUExecutionProvider"])
         given = {session.get_inputs()[0].name: window}
         _agrees("ONNX Runtime", session.run(None, given)[0], network, tensor)
-        found["onnxruntime"] = timed(lambda: session.run(None, given))
+        runners["onnxruntime"] = timed(lambda: session.run(None, given))
     except ImportError as error:
         print(f"onnxruntime: left out, {error}; pip install 'foten[bench]'", file=sys.stderr)
     try:
@@ -207,10 +207,10 @@ def frameworks(texture: Any, file: Path) -> dict[str, Any]:
         )
         request = model.create_infer_request()
         _agrees("OpenVINO", request.infer([window])[0], network, tensor)
-        found["openvino"] = timed(lambda: request.infer([window]))
+        runners["openvino"] = timed(lambda: request.infer([window]))
     except ImportError as error:
         print(f"openvino: left out, {error}; pip install 'foten[bench]'", file=sys.stderr)
-    return found
+    return runners
 
 
 def _plain(windows: np.ndarray) -> np.ndarray:
@@ -222,12 +222,12 @@ def _plain(windows: np.ndarray) -> np.ndarray:
     return next(w for w in windows if w[:, 0].sum() > 0 and w[:, 0] @ turns > 0)
 
 
-def _agrees(engine: str, found: np.ndarray, network: Any, tensor: Any) -> None:
+def _agrees(engine: str, predicted: np.ndarray, network: Any, tensor: Any) -> None:
     import torch
 
     with torch.inference_mode():
         expected = network(tensor).numpy()
-    error = float(np.abs(found.ravel() - expected.ravel()).max())
+    error = float(np.abs(predicted.ravel() - expected.ravel()).max())
     if not error < 1e-3:
         sys.exit(f"{engine} predicts another sample, off by {error:.3g}: it runs another network")
 
@@ -257,7 +257,6 @@ def peaks(folder: Path) -> dict[str, float]:
 def measured(path: Path | None, n: int) -> dict[str, Any]:
     """Return the document: times by engine [µs], ratios of the best native build, and what it was measured on."""
     import torch
-    from foten.architecture import multiply_adds
 
     texture, data = texture_of(path)
     with tempfile.TemporaryDirectory() as folder, torch.inference_mode():
@@ -279,19 +278,19 @@ def measured(path: Path | None, n: int) -> dict[str, Any]:
         name: {p: float(np.percentile(values, q)) / 1000 for p, q in PERCENTILES.items()}
         for name, values in times.items()
     }
-    cost = multiply_adds(texture.architecture)
+    cost = texture.sizes.multiply_adds()
     native = [name for name in INSTRUCTION_SETS if name in us]
     best = min(native, key=lambda name: us[name]["p50"])
     # The faster of before and after: what the core can do.
-    peak = max((rate for found in rates for rate in found.values()), default=None)
+    peak = max((rate for one in rates for rate in one.values()), default=None)
     ratios = {name: us[name]["p50"] / us[best]["p50"] for name in us if name not in native}
     document: dict[str, Any] = {
         "n": n,
         "multiply_adds": cost,
         "best_native": best,
-        "p50_us": {name: found["p50"] for name, found in us.items()},
-        "p99_us": {name: found["p99"] for name, found in us.items()},
-        "p999_us": {name: found["p999"] for name, found in us.items()},
+        "p50_us": {name: of["p50"] for name, of in us.items()},
+        "p99_us": {name: of["p99"] for name, of in us.items()},
+        "p999_us": {name: of["p999"] for name, of in us.items()},
         "ratios": ratios,
     }
     if peak:

@@ -26,27 +26,26 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "2")
 
 import torch
-from foten.architecture import ARCHITECTURES
 
 from foten.atomic_write import atomic_write
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
+from foten.families import FAMILIES
 from foten.networks import build
 from foten.recording.preprocess import preprocess
 from foten.recording.recording import Recording
-from foten.recording.scaling import fit_scaling
 from foten.recording.split import split_blocks
-from foten.recording.windows import targets
+from foten.train.blocks import scaled_blocks
 from foten.train.config import RECIPES, TrainConfig
 from foten.train.epochs import Epoch
-from foten.train.fit import Data, fit, pick_device, reproducible
+from foten.train.fit import TrainingWindows, fit, pick_device, reproducible
 
 
-def history(name: str, key: str, data: Data, config: TrainConfig) -> list[Epoch]:
+def history(name: str, model: str, windows: TrainingWindows, config: TrainConfig) -> list[Epoch]:
     """Return the log of one training from the same initial weights."""
     with reproducible():
         torch.manual_seed(config.seed)
-        network = build(key, ARCHITECTURES[key]()).to(pick_device())
+        network = build(model, FAMILIES[model]()).to(pick_device())
 
         def say(line: Epoch) -> None:
             print(
@@ -56,7 +55,7 @@ def history(name: str, key: str, data: Data, config: TrainConfig) -> list[Epoch]
                 flush=True,
             )
 
-        return fit(network, data, config, say).epochs
+        return fit(network, windows, config, say).epochs
 
 
 def seconds_to(epochs: list[Epoch], loss: float) -> float | None:
@@ -81,15 +80,8 @@ def main() -> None:
     arguments = parser.parse_args()
     recording = simulate(arguments.texture, arguments.seconds + 4.0)
     trace = preprocess(recording)
-    split = split_blocks(trace)
-    scaling = fit_scaling(trace, split.train)
-    m = ARCHITECTURES[arguments.model]().window
-    data = Data(
-        scaling.scale(trace.stacked()),
-        targets(split.train, trace.block, m),
-        targets(split.validation, trace.block, m),
-        m,
-    )
+    blocks, m = scaled_blocks(trace, split_blocks(trace)), FAMILIES[arguments.model]().window
+    windows = TrainingWindows(blocks.flat, *blocks.targets(m), m)
     paper = dataclasses.replace(RECIPES["paper"], epochs=arguments.paper_epochs)
     arms = {
         "ours": RECIPES["default"],
@@ -100,14 +92,14 @@ def main() -> None:
     }
     command = command_seconds(recording)
     print(f"foten train, {arguments.seconds:g} s of {arguments.texture}: {command:.0f} s", file=sys.stderr)
-    logs = {name: history(name, arguments.model, data, config) for name, config in arms.items()}
+    logs = {name: history(name, arguments.model, windows, config) for name, config in arms.items()}
     lowest = min(line.validation_loss for line in logs["paper"])
     result = {
         "texture": arguments.texture,
         "seconds": arguments.seconds,
         "model": arguments.model,
         "device": pick_device().type,
-        "n_train_windows": len(data.train),
+        "n_train_windows": len(windows.train),
         "foten_train_command_seconds": command,
         "arms": {name: asdict_of(arms[name], epochs, lowest) for name, epochs in logs.items()},
     }
@@ -115,7 +107,7 @@ def main() -> None:
         with atomic_write(arguments.save) as part:
             part.write_text(json.dumps(result, indent=1) + "\n")
     print(
-        f"{arguments.model} on {arguments.texture}, {len(data.train)} windows, lowest of the paper's recipe {lowest:.6f}"
+        f"{arguments.model} on {arguments.texture}, {len(windows.train)} windows, lowest of the paper's recipe {lowest:.6f}"
     )
     for name, arm in result["arms"].items():
         print(

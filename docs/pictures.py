@@ -23,7 +23,6 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 import numpy as np
-from foten.runtime.engine import engine_for
 from scipy.signal import welch
 
 from foten.datasets.simulate import TEXTURES, second_realisation, simulate
@@ -36,6 +35,7 @@ from foten.evaluate.metrics import (
     segment_length,
 )
 from foten.evaluate.metrics import welch as spectra
+from foten.evaluate.one_step import TexturePredictor, predict
 from foten.evaluate.references import ORDERS, first_scored, fit_linear
 from foten.experiments.figures import waveforms
 from foten.experiments.results import read_results
@@ -45,6 +45,7 @@ from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.scaling import fit_scaling
 from foten.recording.split import split_blocks
 from foten.recording.windows import targets, windows
+from foten.runtime.native import NativeTexture
 
 HERE = Path(__file__).parent
 RESULTS = HERE.parent / "benchmarks" / "results"
@@ -72,25 +73,26 @@ def one_step(arguments: argparse.Namespace) -> None:
         for model in ("foten", "foten-plus")
     }
     paper = files["foten"]
+    kernels = {model: NativeTexture(file.to_bytes()) for model, file in files.items()}
     trace = preprocess(recording, PreprocessConfig())
     split = split_blocks(trace, "regrouped", SEED)
     samples = paper.scaling.scale(trace.stacked())
     block = split.test[0]
     n = np.arange(block * trace.block + first_scored(trace.block), (block + 1) * trace.block)
-    predicted = engine_for(paper).predict(windows(samples, n, paper.window))
+    predicted = predict(TexturePredictor(kernels["foten"]), samples, n[None])[0]
     recorded = samples[n, 0]
     linear = fit_linear(samples, split.train, trace.block, 20)
     assert linear is not None
     played = {
         "recorded": samples[block * trace.block : (block + 1) * trace.block, 0],
         "foten on its own output": paper.scaling.scale_channel(
-            0, synthesize(paper, trace, (block,), excitation=False)[0][0, 0]
+            0, synthesize(kernels["foten"], trace, (block,), excitation=False)[0][0, 0]
         ),
         "AR(20) with white noise": paper.scaling.scale_channel(
             0, synthesize_linear(linear, trace, (block,), paper.scaling, n_seeds=1)[0, 0]
         ),
         "foten-plus": paper.scaling.scale_channel(
-            0, synthesize(files["foten-plus"], trace, (block,), excitation=True, n_seeds=1)[0][0, 0]
+            0, synthesize(kernels["foten-plus"], trace, (block,), excitation=True, n_seeds=1)[0][0, 0]
         ),
     }
     figure = plt.figure(figsize=(9, 6.4))
@@ -178,9 +180,9 @@ def bound(arguments: argparse.Namespace) -> None:
         orders = np.unique(np.geomspace(5, 260, 14).astype(int))
         of_window, infinite = [], 0.0
         for order in orders:
-            whole, window = linear_bounds(recording, trace, PreprocessConfig().highpass_hz, int(order))
+            of_past, window = linear_bounds(recording, trace, PreprocessConfig().highpass_hz, int(order))
             of_window.append(window[n].mean())
-            infinite = float(whole[n].mean())
+            infinite = float(of_past[n].mean())
         axes.axhline(1.0, color=CEILING, label="least possible, all of the past known")
         axes.plot(
             orders,
@@ -214,13 +216,13 @@ def bound(arguments: argparse.Namespace) -> None:
 
 
 def _documents(model: str) -> dict[str, list[dict[str, Any]]]:
-    found: dict[str, list[dict[str, Any]]] = {}
+    by_texture: dict[str, list[dict[str, Any]]] = {}
     for path in sorted((RESULTS / "main_table").glob(f"*-{model}-[0-9].json")):
         document = json.loads(path.read_text())
         if document["run"]["model"] == model:
             key = f"{document['run']['texture']}-{document['run']['rate_hz']:g}"
-            found.setdefault(key, []).append(document)
-    return found
+            by_texture.setdefault(key, []).append(document)
+    return by_texture
 
 
 def ceiling(arguments: argparse.Namespace) -> None:
@@ -253,10 +255,10 @@ def ceiling(arguments: argparse.Namespace) -> None:
 
 def limits(arguments: argparse.Namespace) -> None:
     """How near the real four a signal can come at all."""
-    found = json.loads((RESULTS / "limits.json").read_text())
-    anchor, *others = list(found["copper"][0])
+    figures = json.loads((RESULTS / "limits.json").read_text())
+    anchor, *others = list(figures["copper"][0])
     ratios = {
-        name: [[split[name] / split[anchor] for split in found[t]] for t in REAL]
+        name: [[split[name] / split[anchor] for split in figures[t]] for t in REAL]
         for name in (anchor, *others)
     }
     documents = _documents("foten-plus")
@@ -294,12 +296,12 @@ def limits(arguments: argparse.Namespace) -> None:
 
 def outside(arguments: argparse.Namespace) -> None:
     """Level errors above the trained range, towards rest and after jumps."""
-    found = json.loads((RESULTS / "outside.json").read_text())
-    regions = list(next(iter(found.values()))["grow"])
+    figures = json.loads((RESULTS / "outside.json").read_text())
+    regions = list(next(iter(figures.values()))["grow"])
     figure, axes = plt.subplots(figsize=(8, 3.2))
     for i, (policy, colour) in enumerate((("clamp", PAPER), ("fade", "#bbbbbb"), ("grow", OURS))):
         rows = [
-            [f[policy][region]["level_error_db"] for f in found.values() if region in f[policy]]
+            [f[policy][region]["level_error_db"] for f in figures.values() if region in f[policy]]
             for region in regions
         ]
         at = np.arange(len(regions)) + 0.27 * (i - 1)
@@ -312,7 +314,7 @@ def outside(arguments: argparse.Namespace) -> None:
             yerr=[np.std(row, ddof=1) / len(row) ** 0.5 for row in rows],
             capsize=2,
         )
-    axes.set(ylabel="level error [dB]", title=f"Trained to half the range, mean of {len(found)} textures")
+    axes.set(ylabel="level error [dB]", title=f"Trained to half the range, mean of {len(figures)} textures")
     axes.set_xticks(range(len(regions)), regions, fontsize=8)
     axes.legend(fontsize=8)
     save(figure, "outside")
@@ -324,11 +326,16 @@ def rates(arguments: argparse.Namespace) -> None:
     for i, key in enumerate(REAL):
         with np.load(arguments.recordings / f"{key}.npz", allow_pickle=False) as columns:
             hertz, density = welch(np.asarray(columns["accel"], dtype=float), 10_000.0, nperseg=1024)
-        felt = carried({"acceleration": (hertz, density)}, 10_000.0)
+        perceived = carried({"acceleration": (hertz, density)}, 10_000.0)
         plain = [density[hertz <= 0.45 * rate].sum() / density.sum() for rate in RATES_HZ]
         for j, rate in enumerate(RATES_HZ):
             axes.bar(
-                i + 0.27 * (j - 1), 100 * felt[rate], 0.25, color=OURS, alpha=(0.4, 0.7, 1.0)[j], zorder=2
+                i + 0.27 * (j - 1),
+                100 * perceived[rate],
+                0.25,
+                color=OURS,
+                alpha=(0.4, 0.7, 1.0)[j],
+                zorder=2,
             )
             axes.plot(i + 0.27 * (j - 1), 100 * plain[j], "_", color=INK, markersize=14, zorder=3)
             axes.text(

@@ -515,7 +515,7 @@ for k in range(int(sys.argv[3]), len(cases)):
 def run_commands(
     cases: Sequence[Sequence[str]],
     longest_s: float = LONGEST_S,
-    of: str = "foten.cli",
+    of: str = "foten.cli.command_line",
     path: Path | None = None,
 ) -> list[Result]:
     """Return what each command did: many in one process, and a new process after one that crashed or hung.

@@ -151,7 +151,7 @@ def test_a_disk_that_fills_up_while_training_costs_no_more_than_the_run_folder(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """From the first checkpoint on nothing can be written into the run folder: a line each for checkpoint, log and the rest."""
-    from foten.train import fit, run
+    from foten.train import epochs, run
 
     def full(path: Path, *_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device", str(path))
@@ -160,7 +160,7 @@ def test_a_disk_that_fills_up_while_training_costs_no_more_than_the_run_folder(
         monkeypatch.setattr(run, "write_log", full)
         full(path)
 
-    monkeypatch.setattr(fit, "save_progress", save)
+    monkeypatch.setattr(epochs, "save_progress", save)
     out, folder = tmp_path / "d.foten", tmp_path / "d.run"
     capsys.readouterr()
     assert _status(["train", str(recording), "-o", str(out), *FAST, *TINY, "--epochs", "3"]) == 0

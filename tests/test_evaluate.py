@@ -1,4 +1,4 @@
-"""The judge fits linear references on the training blocks, chooses among them on the validation blocks, scores on the test blocks."""
+"""The judge: which blocks each figure may look at, what a truth adds, and what it says where there is none."""
 
 from __future__ import annotations
 

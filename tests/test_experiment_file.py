@@ -46,7 +46,7 @@ def test_a_grid_crosses_sizes_and_training(tmp_path: Path) -> None:
 def test_a_setting_that_a_method_does_not_use_is_no_grid(tmp_path: Path) -> None:
     text = TINY.replace("[train]", '[grid]\nloss = ["mse", "mae"]\n[train]')
     gan = text.replace('{model = "fnn", name = "FNN [13]"}', '"gan"').replace("block_ms = 1000", "")
-    with pytest.raises(ValueError, match="method 'gan': loss is nothing to gan"):
+    with pytest.raises(ValueError, match="method 'gan': loss means nothing to gan"):
         read_experiment(experiment(tmp_path, gan)).runs()
     ar = 'title = "x"\nmethods = ["ar"]\ntextures = ["towel"]\n'
     for more, match in (

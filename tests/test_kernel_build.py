@@ -197,7 +197,8 @@ public static class Try {
             var block = new float[20];
             Console.WriteLine("acceleration_m_s2");
             for (int b = 0; b < 100; b++) {
-                renderer.SetCondition((float)(texture.LowestSpeed + (texture.HighestSpeed - texture.LowestSpeed) * b / 100), 0.8f);
+                var share = b / 100.0;
+                renderer.SetCondition((float)(texture.LowestSpeed + (texture.HighestSpeed - texture.LowestSpeed) * share), 0.8f);
                 renderer.Render(block);
                 foreach (var x in block) Console.WriteLine(x.ToString("R", CultureInfo.InvariantCulture));
             }
