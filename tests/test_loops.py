@@ -293,6 +293,34 @@ def test_under_a_constant_condition_the_lattice_is_an_all_pole_filter() -> None:
     np.testing.assert_allclose(run_loops(native, windows, condition, None)[0], impulse, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize("largest", [(1.2, 1e6), (1e6, 0.15), (1.2, 0.15)])
+@pytest.mark.parametrize("variant", ["network-not-in-loop", "gain-before", "tones", "excited"])
+def test_no_excitation_is_larger_than_the_largest_innovation(
+    variant: str, largest: tuple[float, float]
+) -> None:
+    """In units of σ and in scaled acceleration; a network that predicts nothing leaves the excitation alone."""
+    key = "foten" if variant == "excited" else "foten-plus"
+    sizes = sizes_for(key, variant)
+    bound = {"excitation.largest": np.array(largest)}
+    if key == "foten":
+        shapes = sizes.tensor_shapes()
+        bound |= {name: np.zeros(shapes[name]) for name in ("head_3.weight", "head_3.bias")}
+    texture = exported(key, sizes, bound)
+    native, model = NativeTexture(texture.to_bytes()), model_of(sizes, texture.tensors)
+    windows, condition = recorded(2, texture.window), moving(2, 60)
+    noise = 2 * np.random.default_rng(8).standard_normal((2, 60)).clip(-2.5, 2.5)
+    expected = run(model.start(windows), condition, noise)
+    out = run_loops(native, windows, condition, noise)
+    tolerance = 1e-9 if in_float64_alone(sizes) or key == "foten" else CLOSED_LOOP_TOLERANCE
+    np.testing.assert_allclose(out, expected, rtol=tolerance, atol=tolerance)
+    free = exported(key, sizes, bound | {"excitation.largest": np.array([1e6, 1e6])})
+    unbounded = run_loops(NativeTexture(free.to_bytes()), windows, condition, noise)
+    assert np.abs(out - unbounded).max() > 0.05
+    if key == "foten":
+        assert np.abs(out).max() <= largest[1] * (1 + 1e-12)
+        assert np.abs(unbounded).max() > largest[1] or largest[1] > 1
+
+
 def test_noise_without_an_excitation_is_the_deterministic_loop() -> None:
     for key, variant in (("foten", "one-layer"), ("dstn", "graph")):
         texture, _ = case(key, variant)
