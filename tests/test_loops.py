@@ -345,12 +345,17 @@ def test_streams_do_not_depend_on_each_other() -> None:
             np.testing.assert_array_equal(one[k], other[0])
 
 
-def test_a_prediction_leaves_a_state_as_it_began(texture: Texture) -> None:
+@pytest.mark.parametrize("excitation", [True, False])
+def test_after_a_prediction_a_state_begins_again(texture: Texture, excitation: bool) -> None:
     native, blocks = NativeTexture(texture.to_bytes()), recorded(1, texture.window + 30)
-    state, other = NativeState(native, seed=3), NativeState(native, seed=3)
-    state.predict(blocks[0], "model", np.empty((30, 3)))
+    states = [NativeState(native, seed=3, excitation=excitation) for _ in range(3)]
     speed, force = np.full(50, 80.0), np.full(50, 1.0)
-    np.testing.assert_array_equal(state.render_stroke(speed, force), other.render_stroke(speed, force))
+    expected = states[0].render_stroke(speed, force)
+    states[2].render_stroke(speed[:20], force[:20])
+    for state in states[1:]:
+        state.predict(blocks[0], "model", np.empty((30, 3)))
+        assert state.statistics.n == 0
+        np.testing.assert_array_equal(state.render_stroke(speed, force), expected)
 
 
 SWITCHED = [(0.0, 0.0, 0.0), (350.0, 4.0, 350.0)]  # mm/s, N and the path's mm/s, in turn
