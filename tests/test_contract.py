@@ -30,6 +30,7 @@ from foten.runtime.bench import INSTRUCTION_SETS, time_all
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.onnx_predictor import OnnxPredictor
 from foten.runtime.renderer import Renderer
+from foten.train import closed_loop
 from foten.train.config import OWN_RECIPES, TrainConfig
 from foten.train.job import TrainingJob
 from foten.train.pipeline import train
@@ -42,30 +43,31 @@ SMALL = {
     **{"channels": 8, "squeezed": 2, "recurrent": 8, "dense": 8, "first": 8, "second": 4, "n_lags": 3},
     **{"window": 40, "excitation": True},
 }
-SHORT = PreprocessConfig(trim_ms=0, block_ms=500)
+SHORT = PreprocessConfig(trim_ms=0, block_ms=400)
 
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    return simulate("linear-twin", 6.5)
+    return simulate("linear-twin", 4.0)
 
 
 @pytest.fixture(scope="module")
 def textures(recording: Recording) -> dict[str, Texture]:
-    """Return every model, trained for an epoch."""
+    """Return every model, trained for a moment; few closed loops settle its level, which take graphs seconds."""
     made = {}
-    for key in FAMILIES:
-        short = {"epochs": 1, "batch": 128, "threads": 1, "max_order": 8, "tones": False}
-        short["volatility"] = key in (
-            "foten-plus",
-            "foten",
-            "fnn",
-        )  # fitted by free runs, which take graphs seconds
-        config = TrainConfig(**(OWN_RECIPES.get(key, {}) | short | ({"batch": 8} if key == "gan" else {})))
-        own = {"window": 42, "frame": 16, "stride": 1} if key == "gan" else SMALL
-        if key == "ldhtd-hop":  # of a hop that does not end with the window that a stream begins by
-            own = {**SMALL, "window": 50}
-        made[key] = train(TrainingJob(recording, key, sizes_with(key, own), config, SHORT)).texture
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(closed_loop, "N_SETTLING", 1)
+        patch.setattr(closed_loop, "N_RUNS", 2)
+        for key in FAMILIES:
+            short = {"epochs": 2, "batch": 64, "threads": 1, "max_order": 8, "tones": False}
+            short |= {"volatility": key in ("foten-plus", "foten", "fnn")} | (
+                {"batch": 8} if key == "gan" else {}
+            )
+            own = {"window": 42, "frame": 16, "stride": 1} if key == "gan" else SMALL
+            if key == "ldhtd-hop":  # of a hop that does not end with the window that a stream begins by
+                own = {**SMALL, "window": 50}
+            config = TrainConfig(**(OWN_RECIPES.get(key, {}) | short))
+            made[key] = train(TrainingJob(recording, key, sizes_with(key, own), config, SHORT)).texture
     return made
 
 

@@ -293,6 +293,34 @@ def test_under_a_constant_condition_the_lattice_is_an_all_pole_filter() -> None:
     np.testing.assert_allclose(run_loops(native, windows, condition, None)[0], impulse, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize("largest", [(1.2, 1e6), (1e6, 0.15), (1.2, 0.15)])
+@pytest.mark.parametrize("variant", ["network-not-in-loop", "gain-before", "tones", "excited"])
+def test_no_excitation_is_larger_than_the_largest_innovation(
+    variant: str, largest: tuple[float, float]
+) -> None:
+    """In units of σ and in scaled acceleration; a network that predicts nothing leaves the excitation alone."""
+    key = "foten" if variant == "excited" else "foten-plus"
+    sizes = sizes_for(key, variant)
+    bound = {"excitation.largest": np.array(largest)}
+    if key == "foten":
+        shapes = sizes.tensor_shapes()
+        bound |= {name: np.zeros(shapes[name]) for name in ("head_3.weight", "head_3.bias")}
+    texture = exported(key, sizes, bound)
+    native, model = NativeTexture(texture.to_bytes()), model_of(sizes, texture.tensors)
+    windows, condition = recorded(2, texture.window), moving(2, 60)
+    noise = 2 * np.random.default_rng(8).standard_normal((2, 60)).clip(-2.5, 2.5)
+    expected = run(model.start(windows), condition, noise)
+    out = run_loops(native, windows, condition, noise)
+    tolerance = 1e-9 if in_float64_alone(sizes) or key == "foten" else CLOSED_LOOP_TOLERANCE
+    np.testing.assert_allclose(out, expected, rtol=tolerance, atol=tolerance)
+    free = exported(key, sizes, bound | {"excitation.largest": np.array([1e6, 1e6])})
+    unbounded = run_loops(NativeTexture(free.to_bytes()), windows, condition, noise)
+    assert np.abs(out - unbounded).max() > 0.05
+    if key == "foten":
+        assert np.abs(out).max() <= largest[1] * (1 + 1e-12)
+        assert np.abs(unbounded).max() > largest[1] or largest[1] > 1
+
+
 def test_noise_without_an_excitation_is_the_deterministic_loop() -> None:
     for key, variant in (("foten", "one-layer"), ("dstn", "graph")):
         texture, _ = case(key, variant)
@@ -317,12 +345,17 @@ def test_streams_do_not_depend_on_each_other() -> None:
             np.testing.assert_array_equal(one[k], other[0])
 
 
-def test_a_prediction_leaves_a_state_as_it_began(texture: Texture) -> None:
+@pytest.mark.parametrize("excitation", [True, False])
+def test_after_a_prediction_a_state_begins_again(texture: Texture, excitation: bool) -> None:
     native, blocks = NativeTexture(texture.to_bytes()), recorded(1, texture.window + 30)
-    state, other = NativeState(native, seed=3), NativeState(native, seed=3)
-    state.predict(blocks[0], "model", np.empty((30, 3)))
+    states = [NativeState(native, seed=3, excitation=excitation) for _ in range(3)]
     speed, force = np.full(50, 80.0), np.full(50, 1.0)
-    np.testing.assert_array_equal(state.render_stroke(speed, force), other.render_stroke(speed, force))
+    expected = states[0].render_stroke(speed, force)
+    states[2].render_stroke(speed[:20], force[:20])
+    for state in states[1:]:
+        state.predict(blocks[0], "model", np.empty((30, 3)))
+        assert state.statistics.n == 0
+        np.testing.assert_array_equal(state.render_stroke(speed, force), expected)
 
 
 SWITCHED = [(0.0, 0.0, 0.0), (350.0, 4.0, 350.0)]  # mm/s, N and the path's mm/s, in turn

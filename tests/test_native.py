@@ -22,7 +22,7 @@ from scipy.signal import butter, lfilter
 import foten
 from conftest import SCALING, SMALL, exported, untrained
 from foten.dsp.noise import gaussian
-from foten.families import FAMILIES, FotenPlusSizes
+from foten.families import FAMILIES, FotenPlusSizes, FotenSizes
 from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, Texture
 from foten.reference import model_of
 from foten.reference import render as reference
@@ -67,6 +67,19 @@ def test_it_renders_what_the_reference_renders(key: str, variant: str) -> None:
         assert error.max() < (later if key in ("foten-plus", "ar") else 10 * later), excitation
         silent = texture.sizes.from_noise and not excitation
         assert silent or np.abs(expected - SCALING.mean[0]).max() > 0.01
+
+
+def test_a_stroke_of_a_network_that_grows_begins_within_bounds() -> None:
+    """A window's length is run before the first sample, cut to ±50 standard deviations: nothing else bounds it."""
+    sizes = FotenSizes(**SMALL, excitation=True)
+    weight = 300 * exported("foten", sizes).tensors["head_3.weight"]
+    texture = exported("foten", sizes, {"head_3.weight": weight}, saturation=60.0)
+    speed, force = np.full(5, 80.0), np.full(5, 1.0)
+    expected = reference.render(texture, speed, force, 1)[0]
+    size = np.abs(expected - SCALING.mean[0]).max()
+    assert size > 20 * SCALING.sd[0]
+    # Such a loop multiplies what float32 rounds; uncut it is somewhere else altogether.
+    assert np.abs(Renderer(texture, seed=1).render(speed, force) - expected).max() < 0.05 * size
 
 
 @pytest.fixture(scope="module")

@@ -14,9 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from safetensors.numpy import save
 
-from conftest import SCALING, SMALL
-from foten.families import FotenPlusSizes
+from conftest import SCALING, SMALL, exported
+from foten.families import FAMILIES, FotenPlusSizes
 from foten.families.texture_file import Texture, read_texture, texture_from_bytes, write_texture
+from foten.runtime.native import NativeTexture
 
 
 def raw(card: Any, tensors: dict[str, np.ndarray]) -> bytes:
@@ -251,6 +252,37 @@ def test_an_unknown_tensor_is_refused(plain_texture: Texture) -> None:
     tensors = {**plain_texture.tensors, "golden.sigma": plain_texture.tensors["golden.one_step"]}
     with pytest.raises(ValueError, match=r"a tensor 'golden[.]sigma' that"):
         texture_from_bytes(raw(dict(plain_texture.card), tensors))
+
+
+@pytest.mark.parametrize("key", FAMILIES)
+def test_every_tensor_is_needed(key: str) -> None:
+    """By whoever reads the file, and by the kernel."""
+    texture = exported(key)
+    for name in texture.tensors:
+        without = {other: tensor for other, tensor in texture.tensors.items() if other != name}
+        data = dataclasses.replace(texture, tensors=without).to_bytes()
+        with pytest.raises(ValueError, match=r"has shape None|has shape \(0,\)|0 golden windows"):
+            texture_from_bytes(data)
+        with pytest.raises(ValueError, match=r"tensor|golden|graph"):
+            NativeTexture(data)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "head_1.weight",
+        "temporal.layers.1.attention_in.weight",
+        "spectral.phase_in.weight",
+        "temporal.norm.weight",
+    ],
+)
+def test_a_tensor_of_another_size_is_refused(plain_texture: Texture, name: str) -> None:
+    tensors = {**plain_texture.tensors, name: plain_texture.tensors[name][:-2]}
+    data = dataclasses.replace(plain_texture, tensors=tensors).to_bytes()
+    with pytest.raises(ValueError, match=f"tensor '{name}' has shape"):
+        texture_from_bytes(data)
+    with pytest.raises(ValueError, match=name):
+        NativeTexture(data)
 
 
 @given(position=st.floats(0, 1), value=st.integers(0, 255))

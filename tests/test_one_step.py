@@ -1,0 +1,122 @@
+"""One-step figures: the errors of predictions, and how well an excitation describes them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from conftest import SCALING, SMALL, exported
+from foten.dsp.noise import innovation_likelihood
+from foten.evaluate.metrics import goodness_of_fit
+from foten.evaluate.one_step import TexturePredictor, excitation_scores, one_step, predict
+from foten.families import FotenPlusSizes, FotenSizes
+from foten.families.texture_file import ONE_STEP_TOLERANCE, Texture
+from foten.recording.windows import windows
+from foten.reference import model_of
+from foten.runtime.loops import run_loops
+from foten.runtime.native import NativeTexture
+
+
+class Last:
+    """Predicts the sample before."""
+
+    window = 3
+
+    def predict(self, windows: np.ndarray) -> np.ndarray:
+        return windows[:, -1, 0]
+
+
+def test_figures_are_those_of_the_errors_by_hand() -> None:
+    rng = np.random.default_rng(0)
+    samples = rng.standard_normal((5000, 3))
+    n = np.array([[10], [2000]]) + np.arange(2500)  # more windows than are predicted at once
+    figures = one_step(Last(), samples, n, SCALING)
+    error = np.abs(samples[n, 0] - samples[n - 1, 0])
+    assert figures["mae_scaled"] == pytest.approx(error.mean())
+    assert figures["mae_m_s2"] == pytest.approx(error.mean() * SCALING.sd[0])
+    fits = [goodness_of_fit(samples[row, 0], samples[row - 1, 0]) for row in n]
+    assert figures["gfc"] == pytest.approx(np.mean(fits))
+
+
+@pytest.mark.parametrize("sizes", [FotenSizes(**SMALL), FotenPlusSizes(**{**SMALL, "order": 6})])
+def test_a_texture_predicts_each_sample_from_its_history(sizes: FotenSizes | FotenPlusSizes) -> None:
+    """Seam: the reference, window by window; its own windows are longer than the samples before a row need be."""
+    texture = exported("foten" if isinstance(sizes, FotenSizes) else "foten-plus", sizes)
+    samples = np.random.default_rng(1).standard_normal((300, 3))
+    n = np.array([[60], [180]]) + np.arange(50)
+    predicted = predict(TexturePredictor(NativeTexture(texture.to_bytes())), samples, n)
+    some = windows(samples, n.ravel(), texture.window)
+    expected = model_of(sizes, texture.tensors).predict(some).reshape(n.shape)
+    np.testing.assert_allclose(predicted, expected, rtol=ONE_STEP_TOLERANCE, atol=ONE_STEP_TOLERANCE)
+
+
+def steady_volatility(sizes: FotenPlusSizes | FotenSizes) -> Texture:
+    """Return a texture whose excitation has tails, and no volatility."""
+    h = {"excitation.tail.weight": np.zeros((1, 5)), "excitation.tail.bias": np.array([-1.0])}
+    tensors = {**h, "excitation.volatility": np.zeros(2)}
+    return exported("foten" if isinstance(sizes, FotenSizes) else "foten-plus", sizes, tensors)
+
+
+@pytest.mark.parametrize(
+    "sizes",
+    [
+        FotenPlusSizes(**{**SMALL, "order": 6}),
+        FotenPlusSizes(**{**SMALL, "order": 6, "network_in_loop": False, "gain_before_filter": True}),
+        FotenSizes(**SMALL, excitation=True),
+    ],
+)
+def test_scores_of_a_texture_on_its_own_loop_are_those_of_the_noise(
+    sizes: FotenPlusSizes | FotenSizes,
+) -> None:
+    """Recovery: the errors of the prediction that a rendering uses, taken back through scale and tails, are what was drawn."""
+    texture = steady_volatility(sizes)
+    native, rng = NativeTexture(texture.to_bytes()), np.random.default_rng(2)
+    m, k = texture.window, 3000
+    condition = np.cumsum(0.02 * rng.standard_normal((1, k, 3)), axis=1).clip(-1, 1)
+    noise = rng.standard_normal((1, k))
+    window = rng.standard_normal((1, m, 3))
+    looped = run_loops(native, window, condition, noise)
+    samples = np.concatenate([window[0], np.concatenate([looped[0][:, None], condition[0, :, :2]], axis=1)])
+    n = (m + np.arange(k)).reshape(1, k)
+    counted = np.ones(n.shape, dtype=bool)
+    scores = excitation_scores(native, samples, n, counted)
+    # What is drawn is known to the float32 of a network.
+    assert scores["standardised_sd"] == pytest.approx(np.sqrt(np.square(noise).mean()), rel=1e-3)
+    assert scores["coverage_50"] == pytest.approx((np.abs(noise) < 0.67449).mean(), abs=2e-3)
+    assert scores["coverage_90"] == pytest.approx((np.abs(noise) < 1.64485).mean(), abs=2e-3)
+    half = counted & (np.arange(k) < k // 2)
+    some = excitation_scores(native, samples, n, half)
+    assert some["standardised_sd"] == pytest.approx(np.sqrt(np.square(noise[half]).mean()), rel=1e-3)
+    none = excitation_scores(native, samples, n, np.zeros_like(counted))
+    assert none["nll"] is none["coverage_90"] is None
+
+
+def test_scores_are_of_the_prediction_that_a_rendering_uses() -> None:
+    """The excitation of a rendering without the network says nothing of the errors of a prediction with it."""
+    samples = np.random.default_rng(0).standard_normal((240, 3))
+    n = np.array([[60], [180]]) + np.arange(50)
+    nlls = []
+    for in_loop in (False, True):
+        texture = steady_volatility(FotenPlusSizes(**{**SMALL, "network_in_loop": in_loop}))
+        native = NativeTexture(texture.to_bytes())
+        scores = excitation_scores(native, samples, n, np.ones(n.shape, dtype=bool))
+        predicted = TexturePredictor(native, "rendering").predict_blocks(
+            np.stack([samples[row[0] - texture.window : row[-1] + 1] for row in n])
+        )
+        other = predict(TexturePredictor(native, "linear" if in_loop else "model"), samples, n)
+        assert np.abs(other - predicted.sample).max() > 1e-3
+        _, nats = innovation_likelihood(samples[n, 0] - predicted.sample, predicted.scale, predicted.tail)
+        assert scores["nll"] == pytest.approx(nats.mean())
+        nlls.append(scores["nll"])
+    assert nlls[0] != nlls[1]
+
+
+def test_where_a_rendering_has_tones_the_error_is_not_known() -> None:
+    texture = exported("foten-plus", FotenPlusSizes(**SMALL, n_tones=2))
+    samples = np.random.default_rng(0).standard_normal((120, 3))
+    n = 70 + np.arange(40)[None]
+    scores = excitation_scores(NativeTexture(texture.to_bytes()), samples, n, np.ones(n.shape, dtype=bool))
+    assert scores == {
+        **dict.fromkeys(("nll", "coverage_50", "coverage_90", "standardised_sd")),
+        "intervals": {},
+    }
