@@ -95,7 +95,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 def test_every_instruction_set_passes_the_proof(name: str, files: list[Path]) -> None:
     """All families; loading is the proof: golden windows within 1e-5, 64 closed-loop steps within 1e-4."""
     program = (
-        "import sys; from foten.runtime.binding import NativeActuator, isa, noise; from foten.runtime.native import NativeTexture; "
+        "import sys; from foten.runtime.binding import isa, noise; from foten.runtime.native import NativeTexture; "
         "[NativeTexture(open(path, 'rb').read()) for path in sys.argv[1:]]; print(isa(), noise(1, 2, 3, 100).tobytes().hex())"
     )
     done = subprocess.run(
@@ -390,13 +390,13 @@ def test_rates_that_cannot_be_are_refused(native: NativeTexture) -> None:
 def test_what_is_no_number_is_silence_and_the_loop_begins_again(
     plain_texture: Texture, rate: float | None
 ) -> None:
-    """The drive of an actuator that hardly moves, 1e-40 m/s² for one of drive, is more than float32 holds."""
+    """The drive of an actuator that hardly moves, 1e-60 m/s² for one of drive, is more than float32 holds."""
     plain = NativeTexture(plain_texture.to_bytes())
     state, other = NativeState(plain, rate), NativeState(plain, rate)
     out, expected = np.empty(50, dtype=np.float32), np.empty(50, dtype=np.float32)
     for one in (state, other):
         one.set_hand(80.0, 1.0)
-    state.set_actuator(NativeActuator(0.0, 0.0, 1e-40, 0.0, 0.0))
+    state.set_actuator(NativeActuator(0.0, 0.0, 1e-60, 0.0, 0.0))
     state.render(out)
     np.testing.assert_array_equal(out, 0.0)
     n_lost = state.statistics.n_lost
