@@ -27,7 +27,7 @@ from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, Texture
 from foten.reference import model_of
 from foten.reference import render as reference
 from foten.reference.stream import run
-from foten.runtime.binding import isa, noise
+from foten.runtime.binding import NativeActuator, isa, noise
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.renderer import Renderer
 from foten.train.export import in_float64
@@ -167,19 +167,24 @@ def test_a_stroke_after_a_held_condition_goes_on_where_that_ended(native: Native
     assert result.size == pytest.approx(49 + 5 * 40 * rate / 1000, abs=2 + 5 * max(1.0, rate / 1000))
 
 
-def test_a_condition_below_zero_counts_as_zero(native: NativeTexture) -> None:
-    """A tool that leaves a surface measures a force a little below zero: it must not go on playing what was before."""
+@pytest.mark.parametrize(("speed", "force"), [(0.0, -1e-9), (-1e-9, 0.0), (80.0, -2.0), (-90.0, 1.0)])
+def test_a_condition_below_zero_counts_as_zero(native: NativeTexture, speed: float, force: float) -> None:
+    """A tool that leaves a surface measures a force a little below zero: what was before must not go on."""
+    zero = max(speed, 0.0), max(force, 0.0)
     one, other = NativeState(native, seed=2), NativeState(native, seed=2)
     for state in (one, other):
         state.set_hand(80.0, 1.0)
-    one.set_hand(0.0, -1e-9)
-    other.set_hand(0.0, 0.0)
+    one.set_hand(speed, force)
+    other.set_hand(*zero)
     a, b = np.empty(50, dtype=np.float32), np.empty(50, dtype=np.float32)
     one.render(a)
     other.render(b)
     np.testing.assert_array_equal(a, b)
     assert np.abs(a).max() == 0
     assert one.statistics.n_refused == 1
+    strokes = [np.full(20, value, dtype=np.float32) for value in (speed, force, *zero)]
+    np.testing.assert_array_equal(one.render_stroke(*strokes[:2]), other.render_stroke(*strokes[2:]))
+    assert one.statistics.n_refused == 21
 
 
 def test_a_reset_keeps_the_condition(native: NativeTexture) -> None:
@@ -379,6 +384,31 @@ def test_rates_that_cannot_be_are_refused(native: NativeTexture) -> None:
     for rate in (40.0, 500_000.0, -1.0, float("nan"), float("inf")):
         with pytest.raises(ValueError, match="expected 50 to 400000 Hz"):
             NativeState(native, rate)
+
+
+@pytest.mark.parametrize("rate", [None, 8000.0])
+def test_what_is_no_number_is_silence_and_the_loop_begins_again(
+    plain_texture: Texture, rate: float | None
+) -> None:
+    """The drive of an actuator that hardly moves, 1e-60 m/s² for one of drive, is more than float32 holds."""
+    plain = NativeTexture(plain_texture.to_bytes())
+    state, other = NativeState(plain, rate), NativeState(plain, rate)
+    out, expected = np.empty(50, dtype=np.float32), np.empty(50, dtype=np.float32)
+    for one in (state, other):
+        one.set_hand(80.0, 1.0)
+    state.set_actuator(NativeActuator(0.0, 0.0, 1e-60, 0.0, 0.0))
+    state.render(out)
+    np.testing.assert_array_equal(out, 0.0)
+    n_lost = state.statistics.n_lost
+    assert n_lost == 50 if rate is None else n_lost >= 5
+    state.set_actuator(None)
+    state.render(out)
+    other.render(expected)
+    assert state.statistics.n_lost == n_lost
+    if rate is None:
+        np.testing.assert_array_equal(out, expected)
+    assert np.isfinite(out).all()
+    assert np.abs(out).max() > 0
 
 
 def test_a_file_cut_anywhere_is_refused(texture: Texture) -> None:
