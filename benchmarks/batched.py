@@ -73,16 +73,12 @@ def both_ways(model: str, recipe: str, windows: list[TrainingWindows]) -> tuple[
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--models", type=lambda text: text.split(","), default=["foten", "ten"])
     parser.add_argument("--textures", type=lambda text: [int(n) for n in text.split(",")], default=[2, 6, 12])
     parser.add_argument("--seconds", type=float, default=8.0)
     parser.add_argument("--save", type=Path, metavar="FILE", help="keep the result as JSON there")
-    parser.add_argument(
-        "--page", type=Path, metavar="FILE", help="put what is saved between its markers there"
-    )
+    parser.add_argument("--page", type=Path, metavar="FILE", help="put what is saved between its markers there")
     arguments = parser.parse_args()
     if arguments.page is not None and arguments.save is not None and arguments.save.exists():
         result = json.loads(arguments.save.read_text())
@@ -107,15 +103,7 @@ def measure(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> d
         for recipe in ("paper", "default"):
             for n in arguments.textures:
                 alone, batched = both_ways(model, recipe, every[:n])
-                rows.append(
-                    {
-                        "model": model,
-                        "recipe": recipe,
-                        "n": n,
-                        "alone_s": alone / n,
-                        "batched_s": batched / n,
-                    }
-                )
+                rows.append({"model": model, "recipe": recipe, "n": n, "alone_s": alone / n, "batched_s": batched / n})
                 print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
     return {"device": pick_device().type, "rows": rows}
 
@@ -125,9 +113,7 @@ def table(result: dict[str, Any]) -> str:
     head = ("model", "recipe", "batch", "textures", "one after another [s a texture]", "as one", "ratio")
     lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
     for row in result["rows"]:
-        batched_s = (
-            row["batched_s"] if "batched_s" in row else row["together_s"]
-        )  # its name in earlier results
+        batched_s = row["batched_s"] if "batched_s" in row else row["together_s"]  # its name in earlier results
         ratio = batched_s / row["alone_s"]
         lines.append(
             f"| {row['model']} | {row['recipe']} | {RECIPES[row['recipe']].batch} | {row['n']} | {row['alone_s']:.2f} | "

@@ -34,15 +34,11 @@ def built(folder: Path) -> Path:
     subprocess.run(
         [cmake, "-S", str(ROOT), "-B", str(folder), "-DFOTEN_TESTS=ON"], check=True, stdout=subprocess.DEVNULL
     )
-    subprocess.run(
-        [cmake, "--build", str(folder), "--target", "contacts"], check=True, stdout=subprocess.DEVNULL
-    )
+    subprocess.run([cmake, "--build", str(folder), "--target", "contacts"], check=True, stdout=subprocess.DEVNULL)
     return folder / "contacts"
 
 
-def measured(
-    program: Path, file: Path, isa: str, share: float, seconds: int, tick_us: float
-) -> dict[str, Any]:
+def measured(program: Path, file: Path, isa: str, share: float, seconds: int, tick_us: float) -> dict[str, Any]:
     """Return what the loop measured in one instruction set."""
     done = subprocess.run(
         [str(program), str(file), f"{share:g}", str(seconds), f"{tick_us:g}"],
@@ -57,9 +53,7 @@ def measured(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "--texture", type=Path, metavar="T.foten", help="an untrained one of the paper's network by default"
     )

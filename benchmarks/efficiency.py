@@ -195,10 +195,7 @@ def table(result: dict[str, Any]) -> str:
         cells = [
             key,
             str(of["window"]),
-            *(
-                f"{step[name]:.0f}" if name in step else "–"
-                for name in ("pytorch", "onnxruntime", "kernel", "gpu")
-            ),
+            *(f"{step[name]:.0f}" if name in step else "–" for name in ("pytorch", "onnxruntime", "kernel", "gpu")),
             *(f"{1000 * value:.0f}" if value is not None else "–" for value in (cpu, gpu)),
             f"{epoch['paper']:.1f}",
             f"{epoch['default']:.1f}",
@@ -213,16 +210,12 @@ def table(result: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--models", type=lambda text: tuple(text.split(",")), default=MODELS)
     parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--seconds", type=float, default=56.0)
     parser.add_argument("--save", type=Path, metavar="FILE", help="keep the result as JSON there")
-    parser.add_argument(
-        "--page", type=Path, metavar="FILE", help="put what is saved between its markers there"
-    )
+    parser.add_argument("--page", type=Path, metavar="FILE", help="put what is saved between its markers there")
     arguments = parser.parse_args()
     unknown = set(arguments.models) - set(MODELS)
     if unknown:

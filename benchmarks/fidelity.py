@@ -43,17 +43,7 @@ from foten.train.config import RECIPES, TrainConfig
 from foten.train.job import Trained, TrainingJob
 from foten.train.linear_part import LinearPart, fit_linear_parts
 from foten.train.pipeline import train
-from main_table import (
-    REAL,
-    SOURCES,
-    alike,
-    at,
-    between,
-    read,
-    recording_of,
-    validation_free_run,
-    work_through,
-)
+from main_table import REAL, SOURCES, alike, at, between, read, recording_of, validation_free_run, work_through
 from main_table import RESULTS as MAIN
 
 RESULTS = Path(__file__).parent / "results" / "fidelity"
@@ -72,10 +62,7 @@ INGREDIENTS: dict[str, dict[str, Any]] = {
             "no volatility": {"volatility": False},
         }.items()
     },
-    "one filter for all speeds": {
-        "train": {"epochs": 0, "table": False, "tones": False},
-        "beside": "no tones",
-    },
+    "one filter for all speeds": {"train": {"epochs": 0, "table": False, "tones": False}, "beside": "no tones"},
     HEAD: {"sizes": {"condition_in_tokens": False}},
     # Measured when the head alone was given speed and force.
     **{
@@ -102,25 +89,18 @@ INGREDIENTS: dict[str, dict[str, Any]] = {
     "fine-tuned on its own output": {"earlier": True},
     **{f"window {m}": {"sizes": {"window": m}} for m in (5, 10, 40, 64)},
 }
-RENAMED = {
-    "level behind the lattice alone": "gain after the filter alone",
-    "no swell": "no volatility",
-}
+RENAMED = {"level behind the lattice alone": "gain after the filter alone", "no swell": "no volatility"}
 """Ingredients by the names that they had in earlier results."""
 LACKS: dict[str, Callable[[dict[str, Any]], bool]] = {
     "no tones": lambda has: not has["n_tones"],
     "lattice of 20": lambda has: max(has["order"], has["residual_order"] if has["n_tones"] else 0) <= 20,
-    "gain after the filter alone": lambda has: (
-        not has["gain_before_filter"] and not has["residual_gain_before_filter"]
-    ),
+    "gain after the filter alone": lambda has: not has["gain_before_filter"] and not has["residual_gain_before_filter"],
     "no volatility": lambda has: not has["volatility"],
     "one filter for all speeds": lambda has: has["n_speed"] * has["n_force"] == 1,
 }
 """Whether what a texture has, beside an ingredient that is left out, has nothing of it."""
 OF_NETWORK = {
-    name
-    for name, changed in INGREDIENTS.items()
-    if name == BARE or changed.get("train", {}).get("epochs", 1) > 0
+    name for name, changed in INGREDIENTS.items() if name == BARE or changed.get("train", {}).get("epochs", 1) > 0
 }
 """Ingredients of the network alone: its lattice, tones and excitation without it are the same."""
 FIGURES = {
@@ -206,16 +186,9 @@ def execute(run: Run, recordings: Path) -> dict[str, Any]:
     if run.ingredient in LACKS and path.exists():
         document = read(path)
         if document["source_sha256"] == SOURCES and LACKS[run.ingredient](document["has"]):
-            return {
-                **document,
-                "run": dataclasses.asdict(run),
-                "same_as": beside.ingredient,
-                "training_seconds": 0.0,
-            }
+            return {**document, "run": dataclasses.asdict(run), "same_as": beside.ingredient, "training_seconds": 0.0}
     recording, preprocess = recording_of(run.texture, run.rate_hz, run.seed, recordings)
-    config = dataclasses.replace(
-        RECIPES["default"], **{"threads": 1, "seed": run.seed, **changed.get("train", {})}
-    )
+    config = dataclasses.replace(RECIPES["default"], **{"threads": 1, "seed": run.seed, **changed.get("train", {})})
     sizes = FotenPlusSizes(**changed.get("sizes", {}))
     job = TrainingJob(recording, "foten-plus", sizes, config, preprocess, split_seed=run.seed)
     started = time.perf_counter()
@@ -225,9 +198,7 @@ def execute(run: Run, recordings: Path) -> dict[str, Any]:
         raise KeyboardInterrupt  # what was trained by then is no result
     seconds = time.perf_counter() - started
     document = evaluate(trained.texture, recording, truth_for(recording, trained.texture)).document
-    kept = {
-        key: {k: v for k, v in document[key].items() if k != "intervals"} for key in ("one_step", "free_run")
-    }
+    kept = {key: {k: v for k, v in document[key].items() if k != "intervals"} for key in ("one_step", "free_run")}
     return {
         "run": dataclasses.asdict(run),
         "training_seconds": seconds,
@@ -279,9 +250,7 @@ def table(arguments: argparse.Namespace) -> None:
     for path in sorted(RESULTS.glob("*.json")):
         d = read(path)
         *run, ingredient = (d["run"][key] for key in ("texture", "rate_hz", "seed", "ingredient"))
-        by_run[
-            (*run, RENAMED.get(ingredient, ingredient), same.get(d["source_sha256"], d["source_sha256"]))
-        ] = d
+        by_run[(*run, RENAMED.get(ingredient, ingredient), same.get(d["source_sha256"], d["source_sha256"]))] = d
     kinds = {
         "simulated twelve, 1 kHz": (tuple(TEXTURES), 1000.0),
         "linear family, 1 kHz": (tuple(LINEAR_FAMILY), 1000.0),
@@ -338,18 +307,12 @@ def _ratio(pairs: list[tuple[str, float | None, float | None]]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True)
     run = commands.add_parser("run")
     run.add_argument("--only", default="*", help="run names to match, as TEXTURE-RATE-SEED-INGREDIENT")
     run.add_argument("--seeds", type=lambda text: [int(s) for s in text.split(",")], default=[0])
-    run.add_argument(
-        "--textures",
-        type=lambda text: text.split(","),
-        default=[*REAL, *LINEAR_FAMILY, *TEXTURES],
-    )
+    run.add_argument("--textures", type=lambda text: text.split(","), default=[*REAL, *LINEAR_FAMILY, *TEXTURES])
     run.add_argument("--recordings", type=Path, default=Path("recordings"))
     run.set_defaults(command=run_all)
     tabulate = commands.add_parser("table")

@@ -97,9 +97,7 @@ def judge(texture: Texture, recordings: Path) -> dict[str, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("textures", nargs="*", type=Path)
     parser.add_argument("--recordings", type=Path, default=Path("recordings"))
     parser.add_argument("--save", type=Path, metavar="FILE", help="keep the figures as JSON there")

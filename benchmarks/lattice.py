@@ -46,10 +46,7 @@ def by_section(states: np.ndarray, reflections: np.ndarray, innovation: np.ndarr
 
 
 def seconds_of(
-    step: Callable[..., tuple[np.ndarray, ...]],
-    states: np.ndarray,
-    reflections: np.ndarray,
-    noise: np.ndarray,
+    step: Callable[..., tuple[np.ndarray, ...]], states: np.ndarray, reflections: np.ndarray, noise: np.ndarray
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """Return the time of a sample [s], the states after the block and what was rendered, shape (n, s)."""
     rendered = np.empty_like(noise)
@@ -60,9 +57,7 @@ def seconds_of(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--order", type=int, default=240)
     parser.add_argument("--samples", type=int, default=400, help="in a block")
     arguments = parser.parse_args()

@@ -42,12 +42,7 @@ ANCHOR = "AR(20) with white noise"
 
 
 def noise_like(
-    blocks: np.ndarray,
-    n: int,
-    rate_hz: float,
-    rng: np.random.Generator,
-    of_logs: bool = False,
-    smoothed: bool = False,
+    blocks: np.ndarray, n: int, rate_hz: float, rng: np.random.Generator, of_logs: bool = False, smoothed: bool = False
 ) -> np.ndarray:
     """Return Gaussian noise with the mean spectrum of blocks (k, any), or with that of log spectra, shape (N_RUNS, n)."""
     hertz, density = signal.welch(blocks, rate_hz, nperseg=min(512, blocks.shape[1]), axis=-1)
@@ -112,9 +107,7 @@ def judge(texture: str, rate_hz: float, seed: int, recordings: Path) -> dict[str
 
 def over_anchor(distances: dict[str, list[dict[str, float]]], name: str) -> tuple[float, float]:
     """Return a distance over the anchor's as the tables have it: ratios of splits, their mean, mean over textures; its error."""
-    mean, error = mean_and_error(
-        [split[name] / split[ANCHOR] for split in splits] for splits in distances.values()
-    )
+    mean, error = mean_and_error([split[name] / split[ANCHOR] for split in splits] for splits in distances.values())
     return mean, error or 0.0
 
 
@@ -142,17 +135,13 @@ def orders(rate_hz: float, recordings: Path) -> str:
         ratios = np.array(errors) / np.array(errors)[:, [len(ORDERS) - 1]]
         mean, error = ratios.mean(axis=0), ratios.std(axis=0, ddof=1) / np.sqrt(len(SEEDS))
         lines.append(
-            f"| {texture} | "
-            + " | ".join(f"{a:.4f} ± {b:.4f}" for a, b in zip(mean, error, strict=True))
-            + " |"
+            f"| {texture} | " + " | ".join(f"{a:.4f} ± {b:.4f}" for a, b in zip(mean, error, strict=True)) + " |"
         )
     return "\n".join(lines)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--recordings", type=Path, default=Path("recordings"))
     parser.add_argument("--rate", type=float, default=10_000.0)
     parser.add_argument("--save", type=Path, metavar="FILE", help="keep the figures as JSON there")
@@ -162,8 +151,7 @@ def main() -> None:
         print(orders(arguments.rate, arguments.recordings))
         return
     distances = {
-        texture: [judge(texture, arguments.rate, seed, arguments.recordings) for seed in SEEDS]
-        for texture in REAL
+        texture: [judge(texture, arguments.rate, seed, arguments.recordings) for seed in SEEDS] for texture in REAL
     }
     if arguments.save is not None:
         with atomic_write(arguments.save) as part:

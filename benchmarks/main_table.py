@@ -113,9 +113,7 @@ def runs() -> Iterator[Run]:
             yield from (Run(texture, model, 1000.0, seed) for texture in (*TEXTURES, *LINEAR_FAMILY))
 
 
-def recording_of(
-    texture: str, rate_hz: float, seed: int, recordings: Path
-) -> tuple[Recording, PreprocessConfig]:
+def recording_of(texture: str, rate_hz: float, seed: int, recordings: Path) -> tuple[Recording, PreprocessConfig]:
     """Return a real recording or a simulated one of 64 s, and how it is preprocessed."""
     if texture not in REAL:
         return simulate(texture, 64.0, seed=seed), PreprocessConfig()
@@ -159,9 +157,7 @@ def validation_free_run(texture: Texture) -> dict[str, Any]:
     """
     names = ("lsd_db", "level_error_db")
     metrics, sizes = texture.card["metrics"], texture.sizes
-    known: dict[str, Any] = {
-        name: metrics[f"validation_{name}"] for name in names if f"validation_{name}" in metrics
-    }
+    known: dict[str, Any] = {name: metrics[f"validation_{name}"] for name in names if f"validation_{name}" in metrics}
     if isinstance(sizes, FotenPlusSizes):
         known["network_in_loop"] = sizes.renders_with_network
     return known
@@ -276,9 +272,7 @@ def run_all(arguments: argparse.Namespace) -> None:
             f"ar {document['free_run_ar']['lsd_db']} bias {document['free_run']['level_bias_db']}"
         )
 
-    work_through(
-        runs(), RESULTS, arguments, lambda run: execute(run, arguments.recordings, arguments.keep), line
-    )
+    work_through(runs(), RESULTS, arguments, lambda run: execute(run, arguments.recordings, arguments.keep), line)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -344,9 +338,7 @@ class Interval(Figure):
     """Where a figure of the recording lies with 95 %, mean of both ends over splits."""
 
     def cell(self, documents: list[dict[str, Any]]) -> str:
-        low, high = (
-            np.mean([at(document, f"{self.path}_{end}") for document in documents]) for end in ("low", "high")
-        )
+        low, high = (np.mean([at(document, f"{self.path}_{end}") for document in documents]) for end in ("low", "high"))
         return f"{low:.{self.digits}f} to {high:.{self.digits}f}"
 
     def mean(self, by_texture: list[list[dict[str, Any]]]) -> str:
@@ -462,9 +454,7 @@ class Aim:
             ]
             for texture in textures
         }
-        known = {
-            texture: [x for x in v if x is not None] for texture, v in values.items() if v and None not in v
-        }
+        known = {texture: [x for x in v if x is not None] for texture, v in values.items() if v and None not in v}
         of = self.kind
         if self.seeds != SEEDS:
             of += f", splits {self.seeds[0]} to {self.seeds[-1]}"
@@ -475,9 +465,7 @@ class Aim:
         worst = (min if self.at_least else max)(known, key=lambda texture: float(np.mean(known[texture])))
         mean = self._reached(known.values(), self.mean)
         each = f"{self._reached([known[worst]], self.each)} ({worst})"
-        return (
-            f"| {self.title} | {of} | {self._asked(self.mean)} | {mean} | {self._asked(self.each)} | {each} |"
-        )
+        return f"| {self.title} | {of} | {self._asked(self.mean)} | {mean} | {self._asked(self.each)} | {each} |"
 
     def _asked(self, aim: float | None) -> str:
         return "" if aim is None else f"{'≥' if self.at_least else '≤'} {aim:g}"
@@ -526,14 +514,7 @@ AIMS = (
             Aim("long LSD [dB]", TWELVE, SUMMARY["long LSD"], mean=1.0, seeds=seeds),
             Aim("long LSD of the ceiling [dB]", TWELVE, SUMMARY["of its ceiling"], seeds=seeds),
             Aim("level error ÷ ceiling", TWELVE, SUMMARY["level error ÷ ceiling"], mean=1.15, seeds=seeds),
-            Aim(
-                "level correlation − ceiling",
-                TWELVE,
-                _behind_ceiling,
-                mean=-0.03,
-                at_least=True,
-                seeds=seeds,
-            ),
+            Aim("level correlation − ceiling", TWELVE, _behind_ceiling, mean=-0.03, at_least=True, seeds=seeds),
         )
     ),
     *(
@@ -559,15 +540,12 @@ def _aims(groups: Groups) -> str:
 def _other_aims() -> Iterator[str]:
     """Return the rows of what `stability.py` and `onset.py` have measured, and of what a sample costs."""
     attacked, onsets = (
-        [read(path) for path in sorted((RESULTS.parent / name).glob("*.json"))]
-        for name in ("stability", "onset")
+        [read(path) for path in sorted((RESULTS.parent / name).glob("*.json"))] for name in ("stability", "onset")
     )
     cost = FotenPlusSizes().multiply_adds() / FotenSizes().multiply_adds()
     yield f"| multiply-adds of the default network ÷ the paper's | | ≤ 1.25 | {cost:.3f} {_mark(cost <= 1.25)} | | |"
     if attacked:
-        bounded = [
-            one["attack_finite"] and one["attack_later_max_sd"] <= one["attack_bound_sd"] for one in attacked
-        ]
+        bounded = [one["attack_finite"] and one["attack_later_max_sd"] <= one["attack_bound_sd"] for one in attacked]
         worst = max(attacked, key=lambda one: one["forgets_s"] or np.inf)
         hits, steps = (sum(one[name] for one in attacked) for name in ("n_saturated", "samples"))
         of = f"{len(attacked)} texture files"
@@ -629,8 +607,7 @@ def _rows(groups: Groups, columns: Mapping[str, Figure | Share]) -> str:
         if all("foten-plus" in models for models in by_texture):
             cells = [f"mean of the {title}", f"{rate / 1000:g} kHz", ""]
             cells += [
-                figure.mean([models.get(figure.model, []) for models in by_texture])
-                for figure in columns.values()
+                figure.mean([models.get(figure.model, []) for models in by_texture]) for figure in columns.values()
             ]
             lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
@@ -670,9 +647,7 @@ def _vouched(kind: str = "", today: str = SOURCES) -> dict[str, tuple[str, list[
     def of_kind(names: list[str]) -> list[str]:
         return [name for name in names if name.rpartition("/")[0] == kind]
 
-    differ = {
-        source for again in made_again.values() for source, names in again["differ"].items() if of_kind(names)
-    }
+    differ = {source for again in made_again.values() for source, names in again["differ"].items() if of_kind(names)}
     while waiting:
         by = waiting.pop()
         pairs = [
@@ -711,22 +686,15 @@ def _earlier_states(states: dict[str, list[str]], where: str = "") -> Iterator[s
         for source in known:
             by, names, again = vouched[source]
             who = "today's" if by == SOURCES else f"{by[:8]}"
-            of = (
-                f"of which {who} made {len(names)} again"
-                if again
-                else f"which made {len(names)} of {who} again"
-            )
+            of = f"of which {who} made {len(names)} again" if again else f"which made {len(names)} of {who} again"
             lines.append(
-                f"{len(states[source])} by {source[:8]}, {of}"
-                + ("" if where else f" ({', '.join(sorted(names))})")
+                f"{len(states[source])} by {source[:8]}, {of}" + ("" if where else f" ({', '.join(sorted(names))})")
             )
         yield (
             f"Of {n} runs, some were made by earlier states of the sources: {'; '.join(lines)}. All that were made again were "
             "equal to the last digit, each pair on one machine."
         )
-    earlier = sorted(
-        name for source, names in states.items() if source not in {SOURCES, *vouched} for name in names
-    )
+    earlier = sorted(name for source, names in states.items() if source not in {SOURCES, *vouched} for name in names)
     if earlier:
         splits: dict[str, list[str]] = {}
         for name in earlier:
@@ -782,18 +750,14 @@ def tabulate_all(arguments: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True)
     run = commands.add_parser("run")
     run.add_argument("--only", default="*", help="run names to match, as TEXTURE-RATE-MODEL-SEED")
     run.add_argument("--recordings", type=Path, default=Path("recordings"))
     run.add_argument("--keep", type=Path, help="directory for the texture files")
     run.add_argument(
-        "--again",
-        action="store_true",
-        help="execute results of an earlier state again, and keep which are equal",
+        "--again", action="store_true", help="execute results of an earlier state again, and keep which are equal"
     )
     run.set_defaults(command=run_all)
     tabulate = commands.add_parser("table")

@@ -80,8 +80,7 @@ def judge(texture: Texture, n_strokes: int, n_streams: int, seed: int = 0) -> di
     limits = np.quantile(np.abs(settled), 0.999, axis=(1, 2))
     usual = np.mean(
         [
-            np.abs(settled[:, k])
-            > np.quantile(np.abs(np.delete(settled, k, axis=1)), 0.999, axis=(1, 2))[:, None]
+            np.abs(settled[:, k]) > np.quantile(np.abs(np.delete(settled, k, axis=1)), 0.999, axis=(1, 2))[:, None]
             for k in range(n_streams)
         ],
         axis=(0, 2),
@@ -109,9 +108,7 @@ def judge(texture: Texture, n_strokes: int, n_streams: int, seed: int = 0) -> di
         "click_share": float(loud_samples.mean()),
         "settled_share": float(usual.mean()),
         # Of their difference, over strokes.
-        "click_standard_error": float(
-            (loud_samples.mean(axis=(1, 2)) - usual).std(ddof=1) / np.sqrt(n_strokes)
-        ),
+        "click_standard_error": float((loud_samples.mean(axis=(1, 2)) - usual).std(ddof=1) / np.sqrt(n_strokes)),
     }
 
 
@@ -130,9 +127,7 @@ def table(folder: Path) -> str:
         result = json.loads(path.read_text())
         cells = [name_of(result, folder.name), f"{result['rate_hz'] / 1000:g}"]
         names = ("level_db", "level_abs_db", "spectrum_db")
-        cells += [
-            f"{a:+.2f} / {b:.2f} / {c:.2f}" for a, b, c in zip(*(result[name] for name in names), strict=True)
-        ]
+        cells += [f"{a:+.2f} / {b:.2f} / {c:.2f}" for a, b, c in zip(*(result[name] for name in names), strict=True)]
         cells.append(" / ".join(f"{result[f'settled_{name}']:.2f}" for name in names))
         cells.append(f"{100 * result['click_share']:.3f} ± {100 * result['click_standard_error']:.3f} %")
         cells.append(f"{100 * result['settled_share']:.3f} %")
@@ -141,16 +136,12 @@ def table(folder: Path) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("textures", nargs="*", type=Path)
     parser.add_argument("--strokes", type=int, default=50)
     parser.add_argument("--streams", type=int, default=8, help="of noise, for each stroke")
     parser.add_argument("--save", type=Path, metavar="DIR", help="keep each result as JSON there")
-    parser.add_argument(
-        "--page", type=Path, metavar="FILE", help="put what is saved between its markers in this file"
-    )
+    parser.add_argument("--page", type=Path, metavar="FILE", help="put what is saved between its markers in this file")
     arguments = parser.parse_args()
     if not arguments.textures and arguments.page is None:
         parser.error("no texture file was given")
@@ -165,9 +156,7 @@ def main() -> None:
             arguments.save.mkdir(parents=True, exist_ok=True)
             keep(arguments.save / f"{path.stem}.json", result)
         names = ("level_db", "level_abs_db", "spectrum_db")
-        cells = [
-            f"{a:+.2f}/{b:.2f}/{c:.2f}" for a, b, c in zip(*(result[name] for name in names), strict=True)
-        ]
+        cells = [f"{a:+.2f}/{b:.2f}/{c:.2f}" for a, b, c in zip(*(result[name] for name in names), strict=True)]
         cells.append("/".join(f"{result[f'settled_{name}']:.2f}" for name in names))
         click = f"{100 * result['click_share']:.3f} ± {100 * result['click_standard_error']:.3f} %"
         click += f", {100 * result['settled_share']:.3f} %"

@@ -57,9 +57,7 @@ def recorded(key: str, hand: Stroking, seed: int) -> Recording:
 
 def halved(hand: Stroking) -> Stroking:
     """Return a hand half as fast and half as firm."""
-    return dataclasses.replace(
-        hand, position=0.5 * hand.position, velocity=0.5 * hand.velocity, force=0.5 * hand.force
-    )
+    return dataclasses.replace(hand, position=0.5 * hand.position, velocity=0.5 * hand.velocity, force=0.5 * hand.force)
 
 
 def jumping(seconds: float, seed: int) -> Stroking:
@@ -100,9 +98,7 @@ def pooled(frames: np.ndarray) -> np.ndarray:
 def figures(truth: np.ndarray, ours: np.ndarray, where: np.ndarray, rate_hz: float) -> dict[str, float]:
     """Return bias, error and spectral distance [dB] over the frames `where`: (n,), (streams, n), (frames,)."""
     frame = round(FRAME_MS * rate_hz / 1000)
-    cut = [
-        x[..., : len(where) * frame].reshape(*x.shape[:-1], -1, frame)[..., where, :] for x in (truth, ours)
-    ]
+    cut = [x[..., : len(where) * frame].reshape(*x.shape[:-1], -1, frame)[..., where, :] for x in (truth, ours)]
     levels = [frame_levels(x, rate_hz, 1.0)[..., : len(where)][..., where] for x in (truth, ours)]
     ratio = 10 * np.log10(pooled(cut[1]) / pooled(cut[0]))
     return {
@@ -146,9 +142,7 @@ def judge(key: str) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--textures", type=lambda text: text.split(","), default=list(TEXTURES))
     parser.add_argument("--save", type=Path, metavar="FILE", help="keep the figures as JSON there")
     arguments = parser.parse_args()

@@ -79,13 +79,9 @@ def table(recordings: Path) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--recordings", type=Path, default=Path("recordings"))
-    parser.add_argument(
-        "--page", type=Path, metavar="FILE", help="put the table between its markers in this file"
-    )
+    parser.add_argument("--page", type=Path, metavar="FILE", help="put the table between its markers in this file")
     arguments = parser.parse_args()
     between(arguments.page, "rates", table(arguments.recordings))
 

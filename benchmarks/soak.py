@@ -47,9 +47,7 @@ class Tablet:
 
     def __init__(self, stylus: Stylus, seed: int = 0) -> None:
         self._stylus, self._draw = stylus, np.random.default_rng(seed)
-        self._due = self._clock = (
-            0.0  # when the next event is due, and by how much the device's time is ahead of it
-        )
+        self._due = self._clock = 0.0  # when the next event is due, and by how much the device's time is ahead of it
         self._at = np.zeros(2)
         self._waiting = 0
         self._good_since_fault = 0
@@ -128,9 +126,7 @@ class Tablet:
         """Return what the stylus has to have counted, by the names of foten_stylus_stats."""
         return {
             "n_refused": self.done["not a number"],
-            "n_late": self.done["doubled"]
-            + self.done["late"]
-            + CLOCK_IS_BELIEVED * self.done["clock begins anew"],
+            "n_late": self.done["doubled"] + self.done["late"] + CLOCK_IS_BELIEVED * self.done["clock begins anew"],
             "n_dropped": self.done["dropped"],
             "n_clipped": self.done["too firm"],
             "n_jumps": self.done["out of reach"],
@@ -197,18 +193,12 @@ def soaked(texture: Any, hours: float, ratio: float) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--texture", type=Path, metavar="T.foten", help="by default an untrained foten-plus")
     parser.add_argument("--hours", type=float, default=1.0)
-    parser.add_argument(
-        "--ratio", type=float, default=12.0, help="of simulated to real time; it has to keep 10"
-    )
+    parser.add_argument("--ratio", type=float, default=12.0, help="of simulated to real time; it has to keep 10")
     parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument(
-        "--page", type=Path, metavar="FILE", help="put what is said between its markers there"
-    )
+    parser.add_argument("--page", type=Path, metavar="FILE", help="put what is said between its markers there")
     arguments = parser.parse_args()
     if arguments.texture is None:
         sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -226,9 +216,7 @@ def main() -> None:
         "| fault | done | counted |",
         "|---|---|---|",
     ]
-    lines += [
-        f"| `{name}` | {count} | {result['counted'][name]} |" for name, count in result["expected"].items()
-    ]
+    lines += [f"| `{name}` | {count} | {result['counted'][name]} |" for name, count in result["expected"].items()]
     between(arguments.page, "soak", "\n".join(lines))
     if arguments.json is not None:
         from foten.atomic_write import atomic_write
@@ -236,9 +224,7 @@ def main() -> None:
         with atomic_write(arguments.json) as part:
             part.write_text(json.dumps(result, indent=1) + "\n")
     fine = all(result["counted"][name] == count for name, count in result["expected"].items())
-    fine &= result["simulated_s"] >= 3600 * arguments.hours and result["ratio"] >= min(
-        10.0, 0.9 * arguments.ratio
-    )
+    fine &= result["simulated_s"] >= 3600 * arguments.hours and result["ratio"] >= min(10.0, 0.9 * arguments.ratio)
     if result["n_not_finite"] or not fine or result["memory_grew_bytes"] > MAY_GROW:
         sys.exit(1)
 

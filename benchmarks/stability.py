@@ -48,12 +48,7 @@ from foten.runtime.onnx_predictor import OnnxPredictor
 from main_table import SOURCES, between, keep, made_earlier, name_of, read, validation_free_run
 from streams import rendered
 
-BOUNDED = (
-    "foten-plus",
-    "ar",
-    "gan",
-    "dftnet",
-)  # models that no sample of their own drives further than their bound
+BOUNDED = ("foten-plus", "ar", "gan", "dftnet")  # models that no sample of their own drives further than their bound
 LARGEST_NOISE = 5.68  # standard deviations, of the counter-based generator
 COMPARED_S, COMPARED = 12.0, 30_000  # two streams that are to meet: seconds, and samples at most
 MAY_DIFFER_DB = 0.5  # afterwards
@@ -75,9 +70,7 @@ def attack(texture: Texture, n_steps: int, n_streams: int = 24) -> dict[str, Any
     """Return the largest sample of an attack [sd], whether all were finite, and what the streams are like afterwards."""
     rng = np.random.default_rng(0)
     kernel, excited, rate = NativeTexture(texture.to_bytes()), texture.has_excitation, texture.rate_hz
-    corners = np.array(
-        [[v, f] for v in texture.trained_range("speed") for f in texture.trained_range("force")]
-    )
+    corners = np.array([[v, f] for v in texture.trained_range("speed") for f in texture.trained_range("force")])
     corners = (corners - texture.scaling.mean[1:]) / np.array(texture.scaling.sd[1:])
     windows = rng.standard_normal((n_streams, texture.window, 3))
     windows[..., 0] = 50.0 * rng.choice([-1.0, 1.0], windows.shape[:2])
@@ -143,9 +136,7 @@ def proven(texture: Texture) -> float | None:
         return None
     _, volatility = map(float, tensors["excitation.volatility"])
     heaviest = LARGEST_NOISE * np.exp(0.5 * HEAVIEST_TAIL * LARGEST_NOISE**2)
-    shock = float(tensors["excitation.highest"].item()) * min(
-        heaviest, float(tensors["excitation.largest"][0])
-    )
+    shock = float(tensors["excitation.highest"].item()) * min(heaviest, float(tensors["excitation.largest"][0]))
     entering = (sizes.correction_limit if sizes.renders_with_network else 0.0) + shock * np.exp(
         (LARGEST_VOLATILITY - volatility) * volatility
     )
@@ -158,9 +149,7 @@ def proven(texture: Texture) -> float | None:
     return float(bound)
 
 
-def forgetting(
-    texture: Texture, windows: np.ndarray, corners: np.ndarray, rng: np.random.Generator
-) -> float | None:
+def forgetting(texture: Texture, windows: np.ndarray, corners: np.ndarray, rng: np.random.Generator) -> float | None:
     """Return after how long streams under the same noise are the same to 1 %, whatever they began with [s]; None for never."""
     rate, n_pairs = texture.rate_hz, len(windows) // 2
     n = min(COMPARED, round(COMPARED_S * rate))
@@ -217,17 +206,13 @@ def table(folder: Path) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("textures", nargs="*", type=Path)
     parser.add_argument("--minutes", type=float, default=10.0, help="of strokes of both kinds")
     parser.add_argument("--streams", type=int, default=60)
     parser.add_argument("--attack", type=int, default=1_000_000, help="steps, over all streams")
     parser.add_argument("--save", type=Path, metavar="DIR", help="keep each result as JSON there")
-    parser.add_argument(
-        "--page", type=Path, metavar="FILE", help="put what is saved between its markers in this file"
-    )
+    parser.add_argument("--page", type=Path, metavar="FILE", help="put what is saved between its markers in this file")
     arguments = parser.parse_args()
     if not arguments.textures and arguments.page is None:
         parser.error("no texture file was given")

@@ -77,11 +77,7 @@ class Child:
 
     def __init__(self, command: list[str], env: dict[str, str] | None = None) -> None:
         self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env={**os.environ, **(env or {})},
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env={**os.environ, **(env or {})}
         )
         self.isa = self._line()
 
@@ -166,9 +162,7 @@ def frameworks(texture: Any, file: Path) -> dict[str, Any]:
 
     torch.set_num_threads(1)
     network = build(texture.card["model"], texture.sizes)
-    network.load_state_dict(
-        {name: torch.from_numpy(texture.tensors[name].copy()) for name in network.state_dict()}
-    )
+    network.load_state_dict({name: torch.from_numpy(texture.tensors[name].copy()) for name in network.state_dict()})
     network = network.float().eval()
     window = _plain(texture.tensors["golden.windows"])[None].astype(np.float32)
     tensor = torch.from_numpy(window)
@@ -179,9 +173,7 @@ def frameworks(texture: Any, file: Path) -> dict[str, Any]:
             compiled = torch.compile(network)
             compiled(tensor)
             runners["compiled"] = timed(lambda: compiled(tensor))
-        except (
-            Exception
-        ) as error:  # a compiler that is missing, and much else: the row is left out and says so
+        except Exception as error:  # a compiler that is missing, and much else: the row is left out and says so
             print(f"compiled: left out, {type(error).__name__}", file=sys.stderr)
     onnx = file.with_suffix(".onnx")
     try:
@@ -240,14 +232,7 @@ def peaks(folder: Path) -> dict[str, float]:
         return {}
     program = folder / "peak"
     subprocess.run(
-        [
-            compiler,
-            "-O2",
-            "-ffp-contract=fast",
-            str(ROOT / "native" / "tests" / "peak.c"),
-            "-o",
-            str(program),
-        ],
+        [compiler, "-O2", "-ffp-contract=fast", str(ROOT / "native" / "tests" / "peak.c"), "-o", str(program)],
         check=True,
     )
     done = subprocess.run([str(program)], check=True, capture_output=True, text=True)
@@ -316,9 +301,7 @@ def as_table(document: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "--texture", type=Path, metavar="T.foten", help="of the paper's network; an untrained one by default"
     )

@@ -87,9 +87,7 @@ def overhead(arguments: argparse.Namespace) -> None:
 def node(*options: str) -> Iterator[subprocess.Popen[bytes]]:
     """Start a Ray node of one core, and end it with everything that it started."""
     command = [RAY, "start", "--block", "--num-cpus", "1", "--node-ip-address", HOST, *options]
-    process = subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
-    )
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
     try:
         yield process
     finally:
@@ -143,9 +141,7 @@ def nodes(arguments: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True)
     cost = commands.add_parser("overhead")
     cost.add_argument("--runs", type=int, default=4)

@@ -69,9 +69,7 @@ def seconds_to(epochs: list[Epoch], loss: float) -> float | None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--texture", default="towel")
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--model", default="foten", choices=["foten"])
@@ -85,9 +83,7 @@ def main() -> None:
     paper = dataclasses.replace(RECIPES["paper"], epochs=arguments.paper_epochs)
     arms = {
         "ours": RECIPES["default"],
-        f"ours with dropout {paper.dropout:g}": dataclasses.replace(
-            RECIPES["default"], dropout=paper.dropout
-        ),
+        f"ours with dropout {paper.dropout:g}": dataclasses.replace(RECIPES["default"], dropout=paper.dropout),
         "paper": paper,
     }
     command = command_seconds(recording)
@@ -144,15 +140,7 @@ def command_seconds(recording: Recording) -> float:
         write_recording(recording, path)
         started = time.perf_counter()
         subprocess.run(
-            [
-                sys.executable,
-                "-m",
-                "foten.cli",
-                "train",
-                str(path),
-                "-o",
-                str(Path(folder) / "texture.foten"),
-            ],
+            [sys.executable, "-m", "foten.cli", "train", str(path), "-o", str(Path(folder) / "texture.foten")],
             check=True,
             stdout=sys.stderr,
         )

@@ -28,12 +28,7 @@ from scipy.signal import welch
 from foten.datasets.simulate import TEXTURES, second_realisation, simulate
 from foten.dsp.perception import RATES_HZ, carried
 from foten.evaluate.free_run import scored, synthesize, synthesize_linear
-from foten.evaluate.metrics import (
-    frame_levels,
-    log_spectral_distance,
-    scored_bins,
-    segment_length,
-)
+from foten.evaluate.metrics import frame_levels, log_spectral_distance, scored_bins, segment_length
 from foten.evaluate.metrics import welch as spectra
 from foten.evaluate.one_step import TexturePredictor, predict
 from foten.evaluate.references import ORDERS, first_scored, fit_linear
@@ -50,9 +45,7 @@ from foten.runtime.native import NativeTexture
 HERE = Path(__file__).parent
 RESULTS = HERE.parent / "benchmarks" / "results"
 REAL = ("copper", "fabric", "leather", "wood")
-SHOWN = (
-    "towel"  # the easiest of the simulated textures to predict, and the paper's network falls silent on it
-)
+SHOWN = "towel"  # the easiest of the simulated textures to predict, and the paper's network falls silent on it
 SEED = 1
 INK, OURS, PAPER, LINEAR, CEILING = "#333333", "#2b83cf", "#e08a1e", "#1a9c72", "#b77ab0"
 
@@ -113,19 +106,13 @@ def one_step(arguments: argparse.Namespace) -> None:
     left, right = figure.add_subplot(grid[1, 0]), figure.add_subplot(grid[1, 1])
     seconds = np.arange(trace.block) / trace.rate_hz
     step = 6 * np.std(played["recorded"])
-    for i, ((name, signal), colour) in enumerate(
-        zip(played.items(), (INK, PAPER, LINEAR, OURS), strict=True)
-    ):
+    for i, ((name, signal), colour) in enumerate(zip(played.items(), (INK, PAPER, LINEAR, OURS), strict=True)):
         left.plot(seconds, signal - i * step, color=colour, lw=0.6)
         left.text(0.0, (0.32 - i) * step, name, fontsize=8, color=colour)
         hertz, power = welch(signal[scored(trace.block)], trace.rate_hz, nperseg=128)
-        right.plot(
-            hertz, 10 * np.log10(power + 1e-16), color=colour, lw=1.6 if i == 0 else 1.1, ls="-" if i else ":"
-        )
+        right.plot(hertz, 10 * np.log10(power + 1e-16), color=colour, lw=1.6 if i == 0 else 1.1, ls="-" if i else ":")
     left.set(xlabel="s", yticks=[], title="… and left to itself under the same hand")
-    right.set(
-        xlabel="Hz", ylabel="dB re sd²/Hz", xlim=(0, 0.5 * trace.rate_hz), ylim=(-70, 0), title="its spectrum"
-    )
+    right.set(xlabel="Hz", ylabel="dB re sd²/Hz", xlim=(0, 0.5 * trace.rate_hz), ylim=(-70, 0), title="its spectrum")
     save(figure, "one-step")
 
 
@@ -133,8 +120,7 @@ def silence(arguments: argparse.Namespace) -> None:
     """Errors of another realisation of the very same surface, played louder and softer."""
     recording = simulate(SHOWN, 64.0, seed=SEED)
     trace, other = (
-        preprocess(one, PreprocessConfig())
-        for one in (recording, second_realisation(recording, SEED + 1_000_003))
+        preprocess(one, PreprocessConfig()) for one in (recording, second_realisation(recording, SEED + 1_000_003))
     )
     blocks = [t.blocks(t.acceleration)[:, scored(t.block)] for t in (trace, other)]
     sd = blocks[0].std()
@@ -235,16 +221,11 @@ def ceiling(arguments: argparse.Namespace) -> None:
         "ceiling": ("ceiling", CEILING, "|"),
     }
     figure, panels = plt.subplots(1, 2, figsize=(9, 5), sharey=True)
-    for axes, key, title in (
-        (panels[0], "lsd_db", "block by block"),
-        (panels[1], "lsd_long_db", "all blocks pooled"),
-    ):
+    for axes, key, title in ((panels[0], "lsd_db", "block by block"), (panels[1], "lsd_long_db", "all blocks pooled")):
         for name, (run, colour, mark) in rows.items():
             values = [np.mean([d[run][key] for d in documents[k]]) for k in keys]
             size = 14 if mark == "|" else 6
-            axes.plot(
-                values, range(len(keys)), mark, color=colour, label=name, markersize=size, markeredgewidth=2
-            )
+            axes.plot(values, range(len(keys)), mark, color=colour, label=name, markersize=size, markeredgewidth=2)
         axes.set(xlabel="log-spectral distance [dB]", title=title, xlim=(0, None))
         axes.grid(axis="x", alpha=0.3)
     panels[0].set_yticks(range(len(keys)), [k.rpartition("-")[0] for k in keys])
@@ -257,15 +238,11 @@ def limits(arguments: argparse.Namespace) -> None:
     """How near the real four a signal can come at all."""
     figures = json.loads((RESULTS / "limits.json").read_text())
     anchor, *others = list(figures["copper"][0])
-    ratios = {
-        name: [[split[name] / split[anchor] for split in figures[t]] for t in REAL]
-        for name in (anchor, *others)
-    }
+    ratios = {name: [[split[name] / split[anchor] for split in figures[t]] for t in REAL] for name in (anchor, *others)}
     documents = _documents("foten-plus")
     if all(f"{t}-10000" in documents for t in REAL):
         ratios["foten-plus"] = [
-            [d["free_run"]["lsd_db"] / d["free_run_ar"]["lsd_db"] for d in documents[f"{t}-10000"]]
-            for t in REAL
+            [d["free_run"]["lsd_db"] / d["free_run_ar"]["lsd_db"] for d in documents[f"{t}-10000"]] for t in REAL
         ]
     means = {name: float(np.mean([np.mean(splits) for splits in rows])) for name, rows in ratios.items()}
     errors = {
@@ -301,8 +278,7 @@ def outside(arguments: argparse.Namespace) -> None:
     figure, axes = plt.subplots(figsize=(8, 3.2))
     for i, (policy, colour) in enumerate((("clamp", PAPER), ("fade", "#bbbbbb"), ("grow", OURS))):
         rows = [
-            [f[policy][region]["level_error_db"] for f in figures.values() if region in f[policy]]
-            for region in regions
+            [f[policy][region]["level_error_db"] for f in figures.values() if region in f[policy]] for region in regions
         ]
         at = np.arange(len(regions)) + 0.27 * (i - 1)
         axes.bar(
@@ -329,22 +305,11 @@ def rates(arguments: argparse.Namespace) -> None:
         perceived = carried({"acceleration": (hertz, density)}, 10_000.0)
         plain = [density[hertz <= 0.45 * rate].sum() / density.sum() for rate in RATES_HZ]
         for j, rate in enumerate(RATES_HZ):
-            axes.bar(
-                i + 0.27 * (j - 1),
-                100 * perceived[rate],
-                0.25,
-                color=OURS,
-                alpha=(0.4, 0.7, 1.0)[j],
-                zorder=2,
-            )
+            axes.bar(i + 0.27 * (j - 1), 100 * perceived[rate], 0.25, color=OURS, alpha=(0.4, 0.7, 1.0)[j], zorder=2)
             axes.plot(i + 0.27 * (j - 1), 100 * plain[j], "_", color=INK, markersize=14, zorder=3)
-            axes.text(
-                i + 0.27 * (j - 1), 3, f"{rate / 1000:g}", ha="center", fontsize=7, color="white", zorder=4
-            )
+            axes.text(i + 0.27 * (j - 1), 3, f"{rate / 1000:g}", ha="center", fontsize=7, color="white", zorder=4)
     axes.set_xticks(range(len(REAL)), REAL)
-    axes.set(
-        ylabel="%", title="Carried at 1, 2.5 and 10 kHz: of what a hand feels (bars), of all power (lines)"
-    )
+    axes.set(ylabel="%", title="Carried at 1, 2.5 and 10 kHz: of what a hand feels (bars), of all power (lines)")
     axes.title.set_size(9)
     save(figure, "rates")
 
@@ -369,9 +334,7 @@ PICTURES: dict[str, Callable[[argparse.Namespace], None]] = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--textures", type=Path, default=Path("textures"))
     parser.add_argument("--recordings", type=Path, default=Path("recordings"))
     parser.add_argument("--only", type=lambda text: text.split(","), default=list(PICTURES))

@@ -197,8 +197,7 @@ def exported(
 def texture() -> Texture:
     """Return a foten-plus texture: rings at 120 Hz, excited, trained for 8–220 mm/s and 0.3–2.5 N."""
     return exported(
-        "foten-plus",
-        FAMILIES["foten-plus"](**{**SMALL, "n_layers": 1, "order": 6, "n_speed": 3, "n_force": 2}),
+        "foten-plus", FAMILIES["foten-plus"](**{**SMALL, "n_layers": 1, "order": 6, "n_speed": 3, "n_force": 2})
     )
 
 

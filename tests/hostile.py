@@ -93,10 +93,7 @@ class Generator:
             path = folder / f"{name}.foten"
             path.write_bytes(self._texture(rng))
             hand = ["--speed", "80", "--force", "0.8", "--seconds", "0.05"]
-            return path, [
-                ["info", str(path)],
-                ["render", str(path), *hand, "-o", str(folder / f"{name}.wav")],
-            ]
+            return path, [["info", str(path)], ["render", str(path), *hand, "-o", str(folder / f"{name}.wav")]]
         if kind == "recording":
             path = folder / f"{name}.h5"
             self._recording(rng, path)
@@ -109,18 +106,7 @@ class Generator:
                 example = folder / "example.foten"
                 example.write_bytes(self._textures[0])
                 path.write_bytes(rng.choice([damaged, _json_with_hostile_values])(data, rng))
-                play = [
-                    "--to",
-                    "null",
-                    "--seconds",
-                    "0.02",
-                    "--rate",
-                    "8000",
-                    "--speed",
-                    "80",
-                    "--force",
-                    "1",
-                ]
+                play = ["--to", "null", "--seconds", "0.02", "--rate", "8000", "--speed", "80", "--force", "1"]
                 return path, [["play", str(example), "--actuator", str(path), *play]]
             if suffix == ".xml":
                 return path, [["import", str(path), "-o", str(folder / f"{name}-out.foten")]]
@@ -153,9 +139,7 @@ class Generator:
                 # Sound but for its numbers: what no check of types finds.
                 at = rng.randrange(0, len(tensors) - 8) & ~3
                 evil = np.frombuffer(rng.randbytes(8), dtype=np.float32)
-                worst = np.array(
-                    rng.choice([[np.nan, np.inf], [3e38, -3e38], [1e-45, -0.0], evil]), dtype=np.float32
-                )
+                worst = np.array(rng.choice([[np.nan, np.inf], [3e38, -3e38], [1e-45, -0.0], evil]), dtype=np.float32)
                 tensors = tensors[:at] + worst.tobytes() + tensors[at + 8 :]
             case _:
                 for _ in range(rng.randint(1, 3)):
@@ -180,17 +164,13 @@ class Generator:
                 case 1:
                     file.attrs[rng.choice(["format", "version", "texture", "history"])] = _attribute(rng)
                 case 2:
-                    file.attrs["simulation"] = rng.choice(
-                        [_deep(rng)[:60_000], "[]", "{", '{"parameters": 3}', "NaN"]
-                    )
+                    file.attrs["simulation"] = rng.choice([_deep(rng)[:60_000], "[]", "{", '{"parameters": 3}', "NaN"])
                 case 3:
                     samples = file[name][()]
                     samples[rng.randrange(N)] = rng.choice([np.nan, np.inf, 1e300, 1e30, -1e12, 5e-324])
                     file[name][()] = samples
                 case 4:
-                    file["times_s/position_x"][rng.randrange(N)] = rng.choice(
-                        [np.nan, 1e300, -1e300, 0.0, 5e9]
-                    )
+                    file["times_s/position_x"][rng.randrange(N)] = rng.choice([np.nan, 1e300, -1e300, 0.0, 5e9])
                 case _:
                     attributes = dict(file[name].attrs)
                     del file[name]
@@ -204,9 +184,7 @@ class Generator:
                 file.create_dataset(name, data=samples, chunks=(500,), compression="gzip", compression_opts=1)
                 file[name].attrs["unit"] = rng.choice(["", "m/s^2", "mm/s", "N", "\x1b[2J", "furlong"])
             if rng.random() < 0.6:
-                _odd_dataset(
-                    file, rng.choice(["a/b/c", "odd", "acc_x", "x\n\x1b[31m", "time", "é" * 300]), rng
-                )
+                _odd_dataset(file, rng.choice(["a/b/c", "odd", "acc_x", "x\n\x1b[31m", "time", "é" * 300]), rng)
         if rng.random() < 0.6:
             path.write_bytes(damaged(path.read_bytes(), rng))
 
@@ -235,9 +213,7 @@ class Generator:
             for row in rows[1:]:
                 row[column] = rng.choice(_CELLS) if rng.random() < 0.2 else str(1e308 * rng.random())
         if rng.random() < 0.2:
-            rows.insert(
-                1, [rng.choice(["s", "lbf", "[kg]", "furlong", "-", "", "(", "[", "µ"]) for _ in names]
-            )
+            rows.insert(1, [rng.choice(["s", "lbf", "[kg]", "furlong", "-", "", "(", "[", "µ"]) for _ in names])
         mark = rng.choice([",", ",", ";", "\t", " "])
         text = "\n".join(mark.join(row) for row in rows)
         data = text.encode(rng.choice(["utf-8", "utf-8", "latin-1", "utf-16"]), errors="replace")
@@ -344,9 +320,7 @@ def damaged(data: bytes, rng: random.Random) -> bytes:
 
 
 def _deep(rng: random.Random) -> str:
-    return rng.choice(
-        ["[" * DEEP, "[" * DEEP + "]" * DEEP, '{"a":' * DEEP + "1" + "}" * DEEP, "[" * 500 + "]" * 500]
-    )
+    return rng.choice(["[" * DEEP, "[" * DEEP + "]" * DEEP, '{"a":' * DEEP + "1" + "}" * DEEP, "[" * 500 + "]" * 500])
 
 
 def _set_somewhere(tree: Any, value: Any, rng: random.Random) -> None:
@@ -377,17 +351,7 @@ def _json_with_hostile_values(data: bytes, rng: random.Random) -> bytes:
 def _attribute(rng: random.Random) -> Any:
     numbers = [np.nan, np.inf, -1.0, 0.0, 1e-300, 1e300, 1e13, 2**62, True]
     return rng.choice(
-        [
-            *numbers,
-            "",
-            "N",
-            "x" * 5000,
-            "\x1b[31m\n",
-            np.zeros(0),
-            np.ones(3),
-            np.bytes_(b"\xff"),
-            h5py.Empty("f8"),
-        ]
+        [*numbers, "", "N", "x" * 5000, "\x1b[31m\n", np.zeros(0), np.ones(3), np.bytes_(b"\xff"), h5py.Empty("f8")]
     )
 
 
@@ -411,18 +375,7 @@ def _odd_dataset(file: h5py.File, name: str, rng: random.Random) -> None:
         case 6:
             file[name] = np.array(rng.choice([np.nan, np.inf, 1e300]) * np.ones(N))
         case 7:
-            kinds = [
-                "i1",
-                ">f8",
-                "f2",
-                "u8",
-                "c16",
-                "S5",
-                "V7",
-                "?",
-                [("a", "f8"), ("b", "i4")],
-                h5py.ref_dtype,
-            ]
+            kinds = ["i1", ">f8", "f2", "u8", "c16", "S5", "V7", "?", [("a", "f8"), ("b", "i4")], h5py.ref_dtype]
             file.create_dataset(name, shape=(rng.choice([0, 1, 7, N]),), dtype=np.dtype(rng.choice(kinds)))
         case 8:
             file.create_dataset(name, data=h5py.Empty("f8"))
@@ -469,9 +422,7 @@ def _npy(rng: random.Random) -> bytes:
     text = f"{{{', '.join(f'{name!r}: {value}' for name, value in fields.items())}, }}"
     text = rng.choice([text, text, text, "(" * 9000, "[" * DEEP, "{}", "", "9" * 5000])
     version = rng.choice([b"\x01\x00", b"\x01\x00", b"\x02\x00", b"\x09\x00"])
-    size = (
-        struct.pack("<H", min(len(text), 65535)) if version == b"\x01\x00" else struct.pack("<I", len(text))
-    )
+    size = struct.pack("<H", min(len(text), 65535)) if version == b"\x01\x00" else struct.pack("<I", len(text))
     return b"\x93NUMPY" + version + size + text.encode() + bytes(rng.choice([0, 8, 24, 8 * N]))
 
 

@@ -36,35 +36,17 @@ MUTANTS = (
         "!m->of_noise ? sample",
     ),
     Mutant(
-        "the fade with speed begins at 10 mm/s",
-        NATIVE + "constants.h",
-        "FOTEN_FADE_SPEED 5.0",
-        "FOTEN_FADE_SPEED 10.0",
+        "the fade with speed begins at 10 mm/s", NATIVE + "constants.h", "FOTEN_FADE_SPEED 5.0", "FOTEN_FADE_SPEED 10.0"
     ),
     Mutant(
-        "the fade with force begins at 0.2 N",
-        NATIVE + "constants.h",
-        "FOTEN_FADE_FORCE 0.1",
-        "FOTEN_FADE_FORCE 0.2",
+        "the fade with force begins at 0.2 N", NATIVE + "constants.h", "FOTEN_FADE_FORCE 0.1", "FOTEN_FADE_FORCE 0.2"
     ),
     Mutant("there is no fade", NATIVE + "api.c", "if (x < fade) factor *= x / fade;", ""),
-    Mutant(
-        "the level does not grow",
-        NATIVE + "api.c",
-        "factor *= pow(kept[i] / m->high[i], m->exponents[i]);",
-        ";",
-    ),
+    Mutant("the level does not grow", NATIVE + "api.c", "factor *= pow(kept[i] / m->high[i], m->exponents[i]);", ";"),
     Mutant("the level grows without end", NATIVE + "constants.h", "FOTEN_FURTHEST 2.0", "FOTEN_FURTHEST 4.0"),
     Mutant("a slower device is louder", NATIVE + "resample.c", "return sum / r->stretch;", "return sum;"),
-    Mutant(
-        "the resampler skips a carry",
-        NATIVE + "resample.c",
-        "r->integer + (r->fraction < before)",
-        "r->integer",
-    ),
-    Mutant(
-        "a stroke begins too loud", NATIVE + "loop_lattice.c", "pow(1 - 2 * l->excitation.tail, -0.75)", "2.0"
-    ),
+    Mutant("the resampler skips a carry", NATIVE + "resample.c", "r->integer + (r->fraction < before)", "r->integer"),
+    Mutant("a stroke begins too loud", NATIVE + "loop_lattice.c", "pow(1 - 2 * l->excitation.tail, -0.75)", "2.0"),
     Mutant(
         "a stroke begins silent",
         NATIVE + "loop_lattice.c",
@@ -148,9 +130,7 @@ MUTANTS = (
         "clip(innovation, FOTEN_LARGEST_JITTER)",
         "innovation",
     ),
-    Mutant(
-        "tones forget nothing", NATIVE + "tones.c", "s->phase -= t->drawn_back * (s->phase - s->path);", ""
-    ),
+    Mutant("tones forget nothing", NATIVE + "tones.c", "s->phase -= t->drawn_back * (s->phase - s->path);", ""),
     Mutant(
         "tones stand still",
         NATIVE + "tones.c",
@@ -188,12 +168,7 @@ MUTANTS = (
         "double e = m->network_in_loop ? correction(m, l) : 0;",
         "double e = correction(m, l);",
     ),
-    Mutant(
-        "a prediction leaves the network out",
-        NATIVE + "loop_lattice.c",
-        "part == FOTEN_PREDICT_MODEL ||",
-        "0 ||",
-    ),
+    Mutant("a prediction leaves the network out", NATIVE + "loop_lattice.c", "part == FOTEN_PREDICT_MODEL ||", "0 ||"),
     Mutant(
         "the state is not reset after a prediction",
         NATIVE + "api.c",
@@ -212,19 +187,10 @@ MUTANTS = (
         NATIVE + "api.c",
         "if (out - out == 0) return out;",
         "return out;",
-        (
-            "tests/test_native.py",
-            "tests/test_loops.py",
-            "tests/test_rendering.py",
-            "tests/test_kernel_build.py",
-        ),
+        ("tests/test_native.py", "tests/test_loops.py", "tests/test_rendering.py", "tests/test_kernel_build.py"),
     ),
     Mutant(
-        "a pressure of nothing presses",
-        NATIVE + "stylus.c",
-        "pressure > 0",
-        "pressure >= 0",
-        ("tests/test_stylus.py",),
+        "a pressure of nothing presses", NATIVE + "stylus.c", "pressure > 0", "pressure >= 0", ("tests/test_stylus.py",)
     ),
     Mutant(
         "Eq. 12 has another steepness",

@@ -25,9 +25,7 @@ def driven(texture: Texture, profile: ActuatorProfile, rate: float, n: int) -> t
 
 @pytest.mark.parametrize("rate", [4000.0, 8000.0, 48_000.0])
 @pytest.mark.parametrize(("resonance", "damping"), [(40.0, 0.1), (70.0, 0.25), (150.0, 0.5), (250.0, 0.2)])
-def test_filter_times_actuator_is_flat(
-    texture: Texture, rate: float, resonance: float, damping: float
-) -> None:
+def test_filter_times_actuator_is_flat(texture: Texture, rate: float, resonance: float, damping: float) -> None:
     """Physics: ±0.3 dB over 40 to 400 Hz, of the analogue resonator on what is played; `foten.h` says so."""
     profile = ActuatorProfile(resonance_hz=resonance, damping=damping, gain=-3.0)
     n = round(4 * rate)
@@ -45,9 +43,7 @@ def test_the_limit_is_never_reached_and_small_drives_are_left_alone(texture: Tex
     profile = ActuatorProfile(resonance_hz=70.0, gain=1.0)
     _, free = driven(texture, profile, 8000.0, 8000)
     limit = 0.5 * np.abs(free).max()
-    renderer = Renderer(
-        texture, rate=8000, seed=5, actuator=ActuatorProfile(resonance_hz=70.0, gain=1.0, limit=limit)
-    )
+    renderer = Renderer(texture, rate=8000, seed=5, actuator=ActuatorProfile(resonance_hz=70.0, gain=1.0, limit=limit))
     bent = renderer.render(100.0, 1.0, 8000)
     small = np.abs(free) <= 0.8 * limit
     assert np.abs(bent).max() < limit
@@ -70,13 +66,7 @@ def test_without_a_resonance_the_drive_is_acceleration_over_gain(texture: Textur
 
 
 def test_figures_that_cannot_be_are_refused(texture: Texture) -> None:
-    for figures in (
-        {"gain": 0.0},
-        {"damping": -1.0},
-        {"resonance_hz": float("nan")},
-        {"limit": "5"},
-        {"unit": 3},
-    ):
+    for figures in ({"gain": 0.0}, {"damping": -1.0}, {"resonance_hz": float("nan")}, {"limit": "5"}, {"unit": 3}):
         with pytest.raises(ValueError, match="actuator"):
             ActuatorProfile(**figures)
     for rate, resonance in ((2000.0, 70.0), (4000.0, 300.0)):
@@ -100,9 +90,7 @@ def test_refused_figures_change_nothing(texture: Texture) -> None:
     ("resonance", "damping", "gain", "delay"),
     [(85.0, 0.18, 3.2, 24), (55.0, 0.4, -0.7, 0), (85.0, 0.18, 3.2, 640), (85.0, 0.18, 3.2, -40)],
 )
-def test_a_measured_sweep_gives_the_figures_back(
-    resonance: float, damping: float, gain: float, delay: int
-) -> None:
+def test_a_measured_sweep_gives_the_figures_back(resonance: float, damping: float, gain: float, delay: int) -> None:
     rate, w = 8000.0, 2 * np.pi * resonance
     rng = np.random.default_rng(0)
     drive = sweep(4.0, rate)
@@ -173,10 +161,7 @@ def test_a_profile_is_read_as_it_was_written(tmp_path: Path) -> None:
         ('{"format": "foten-actuator", "version": 1, "gain": %s}' % ("9" * 400), "gain of the actuator is"),
         ('{"format": "foten-actuator", "version": 1, "gain": 1e999}', "gain of the actuator is inf"),
         ('{"format": "foten-actuator", "version": 1, "limit": [null]}', "limit of the actuator is"),
-        (
-            '{"format": "foten-actuator", "version": 1, "damping": 1180591620717411303424}',
-            "damping of the actuator is",
-        ),
+        ('{"format": "foten-actuator", "version": 1, "damping": 1180591620717411303424}', "damping of the actuator is"),
     ],
 )
 def test_a_hostile_profile_is_a_value_error(tmp_path: Path, text: str, message: str) -> None:

@@ -68,9 +68,7 @@ def test_unstable_poles_are_pulled_in_and_keep_their_frequency() -> None:
     poles = [1.05 * np.exp(0.8j), 1.05 * np.exp(-0.8j), 0.5]
     found = np.roots(np.concatenate([[1.0], -stabilised(taps_of(poles), 0.9995)[::-1]]))
     expected = np.array(poles) * 0.9995 / 1.05
-    np.testing.assert_allclose(
-        np.sort_complex(found), np.sort_complex(expected), atol=1e-9
-    )  # roots: rounding
+    np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(expected), atol=1e-9)  # roots: rounding
     assert spectral_radius(stabilised(taps_of(poles), 0.9995)) == pytest.approx(0.9995, rel=1e-9)
 
 

@@ -139,9 +139,7 @@ def test_headers_that_numpy_fails_on_are_refused(tmp_path):
 def test_both_orders_of_an_array_are_read(tmp_path):
     np.save(tmp_path / "a.npy", np.asfortranarray(AXES))
     np.testing.assert_array_equal(_by_name(read_numpy(tmp_path / "a.npy"))["2"], AXES[:, 2])
-    np.savez_compressed(
-        tmp_path / "b.npz", acc=np.asfortranarray(AXES), fs=np.float64(3), big=AXES.astype(">f4")
-    )
+    np.savez_compressed(tmp_path / "b.npz", acc=np.asfortranarray(AXES), fs=np.float64(3), big=AXES.astype(">f4"))
     by_name = _by_name(read_numpy(tmp_path / "b.npz"))
     np.testing.assert_array_equal(by_name["acc.1"], AXES[:, 1])
     np.testing.assert_array_equal(by_name["big.1"], AXES[:, 1].astype(np.float32))

@@ -48,9 +48,7 @@ def test_two_writers_of_one_path_do_not_mix(tmp_path: Path) -> None:
 def _limited(code: str, folder: Path, most_bytes: int) -> subprocess.CompletedProcess[str]:
     """Run code where no file may grow beyond so many bytes, which fails as a full disk does."""
     limit = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({most_bytes}, {most_bytes}))"
-    return subprocess.run(
-        [sys.executable, "-c", f"{limit}\n{code}"], cwd=folder, capture_output=True, text=True
-    )
+    return subprocess.run([sys.executable, "-c", f"{limit}\n{code}"], cwd=folder, capture_output=True, text=True)
 
 
 def test_a_full_disk_leaves_nothing_and_names_the_file(tmp_path: Path) -> None:

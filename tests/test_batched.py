@@ -53,14 +53,10 @@ def both(
         assert isinstance(log, Progress)
         assert len(log.epochs) == len(alone.epochs)
         np.testing.assert_allclose(
-            [line.validation_loss for line in log.epochs],
-            [line.validation_loss for line in alone.epochs],
-            rtol=1e-4,
+            [line.validation_loss for line in log.epochs], [line.validation_loss for line in alone.epochs], rtol=1e-4
         )
         np.testing.assert_allclose(
-            [line.train_loss for line in log.epochs[1:]],
-            [line.train_loss for line in alone.epochs[1:]],
-            rtol=1e-4,
+            [line.train_loss for line in log.epochs[1:]], [line.train_loss for line in alone.epochs[1:]], rtol=1e-4
         )
         assert [line.best for line in log.epochs] == [line.best for line in alone.epochs]
     return fitted[0], fitted[1], batched  # type: ignore[return-value]
@@ -81,9 +77,7 @@ def test_networks_are_fitted_as_if_alone(changed: dict[str, object]) -> None:
     alone, batched, _ = both(configs, [some_windows(seed) for seed in (1, 2, 3)])
     for one, other in zip(alone, batched, strict=True):
         assert not other.training
-        for (name, expected), weights in zip(
-            one.state_dict().items(), other.state_dict().values(), strict=True
-        ):
+        for (name, expected), weights in zip(one.state_dict().items(), other.state_dict().values(), strict=True):
             torch.testing.assert_close(weights, expected, rtol=1e-3, atol=1e-5, msg=name)
     windows = torch.randn(4, 6, 3)
     assert not torch.allclose(batched[0](windows), batched[1](windows))
@@ -94,9 +88,7 @@ def test_a_network_that_gets_no_better_leaves_the_others_to_go_on() -> None:
     noise = some_windows(5)
     rng = np.random.default_rng(0)
     noise.samples[:, 0] = 3 * rng.standard_normal(len(noise.samples))
-    configs = [
-        dataclasses.replace(QUICK, seed=seed, epochs=8, patience=1, learning_rate=2e-3) for seed in (1, 2, 3)
-    ]
+    configs = [dataclasses.replace(QUICK, seed=seed, epochs=8, patience=1, learning_rate=2e-3) for seed in (1, 2, 3)]
     _, _, logs = both(configs, [some_windows(1), noise, some_windows(3)])
     lengths = [len(log.epochs) for log in logs]
     assert lengths[1] < max(lengths)
@@ -146,9 +138,7 @@ def test_every_model_that_is_batched_can_be() -> None:
         for seed in (1, 2):
             of = some_windows(seed, 4 * m, m)
             samples = np.concatenate([of.samples, of.samples], axis=1)[:, :channels]
-            data.append(
-                dataclasses.replace(of, samples=samples, train=of.train[:32], validation=of.train[:8])
-            )
+            data.append(dataclasses.replace(of, samples=samples, train=of.train[:32], validation=of.train[:8]))
         config = dataclasses.replace(RECIPES["paper"], epochs=1)
         logs = fit_batched(networks, data, [config, config])
         assert all(isinstance(one, Progress) and np.isfinite(one.best_loss) for one in logs), key
@@ -199,9 +189,7 @@ def test_batched_results_are_those_of_one_by_one_and_fail_alone() -> None:
     assert "expected 5 or more" in failed["failed"]
 
 
-def test_a_group_that_cannot_be_fitted_leaves_those_of_another_length(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_group_that_cannot_be_fitted_leaves_those_of_another_length(monkeypatch: pytest.MonkeyPatch) -> None:
     runs = [run for run in ASKED.runs() if run.model == "fnn" and run.split_seed == 1]
     recordings = [recording_of(runs[0]), recording_of(dataclasses.replace(runs[1], seconds=12.0))]
 

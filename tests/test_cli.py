@@ -77,9 +77,7 @@ def test_evaluate_prints_the_contracts_keys(
     assert document["split_sha256"] == read_texture(texture).card["split_sha256"]
     assert document["seed"] == 0
     # The bound of the infinite past lies below that of a window, and no predictor below either but by chance.
-    assert (
-        document["references"]["bound"]["mae_scaled"] < document["references"]["bound_window"]["mae_scaled"]
-    )
+    assert document["references"]["bound"]["mae_scaled"] < document["references"]["bound_window"]["mae_scaled"]
     assert document["references"]["ar"]["mae_scaled"] > 0.9 * document["references"]["bound"]["mae_scaled"]
 
 
@@ -99,11 +97,7 @@ def test_a_foreign_recording_is_scored_on_all_of_its_blocks(
 
 
 def test_ctrl_c_keeps_the_best_and_resume_goes_on(
-    recording: Path,
-    texture: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    recording: Path, texture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from foten.train.run import RunFolder
 
@@ -121,9 +115,7 @@ def test_ctrl_c_keeps_the_best_and_resume_goes_on(
     assert read_texture(out).card["metrics"]["n_epochs"] == 1
     monkeypatch.setattr(RunFolder, "log", log)
     capsys.readouterr()
-    assert (
-        _status([*command, "--resume"]) == 2
-    )  # one epoch was all there was, and its checkpoint not yet written
+    assert _status([*command, "--resume"]) == 2  # one epoch was all there was, and its checkpoint not yet written
     assert "nothing to resume" in one_line(capsys)
 
 
@@ -174,9 +166,7 @@ def test_a_disk_that_fills_up_while_training_costs_no_more_than_the_run_folder(
     assert read_texture(out).card["metrics"]["n_epochs"] == 3
 
 
-def test_settings_change_the_network(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_settings_change_the_network(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "s.foten"
     small = ["--set", "d_model=8", "--set", "n_layers=1", "--set", "head=[16,8]", "--set", "bins=half"]
     assert _status(["train", str(recording), "-o", str(out), *FAST, *small]) == 0
@@ -223,10 +213,7 @@ def test_render_depends_on_the_seed_alone(texture: Path, tmp_path: Path) -> None
     constants = ["--speed", "100", "--force", "1", "--seconds", "0.2"]
     for name, seed in (("a", 0), ("b", 0), ("c", 1)):
         assert (
-            _status(
-                ["render", str(texture), *constants, "--seed", str(seed), "-o", str(tmp_path / f"{name}.csv")]
-            )
-            == 0
+            _status(["render", str(texture), *constants, "--seed", str(seed), "-o", str(tmp_path / f"{name}.csv")]) == 0
         )
     a, b, c = ((tmp_path / f"{name}.csv").read_bytes() for name in "abc")
     assert a == b
@@ -249,35 +236,20 @@ CONSTANT = ("--speed", "1", "--force", "1")
     [
         (["train", "{rec}", "-o", "{out}.foten"], "wants a shorter --block and --trim"),
         (["train", "{rec}", "-o", "{out}.foten", *FAST, "--rate", "5000"], "never upsampled"),
-        (
-            ["train", "{rec}", "-o", "{out}.foten", *FAST, "--model", "fotan"],
-            "expected one of foten-plus, foten, ten",
-        ),
-        (
-            ["train", "{rec}", "-o", "{out}.foten", *FAST, "--recipe", "mine"],
-            "expected one of default, paper",
-        ),
+        (["train", "{rec}", "-o", "{out}.foten", *FAST, "--model", "fotan"], "expected one of foten-plus, foten, ten"),
+        (["train", "{rec}", "-o", "{out}.foten", *FAST, "--recipe", "mine"], "expected one of default, paper"),
         (["train", "{rec}", "-o", "{out}.pt", *FAST], "written as .foten"),
         (["train", "{missing}", "-o", "{out}.foten"], "no such file"),
         (["train", "{rec}", "-o", "{out}.foten", *FAST, "--resume"], "nothing to resume"),
-        (
-            ["render", "{tex}", "-o", "{out}.mp3", "--speed", "1", "--force", "1", "--seconds", "1"],
-            "expected .wav",
-        ),
+        (["render", "{tex}", "-o", "{out}.mp3", "--speed", "1", "--force", "1", "--seconds", "1"], "expected .wav"),
         (["render", "{tex}", "-o", "{out}.wav"], "expected one of --stroke, --recording, or --speed"),
         (["render", "{tex}", "-o", "{out}.wav", "--speed", "1"], "--speed with --force and --seconds"),
         (
             ["render", "{tex}", "-o", "{out}.wav", "--speed", "nan", "--force", "1", "--seconds", "1"],
             "expected a finite number",
         ),
-        (
-            ["render", "{pickle}", "-o", "{out}.wav", "--speed", "1", "--force", "1", "--seconds", "1"],
-            "pickle",
-        ),
-        (
-            ["render", "{cut}", "-o", "{out}.wav", "--speed", "1", "--force", "1", "--seconds", "1"],
-            "truncated",
-        ),
+        (["render", "{pickle}", "-o", "{out}.wav", "--speed", "1", "--force", "1", "--seconds", "1"], "pickle"),
+        (["render", "{cut}", "-o", "{out}.wav", "--speed", "1", "--force", "1", "--seconds", "1"], "truncated"),
         (["info", "{rec}"], "not a texture file"),
         (["info", "{missing}"], "no such file"),
         (["simulate", "towel", "--seconds", "5", "-o", "{out}.csv"], "written as .h5"),
@@ -330,12 +302,7 @@ CONSTANT = ("--speed", "1", "--force", "1")
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(
-    arguments: list[str],
-    match: str,
-    texture: Path,
-    recording: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    arguments: list[str], match: str, texture: Path, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "p.foten").write_bytes(pickle.dumps({"a": 1}))
     (tmp_path / "cut.foten").write_bytes(texture.read_bytes()[:-1000])
@@ -369,9 +336,7 @@ def test_bad_input_is_one_line_and_writes_nothing(
         ("t,speed,force\n0,1,1\n1," + "1" * 200_000 + ",1\n", "is no CSV text"),
     ],
 )
-def test_bad_strokes(
-    text: str, match: str, texture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_strokes(text: str, match: str, texture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     stroke, out = tmp_path / "s.csv", tmp_path / "o.wav"
     stroke.write_text(text)
     capsys.readouterr()
@@ -393,9 +358,7 @@ def test_another_recording_may_be_cut_otherwise(
     assert (document["n_blocks"], document["block"]) == (4, 600)
 
 
-@pytest.mark.parametrize(
-    "command", ["simulate", "import", "inspect", "train", "evaluate", "render", "info", "demo"]
-)
+@pytest.mark.parametrize("command", ["simulate", "import", "inspect", "train", "evaluate", "render", "info", "demo"])
 def test_help_says_what_each_command_does(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     capsys.readouterr()
     assert _status([command, "--help"]) == 0

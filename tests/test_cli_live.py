@@ -62,9 +62,7 @@ def wav(path: Path) -> tuple[np.ndarray, dict[str, Any]]:
     data = path.read_bytes()
     at = data.index(b"data") + 8
     comment = data[data.index(b"ICMT") + 8 :].split(b"\0")[0]
-    return np.frombuffer(
-        data[at : at + int.from_bytes(data[at - 4 : at], "little")], dtype="<f4"
-    ), json.loads(comment)
+    return np.frombuffer(data[at : at + int.from_bytes(data[at - 4 : at], "little")], dtype="<f4"), json.loads(comment)
 
 
 def test_play_into_a_file_is_what_is_rendered(file: Path, tmp_path: Path) -> None:
@@ -76,9 +74,7 @@ def test_play_into_a_file_is_what_is_rendered(file: Path, tmp_path: Path) -> Non
 
 def test_play_and_render_make_the_same_of_a_stroke(file: Path, tmp_path: Path) -> None:
     stroke = tmp_path / "s.csv"
-    stroke.write_text(
-        "t,speed,force\n" + "".join(f"{0.01 * k},{0 if k < 50 else 90},{0.8}\n" for k in range(100))
-    )
+    stroke.write_text("t,speed,force\n" + "".join(f"{0.01 * k},{0 if k < 50 else 90},{0.8}\n" for k in range(100)))
     both = [str(file), "--stroke", str(stroke), "--seed", "5"]
     played, rendered = tmp_path / "played.wav", tmp_path / "rendered.wav"
     assert _status(["play", *both, "--to", str(played), "--seconds", "0.99", "--rate", "1000"]) == 0
@@ -142,9 +138,7 @@ def test_without_the_package_it_names_the_extra(
     assert extra is not None
     assert (
         extra[1]
-        in tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"][
-            "optional-dependencies"
-        ]
+        in tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     )
 
 
@@ -205,9 +199,7 @@ def test_bench_times_each_instruction_set(file: Path, capsys: pytest.CaptureFixt
     assert "portable" in out
 
 
-def test_bench_times_no_instruction_set_in_the_place_of_another(
-    file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bench_times_no_instruction_set_in_the_place_of_another(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What this processor has not was timed in full with what it has."""
     programs = []
 
@@ -256,9 +248,7 @@ def test_bench_refuses_what_is_no_texture_as_play_does(capsys: pytest.CaptureFix
     assert one_line(capsys).startswith("foten: this is not a texture file")
 
 
-def test_doctor_does_without_metadata(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_doctor_does_without_metadata(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """As where the sources are in the path, and nothing is installed."""
 
     def missing(name: str) -> None:

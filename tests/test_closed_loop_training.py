@@ -51,9 +51,7 @@ def model(before: bool = False) -> tuple[FotenPlusSizes, Tensors]:
 
 def excitation_of(tensors: Tensors) -> Excitation:
     excitation = Excitation(len(tensors["excitation.hidden.bias"])).requires_grad_(False)
-    state = {
-        name: torch.from_numpy(tensors[f"excitation.{name}"]).clone() for name in excitation.state_dict()
-    }
+    state = {name: torch.from_numpy(tensors[f"excitation.{name}"]).clone() for name in excitation.state_dict()}
     excitation.load_state_dict(state)
     return excitation
 

@@ -60,9 +60,7 @@ def textures(recording: Recording) -> dict[str, Texture]:
         patch.setattr(closed_loop, "N_RUNS", 2)
         for key in FAMILIES:
             short = {"epochs": 2, "batch": 64, "threads": 1, "max_order": 8, "tones": False}
-            short |= {"volatility": key in ("foten-plus", "foten", "fnn")} | (
-                {"batch": 8} if key == "gan" else {}
-            )
+            short |= {"volatility": key in ("foten-plus", "foten", "fnn")} | ({"batch": 8} if key == "gan" else {})
             own = {"window": 42, "frame": 16, "stride": 1} if key == "gan" else SMALL
             if key == "ldhtd-hop":  # of a hop that does not end with the window that a stream begins by
                 own = {**SMALL, "window": 50}
@@ -109,9 +107,7 @@ for path in sorted(folder.glob("*.foten")):
     }
 print(json.dumps(judged))
 """
-    done = subprocess.run(
-        [sys.executable, "-c", program, str(tmp_path)], capture_output=True, text=True, check=False
-    )
+    done = subprocess.run([sys.executable, "-c", program, str(tmp_path)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     judged = json.loads(done.stdout)
     assert set(judged) == set(FAMILIES)
@@ -190,9 +186,7 @@ def test_a_graph_of_another_width_is_refused(textures: dict[str, Texture]) -> No
             NativeTexture(Texture(card, texture.tensors).to_bytes())
 
 
-@pytest.mark.parametrize(
-    "written", ["", r'"h\u006fp": 400', '"hop": 0', '"hop": 400', '"hop": 2.5', '"hop": 19']
-)
+@pytest.mark.parametrize("written", ["", r'"h\u006fp": 400', '"hop": 0', '"hop": 400', '"hop": 2.5', '"hop": 19'])
 def test_the_kernel_and_python_agree_on_a_hop(textures: dict[str, Texture], written: str) -> None:
     """Both read the card; if they read another number, Python would write where the kernel has no room."""
     data = textures["ldhtd-hop"].to_bytes()
@@ -283,9 +277,7 @@ def test_an_evaluation_keeps_the_model_apart_from_the_references(
     assert document["one_step"]["mae_scaled"] != document["references"]["ar"]["mae_scaled"]
 
 
-def test_a_graph_is_timed_once_and_called_by_what_runs_it(
-    textures: dict[str, Texture], tmp_path: Path
-) -> None:
+def test_a_graph_is_timed_once_and_called_by_what_runs_it(textures: dict[str, Texture], tmp_path: Path) -> None:
     """The kernel's instruction sets say nothing of a model that ONNX Runtime runs."""
     for key, names in (("fnn", {"onnxruntime"}), ("ten", {*INSTRUCTION_SETS})):
         write_texture(textures[key], tmp_path / f"{key}.foten")
@@ -294,9 +286,7 @@ def test_a_graph_is_timed_once_and_called_by_what_runs_it(
         assert times
 
 
-def test_without_onnx_runtime_one_line_says_so(
-    textures: dict[str, Texture], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_onnx_runtime_one_line_says_so(textures: dict[str, Texture], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     with pytest.raises(ValueError, match=r"pip install 'foten\[onnx\]'"):
         Renderer(textures["dstn"])
@@ -304,9 +294,7 @@ def test_without_onnx_runtime_one_line_says_so(
 
 
 @pytest.mark.parametrize("key", FROM_NOISE)
-def test_a_model_of_noise_goes_on_from_a_recorded_condition_alone(
-    textures: dict[str, Texture], key: str
-) -> None:
+def test_a_model_of_noise_goes_on_from_a_recorded_condition_alone(textures: dict[str, Texture], key: str) -> None:
     """Whatever was recorded; in the kernel as in the reference. Without chance there is silence."""
     texture = textures[key]
     m, n = texture.window, 64
@@ -330,16 +318,10 @@ def test_a_model_of_noise_goes_on_from_a_recorded_condition_alone(
     np.testing.assert_allclose(silent, texture.scaling.mean[0], atol=1e-6)
 
 
-def test_a_network_that_hops_is_asked_once_a_hop(
-    textures: dict[str, Texture], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_network_that_hops_is_asked_once_a_hop(textures: dict[str, Texture], monkeypatch: pytest.MonkeyPatch) -> None:
     hop = textures["ldhtd-hop"].sizes.n_ahead
     assert hop == 20
-    renderer, predict_into, asked = (
-        Renderer(textures["ldhtd-hop"], excitation=False),
-        OnnxPredictor.predict_into,
-        0,
-    )
+    renderer, predict_into, asked = (Renderer(textures["ldhtd-hop"], excitation=False), OnnxPredictor.predict_into, 0)
 
     def counted(predictor: OnnxPredictor, window: np.ndarray, out: np.ndarray) -> None:
         nonlocal asked

@@ -25,9 +25,7 @@ def test_it_is_the_direct_sum(n: int, n_axes: int) -> None:
 @pytest.mark.parametrize("n", [2000, 1999, 5, 2, 1])
 def test_the_energy_of_all_axes_is_kept(n: int) -> None:
     axes = np.random.default_rng(n).standard_normal((3, n))
-    assert np.square(dft321(axes)).sum() == pytest.approx(
-        np.square(axes).sum(), rel=1e-12
-    )  # Parseval; rounding
+    assert np.square(dft321(axes)).sum() == pytest.approx(np.square(axes).sum(), rel=1e-12)  # Parseval; rounding
 
 
 def test_the_energy_of_each_frequency_is_kept() -> None:

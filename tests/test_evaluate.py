@@ -86,8 +86,7 @@ def error(trace: Trace, chosen: tuple[int, ...], fitted: Linear) -> float:
     blocks = SCALING.scale(trace.stacked()).reshape(N_BLOCKS, BLOCK, 3)[list(chosen)]
     skipped = FIRST - fitted.window
     missed = [
-        block[FIRST:, 0]
-        - (design(block, fitted.window, fitted.scheduled) @ fitted.coefficients.ravel())[skipped:]
+        block[FIRST:, 0] - (design(block, fitted.window, fitted.scheduled) @ fitted.coefficients.ravel())[skipped:]
         for block in blocks
     ]
     return float(np.abs(missed).mean())
@@ -109,24 +108,19 @@ def test_the_free_run_of_ar_20_is_that_of_the_training_blocks(judged: Judgement,
     fitted = least_squares(trace, SPLIT.train, 20)
     expected = synthesize_linear(fitted, trace, SPLIT.test, SCALING, 0)
     np.testing.assert_allclose(judged.synthesized["free_run_ar"], expected, atol=1e-6)
-    other = synthesize_linear(
-        least_squares(trace, SPLIT.train + SPLIT.test, 20), trace, SPLIT.test, SCALING, 0
-    )
+    other = synthesize_linear(least_squares(trace, SPLIT.train + SPLIT.test, 20), trace, SPLIT.test, SCALING, 0)
     assert np.abs(other - expected).max() > 1e-2
 
 
 def test_the_best_ar_is_chosen_on_the_validation_blocks(judged: Judgement, trace: Trace) -> None:
     """Oracle: every order and kind by least squares. On the test blocks another would be the best."""
-    orders = [
-        order for order in ORDERS if order <= 40
-    ]  # of longer ones 8 blocks tell the coefficients worse still
+    orders = [order for order in ORDERS if order <= 40]  # of longer ones 8 blocks tell the coefficients worse still
     kinds = {
         (order, scheduled): least_squares(trace, SPLIT.train, order, scheduled)
         for order, scheduled in product(orders, (False, True))
     }
     chosen, tempting = (
-        min(kinds, key=lambda kind: error(trace, blocks, kinds[kind]))
-        for blocks in (SPLIT.validation, SPLIT.test)
+        min(kinds, key=lambda kind: error(trace, blocks, kinds[kind])) for blocks in (SPLIT.validation, SPLIT.test)
     )
     assert chosen[0] < 40 == tempting[0]
     best = judged.document["references"]["ar_best"]
@@ -139,9 +133,7 @@ def test_the_best_linear_predictor_never_sees_other_blocks(trace: Trace) -> None
     samples = SCALING.scale(trace.stacked())
     spoilt = samples.copy().reshape(N_BLOCKS, BLOCK, 3)
     spoilt[list(SPLIT.test)] = 1e3
-    fitted = [
-        best_linear(some.reshape(-1, 3), SPLIT.train, SPLIT.validation, BLOCK) for some in (samples, spoilt)
-    ]
+    fitted = [best_linear(some.reshape(-1, 3), SPLIT.train, SPLIT.validation, BLOCK) for some in (samples, spoilt)]
     assert fitted[0] is not None
     assert fitted[1] is not None
     np.testing.assert_array_equal(fitted[0].coefficients, fitted[1].coefficients)

@@ -20,14 +20,7 @@ from foten.train import excitation as fitting
 from foten.train.blocks import ScaledBlocks
 from foten.train.closed_loop import ClosedLoop
 from foten.train.config import TrainConfig
-from foten.train.excitation import (
-    FittedExcitation,
-    _likelihood_of,
-    fit_excitation,
-    fit_scale,
-    fit_tail,
-    gaussianised,
-)
+from foten.train.excitation import FittedExcitation, _likelihood_of, fit_excitation, fit_scale, fit_tail, gaussianised
 from foten.train.export import tensors_of
 from foten.train.fit import TrainingWindows
 from test_closed_loop_training import loop_of
@@ -128,9 +121,7 @@ def test_a_heavy_tailed_number_is_taken_back_to_its_gaussian() -> None:
     np.testing.assert_allclose(slope, step, rtol=1e-5)
 
 
-def innovations_of(
-    loop: ClosedLoop, excitation: Excitation, heavy: bool = False
-) -> tuple[np.ndarray, TrainingWindows]:
+def innovations_of(loop: ClosedLoop, excitation: Excitation, heavy: bool = False) -> tuple[np.ndarray, TrainingWindows]:
     """Return innovations as the excitation makes them, and the windows that they are missed from."""
     rng = np.random.default_rng(4)
     windows = TrainingWindows(loop.blocks.flat, *loop.blocks.targets(loop.history), loop.history)

@@ -12,9 +12,7 @@ from foten.experiments.experiment_file import experiment_path, read_experiment
 
 
 def test_ar_is_run_once_whatever_the_grid(tmp_path: Path) -> None:
-    text = TINY.replace("[train]", '[grid]\nloss = ["mse", "mae"]\n[train]').replace(
-        "methods = [", 'methods = ["ar", '
-    )
+    text = TINY.replace("[train]", '[grid]\nloss = ["mse", "mae"]\n[train]').replace("methods = [", 'methods = ["ar", ')
     assert [run.method for run in read_experiment(experiment(tmp_path, text)).runs()].count("ar") == 2
 
 
@@ -26,8 +24,7 @@ def test_ours_are_read_and_are_as_large_as_the_papers(name: str) -> None:
     assert len(runs) == n[name]
     paper = [run for run in runs if run.model == "foten" and name in ("table-1", "table-2")]
     assert all(
-        (run.train["batch"], run.train["epochs"], run.train["learning_rate"]) == (16, 100, 1e-3)
-        for run in paper
+        (run.train["batch"], run.train["epochs"], run.train["learning_rate"]) == (16, 100, 1e-3) for run in paper
     )
     windows = {run.sizes["window"] for run in runs if run.model == "foten"}
     assert windows == ({5, 10, 15, 20, 25, 30} if name == "figure-5" else {20})
@@ -49,10 +46,7 @@ def test_a_setting_that_a_method_does_not_use_is_no_grid(tmp_path: Path) -> None
     with pytest.raises(ValueError, match="method 'gan': loss means nothing to gan"):
         read_experiment(experiment(tmp_path, gan)).runs()
     ar = 'title = "x"\nmethods = ["ar"]\ntextures = ["towel"]\n'
-    for more, match in (
-        ("[train]\nepoch = 1", "unknown key 'epoch'"),
-        ("[grid]\nepochs = [1]", "a grid is of netw"),
-    ):
+    for more, match in (("[train]\nepoch = 1", "unknown key 'epoch'"), ("[grid]\nepochs = [1]", "a grid is of netw")):
         with pytest.raises(ValueError, match=match):
             read_experiment(experiment(tmp_path, ar + more))
 
@@ -77,16 +71,8 @@ def test_a_setting_that_a_method_does_not_use_is_no_grid(tmp_path: Path) -> None
         ('"FNN [13]"}', '"FNN [13]", train = {epoch = 1}}', "unknown key 'epoch' in 'train' of a method"),
         ("epochs = 1", 'recipe = "paper"', "'recipe' stands beside [train]"),
         ("epochs = 1", "batch = 2.5", "batch is 2.5, expected a whole number"),
-        (
-            '"FNN [13]"}',
-            '"FNN [13]"}, {model = "fnn", name = "again"}',
-            "'FNN [13]' and 'again' are the same run",
-        ),
-        (
-            '"FNN [13]"}',
-            '"FNN [13]"}, {model = "ar", train = {epochs = 3}}',
-            "'ar' is fitted without a recipe",
-        ),
+        ('"FNN [13]"}', '"FNN [13]"}, {model = "fnn", name = "again"}', "'FNN [13]' and 'again' are the same run"),
+        ('"FNN [13]"}', '"FNN [13]"}, {model = "ar", train = {epochs = 3}}', "'ar' is fitted without a recipe"),
         ('{model = "fnn", name = "FNN [13]"}', "5", "a method is 5, expected a model's name or a table"),
         ("sizes = {excitation = true}", "sizes = 5", "'sizes' of a method is 5, expected a table"),
         ('"linear-twin"', '"linear-cloth"', "two textures have the same name"),

@@ -50,9 +50,7 @@ def test_the_warm_start_is_a_training_window_near_45_mm_s_whose_end_is_neither_l
     assert power.max() > 50 * power[chosen]  # the burst was among them
 
 
-def test_the_warm_start_is_from_the_training_blocks_even_where_others_are_nearer(
-    speeding_up: ScaledBlocks,
-) -> None:
+def test_the_warm_start_is_from_the_training_blocks_even_where_others_are_nearer(speeding_up: ScaledBlocks) -> None:
     """The hand is at 45 mm/s in a block that is for validation now; the nearest training windows are a block away."""
     at_45 = int(np.abs(speeding_up.trace.speed - 45.0).argmin()) // 1000
     train = tuple(k for k in range(2, 10) if k != at_45)
@@ -63,9 +61,7 @@ def test_the_warm_start_is_from_the_training_blocks_even_where_others_are_nearer
     assert number in (at_45 - 1, at_45 + 1)
 
 
-def test_a_draft_goes_on_from_its_warm_start_and_is_proved_on_validation_windows(
-    speeding_up: ScaledBlocks,
-) -> None:
+def test_a_draft_goes_on_from_its_warm_start_and_is_proved_on_validation_windows(speeding_up: ScaledBlocks) -> None:
     blocks, sizes = speeding_up, sizes_with("foten", SMALL)
     tensors = untrained_tensors("foten", sizes, untrained("foten", sizes))
     card = {name: value for name, value in CARD.items() if name not in ("warm_start", "metrics")}

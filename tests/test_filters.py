@@ -24,9 +24,7 @@ def tone(hz: float, n: int = 4000) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("kind", "cutoff_hz", "rate_hz", "order"), DESIGNS)
-def test_the_response_is_that_of_scipys_butterworth(
-    kind: str, cutoff_hz: float, rate_hz: float, order: int
-) -> None:
+def test_the_response_is_that_of_scipys_butterworth(kind: str, cutoff_hz: float, rate_hz: float, order: int) -> None:
     """Oracle: scipy.signal.butter."""
     frequencies = np.geomspace(1.0, 0.49 * rate_hz, 200)
     _, ours = signal.sosfreqz(sos(butterworth(kind, cutoff_hz, rate_hz, order)), frequencies, fs=rate_hz)

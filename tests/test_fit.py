@@ -17,9 +17,7 @@ from foten.train.config import TrainConfig
 from foten.train.epochs import Epoch, load_progress
 from foten.train.fit import TrainingWindows, fit, loss_of, predict
 
-SIZES = FotenSizes(
-    window=12, d_model=8, n_heads=2, n_layers=2, d_feedforward=16, head=(16, 8), spectral_width=8
-)
+SIZES = FotenSizes(window=12, d_model=8, n_heads=2, n_layers=2, d_feedforward=16, head=(16, 8), spectral_width=8)
 QUICK = TrainConfig(epochs=3, batch=64, threads=1)
 
 
@@ -42,9 +40,7 @@ def test_losses_are_those_of_equation_14() -> None:
     huber = loss_of(TrainConfig(delta=1.6))(r, torch.zeros_like(r))
     expected = torch.where(r.abs() <= 1.6, r**2 / 2, 1.6 * r.abs() - 1.6**2 / 2).mean()
     assert float(huber) == pytest.approx(float(expected), rel=1e-12)
-    assert float(loss_of(TrainConfig(loss="mae"))(r, 0 * r)) == pytest.approx(
-        float(r.abs().mean()), rel=1e-12
-    )
+    assert float(loss_of(TrainConfig(loss="mae"))(r, 0 * r)) == pytest.approx(float(r.abs().mean()), rel=1e-12)
     assert float(loss_of(TrainConfig(loss="mse"))(r, 0 * r)) == pytest.approx(float((r**2).mean()), rel=1e-12)
 
 
@@ -66,9 +62,7 @@ def test_the_best_epoch_is_kept_and_patience_ends_the_training() -> None:
     best = min(progress.epochs, key=lambda line: line.validation_loss)
     assert progress.best is best
     assert progress.epochs[-1].epoch == best.epoch + 3  # white noise: only overfitting is left
-    error = np.abs(
-        windows.samples[windows.validation, 0] - predict(network, windows, windows.validation)
-    ).mean()
+    error = np.abs(windows.samples[windows.validation, 0] - predict(network, windows, windows.validation)).mean()
     assert error == pytest.approx(best.validation_mae, rel=1e-5)
 
 
@@ -116,9 +110,7 @@ def test_an_interrupted_training_goes_on_as_if_it_had_not_been(tmp_path: Path) -
         assert torch.equal(tensor, resumed.state_dict()[name]), name
 
 
-def test_an_interrupt_before_anything_was_validated_goes_on_to_the_caller(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_interrupt_before_anything_was_validated_goes_on_to_the_caller(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(*_: object) -> tuple[float, float]:
         raise KeyboardInterrupt
 
@@ -131,26 +123,20 @@ def full_disk(path: Path, *_: object) -> None:
     raise OSError(errno.ENOSPC, "No space left on device", str(path))
 
 
-def test_a_full_disk_costs_the_checkpoint_and_not_the_training(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_costs_the_checkpoint_and_not_the_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A note in one line, however many checkpoints could not be written; the network is that of any other disk."""
     expected, network, checkpoint = untrained(), untrained(), tmp_path / "checkpoint.pt"
     fit(expected, white(), QUICK)
     monkeypatch.setattr(Path, "write_bytes", full_disk)
     progress = fit(network, white(), QUICK, checkpoint=checkpoint)
     assert [line.epoch for line in progress.epochs] == [0, 1, 2, 3]
-    assert progress.notes == [
-        f"{checkpoint}: no space left on device; the training went on without its checkpoint"
-    ]
+    assert progress.notes == [f"{checkpoint}: no space left on device; the training went on without its checkpoint"]
     assert not list(tmp_path.iterdir())
     for name, tensor in expected.state_dict().items():
         assert torch.equal(tensor, network.state_dict()[name]), name
 
 
-def test_a_disk_that_fills_up_leaves_the_checkpoint_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_fills_up_leaves_the_checkpoint_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     checkpoint = tmp_path / "checkpoint.pt"
     parts = {"network": untrained()}
 

@@ -58,9 +58,7 @@ class Equations:
 
     def layer(self, name: str, x: Tensor) -> Tensor:
         def feedforward(x: Tensor) -> Tensor:
-            return self.affine(
-                f"{name}.feedforward_out", torch.relu(self.affine(f"{name}.feedforward_in", x))
-            )
+            return self.affine(f"{name}.feedforward_out", torch.relu(self.affine(f"{name}.feedforward_in", x)))
 
         if self.sizes.pre_norm:
             x = x + self.attention(name, self.norm(f"{name}.norm_1", x))
@@ -90,10 +88,7 @@ class Equations:
 
     def spectral(self, a: Tensor) -> Tensor:
         z = torch.fft.fft(a)  # Eq. 6
-        magnitude, phase = (
-            z.abs(),
-            torch.atan2(z.imag + 0.0, z.real),
-        )  # Eq. 7; a real bin's angle is 0 or π, not −π
+        magnitude, phase = (z.abs(), torch.atan2(z.imag + 0.0, z.real))  # Eq. 7; a real bin's angle is 0 or π, not −π
         encoded = torch.polar(torch.ones_like(phase), self.encode("phase", phase[..., None]))
         encoded = self.encode("magnitude", magnitude[..., None]) * encoded  # Eq. 8
         return torch.fft.ifft(encoded).real  # Eq. 9
@@ -136,9 +131,7 @@ def test_it_has_the_papers_sizes() -> None:
     def dense(inputs: int, outputs: int) -> int:
         return inputs * outputs + outputs
 
-    layer = (
-        4 * dense(32, 32) + dense(32, 128) + dense(128, 32) + 2 * 64
-    )  # Eq. 3 to 5, feed-forward, two norms
+    layer = 4 * dense(32, 32) + dense(32, 128) + dense(128, 32) + 2 * 64  # Eq. 3 to 5, feed-forward, two norms
     temporal = dense(1, 32) + 3 * layer + 64  # embedding, three layers, the last norm
     spectral = 2 * (dense(1, 32) + layer + dense(32, 1)) + dense(1, 32)
     head = dense(2 * 32 + 2, 256) + dense(256, 64) + dense(64, 1)

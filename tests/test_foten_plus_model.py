@@ -86,9 +86,6 @@ def test_the_network_sees_a_vibration_of_unit_size_whatever_the_level(before: bo
     given = windows(40, sizes.history)
     doubled = given.copy()
     doubled[..., 0] *= 2
-    louder = {
-        **tensors,
-        "lattice.level.out.bias": tensors["lattice.level.out.bias"].astype(float) + math.log(2),
-    }
+    louder = {**tensors, "lattice.level.out.bias": tensors["lattice.level.out.bias"].astype(float) + math.log(2)}
     expected = 2 * model(sizes, tensors).predict(given)
     np.testing.assert_allclose(model(sizes, louder).predict(doubled), expected, rtol=1e-9)  # rounding

@@ -56,9 +56,7 @@ def recording() -> Recording:
 
 @pytest.fixture(scope="module")
 def prepared(recording: Recording) -> FotenPlusTask:
-    return prepare_foten_plus(
-        TrainingJob(recording, "foten-plus", FotenPlusSizes(**SMALL), QUICK, SHORT), silent
-    )
+    return prepare_foten_plus(TrainingJob(recording, "foten-plus", FotenPlusSizes(**SMALL), QUICK, SHORT), silent)
 
 
 def fitted(prepared: FotenPlusTask, gained: float) -> tuple[FotenPlusTask, Progress]:
@@ -73,14 +71,10 @@ def fitted(prepared: FotenPlusTask, gained: float) -> tuple[FotenPlusTask, Progr
     return dataclasses.replace(prepared, network=network), Progress(lines, 0.9)
 
 
-def test_a_block_too_short_to_settle_its_level_is_refused_before_anything_is_fitted(
-    recording: Recording,
-) -> None:
+def test_a_block_too_short_to_settle_its_level_is_refused_before_anything_is_fitted(recording: Recording) -> None:
     stages: list[str] = []
     sizes, preprocess = FotenPlusSizes(**{**SMALL, "window": 8}), PreprocessConfig(trim_ms=0, block_ms=40)
-    with pytest.raises(
-        ValueError, match=r"a block of 40 ms holds no frame of 40 ms .* --block of 56 ms or more"
-    ):
+    with pytest.raises(ValueError, match=r"a block of 40 ms holds no frame of 40 ms .* --block of 56 ms or more"):
         train(TrainingJob(recording, "foten-plus", sizes, QUICK, preprocess), on_stage=stages.append)
     assert not stages
 

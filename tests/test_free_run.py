@@ -46,9 +46,7 @@ def test_two_realisations_of_one_process_are_as_far_as_chance_sets_them() -> Non
     assert found["lsd_long_db"] < found["lsd_db"] / 2  # pooled over blocks and runs chance shrinks
     # Frames of 40 samples with poles at 0.9 hold 40·(1 − 0.9⁴)/… ≈ 10 independent values: levels scatter by 2 dB.
     assert found["level_bias_db"] == pytest.approx(0.0, abs=0.3)
-    assert found["gfc_raw"] == pytest.approx(
-        math.pi / 4, abs=0.03
-    )  # Rayleigh amplitudes; the spectrum's shape
+    assert found["gfc_raw"] == pytest.approx(math.pi / 4, abs=0.03)  # Rayleigh amplitudes; the spectrum's shape
     assert found["gfc_welch"] > 0.97
     assert found["kurtosis"] == pytest.approx(3.0, abs=0.15)
     assert abs(found["level_corr"]) < 0.15  # 4/√480 independent frames each, three runs
@@ -135,9 +133,7 @@ def trace(n_blocks: int, block: int = 300, seed: int = 0) -> Trace:
 
 def test_a_texture_starts_from_each_blocks_own_window(texture: Texture) -> None:
     recorded = trace(4)
-    out, n_saturated = synthesize(
-        NativeTexture(texture.to_bytes()), recorded, (1, 3), excitation=True, n_seeds=3
-    )
+    out, n_saturated = synthesize(NativeTexture(texture.to_bytes()), recorded, (1, 3), excitation=True, n_seeds=3)
     assert out.shape == (3, 2, 300)
     assert n_saturated == 0
     expected = recorded.blocks(recorded.acceleration)[[1, 3], : texture.window]
@@ -147,9 +143,7 @@ def test_a_texture_starts_from_each_blocks_own_window(texture: Texture) -> None:
     assert np.abs(np.corrcoef(flat) - np.eye(6)).max() < 0.9  # six streams of noise, all different
     again, _ = synthesize(NativeTexture(texture.to_bytes()), recorded, (1, 3), excitation=True, n_seeds=3)
     np.testing.assert_array_equal(again, out)
-    other, _ = synthesize(
-        NativeTexture(texture.to_bytes()), recorded, (1, 3), excitation=True, seed=1, n_seeds=3
-    )
+    other, _ = synthesize(NativeTexture(texture.to_bytes()), recorded, (1, 3), excitation=True, seed=1, n_seeds=3)
     assert not np.array_equal(other, out)
 
 
@@ -186,10 +180,7 @@ def test_a_linear_predictor_with_noise_gives_its_process_back() -> None:
 
 def test_the_nearest_training_block_is_nearest_in_speed_and_force() -> None:
     block = 50
-    speed, force = (
-        np.repeat([10.0, 100.0, 100.0, 98.0, 15.0], block),
-        np.repeat([1.0, 1.0, 2.0, 1.9, 1.1], block),
-    )
+    speed, force = (np.repeat([10.0, 100.0, 100.0, 98.0, 15.0], block), np.repeat([1.0, 1.0, 2.0, 1.9, 1.1], block))
     recorded = Trace(np.repeat(np.arange(5.0), block), speed, force, RATE_HZ, block)
     found = nearest_training_blocks(recorded, (3, 4), (0, 1, 2))
     assert found.shape == (1, 2, block)

@@ -15,17 +15,12 @@ from foten.train.job import TrainingJob
 from foten.train.pipeline import prepare, train
 from foten.train.task import NetworkTask
 
-pytestmark = [
-    pytest.mark.gpu,
-    pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU that PyTorch can use"),
-]
+pytestmark = [pytest.mark.gpu, pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU that PyTorch can use")]
 
 
 def job(texture: str, epochs: int) -> TrainingJob:
     preprocess = PreprocessConfig(block_ms=1000)
-    return TrainingJob(
-        simulate(texture, 24.0), "foten-plus", FotenPlusSizes(), TrainConfig(epochs=epochs), preprocess
-    )
+    return TrainingJob(simulate(texture, 24.0), "foten-plus", FotenPlusSizes(), TrainConfig(epochs=epochs), preprocess)
 
 
 def test_what_is_playable_before_leaves_the_network_on_the_gpu() -> None:

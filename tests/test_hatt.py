@@ -49,9 +49,7 @@ def written(path: Path, rate_hz: float = 1000.0, zeros: bool = True) -> Path:
         add_list(root, "tri", list(corners), in_values=True)
     for i, (speed, force) in enumerate(CORNERS):
         model = Xml.SubElement(root, "model")
-        a = np.convolve(
-            resonance(0.12 * rate_hz, 0.9, rate_hz), resonance(0.3 * rate_hz, 0.8 + 0.02 * i, rate_hz)
-        )
+        a = np.convolve(resonance(0.12 * rate_hz, 0.9, rate_hz), resonance(0.3 * rate_hz, 0.8 + 0.02 * i, rate_hz))
         add_list(model, "ARcoeff", a.tolist(), in_values=i % 2 == 0)
         if zeros:
             add_list(model, "MAcoeff", resonance(0.2 * rate_hz, 0.7, rate_hz).tolist(), in_values=i % 2 == 1)
@@ -117,16 +115,8 @@ def _edited(path: Path, old: str, new: str) -> Path:
         ("mm/s<", "m/s<", "<SpeedUnits> is 'm/s', expected 'mm/s'"),
         ("<numMod>5", "<numMod>6", "says 6 models and the file holds 5"),
         ("<SampleRate>1000.0", "<SampleRate>0", "<SampleRate> is 0 Hz"),
-        (
-            "<value>1</value><value>2</value><value>5</value>",
-            "<value>1</value><value>2</value>",
-            "<tri> has 2 to 3",
-        ),
-        (
-            "<value>1</value><value>2</value><value>5",
-            "<value>0</value><value>2</value><value>5",
-            "expected 1 to 5",
-        ),
+        ("<value>1</value><value>2</value><value>5</value>", "<value>1</value><value>2</value>", "<tri> has 2 to 3"),
+        ("<value>1</value><value>2</value><value>5", "<value>0</value><value>2</value><value>5", "expected 1 to 5"),
         ("<var>6.0", "<var>-6.0", "<var> is negative"),
         ("<var>6.0", "<var>loud", "<var> is 'loud', expected a number"),
         ("<gain>0.5", "<gain>nan", "<gain> is nan"),

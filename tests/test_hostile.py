@@ -13,9 +13,7 @@ N_ALWAYS, N_SLOW, BATCH = 100, 2000, 200
 
 
 @pytest.fixture(scope="module")
-def generator(
-    texture: Texture, plain_texture: Texture, tmp_path_factory: pytest.TempPathFactory
-) -> Generator:
+def generator(texture: Texture, plain_texture: Texture, tmp_path_factory: pytest.TempPathFactory) -> Generator:
     local = exported("ar", FAMILIES["ar"](n_models=9, n_triangles=8))
     return Generator([texture, plain_texture, local], tmp_path_factory.mktemp("valid"))
 

@@ -26,8 +26,7 @@ FORCE = 1 + 0.5 * np.cos(2 * np.pi * TIME)
 
 def _csv(path, header, *columns):
     rows = [
-        ",".join(repr(float(value)) if value == value else "" for value in row)
-        for row in zip(*columns, strict=True)
+        ",".join(repr(float(value)) if value == value else "" for value in row) for row in zip(*columns, strict=True)
     ]
     path.write_text("\n".join(([header] if header else []) + rows) + "\n")
     return path
@@ -50,8 +49,7 @@ def _write(path):
         case ".tsv":
             path.write_text(
                 "\n".join(
-                    "\t".join(map(repr, row))
-                    for row in zip(*(c.tolist() for c in columns.values()), strict=True)
+                    "\t".join(map(repr, row)) for row in zip(*(c.tolist() for c in columns.values()), strict=True)
                 )
             )
         case ".xlsx":
@@ -74,9 +72,7 @@ def _write(path):
                     file[name] = samples
         case ".tdms":
             with TdmsWriter(path) as writer:
-                writer.write_segment(
-                    [ChannelObject("rig", name, samples) for name, samples in columns.items()]
-                )
+                writer.write_segment([ChannelObject("rig", name, samples) for name, samples in columns.items()])
         case ".wav":
             wavfile.write(path, 1000, np.stack(list(columns.values()), axis=1))
 
@@ -94,21 +90,11 @@ def test_every_format_gives_the_same_recording(tmp_path, suffix):
 
 
 def test_headers_that_leave_no_doubt_need_no_map(tmp_path):
-    path = _csv(
-        tmp_path / "a.csv",
-        "Time (s),Accel [g],Velocity,Normal Force,friction",
-        TIME,
-        ACC,
-        SPEED,
-        FORCE,
-        FORCE,
-    )
+    path = _csv(tmp_path / "a.csv", "Time (s),Accel [g],Velocity,Normal Force,friction", TIME, ACC, SPEED, FORCE, FORCE)
     imported = import_recording([path], ImportOptions())
     recording = imported.recording
     assert set(recording.channels) == {"acceleration", "speed", "force"}
-    np.testing.assert_allclose(
-        recording["acceleration"].samples, ACC * 9.80665, rtol=1e-15
-    )  # the header says g
+    np.testing.assert_allclose(recording["acceleration"].samples, ACC * 9.80665, rtol=1e-15)  # the header says g
     assert recording["force"].rate_hz == 1000
     assert "left out: friction" in imported.decisions
     assert "acceleration was converted from g to m/s^2" in recording.history
@@ -117,9 +103,7 @@ def test_headers_that_leave_no_doubt_need_no_map(tmp_path):
 def test_headers_that_leave_doubt_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"force could be any of force, fn; say which, e.g. --map"):
         _import(_csv(tmp_path / "a.csv", "acc,force,fn", ACC, FORCE, FORCE), rate=1000)
-    with pytest.raises(
-        ValueError, match=r"no header says.*found 0, 1; say so, e.g. --map acceleration=0,speed=1"
-    ):
+    with pytest.raises(ValueError, match=r"no header says.*found 0, 1; say so, e.g. --map acceleration=0,speed=1"):
         _import(_csv(tmp_path / "b.csv", "", ACC, FORCE), rate=1000)
 
 
@@ -131,12 +115,7 @@ def test_headers_that_leave_doubt_are_refused(tmp_path):
         if kind != "time"
         for unit, factor in FACTORS[kind].items()
     ]
-    + [
-        ("acceleration", "m/s²", 1.0),
-        ("position_y", "µm", 1e-3),
-        ("force", "V*4.9", 4.9),
-        ("force", "*-2", -2.0),
-    ],
+    + [("acceleration", "m/s²", 1.0), ("position_y", "µm", 1e-3), ("force", "V*4.9", 4.9), ("force", "*-2", -2.0)],
 )
 def test_units_are_converted(tmp_path, channel, unit, factor):
     small = FORCE / max(1.0, factor)  # no force is beyond a hand in kN
@@ -151,9 +130,7 @@ def test_regular_times_become_a_rate(tmp_path, digits):
     times = 7.25 + np.arange(N) / 3000
     times = times if digits is None else np.round(times, digits)
     if digits == 3:  # 1/3000 s does not fit into milliseconds: times repeat
-        with pytest.raises(
-            ValueError, match=r"time repeats at sample 1.*rounded\? Leave time out and give --rate"
-        ):
+        with pytest.raises(ValueError, match=r"time repeats at sample 1.*rounded\? Leave time out and give --rate"):
             _import(_csv(tmp_path / "a.csv", "t,acc", times, ACC))
         return
     channel = _import(_csv(tmp_path / "a.csv", "t,acc", times, ACC))["acceleration"]
@@ -189,20 +166,14 @@ def test_a_late_sample_makes_times_irregular(tmp_path):
 def test_a_lost_sample_is_filled_on_request_alone(tmp_path):
     kept = np.delete(np.arange(N), 700)
     path = _csv(tmp_path / "a.csv", "t,speed", TIME[kept], SPEED[kept])
-    with pytest.raises(
-        ValueError, match=r"missing in 1 place, the longest 1 ms after 0.699 s; --fill-gaps 1 "
-    ):
+    with pytest.raises(ValueError, match=r"missing in 1 place, the longest 1 ms after 0.699 s; --fill-gaps 1 "):
         _import(path)
     assert _import(path, fill_gaps_ms=1)["speed"].samples.size == N
 
 
 @pytest.mark.parametrize(
     ("at", "value", "what"),
-    [
-        (50, 0.0, "goes back at sample 50"),
-        (51, 0.05, "repeats at sample 51"),
-        (60, np.nan, "NaN at sample 60"),
-    ],
+    [(50, 0.0, "goes back at sample 50"), (51, 0.05, "repeats at sample 51"), (60, np.nan, "NaN at sample 60")],
 )
 def test_impossible_times_are_refused(tmp_path, at, value, what):
     times = TIME.copy()
@@ -277,13 +248,9 @@ def _with_gaps():
 def test_marker_drop_outs_are_filled_on_request_and_counted(tmp_path):
     complete, gapped = _with_gaps()
     path = _csv(tmp_path / "a.csv", "x", gapped)
-    with pytest.raises(
-        ValueError, match=r"4 samples are NaN or blank in 2 gaps, the first at 50.*--fill-gaps 25"
-    ):
+    with pytest.raises(ValueError, match=r"4 samples are NaN or blank in 2 gaps, the first at 50.*--fill-gaps 25"):
         _import(path, map="position_x=x", rate=120)
-    with pytest.raises(
-        ValueError, match=r"1 of 2 gaps are longer than 20 ms, the first at sample 50 .* lasts 25 ms"
-    ):
+    with pytest.raises(ValueError, match=r"1 of 2 gaps are longer than 20 ms, the first at sample 50 .* lasts 25 ms"):
         _import(path, map="position_x=x", rate=120, fill_gaps_ms=20)
     recording = _import(path, map="position_x=x", rate=120, fill_gaps_ms=25)
     np.testing.assert_allclose(recording["position_x"].samples, complete, atol=1e-12)
@@ -296,9 +263,7 @@ def test_missing_rows_are_gaps_too(tmp_path):
     kept = np.ones(1000, dtype=bool)
     kept[50:53] = kept[400:600] = False
     path = _csv(tmp_path / "m.csv", "t,x", t[kept], 20 * t[kept])
-    with pytest.raises(
-        ValueError, match=r"rows are missing in 2 places, the longest 2000 ms.*--fill-gaps 2000"
-    ):
+    with pytest.raises(ValueError, match=r"rows are missing in 2 places, the longest 2000 ms.*--fill-gaps 2000"):
         _import(path, map="time=t,position_x=x", fill_gaps_ms=30)
     recording = _import(path, map="time=t,position_x=x", fill_gaps_ms=2000)
     np.testing.assert_allclose(recording["position_x"].samples, 20 * t, atol=1e-9)
@@ -320,10 +285,7 @@ def test_gaps_elsewhere_are_never_filled(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (
-            {"map": "force=forse"},
-            "force: no column 'forse' in a.csv, which has acc, speed, force; did you mean force",
-        ),
+        ({"map": "force=forse"}, "force: no column 'forse' in a.csv, which has acc, speed, force; did you mean force"),
         ({"map": "acceleration=7"}, "no column '7' in a.csv"),
         ({"map": "acc=acc"}, "unknown channel 'acc', expected time, acceleration.*"),
         ({"map": "force=force,force=speed"}, "force is mapped twice"),
@@ -331,15 +293,9 @@ def test_gaps_elsewhere_are_never_filled(tmp_path):
         ({"map": "acceleration"}, "--map 'acceleration' is not CHANNEL=VALUE"),
         ({"map": "acceleration=acc", "rate": "fast"}, "--rate 'fast' is not HZ or CHANNEL=HZ"),
         ({"map": "acceleration=acc", "rate": 0}, "is 0 Hz, expected above 0"),
-        (
-            {"map": "acceleration=acc"},
-            "does not say how fast it was sampled; give --rate 10000.*map its time column",
-        ),
+        ({"map": "acceleration=acc"}, "does not say how fast it was sampled; give --rate 10000.*map its time column"),
         ({"map": "acceleration=acc", "unit": "acceleration=inch"}, "'inch' is not one of m/s.*V\\*4.9"),
-        (
-            {"map": "acceleration=acc", "unit": "acceleration=g*2"},
-            "takes no factor; write acceleration=g, or",
-        ),
+        ({"map": "acceleration=acc", "unit": "acceleration=g*2"}, "takes no factor; write acceleration=g, or"),
         ({"map": "acceleration=acc", "unit": "acceleration=V*x"}, "'x' is not a factor"),
         ({"map": "acceleration=acc", "unit": "force=N"}, "force has a unit or rate but is not mapped"),
         ({"map": "acceleration=acc", "rate": 1e6}, "too short: 2000 samples at 1e.06 Hz last 2 ms"),
@@ -387,17 +343,7 @@ def test_a_pickle_is_refused_unopened(tmp_path):
 
 def test_the_command_writes_a_recording(tmp_path, capsys):
     path = _csv(tmp_path / "a.csv", "t,acc,speed,force", TIME, ACC, SPEED, FORCE)
-    arguments = [
-        "import",
-        str(path),
-        "-o",
-        str(tmp_path / "a.h5"),
-        "--texture",
-        "denim",
-        "--tool",
-        "ball",
-        "--json",
-    ]
+    arguments = ["import", str(path), "-o", str(tmp_path / "a.h5"), "--texture", "denim", "--tool", "ball", "--json"]
     assert _status(arguments) == 0
     captured = capsys.readouterr()
     document = json.loads(captured.out)
@@ -456,9 +402,7 @@ def test_a_unit_at_the_end_of_a_header_counts(tmp_path):
 
 def test_time_in_milliseconds_is_suspected(tmp_path):
     path = _csv(tmp_path / "a.csv", "t,acc,speed,force", 1000 * TIME, ACC, SPEED, FORCE)
-    with pytest.raises(
-        ValueError, match=r"a rate of 1 Hz, too slow for any vibration; was the time given in ms\?"
-    ):
+    with pytest.raises(ValueError, match=r"a rate of 1 Hz, too slow for any vibration; was the time given in ms\?"):
         _import(path)
     assert _import(path, unit="time=ms")["acceleration"].rate_hz == 1000
 

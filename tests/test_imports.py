@@ -40,16 +40,7 @@ FOR_ALL = {"atomic_write", "untrusted"}
 EVERYTHING = {"experiments", "cli", ""}  # the last is the package itself, whose names are looked up lazily
 WITH_TORCH = {"networks", "train", "experiments", "cli"}
 LISTENER = "foten.evaluate.listener"  # loads PyTorch and its network when it is asked
-WITHOUT_SCIPY = {
-    "atomic_write",
-    "untrusted",
-    "dsp",
-    "recording",
-    "families",
-    "reference",
-    "runtime",
-    "",
-}  # at import
+WITHOUT_SCIPY = {"atomic_write", "untrusted", "dsp", "recording", "families", "reference", "runtime", ""}  # at import
 THIRD_PARTIES = {
     "atomic_write": set(),
     "untrusted": set(),

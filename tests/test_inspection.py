@@ -16,9 +16,7 @@ from foten.recording.recording import Channel, Recording
 DATA = Path(__file__).parents[1].parent / "shared" / "data"
 GOOD, HOSTILE = DATA / "cdplab-mdtexthapt" / "npz", DATA / "c128391-vibrotactile" / "original"
 needs_good = pytest.mark.skipif(not GOOD.is_dir(), reason="the recordings of ../shared/data are not here")
-needs_hostile = pytest.mark.skipif(
-    not HOSTILE.is_dir(), reason="the recordings of ../shared/data are not here"
-)
+needs_hostile = pytest.mark.skipif(not HOSTILE.is_dir(), reason="the recordings of ../shared/data are not here")
 
 RATE = 1000.0
 N = 20_000
@@ -31,9 +29,7 @@ def _clean():
     rng = np.random.default_rng(0)
     t = np.arange(N) / RATE
     speed = 120 + 90 * np.sin(2 * np.pi * 0.7 * t) + 15 * np.sin(2 * np.pi * 3.1 * t) + rng.normal(0, 0.05, N)
-    force = (
-        1.6 + 0.9 * np.sin(2 * np.pi * 0.43 * t) + 0.2 * np.sin(2 * np.pi * 5.3 * t) + rng.normal(0, 0.01, N)
-    )
+    force = 1.6 + 0.9 * np.sin(2 * np.pi * 0.43 * t) + 0.2 * np.sin(2 * np.pi * 5.3 * t) + rng.normal(0, 0.01, N)
     excitation = rng.standard_normal(N) * speed / 120
     # Poles at 0.9 e^{±i·2π·0.12}: a resonance at 120 Hz.
     vibration = lfilter([1], [1, -1.8 * np.cos(2 * np.pi * 0.12), 0.81], excitation)
@@ -73,9 +69,7 @@ def test_the_numbers_of_a_channel():
     report = next(c for c in _inspect(samples).channels if c.name == "force")
     assert (report.rate_hz, report.n_samples, report.duration_s, report.unit) == (1000, N, 20, "N")
     assert (report.minimum, report.maximum) == (samples["force"].min(), samples["force"].max())
-    assert report.noise_floor == pytest.approx(
-        0.01, rel=0.05
-    )  # what was put in; the estimate's own error is 1 %
+    assert report.noise_floor == pytest.approx(0.01, rel=0.05)  # what was put in; the estimate's own error is 1 %
 
 
 def test_noise_floor_of_an_accelerometer_at_standstill():
@@ -142,9 +136,7 @@ def test_clipping():
     samples = _clean()
     samples["acceleration"] = np.clip(samples["acceleration"], -3, 3)
     inspection = _inspect(samples)
-    assert {f.text.split(":")[0] for f in inspection.problems if f.code == "clipping"} == {
-        "acceleration is clipped"
-    }
+    assert {f.text.split(":")[0] for f in inspection.problems if f.code == "clipping"} == {"acceleration is clipped"}
     assert sum(f.code == "clipping" for f in inspection.problems) == 2  # the top and the bottom
 
 
@@ -222,9 +214,7 @@ def test_gaps_in_time():
     kept = np.delete(np.arange(N), np.r_[5000:5200, 8000:8003])
     times = kept / RATE
     inspection = _inspect(samples | {"speed": samples["speed"][kept]}, times={"speed": times})
-    assert "2 gaps in time, about 203 samples lost; the longest lasts 201 ms at 4.999 s" in _text(
-        inspection, "gaps"
-    )
+    assert "2 gaps in time, about 203 samples lost; the longest lasts 201 ms at 4.999 s" in _text(inspection, "gaps")
 
 
 def test_a_sensor_that_fell_silent_and_one_that_repeats():
@@ -286,17 +276,13 @@ def test_ranges_that_were_never_visited_are_said():
     samples["speed"] = samples["speed"] + 110
     text = " ".join(f.text for f in _inspect(samples).findings if f.code == "range")
     assert "never slower than 12" in text
-    assert (
-        "force above 2.7 N never visited: above it the level grows by a power law, it is not learnt" in text
-    )
+    assert "force above 2.7 N never visited: above it the level grows by a power law, it is not learnt" in text
 
 
 def test_missing_channels_and_slow_accelerometers_are_problems():
     samples = _clean()
     assert ("missing", "acceleration") in _codes(_inspect({k: samples[k] for k in ("speed", "force")}))
-    assert {("missing", "speed"), ("missing", "force")} <= _codes(
-        _inspect({"acceleration": samples["acceleration"]})
-    )
+    assert {("missing", "speed"), ("missing", "force")} <= _codes(_inspect({"acceleration": samples["acceleration"]}))
     assert ("rate", "acceleration") in _codes(_inspect(samples, rates=dict.fromkeys(samples, 500.0)))
 
 
@@ -340,12 +326,7 @@ def test_the_command(tmp_path, capsys):
     assert _status(["inspect", str(tmp_path / "a.h5"), "-o", str(tmp_path / "out")]) == 0
     captured = capsys.readouterr()
     assert "problem  force: 1 spike" in captured.out
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {
-        "inspect.json",
-        "overview.png",
-        "coverage.png",
-        "psd.png",
-    }
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"inspect.json", "overview.png", "coverage.png", "psd.png"}
     document = json.loads((tmp_path / "out" / "inspect.json").read_text())
     assert document["recording_sha256"] == recording.sha256()
     assert _status(["inspect", str(tmp_path / "a.h5"), "--json"]) == 0

@@ -77,6 +77,4 @@ def test_only_the_pictures_that_the_channels_allow_are_written_and_they_are_repr
     assert first == {name: (tmp_path / name).read_bytes() for name in names}
     alone = Recording({"speed": recording["speed"]})
     (tmp_path / "alone").mkdir()
-    assert [p.name for p in write_pictures(alone, inspect_recording(alone), tmp_path / "alone")] == [
-        "overview.png"
-    ]
+    assert [p.name for p in write_pictures(alone, inspect_recording(alone), tmp_path / "alone")] == ["overview.png"]

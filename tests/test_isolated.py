@@ -42,9 +42,7 @@ def _crashing_files(folder: Path) -> dict[str, str]:
     return {name: f"dying.{name}" for name in ("crashes", "loops", "grows", "raises", "works")}
 
 
-def test_a_library_that_dies_is_a_sentence(
-    tmp_path: Path, recording: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_library_that_dies_is_a_sentence(tmp_path: Path, recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     readers = _crashing_files(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     start = (
@@ -88,9 +86,7 @@ def test_reading_is_quick(recording: Path) -> None:
     "lie",
     [
         lambda file: file.create_dataset("odd", shape=(10**12,), dtype="f8", chunks=(1000,)),
-        lambda file: file.create_dataset(
-            "odd", shape=(500,), dtype="f8", external=[("/etc/hostname", 0, 4000)]
-        ),
+        lambda file: file.create_dataset("odd", shape=(500,), dtype="f8", external=[("/etc/hostname", 0, 4000)]),
         lambda file: file.__setitem__("odd", h5py.ExternalLink("/etc/hostname", "/")),
         lambda file: file.__setitem__("odd", h5py.SoftLink("/force")),
     ],
@@ -108,17 +104,13 @@ def test_what_lies_elsewhere_or_nowhere_is_not_read(tmp_path: Path, lie) -> None
 
 
 @pytest.mark.parametrize("command", ["inspect", "train"])
-def test_a_recording_that_leads_elsewhere_is_refused(
-    tmp_path: Path, recording: Path, command: str, capsys
-) -> None:
+def test_a_recording_that_leads_elsewhere_is_refused(tmp_path: Path, recording: Path, command: str, capsys) -> None:
     (tmp_path / "secret").write_bytes(FORCE.tobytes())
     with h5py.File(recording, "r+") as file:
         attributes = dict(file["channels/force"].attrs)
         del file["channels/force"]
         storage = [(str(tmp_path / "secret"), 0, 8 * FORCE.size)]
-        file.create_dataset("channels/force", shape=FORCE.shape, dtype="f8", external=storage).attrs.update(
-            attributes
-        )
+        file.create_dataset("channels/force", shape=FORCE.shape, dtype="f8", external=storage).attrs.update(attributes)
     output = ["-o", str(tmp_path / "t.foten")] if command == "train" else []
     assert _status([command, str(recording), *output]) == 2
     error = capsys.readouterr().err
@@ -146,9 +138,7 @@ def test_a_pipe_is_no_file(tmp_path: Path, capsys) -> None:
     assert _status(["import", "/dev/zero", "-o", str(tmp_path / "x.h5")]) == 2
 
 
-def test_a_missing_library_is_named(
-    recording: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys
-) -> None:
+def test_a_missing_library_is_named(recording: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "empty" / "h5py.py").write_text("raise ModuleNotFoundError('no h5py', name='h5py')")
     monkeypatch.syspath_prepend(tmp_path / "empty")
@@ -179,9 +169,7 @@ def test_a_loop_of_links_as_output_is_one_line_or_replaced(
     assert _status(["render", str(tmp_path / "t.foten"), *hand, "-o", str(tmp_path / "loop.wav")]) == 0
     assert (tmp_path / "loop.wav").stat().st_size > 100
     capsys.readouterr()
-    assert (
-        _status(["render", str(tmp_path / "t.foten"), *hand, "-o", str(tmp_path / "folder" / "a.wav")]) == 2
-    )
+    assert _status(["render", str(tmp_path / "t.foten"), *hand, "-o", str(tmp_path / "folder" / "a.wav")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert _status(["info", str(tmp_path / "folder")]) == 2
     assert capsys.readouterr().err.count("\n") == 1

@@ -27,21 +27,14 @@ MUTATIONS = 3000
 
 # That of the extra `dev` lies beside this Python, which need not be in the path.
 CMAKE = shutil.which("cmake", path=os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
-needs_cmake = pytest.mark.skipif(
-    CMAKE is None or shutil.which("cc") is None, reason="needs CMake and a C compiler"
-)
+needs_cmake = pytest.mark.skipif(CMAKE is None or shutil.which("cc") is None, reason="needs CMake and a C compiler")
 needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="needs Node")
 
 
 def ran(*command: str | Path, cwd: Path | None = None, **env: str) -> str:
     """Run a command and return its output; its errors are the assertion's message."""
     done = subprocess.run(
-        list(map(str, command)),
-        cwd=cwd,
-        env={**os.environ, **env},
-        capture_output=True,
-        text=True,
-        check=False,
+        list(map(str, command)), cwd=cwd, env={**os.environ, **env}, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr + done.stdout
     return done.stdout
@@ -88,17 +81,7 @@ def accelerations(table: str) -> np.ndarray:
 def test_kernels_for_other_processors_compile_without_a_warning(tmp_path: Path, kernel: str) -> None:
     """The vectors are the compiler's own, so that it knows them whatever the processor."""
     ran(
-        *(
-            "cc",
-            "-std=c11",
-            "-O3",
-            "-Wall",
-            "-Wextra",
-            "-Wno-psabi",
-            "-Werror",
-            "-I",
-            ROOT / "native" / "include",
-        ),
+        *("cc", "-std=c11", "-O3", "-Wall", "-Wextra", "-Wno-psabi", "-Werror", "-I", ROOT / "native" / "include"),
         *("-c", ROOT / "native" / "src" / f"kernel_{kernel}.c", "-o", tmp_path / "kernel.o"),
     )
 
@@ -119,9 +102,7 @@ def test_nothing_is_allocated_while_rendering(build: Path) -> None:
     """The program fails as well where its counter sees nothing of what loading allocates, where a state asks for another
     number of bytes than foten_model_info gives, and where a file that there is no memory for is said to be anything else.
     """
-    own = [
-        path for path in CORPUS if not path.stem.startswith("graph")
-    ]  # what others predict is not ours to count
+    own = [path for path in CORPUS if not path.stem.startswith("graph")]  # what others predict is not ours to count
     out = ran(build / "hot_path", *own)
     assert out.strip() == f"nothing allocated while rendering {len(own)} files"
 
@@ -143,9 +124,7 @@ def test_damaged_files_do_no_harm(sanitized: Path) -> None:
 @pytest.mark.parametrize("isa", ["avx512", "avx2", "neon", "portable"])
 def test_the_kernel_is_clean_under_sanitizers(sanitized: Path, file: Path, isa: str) -> None:
     """A step of a whole network in each instruction set."""
-    result = ran(
-        sanitized / "contacts", file, "0", "2", "1000", FOTEN_ISA=isa, UBSAN_OPTIONS="halt_on_error=1"
-    )
+    result = ran(sanitized / "contacts", file, "0", "2", "1000", FOTEN_ISA=isa, UBSAN_OPTIONS="halt_on_error=1")
     assert '"n_states": 1' in result
     if f'"isa": "{isa}"' not in result:
         pytest.skip(f"this processor has no {isa}")
@@ -158,9 +137,7 @@ def test_a_c_program_renders_what_python_does(build: Path, file: Path, tmp_path:
         *("cc", "-std=c11", "-Wall", "-Werror", ROOT / "examples" / "c" / "stroke.c", "-o", program),
         *("-I", ROOT / "native" / "include", "-L", build, "-lfoten", "-lm", f"-Wl,-rpath,{build}"),
     )
-    np.testing.assert_array_equal(
-        accelerations(ran(program, file)), [float(f"{x:g}") for x in stroke_of(file)]
-    )
+    np.testing.assert_array_equal(accelerations(ran(program, file)), [float(f"{x:g}") for x in stroke_of(file)])
     done = subprocess.run([program, ROOT / "README.md"], capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
@@ -180,9 +157,7 @@ def test_a_haptic_callback_in_cpp_runs(build: Path, file: Path, tmp_path: Path) 
     assert float(rms) > 0
 
 
-@pytest.mark.skipif(
-    shutil.which("mcs") is None or shutil.which("mono") is None, reason="needs Mono's compiler"
-)
+@pytest.mark.skipif(shutil.which("mcs") is None or shutil.which("mono") is None, reason="needs Mono's compiler")
 def test_csharp_renders_what_python_does(file: Path, tmp_path: Path) -> None:
     """`Foten.cs` alone, with a program around it; the component needs Unity and is not tried."""
     (tmp_path / "Try.cs").write_text(
@@ -284,11 +259,7 @@ tried(() => texture.renderer(), () => renderer.stylus());
     name, same, *freed = ran("node", program).splitlines()
     assert name == NativeTexture(named.read_bytes()).info.texture == "untr�ined"
     assert same == "true"
-    assert freed == [
-        *["this stylus was freed"] * 3,
-        *["this renderer was freed"] * 6,
-        *["this texture was freed"] * 2,
-    ]
+    assert freed == [*["this stylus was freed"] * 3, *["this renderer was freed"] * 6, *["this texture was freed"] * 2]
 
 
 def test_the_wasm_has_the_digest_that_is_beside_it() -> None:

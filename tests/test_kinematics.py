@@ -15,9 +15,7 @@ def test_a_circle_has_one_speed() -> None:
 
 def test_the_axes_of_the_plane_add_as_a_vector() -> None:
     seconds = np.arange(50) / 120.0
-    np.testing.assert_allclose(
-        speed_of(velocity(np.stack([30.0 * seconds, -40.0 * seconds]), 120.0)), 50.0, rtol=1e-9
-    )
+    np.testing.assert_allclose(speed_of(velocity(np.stack([30.0 * seconds, -40.0 * seconds]), 120.0)), 50.0, rtol=1e-9)
 
 
 def test_where_the_pen_stands_or_has_no_history_speed_is_zero() -> None:

@@ -166,9 +166,7 @@ def test_a_schedule_is_bilinear_between_its_vertices_and_constant_outside() -> N
     at = schedule.at(np.array([10.0, 20.0, 15.0, 0.0, 99.0]), np.array([0.5, 1.0, 0.5, 0.0, 9.0]))
     np.testing.assert_allclose(at[:, 0], [0.1, 0.9, 0.3, 0.1, 0.9], atol=1e-12)
     halfway = np.exp(np.log([0.55, 1.05]).mean()) - FORCE_FLOOR
-    assert schedule.at(np.array([15.0]), np.array([halfway]))[0, 0] == pytest.approx(
-        (0.1 + 0.3 + 0.5 + 0.9) / 4
-    )
+    assert schedule.at(np.array([15.0]), np.array([halfway]))[0, 0] == pytest.approx((0.1 + 0.3 + 0.5 + 0.9) / 4)
 
 
 @pytest.mark.parametrize("largest", [1.0, -1.2, float("nan")])
@@ -264,9 +262,7 @@ def test_reflections_of_chance_are_not_kept() -> None:
     still = np.full_like(x, 1.0)
     data = LatticeData(x, still, still, still, tuple(range(5)), tuple(range(5, 25)))
     long = fit_lattice_of(data, 80, 1, 1)
-    assert np.abs(long.values[0, 12:]).mean() < 0.5 * np.sqrt(
-        2 / np.pi / 5000
-    )  # what 5000 samples leave unshrunk
+    assert np.abs(long.values[0, 12:]).mean() < 0.5 * np.sqrt(2 / np.pi / 5000)  # what 5000 samples leave unshrunk
     short = fit_lattice_of(data, 2, 1, 1)
     # Unshrunk, 78 needless coefficients on 5000 samples cost 78/5000/2 = 0.8 %.
     assert validation_error(long, data, 100) < 1.004 * validation_error(short, data, 100)
@@ -283,11 +279,7 @@ def test_each_known_block_is_in_one_validation_set_and_test_blocks_in_none() -> 
     some = dataclasses.replace(data, train=tuple(range(10)), validation=(10, 11))
     assert len(_folds(some)) == N_FOLDS
     few = dataclasses.replace(data, train=(0, 1), validation=(2,))
-    assert [(fold.train, fold.validation) for fold in _folds(few)] == [
-        ((1, 2), (0,)),
-        ((0, 2), (1,)),
-        ((0, 1), (2,)),
-    ]
+    assert [(fold.train, fold.validation) for fold in _folds(few)] == [((1, 2), (0,)), ((0, 2), (1,)), ((0, 1), (2,))]
 
 
 def test_two_validation_blocks_that_show_no_difference_do_not_choose() -> None:
@@ -321,13 +313,10 @@ def test_where_the_gain_lies_is_recovered(before: bool) -> None:
     fitted, tried = fit_lattice(data, 10)
     assert fitted.gain_before_filter == before
     right, wrong = (
-        min(line["mae_scaled"] for line in tried if line["gain_before_filter"] == kind)
-        for kind in (before, not before)
+        min(line["mae_scaled"] for line in tried if line["gain_before_filter"] == kind) for kind in (before, not before)
     )
     # Of unit innovations: E|e| times the gain, times the mean level; 12 000 samples of such a level know it to 1.3 %.
-    assert right == pytest.approx(
-        np.sqrt(2 / np.pi) * np.sqrt(1 - k[0, 0] ** 2).prod() * level.mean(), rel=0.05
-    )
+    assert right == pytest.approx(np.sqrt(2 / np.pi) * np.sqrt(1 - k[0, 0] ** 2).prod() * level.mean(), rel=0.05)
     assert wrong > 1.02 * right
     result = fitted.table.at(np.array([100.0]), np.array([1.0]))[0]
     np.testing.assert_allclose(result[:2], k[0, 0], atol=0.02)

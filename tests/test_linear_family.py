@@ -76,9 +76,7 @@ def test_the_infinite_past_knows_all_but_the_innovation() -> None:
     y, speed, force = (recording[name].samples for name in ("acceleration", "speed", "force"))
     b, a = HIGHPASS
     x = lfilter(b, a, y)
-    innovation = lfilter(
-        np.convolve(a, [1, *-truth.coefficients]), b, x
-    )  # zeros on the circle: no forgetting
+    innovation = lfilter(np.convolve(a, [1, *-truth.coefficients]), b, x)  # zeros on the circle: no forgetting
     infinite, window = one_step_bounds(truth, speed, force, 1000, b, a, 20)
     settled = slice(2000, None)
     assert np.mean(np.abs(b[0] * innovation[settled])) == pytest.approx(np.mean(infinite[settled]), rel=0.02)
@@ -112,9 +110,7 @@ def test_no_filter_leaves_the_autoregression() -> None:
 
 def test_the_truth_travels_with_the_file() -> None:
     recording = simulate("linear-hum", 2, accelerometer_hz=2500)
-    stored = dataclasses.replace(
-        recording, simulation=json.loads(json.dumps(dict(recording.simulation or {})))
-    )
+    stored = dataclasses.replace(recording, simulation=json.loads(json.dumps(dict(recording.simulation or {}))))
     truth = linear_truth(stored)
     assert truth.rate_hz == 2500
     np.testing.assert_array_equal(truth.coefficients, LINEAR_FAMILY["linear-hum"].coefficients)

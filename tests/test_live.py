@@ -539,10 +539,7 @@ def test_the_stand_in_has_the_names_of_the_library() -> None:
     from nidaqmx.task.collections import AOChannelCollection
 
     for of, names in (
-        (
-            nidaqmx.Task,
-            ("register_every_n_samples_transferred_from_buffer_event", "start", "stop", "close", "write"),
-        ),
+        (nidaqmx.Task, ("register_every_n_samples_transferred_from_buffer_event", "start", "stop", "close", "write")),
         (nidaqmx.Task, ("ao_channels", "timing", "out_stream", "__enter__", "__exit__")),
         (AOChannelCollection, ("add_ao_voltage_chan", "all")),
         (AOChannel, ("ao_data_xfer_req_cond",)),
@@ -556,9 +553,7 @@ def test_the_stand_in_has_the_names_of_the_library() -> None:
             assert hasattr(of, name), f"{of} has no {name}"
 
 
-@pytest.mark.parametrize(
-    ("fails", "message"), [("driver", "no NI-DAQ: no driver$"), ("channel", "refuses Dev9/ao9")]
-)
+@pytest.mark.parametrize(("fails", "message"), [("driver", "no NI-DAQ: no driver$"), ("channel", "refuses Dev9/ao9")])
 def test_a_daq_that_is_not_there_is_one_line(fails: str, message: str) -> None:
     daq = FakeDaq(fails)
     with pytest.raises(OSError, match=message):
@@ -618,12 +613,7 @@ def test_rates_gains_and_sinks_by_name(tmp_path: Path) -> None:
     assert gain_for(None, None, 2.0, "udp:x:1") == 1
     volts, full = ActuatorProfile(unit="V"), ActuatorProfile(unit="full scale")
     assert gain_for(volts, None, 2.0, "daq:x") == gain_for(full, None, 2.0, "sound") == 1
-    for profile, where in (
-        (None, "daq:x"),
-        (volts, "sound"),
-        (full, "daq:x"),
-        (ActuatorProfile(unit="A"), "daq:x"),
-    ):
+    for profile, where in ((None, "daq:x"), (volts, "sound"), (full, "daq:x"), (ActuatorProfile(unit="A"), "daq:x")):
         with pytest.raises(ValueError, match="--gain"):
             gain_for(profile, None, 2.0, where)
     for name, kind in (("null", NullSink), ("udp:127.0.0.1:9000", UdpSink), ("osc:localhost:9000", OscSink)):

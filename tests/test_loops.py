@@ -129,9 +129,7 @@ def followed(
             stream.analyse(blocks[:, t, 0])
             stream.set_condition(conditions[:, t])
         predictions = predictions[m - 1 :]
-        samples, scales, tails = (
-            np.stack(some, axis=1) for some in zip(*(p[:3] for p in predictions), strict=True)
-        )
+        samples, scales, tails = (np.stack(some, axis=1) for some in zip(*(p[:3] for p in predictions), strict=True))
         known = not model.sizes.n_tones and corrected == model.sizes.network_in_loop
         return samples, scales if known else None, tails if known else None
     if isinstance(model, PiecewiseAr):
@@ -158,9 +156,7 @@ class Volatilities:
         return 1.0
 
 
-@pytest.mark.parametrize(
-    ("key", "variant"), [(key, variant) for key, variant in EVERY if not FAMILIES[key].from_noise]
-)
+@pytest.mark.parametrize(("key", "variant"), [(key, variant) for key, variant in EVERY if not FAMILIES[key].from_noise])
 def test_the_kernel_predicts_recorded_samples_as_the_reference(key: str, variant: str) -> None:
     """Seam: sample, scale of the excitation and its tails, each part of the model by itself."""
     texture, model = case(key, variant)
@@ -205,9 +201,7 @@ def test_what_is_not_finite_is_refused(texture: Texture, bad: float) -> None:
     assert predict_blocks(native, blocks[:, 4 : texture.window + 4]).sample.shape == (1, 0)
 
 
-@pytest.mark.parametrize(
-    ("key", "variant"), [("foten", "one-layer"), ("foten", "excited"), ("ten", "default")]
-)
+@pytest.mark.parametrize(("key", "variant"), [("foten", "one-layer"), ("foten", "excited"), ("ten", "default")])
 def test_a_networks_history_is_its_own_output_as_it_was_cut(key: str, variant: str) -> None:
     """Each sample of the loop is what the network predicts of those before it, as if they had been recorded."""
     sizes = sizes_for(key, variant)
@@ -228,9 +222,7 @@ def test_a_networks_history_is_its_own_output_as_it_was_cut(key: str, variant: s
     assert np.abs(np.clip(uncut, -limit, limit) - out).max() > 0.01
 
 
-@pytest.mark.parametrize(
-    ("key", "variant"), [("foten-plus", "a-table"), ("foten-plus", "tones"), ("ar", "with-zeros")]
-)
+@pytest.mark.parametrize(("key", "variant"), [("foten-plus", "a-table"), ("foten-plus", "tones"), ("ar", "with-zeros")])
 def test_a_bounded_model_goes_on_from_what_was_not_cut(key: str, variant: str) -> None:
     texture, _ = case(key, variant)
     native = NativeTexture(texture.to_bytes())
@@ -243,13 +235,7 @@ def test_a_bounded_model_goes_on_from_what_was_not_cut(key: str, variant: str) -
 
 @pytest.mark.parametrize(
     ("key", "variant"),
-    [
-        ("foten-plus", "a-table"),
-        ("foten-plus", "tones"),
-        ("foten", "excited"),
-        ("ar", "models"),
-        ("dstn", "graph"),
-    ],
+    [("foten-plus", "a-table"), ("foten-plus", "tones"), ("foten", "excited"), ("ar", "models"), ("dstn", "graph")],
 )
 def test_a_sample_goes_by_the_condition_before_it(key: str, variant: str) -> None:
     """Eq. 1: a change of speed and force at a sample changes the next one first."""
@@ -295,9 +281,7 @@ def test_under_a_constant_condition_the_lattice_is_an_all_pole_filter() -> None:
 
 @pytest.mark.parametrize("largest", [(1.2, 1e6), (1e6, 0.15), (1.2, 0.15)])
 @pytest.mark.parametrize("variant", ["network-not-in-loop", "gain-before", "tones", "excited"])
-def test_no_excitation_is_larger_than_the_largest_innovation(
-    variant: str, largest: tuple[float, float]
-) -> None:
+def test_no_excitation_is_larger_than_the_largest_innovation(variant: str, largest: tuple[float, float]) -> None:
     """In units of σ and in scaled acceleration; a network that predicts nothing leaves the excitation alone."""
     key = "foten" if variant == "excited" else "foten-plus"
     sizes = sizes_for(key, variant)

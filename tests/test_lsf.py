@@ -32,9 +32,7 @@ def test_they_are_known_of_a_filter_that_does_nothing() -> None:
     for p in (1, 2, 5, 8):
         a = np.zeros(p + 1)
         a[0] = 1.0
-        np.testing.assert_allclose(
-            line_spectral_frequencies(a), np.pi * np.arange(1, p + 1) / (p + 1), atol=1e-12
-        )
+        np.testing.assert_allclose(line_spectral_frequencies(a), np.pi * np.arange(1, p + 1) / (p + 1), atol=1e-12)
 
 
 @settings(max_examples=60, deadline=None)
@@ -55,9 +53,7 @@ def test_a_filter_that_is_not_stable_has_none() -> None:
 def test_spread_angles_are_apart(p: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     angles = np.sort(rng.choice([0.0, 0.3, 0.301, 3.1, 3.14, np.pi], (3, p)), axis=1)
-    gaps = np.diff(
-        np.pad(spread_out(angles), ((0, 0), (1, 1)), constant_values=((0, 0), (0.0, np.pi))), axis=1
-    )
+    gaps = np.diff(np.pad(spread_out(angles), ((0, 0), (1, 1)), constant_values=((0, 0), (0.0, np.pi))), axis=1)
     assert gaps.min() > LEAST_GAP * (1 - 1e-9)
     far = np.linspace(0.0, np.pi, p + 2)[1:-1]
     np.testing.assert_allclose(spread_out(far), far, rtol=1e-12)

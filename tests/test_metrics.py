@@ -19,9 +19,7 @@ def tone(hz: float, n: int = 4000, rate_hz: float = RATE_HZ) -> np.ndarray:
 def test_absolute_error_is_the_mean_over_everything() -> None:
     recorded = noise(3, 40)
     assert metrics.mean_absolute_error(recorded, recorded) == 0.0
-    assert metrics.mean_absolute_error(recorded, recorded - 0.25) == pytest.approx(
-        0.25, rel=1e-12
-    )  # rounding
+    assert metrics.mean_absolute_error(recorded, recorded - 0.25) == pytest.approx(0.25, rel=1e-12)  # rounding
     # E|x| of a unit normal is √(2/π), its standard error 0.6/√n.
     assert metrics.mean_absolute_error(noise(100_000), np.zeros(100_000)) == pytest.approx(
         math.sqrt(2 / math.pi), abs=4 * 0.6 / math.sqrt(100_000)
@@ -49,9 +47,7 @@ def test_gfc_is_blind_to_gain_sign_and_phase() -> None:
 
 
 def test_gfc_of_tones_apart_is_zero_and_of_silence_too() -> None:
-    assert (
-        metrics.goodness_of_fit(tone(50.0), tone(120.0)) < 1e-12
-    )  # whole periods: no leakage, only rounding
+    assert metrics.goodness_of_fit(tone(50.0), tone(120.0)) < 1e-12  # whole periods: no leakage, only rounding
     assert metrics.goodness_of_fit(tone(50.0), np.zeros(4000)) == 0.0
     assert metrics.goodness_of_fit(np.zeros(4000), tone(50.0)) == 0.0
 
@@ -98,9 +94,7 @@ def test_the_scored_range(rate_hz: float, highest_hz: float) -> None:
     edges = metrics.band_edges(rate_hz)
     assert edges.shape == (10,)
     assert (edges[0], edges[-1]) == pytest.approx((20.0, highest_hz), rel=1e-12)
-    np.testing.assert_allclose(
-        edges[1:] / edges[:-1], (highest_hz / 20) ** (1 / 9), rtol=1e-12
-    )  # equal in log
+    np.testing.assert_allclose(edges[1:] / edges[:-1], (highest_hz / 20) ** (1 / 9), rtol=1e-12)  # equal in log
 
 
 @pytest.mark.parametrize("block", [8, 100, 1023, 1600, 8000])
@@ -126,9 +120,7 @@ def test_levels_have_a_floor_and_follow_a_burst() -> None:
 
 def test_frames_of_a_condition_are_those_of_its_levels() -> None:
     blocks = np.tile(np.repeat(np.arange(5.0), 40), (3, 1))[:, :190]
-    np.testing.assert_allclose(
-        metrics.frame_means(blocks, RATE_HZ), np.tile(np.arange(4.0), (3, 1)), atol=1e-12
-    )
+    np.testing.assert_allclose(metrics.frame_means(blocks, RATE_HZ), np.tile(np.arange(4.0), (3, 1)), atol=1e-12)
 
 
 def test_kurtosis_of_known_shapes() -> None:
@@ -173,9 +165,7 @@ def test_the_modulation_of_a_tone_is_at_its_frequency() -> None:
     assert frequencies[density.argmax()] == pytest.approx(10.0, abs=1.0)  # bins of 2 Hz
     assert (frequencies.min(), frequencies.max()) == (2.0, 50.0)
     # The envelope is 1 + 0.5 sin: its variance is 0.125, all of it in 2 to 50 Hz.
-    assert density.sum() * (frequencies[1] - frequencies[0]) == pytest.approx(
-        0.125, rel=0.02
-    )  # ends of the record
+    assert density.sum() * (frequencies[1] - frequencies[0]) == pytest.approx(0.125, rel=0.02)  # ends of the record
     louder = metrics.modulation_spectra(7 * blocks, RATE_HZ)
     assert louder is not None
     np.testing.assert_allclose(louder[1][0], density, atol=1e-12)  # blind to gain
@@ -192,9 +182,7 @@ def test_the_slopes_of_a_power_law_are_recovered(alpha: float, beta: float) -> N
     level = 20 * np.log10(speed**alpha * force**beta)
     slopes = metrics.level_slopes(level, speed, force)
     assert slopes is not None
-    assert slopes == pytest.approx(
-        (20 * alpha, 20 * beta), abs=1e-9
-    )  # dB per decade; least squares: rounding
+    assert slopes == pytest.approx((20 * alpha, 20 * beta), abs=1e-9)  # dB per decade; least squares: rounding
     noisy = metrics.level_slopes(level + rng.standard_normal(level.shape), speed, force)
     # 1 dB over √800 frames and a spread of 0.3 decades: 0.12 dB a decade; four of them.
     assert noisy == pytest.approx((20 * alpha, 20 * beta), abs=0.5)

@@ -27,9 +27,7 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("src", "native", "tests", "CMakeLists.txt", "pyproject.toml"):
         source = ROOT / name
         ignored = shutil.ignore_patterns("__pycache__", "kernel")
-        shutil.copytree(source, folder / name, ignore=ignored) if source.is_dir() else shutil.copy(
-            source, folder
-        )
+        shutil.copytree(source, folder / name, ignore=ignored) if source.is_dir() else shutil.copy(source, folder)
     subprocess.run(["cmake", "-S", folder, "-B", folder / "build"], check=True, capture_output=True)
     built(folder)
     return folder
@@ -62,11 +60,7 @@ def test_a_mutant_does_not_survive(copy: Path, mutant: Mutant) -> None:
             built(copy)
         options = ["-q", "-x", "-p", "no:xdist", "-p", "no:cacheprovider"]
         done = subprocess.run(
-            [sys.executable, "-c", RUN, *options, *tests],
-            cwd=copy,
-            capture_output=True,
-            text=True,
-            check=False,
+            [sys.executable, "-c", RUN, *options, *tests], cwd=copy, capture_output=True, text=True, check=False
         )
     finally:
         path.write_text(original)

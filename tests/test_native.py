@@ -50,12 +50,9 @@ def test_it_renders_what_the_reference_renders(key: str, variant: str) -> None:
     speed, force = (channel.astype(np.float32) for channel in stroke(n))
     double = in_float64_alone(texture.sizes)
     for excitation in (True, False):
-        expected = reference.render(
-            texture, speed.astype(float), force.astype(float), 3, 2, excitation, network
-        )
+        expected = reference.render(texture, speed.astype(float), force.astype(float), 3, 2, excitation, network)
         rendered = [
-            NativeState(native, seed=3, stream=k, excitation=excitation).render_stroke(speed, force)
-            for k in range(2)
+            NativeState(native, seed=3, stream=k, excitation=excitation).render_stroke(speed, force) for k in range(2)
         ]
         size = SCALING.sd[0] * np.maximum(1, np.abs(expected) / SCALING.sd[0])
         error = np.abs(rendered - expected) / size
@@ -116,14 +113,9 @@ def test_the_noise_is_that_of_dsp_noise_to_the_bit() -> None:
         np.testing.assert_array_equal(noise(seed, stream, first, 50), gaussian(seed, stream, first, 50))
 
 
-@given(
-    cuts=st.lists(st.integers(0, 600), max_size=8),
-    rate=st.sampled_from([None, 1000.0, 2000.0, 44_100.0, 300.0]),
-)
+@given(cuts=st.lists(st.integers(0, 600), max_size=8), rate=st.sampled_from([None, 1000.0, 2000.0, 44_100.0, 300.0]))
 @settings(max_examples=25, deadline=None)
-def test_any_block_sizes_give_the_same_bytes(
-    native: NativeTexture, cuts: list[int], rate: float | None
-) -> None:
+def test_any_block_sizes_give_the_same_bytes(native: NativeTexture, cuts: list[int], rate: float | None) -> None:
     at_once = np.empty(600, dtype=np.float32)
     state = NativeState(native, rate, seed=9)
     state.set_hand(90.0, 0.9)
@@ -137,9 +129,7 @@ def test_any_block_sizes_give_the_same_bytes(
 
 
 @pytest.mark.parametrize("rate", [None, 8000.0, 48_000.0])
-def test_a_stroke_is_a_condition_that_is_set_before_each_sample(
-    native: NativeTexture, rate: float | None
-) -> None:
+def test_a_stroke_is_a_condition_that_is_set_before_each_sample(native: NativeTexture, rate: float | None) -> None:
     speed, force = (channel.astype(np.float32) for channel in stroke(300))
     at_once = NativeState(native, rate, seed=1).render_stroke(speed, force)
     pieces = NativeState(native, rate, seed=1)
@@ -197,9 +187,7 @@ def test_a_reset_keeps_the_condition(native: NativeTexture) -> None:
     assert np.abs(out).max() > 0
 
 
-def test_a_smoothed_condition_is_the_low_pass_of_the_one_that_is_set(
-    native: NativeTexture, texture: Texture
-) -> None:
+def test_a_smoothed_condition_is_the_low_pass_of_the_one_that_is_set(native: NativeTexture, texture: Texture) -> None:
     """Oracle: SciPy's Butterworth low-pass of second order; the texture's rate, so that a block is a sample."""
     b, a = butter(2, float(texture.card["lowpass_hz"]), fs=texture.rate_hz)
     steps = np.repeat([100.0, 140.0, 90.0], 60)
@@ -226,9 +214,7 @@ def test_reset_begins_again_and_seeds_and_streams_differ(native: NativeTexture) 
     assert np.abs(silent[100:]).max() < 0.2 * np.abs(first[100:]).max()
 
 
-def test_it_goes_on_from_a_recorded_window_as_the_reference_does(
-    texture: Texture, native: NativeTexture
-) -> None:
+def test_it_goes_on_from_a_recorded_window_as_the_reference_does(texture: Texture, native: NativeTexture) -> None:
     rng = np.random.default_rng(2)
     window = rng.standard_normal((texture.window, 3)).astype(np.float32)
     physical = np.abs((window * SCALING.sd + SCALING.mean).astype(np.float32))
@@ -387,9 +373,7 @@ def test_rates_that_cannot_be_are_refused(native: NativeTexture) -> None:
 
 
 @pytest.mark.parametrize("rate", [None, 8000.0])
-def test_what_is_no_number_is_silence_and_the_loop_begins_again(
-    plain_texture: Texture, rate: float | None
-) -> None:
+def test_what_is_no_number_is_silence_and_the_loop_begins_again(plain_texture: Texture, rate: float | None) -> None:
     """The drive of an actuator that hardly moves, 1e-60 m/s² for one of drive, is more than float32 holds."""
     plain = NativeTexture(plain_texture.to_bytes())
     state, other = NativeState(plain, rate), NativeState(plain, rate)
@@ -487,9 +471,7 @@ def test_silence_does_not_become_slow() -> None:
 def test_the_public_renderer(texture: Texture, tmp_path: Path) -> None:
     path = tmp_path / "t.foten"
     path.write_bytes(texture.to_bytes())
-    by_path, by_bytes, in_memory = (
-        foten.Renderer(t, rate=8000, seed=7) for t in (path, path.read_bytes(), texture)
-    )
+    by_path, by_bytes, in_memory = (foten.Renderer(t, rate=8000, seed=7) for t in (path, path.read_bytes(), texture))
     blocks = [one.render(speed_mm_s=80.0, force_n=0.8, n=480) for one in (by_path, by_bytes, in_memory)]
     assert blocks[0].dtype == np.float32
     np.testing.assert_array_equal(blocks[0], blocks[1])

@@ -42,9 +42,7 @@ def scalar_gaussian(key: int, stream: int, n: int) -> float:
 def test_known_answers(counter: str, key: str, words: str) -> None:
     """Oracle: the known-answer vectors that the authors of Philox publish."""
     low, high = (int(word, 16) for word in key.split())
-    drawn = philox(
-        np.array([[int(word, 16) for word in counter.split()]], dtype=np.uint64), low + (high << 32)
-    )
+    drawn = philox(np.array([[int(word, 16) for word in counter.split()]], dtype=np.uint64), low + (high << 32))
     assert [f"{int(word):08x}" for word in drawn[0]] == words.split()
 
 
@@ -103,9 +101,7 @@ def test_it_is_white() -> None:
 
 def test_streams_and_keys_are_independent() -> None:
     n = N // 4
-    drawn = np.stack(
-        [gaussian(key, stream, 0, n) for key, stream in ((0, 0), (0, 1), (1, 0), (2**32, 0), (0, 2**32))]
-    )
+    drawn = np.stack([gaussian(key, stream, 0, n) for key, stream in ((0, 0), (0, 1), (1, 0), (2**32, 0), (0, 2**32))])
     correlation = drawn @ drawn.T / n - np.eye(5)
     # 4.5 standard errors: 1/√n beside the diagonal, √2/√n on it.
     assert np.abs(correlation - np.diag(np.diag(correlation))).max() < 4.5 / math.sqrt(n)

@@ -65,9 +65,7 @@ def steady_volatility(sizes: FotenPlusSizes | FotenSizes) -> Texture:
         FotenSizes(**SMALL, excitation=True),
     ],
 )
-def test_scores_of_a_texture_on_its_own_loop_are_those_of_the_noise(
-    sizes: FotenPlusSizes | FotenSizes,
-) -> None:
+def test_scores_of_a_texture_on_its_own_loop_are_those_of_the_noise(sizes: FotenPlusSizes | FotenSizes) -> None:
     """Recovery: the errors of the prediction that a rendering uses, taken back through scale and tails, are what was drawn."""
     texture = steady_volatility(sizes)
     native, rng = NativeTexture(texture.to_bytes()), np.random.default_rng(2)
@@ -116,7 +114,4 @@ def test_where_a_rendering_has_tones_the_error_is_not_known() -> None:
     samples = np.random.default_rng(0).standard_normal((120, 3))
     n = 70 + np.arange(40)[None]
     scores = excitation_scores(NativeTexture(texture.to_bytes()), samples, n, np.ones(n.shape, dtype=bool))
-    assert scores == {
-        **dict.fromkeys(("nll", "coverage_50", "coverage_90", "standardised_sd")),
-        "intervals": {},
-    }
+    assert scores == {**dict.fromkeys(("nll", "coverage_50", "coverage_90", "standardised_sd")), "intervals": {}}

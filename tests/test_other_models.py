@@ -284,9 +284,7 @@ def test_an_adversarial_training_goes_on_where_it_stopped(tmp_path: Path) -> Non
     assert expected.epochs[-1].validation_loss != expected.epochs[0].validation_loss
 
 
-def test_an_adversarial_training_that_is_stopped_keeps_what_there_is(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_adversarial_training_that_is_stopped_keeps_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
     """After epoch 0 the untrained network; before there is any, Ctrl-C goes on to the caller."""
 
     def stop(*_: object) -> None:
@@ -330,7 +328,5 @@ def noise_blocks(n_blocks: int, block: int) -> ScaledBlocks:
         rate_hz=1000.0,
         block=block,
     )
-    split = Split(
-        tuple(range(n_blocks - 2)), (n_blocks - 2,), (n_blocks - 1,), n_blocks, block, "regrouped", 0
-    )
+    split = Split(tuple(range(n_blocks - 2)), (n_blocks - 2,), (n_blocks - 1,), n_blocks, block, "regrouped", 0)
     return scaled_blocks(trace, split)

@@ -55,9 +55,7 @@ def test_under_a_steady_condition_it_has_the_models_spectrum(name: str) -> None:
     measured, known = (np.convolve(p, smooth, "valid") for p in (power, expected[::4]))
     # 195 windows, nine bins: 3 % each; a resonance's top is wider through a window.
     assert np.median(np.abs(np.log(measured / known))) < 0.05
-    assert rendered.var() == pytest.approx(
-        (expected[1:-1].sum() * 2 + expected[0] + expected[-1]) / 4096, rel=0.05
-    )
+    assert rendered.var() == pytest.approx((expected[1:-1].sum() * 2 + expected[0] + expected[-1]) / 4096, rel=0.05)
 
 
 @pytest.mark.parametrize("name", ["models", "with-zeros"])
@@ -76,9 +74,7 @@ SWITCHED = 0.98  # radius of the poles of two resonances, one at 100 Hz and one 
 
 def two_tones() -> LocalModels:
     """Return models of two sharp resonances, as loud as each other, that stable filters in turn grow with."""
-    tones = [
-        np.array([1.0, -2 * SWITCHED * np.cos(2 * np.pi * hz / 1000), SWITCHED**2]) for hz in (100.0, 400.0)
-    ]
+    tones = [np.array([1.0, -2 * SWITCHED * np.cos(2 * np.pi * hz / 1000), SWITCHED**2]) for hz in (100.0, 400.0)]
     angles = np.array([line_spectral_frequencies(a) for a in tones])[[0, 1, 0]]
     return LocalModels(
         np.array([[50.0, 1.0], [150.0, 1.0], [100.0, 2.0]]),

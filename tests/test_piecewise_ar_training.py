@@ -82,9 +82,7 @@ def test_the_mesh_covers_what_was_trained_and_is_silent_without_motion(trained: 
     assert (points.min(axis=0) == 0).all()
     assert (variance[(points == 0).any(axis=1)] == 0).all()
     assert (variance[(points > 0).all(axis=1)] > 0).all()
-    corners = (points / texture.tensors["piecewise_ar.scale"])[
-        texture.tensors["piecewise_ar.triangles"].astype(int)
-    ]
+    corners = (points / texture.tensors["piecewise_ar.scale"])[texture.tensors["piecewise_ar.triangles"].astype(int)]
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).sum() / 2
     assert area == pytest.approx(np.prod(ends / texture.tensors["piecewise_ar.scale"]), rel=1e-6)
@@ -93,11 +91,7 @@ def test_the_mesh_covers_what_was_trained_and_is_silent_without_motion(trained: 
 def moving(acceleration: np.ndarray) -> Recording:
     """Return a recording at 1 kHz of a hand between 40 and 160 mm/s and 0.5 and 1.5 N."""
     t = np.arange(acceleration.size) / 1000
-    channels = {
-        "acceleration": acceleration,
-        "speed": 100 + 60 * np.sin(1.3 * t),
-        "force": 1 + 0.5 * np.sin(0.7 * t),
-    }
+    channels = {"acceleration": acceleration, "speed": 100 + 60 * np.sin(1.3 * t), "force": 1 + 0.5 * np.sin(0.7 * t)}
     return Recording({name: Channel(samples, 1000.0) for name, samples in channels.items()}, texture="noise")
 
 
@@ -105,11 +99,7 @@ def moving(acceleration: np.ndarray) -> Recording:
 def test_a_sensor_that_drops_out_is_left_out(dropout: str | None) -> None:
     """Noise of one level; for seconds none, one value, or a tone of mains: as loud as it was everywhere in its range."""
     x = np.random.default_rng(0).standard_normal(24_000)
-    instead = {
-        "nothing": np.zeros(2500),
-        "one value": np.ones(2500),
-        "a tone": np.sin(0.1 * np.pi * np.arange(2500)),
-    }
+    instead = {"nothing": np.zeros(2500), "one value": np.ones(2500), "a tone": np.sin(0.1 * np.pi * np.arange(2500))}
     if dropout is not None:
         x[6000:8500], x[15_000:17_200] = instead[dropout], instead[dropout][:2200]
     texture = learned(moving(x)).texture
@@ -128,13 +118,9 @@ def test_models_in_one_place_are_one(recording: Recording) -> None:
     rng = np.random.default_rng(0)
 
     def piece(speed: float, force: float, loud: float) -> np.ndarray:
-        return np.stack(
-            [loud * rng.standard_normal(4000), np.full(4000, speed), np.full(4000, force)], axis=1
-        )
+        return np.stack([loud * rng.standard_normal(4000), np.full(4000, speed), np.full(4000, force)], axis=1)
 
-    models = fitted(
-        [piece(50, 1, 1.0), piece(50.01, 1, 2.0), piece(150, 2, 1.0), piece(80, 1.5, 1.0)], blocks, 4
-    )
+    models = fitted([piece(50, 1, 1.0), piece(50.01, 1, 2.0), piece(150, 2, 1.0), piece(80, 1.5, 1.0)], blocks, 4)
     (both,) = np.flatnonzero(np.abs(models.points - [50.005, 1]).sum(axis=1) < 0.01)
     assert models.variance[both] == pytest.approx(2.5, rel=0.05)
     np.testing.assert_allclose(models.lsf[both], np.pi * np.arange(1, 5) / 5, atol=0.05)
@@ -168,21 +154,7 @@ def test_the_command_makes_a_file_that_everything_takes(
     record, file = tmp_path / "r.h5", tmp_path / "t.foten"
     write_recording(recording, record)
     assert (
-        _status(
-            [
-                "train",
-                str(record),
-                "-o",
-                str(file),
-                "--model",
-                "ar",
-                "--trim",
-                "0",
-                "--block",
-                "1000",
-                "--json",
-            ]
-        )
+        _status(["train", str(record), "-o", str(file), "--model", "ar", "--trim", "0", "--block", "1000", "--json"])
         == 0
     )
     document = json.loads(capsys.readouterr().out)
@@ -193,24 +165,14 @@ def test_the_command_makes_a_file_that_everything_takes(
     assert "models" in output
     assert f"of order {read_texture(file).card['sizes']['order']}" in output
     sound = tmp_path / "s.wav"
-    assert (
-        _status(["render", str(file), "--speed", "80", "--force", "0.8", "--seconds", "1", "-o", str(sound)])
-        == 0
-    )
+    assert _status(["render", str(file), "--speed", "80", "--force", "0.8", "--seconds", "1", "-o", str(sound)]) == 0
     assert sound.stat().st_size > 1000
     assert NativeTexture(file.read_bytes()).info.model == "ar"
 
 
 @pytest.mark.parametrize(
     "option",
-    [
-        ["--loss", "mse"],
-        ["--window", "30"],
-        ["--set", "order=4"],
-        ["--resume"],
-        ["--seed", "1"],
-        ["--recipe", "paper"],
-    ],
+    [["--loss", "mse"], ["--window", "30"], ["--set", "order=4"], ["--resume"], ["--seed", "1"], ["--recipe", "paper"]],
 )
 def test_what_is_for_networks_is_refused(
     recording: Recording, tmp_path: Path, option: list[str], capsys: pytest.CaptureFixture[str]

@@ -64,9 +64,7 @@ def test_every_family_is_prepared() -> None:
 
 def test_the_network_starts_at_the_linear_part(recording: Recording) -> None:
     unfitted = train(job_of(recording, epochs=0))
-    assert unfitted.progress.epochs[0].validation_mae == pytest.approx(
-        unfitted.linear_mae, rel=1e-5
-    )  # float32
+    assert unfitted.progress.epochs[0].validation_mae == pytest.approx(unfitted.linear_mae, rel=1e-5)  # float32
 
 
 @pytest.mark.parametrize("model", ["foten", "ten"])
@@ -84,11 +82,7 @@ def test_the_papers_networks_learn(recording: Recording, model: str) -> None:
 def test_a_texture_is_playable_before_the_network_is_fitted(recording: Recording, trained: Trained) -> None:
     """It is the linear part, with a network that adds nothing; its proof and its level are already those of a texture."""
     happened: list[Any] = []
-    again = train(
-        job_of(recording),
-        on_epoch=lambda line: happened.append(line.epoch),
-        on_playable=happened.append,
-    )
+    again = train(job_of(recording), on_epoch=lambda line: happened.append(line.epoch), on_playable=happened.append)
     assert isinstance(happened[0], Texture)
     assert happened[1:] == [0, 1, 2]
     playable = texture_from_bytes(happened[0].to_bytes())
@@ -102,9 +96,7 @@ def test_a_texture_is_playable_before_the_network_is_fitted(recording: Recording
     assert again.texture.to_bytes() == trained.texture.to_bytes()
 
 
-def test_where_the_network_gains_nothing_the_texture_renders_as_the_playable_one(
-    recording: Recording,
-) -> None:
+def test_where_the_network_gains_nothing_the_texture_renders_as_the_playable_one(recording: Recording) -> None:
     given: list[Texture] = []
     texture = train(job_of(recording, epochs=0), on_playable=given.append).texture
     np.testing.assert_array_equal(rendered(texture), rendered(given[0]))
@@ -192,9 +184,7 @@ def test_blocks_shorter_than_five_windows_are_refused(recording: Recording) -> N
 
 
 @pytest.mark.parametrize("model", ["foten-plus", "ar", "fnn", "dftnet"])
-def test_the_test_blocks_have_no_say(
-    recording: Recording, monkeypatch: pytest.MonkeyPatch, model: str
-) -> None:
+def test_the_test_blocks_have_no_say(recording: Recording, monkeypatch: pytest.MonkeyPatch, model: str) -> None:
     """Their samples are others, a hundred times as loud, under another hand: the texture is the same to the last digit."""
     config = dataclasses.replace(QUICK, epochs=1)
     sizes = sizes_with(model, SMALL) if model == "foten-plus" else FAMILIES[model]()

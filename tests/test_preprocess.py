@@ -37,15 +37,11 @@ def test_the_hand_and_gravity_go_and_the_vibration_stays(rate_hz: float, zero_ph
     config = dataclasses.replace(SHORT, zero_phase=zero_phase)
 
     def through(samples: np.ndarray) -> float:
-        return amplitude(
-            preprocess(recording({"acceleration": samples}, rate_hz=rate_hz), config).acceleration
-        )
+        return amplitude(preprocess(recording({"acceleration": samples}, rate_hz=rate_hz), config).acceleration)
 
     # Second order: the square of the frequency's share of 20 Hz; forwards and backwards twice that.
     assert through(tone(5.0, rate_hz=rate_hz)) < (1.05 * (5 / 20) ** 2) ** (1 + zero_phase)
-    assert through(tone(100.0, rate_hz=rate_hz)) == pytest.approx(
-        1.0, abs=2e-3
-    )  # 1/√(1 + (20/100)⁴) = 0.9992
+    assert through(tone(100.0, rate_hz=rate_hz)) == pytest.approx(1.0, abs=2e-3)  # 1/√(1 + (20/100)⁴) = 0.9992
     assert through(tone(300.0, rate_hz=rate_hz)) == pytest.approx(1.0, abs=1e-3)
     assert through(np.full(round(6 * rate_hz), 9.81)) < 1e-9  # rounding
     tilted = 9.81 * np.cos(0.3 * tone(0.5, rate_hz=rate_hz))  # a wrist that turns
@@ -91,19 +87,11 @@ def test_speed_force_and_the_vibration_they_cause_stay_side_by_side(zero_phase: 
     if source == "speed":
         channels = {"speed": Channel(100 * slow, 120.0)}
     else:
-        fine = (
-            np.cumsum(100 * bump(6.0, 12_000.0)) / 12_000.0
-        )  # the path, of which the tracker sees one in 100
-        channels = {
-            "position_x": Channel(0.6 * fine[::100], 120.0),
-            "position_y": Channel(-0.8 * fine[::100], 120.0),
-        }
+        fine = np.cumsum(100 * bump(6.0, 12_000.0)) / 12_000.0  # the path, of which the tracker sees one in 100
+        channels = {"position_x": Channel(0.6 * fine[::100], 120.0), "position_y": Channel(-0.8 * fine[::100], 120.0)}
     trace = preprocess(
         recording(
-            {"acceleration": vibration},
-            rate_hz=10_000.0,
-            force=Channel(bump(6.0, 10_000.0), 10_000.0),
-            **channels,
+            {"acceleration": vibration}, rate_hz=10_000.0, force=Channel(bump(6.0, 10_000.0), 10_000.0), **channels
         ),
         PreprocessConfig(trim_ms=500.0, block_ms=5000.0, zero_phase=zero_phase),
     )
@@ -135,15 +123,12 @@ def test_three_axes_become_one_in_each_block_by_itself(zero_phase: bool) -> None
 def test_the_one_axis_has_the_energy_of_all() -> None:
     rng = np.random.default_rng(0)
     axes = {
-        f"acceleration_{axis}": gain * rng.standard_normal(6000)
-        for axis, gain in zip("xyz", (1, 2, 3), strict=True)
+        f"acceleration_{axis}": gain * rng.standard_normal(6000) for axis, gain in zip("xyz", (1, 2, 3), strict=True)
     }
     together = preprocess(recording(axes), SHORT)
     alone = [preprocess(recording({"acceleration": samples}), SHORT) for samples in axes.values()]
     energy = sum(np.square(trace.blocks(trace.acceleration)).sum(axis=1) for trace in alone)
-    np.testing.assert_allclose(
-        np.square(together.blocks(together.acceleration)).sum(axis=1), energy, rtol=1e-9
-    )
+    np.testing.assert_allclose(np.square(together.blocks(together.acceleration)).sum(axis=1), energy, rtol=1e-9)
     stacked = np.stack([trace.blocks(trace.acceleration) for trace in alone], axis=1)
     np.testing.assert_allclose(together.acceleration, dft321(stacked).ravel(), atol=1e-12)  # rounding
 
@@ -166,10 +151,7 @@ def test_pressing_counts_positive(name: str) -> None:
 def test_speed_and_force_are_never_negative() -> None:
     step = np.where(np.arange(6000) < 3000, 200.0, 0.0)  # a second-order low-pass undershoots by 4 %
     trace = preprocess(
-        recording(
-            {"acceleration": tone(100.0)}, speed=Channel(step, 1000.0), force=Channel(step / 100, 1000.0)
-        ),
-        SHORT,
+        recording({"acceleration": tone(100.0)}, speed=Channel(step, 1000.0), force=Channel(step / 100, 1000.0)), SHORT
     )
     assert trace.speed.min() == 0.0
     assert trace.force.min() == 0.0
@@ -181,8 +163,7 @@ def test_rendering_conditions_a_stroke_as_training_does() -> None:
     speed = np.abs(100 + np.cumsum(rng.standard_normal(6000)))
     force = np.abs(1 + 0.01 * np.cumsum(rng.standard_normal(6000)))
     trace = preprocess(
-        recording({"acceleration": tone(100.0)}, speed=Channel(speed, 1000.0), force=Channel(force, 1000.0)),
-        SHORT,
+        recording({"acceleration": tone(100.0)}, speed=Channel(speed, 1000.0), force=Channel(force, 1000.0)), SHORT
     )
     rendered = condition(speed[None], force, 1000.0, SHORT.render_lowpass_hz)
     delay = round(SHORT.delay_ms)
@@ -192,9 +173,7 @@ def test_rendering_conditions_a_stroke_as_training_does() -> None:
 
 
 def test_the_default_delay_is_what_the_card_will_say() -> None:
-    assert PreprocessConfig().delay_ms == pytest.approx(
-        1000 * np.sqrt(2) / (2 * np.pi * 20), rel=2e-3
-    )  # prewarping
+    assert PreprocessConfig().delay_ms == pytest.approx(1000 * np.sqrt(2) / (2 * np.pi * 20), rel=2e-3)  # prewarping
 
 
 def test_whole_blocks_and_what_was_dropped() -> None:
@@ -260,28 +239,19 @@ def test_a_config_is_checked(fields: dict[str, Any], message: str) -> None:
 
 def test_a_signed_velocity_is_refused_and_a_ringing_filter_is_not() -> None:
     signed = 100 * np.sin(2 * np.pi * 1.0 * np.arange(6000) / 1000)
-    made = recording(
-        {"acceleration": tone(100.0)}, speed=Channel(signed, 1000.0), force=Channel(np.ones(6000), 1000.0)
-    )
+    made = recording({"acceleration": tone(100.0)}, speed=Channel(signed, 1000.0), force=Channel(np.ones(6000), 1000.0))
     with pytest.raises(ValueError, match="one axis of a velocity"):
         preprocess(made, SHORT)
     stop = np.where(np.arange(60_000) < 30_000, 210.0, 1.0)
-    made = recording(
-        {"acceleration": tone(100.0)}, speed=Channel(stop, 10_000.0), force=Channel(np.ones(6000), 1000.0)
-    )
+    made = recording({"acceleration": tone(100.0)}, speed=Channel(stop, 10_000.0), force=Channel(np.ones(6000), 1000.0))
     assert preprocess(made, SHORT).speed.min() >= 0.0
 
 
 def test_what_not_every_channel_covers_is_left_out_and_counted() -> None:
     """Speed and force from 2 to 6 s beside 6 s of acceleration: nothing is invented for the first two."""
     times = 2.0 + np.arange(400) / 100
-    hand = {
-        name: Channel(values, 100.0, times)
-        for name, values in (("speed", 50 * times), ("force", 0 * times + 1))
-    }
-    trace = preprocess(
-        recording({"acceleration": tone(100.0)}, **hand), PreprocessConfig(trim_ms=0, block_ms=500)
-    )
+    hand = {name: Channel(values, 100.0, times) for name, values in (("speed", 50 * times), ("force", 0 * times + 1))}
+    trace = preprocess(recording({"acceleration": tone(100.0)}, **hand), PreprocessConfig(trim_ms=0, block_ms=500))
     assert trace.n_uncovered == 2000
     # The first sample of the trace is at 2 s, where the speed is 100 mm/s, to within the low-pass's settling.
     assert trace.speed[200] == pytest.approx(50 * 2.2, rel=0.02)
@@ -290,9 +260,7 @@ def test_what_not_every_channel_covers_is_left_out_and_counted() -> None:
 def test_a_stroke_along_one_axis_has_a_speed_both_ways() -> None:
     position = 20 * np.sin(2 * np.pi * 1.0 * np.arange(720) / 120)
     made = recording(
-        {"acceleration": tone(100.0)},
-        position_x=Channel(position, 120.0),
-        force=Channel(np.ones(6000), 1000.0),
+        {"acceleration": tone(100.0)}, position_x=Channel(position, 120.0), force=Channel(np.ones(6000), 1000.0)
     )
     trace = preprocess(made, SHORT)
     # The mean of |cos| is 2/π.
@@ -323,7 +291,5 @@ def test_rows_that_are_missing_in_time_are_refused() -> None:
     times = np.delete(np.arange(600) / 100, slice(200, 300))
     channel = Channel(20 * times, 100.0, times)
     gapped = recording({"acceleration": tone(100.0)}, position_x=channel)
-    with pytest.raises(
-        ValueError, match=r"position_x has 1 holes in its times, the longest 1010 ms after 1.99 s"
-    ):
+    with pytest.raises(ValueError, match=r"position_x has 1 holes in its times, the longest 1010 ms after 1.99 s"):
         preprocess(gapped, SHORT)

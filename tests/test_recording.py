@@ -12,11 +12,7 @@ def channel(n: int = 100, rate_hz: float = 1000.0, seed: int = 0) -> Channel:
 
 def test_channels_keep_their_own_rates_and_the_shortest_counts() -> None:
     recording = Recording(
-        {
-            "acceleration": channel(2000, 1000.0),
-            "speed": channel(239, 120.0),
-            "force": channel(25_000, 10_000.0),
-        }
+        {"acceleration": channel(2000, 1000.0), "speed": channel(239, 120.0), "force": channel(25_000, 10_000.0)}
     )
     assert recording["speed"].duration_s == pytest.approx(239 / 120)
     assert recording.duration_s == pytest.approx(239 / 120)
@@ -74,9 +70,7 @@ def test_channels_cannot_be_exchanged() -> None:
 
 
 def test_an_unknown_channel_is_refused_with_what_is_known() -> None:
-    with pytest.raises(
-        ValueError, match=r"unknown channel 'velocity', expected one of acceleration, .*force_z"
-    ):
+    with pytest.raises(ValueError, match=r"unknown channel 'velocity', expected one of acceleration, .*force_z"):
         Recording({"velocity": channel()})
     with pytest.raises(ValueError, match="no channel"):
         Recording({})

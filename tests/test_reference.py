@@ -40,32 +40,10 @@ PLUS: dict[str, dict[str, Any]] = {
     "a-table": {**SMALL, "order": 7, "n_speed": 4, "n_force": 3},
     "tones": {**SMALL, "order": 5, "n_tones": 3, "n_tone_speed": 5, "n_tone_force": 2, "residual_order": 8},
     "gain-before": {**SMALL, "order": 7, "n_speed": 4, "n_force": 3, "gain_before_filter": True},
-    "gain-before-not-in-loop": {
-        **SMALL,
-        "order": 7,
-        "gain_before_filter": True,
-        "network_in_loop": False,
-    },
-    "gain-before-of-the-residual": {
-        **SMALL,
-        "n_tones": 2,
-        "residual_order": 6,
-        "residual_gain_before_filter": True,
-    },
-    "gain-before-of-one-of-two": {
-        **SMALL,
-        "order": 5,
-        "n_tones": 2,
-        "residual_order": 6,
-        "gain_before_filter": True,
-    },
-    "tones-on-a-table": {
-        **SMALL,
-        "n_tones": 2,
-        "n_tone_speed": 4,
-        "n_residual_speed": 3,
-        "n_residual_force": 2,
-    },
+    "gain-before-not-in-loop": {**SMALL, "order": 7, "gain_before_filter": True, "network_in_loop": False},
+    "gain-before-of-the-residual": {**SMALL, "n_tones": 2, "residual_order": 6, "residual_gain_before_filter": True},
+    "gain-before-of-one-of-two": {**SMALL, "order": 5, "n_tones": 2, "residual_order": 6, "gain_before_filter": True},
+    "tones-on-a-table": {**SMALL, "n_tones": 2, "n_tone_speed": 4, "n_residual_speed": 3, "n_residual_force": 2},
     "tones-and-no-network": {**SMALL, "n_tones": 2, "residual_order": 6, "network_in_loop": False},
 }
 """Of foten-plus."""
@@ -97,9 +75,7 @@ def network_windows(sizes: TransformerSizes) -> np.ndarray:
     constant = np.repeat(rng.standard_normal((5, 1, n_channels)), m, axis=1)
     alternating = 0 * rows[:5]
     alternating[:, :, 0] = (-1.0) ** np.arange(m)  # Nyquist alone, on the negative axis for odd phase
-    return np.concatenate(
-        [rows, 10 * rows[:5], 1e-6 * rows[:5], 0 * rows[:1], constant, -constant, alternating]
-    )
+    return np.concatenate([rows, 10 * rows[:5], 1e-6 * rows[:5], 0 * rows[:1], constant, -constant, alternating])
 
 
 @pytest.mark.parametrize(("key", "variant"), CASES)

@@ -4,16 +4,7 @@ from scipy.signal import lfilter
 
 from conftest import resonance
 from foten.dsp.ar import spectral_radius
-from foten.evaluate.references import (
-    MAX_POLE,
-    ORDERS,
-    Linear,
-    Persistence,
-    Zero,
-    best_linear,
-    first_scored,
-    fit_linear,
-)
+from foten.evaluate.references import MAX_POLE, ORDERS, Linear, Persistence, Zero, best_linear, first_scored, fit_linear
 
 BLOCK = 400
 
@@ -87,8 +78,7 @@ def test_a_linear_predictor_looks_at_the_end_of_a_longer_window() -> None:
     for fitted in (Linear(coefficients, 0.3), Linear(coefficients[0], 0.3)):
         np.testing.assert_array_equal(fitted.predict(windows), fitted.predict(windows[:, -2:]))
     by_hand = [
-        (coefficients[0] + w[-1, 1] * coefficients[1] + w[-1, 2] * coefficients[2])
-        @ [w[-2, 0], w[-1, 0], 1.0]
+        (coefficients[0] + w[-1, 1] * coefficients[1] + w[-1, 2] * coefficients[2]) @ [w[-2, 0], w[-1, 0], 1.0]
         for w in windows
     ]
     np.testing.assert_allclose(Linear(coefficients, 0.3).predict(windows), by_hand, atol=1e-12)  # rounding

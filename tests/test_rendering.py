@@ -134,9 +134,7 @@ def test_below_the_trained_range_it_fades_linearly_and_without_a_step(texture: T
 
 
 @pytest.mark.parametrize("low", [(0.0, 0.0), (2.0, 0.04)])
-def test_below_5_mm_s_and_a_tenth_of_a_newton_every_texture_fades(
-    texture: Texture, low: tuple[float, float]
-) -> None:
+def test_below_5_mm_s_and_a_tenth_of_a_newton_every_texture_fades(texture: Texture, low: tuple[float, float]) -> None:
     """Whatever was recorded. The loop, from the window in the file, goes by the true condition there."""
     assert (FADE_SPEED, FADE_FORCE) == (5.0, 0.1)
     slow = with_card(texture, trained_range={"speed": [low[0], 220.0], "force": [low[1], 2.5]})
@@ -163,16 +161,12 @@ def test_below_5_mm_s_and_a_tenth_of_a_newton_every_texture_fades(
 
 @pytest.mark.parametrize("bad", [-1e-9, -5.0, float("nan"), float("-inf"), float("inf")])
 @pytest.mark.parametrize(("name", "unit"), [("speed", "mm/s"), ("force", "N")])
-def test_a_bad_condition_is_refused_and_changes_nothing(
-    texture: Texture, bad: float, name: str, unit: str
-) -> None:
+def test_a_bad_condition_is_refused_and_changes_nothing(texture: Texture, bad: float, name: str, unit: str) -> None:
     renderer = Renderer(texture)
     renderer.render(*steady(10))
     condition = {"speed": np.full(5, 80.0), "force": np.full(5, 1.0)}
     condition[name][3] = bad
-    with pytest.raises(
-        ValueError, match=f"a {name} is negative, NaN or infinite, expected a finite number of {unit}"
-    ):
+    with pytest.raises(ValueError, match=f"a {name} is negative, NaN or infinite, expected a finite number of {unit}"):
         renderer.render(condition["speed"], condition["force"])
     with pytest.raises(ValueError, match=f"a {name} is negative"):
         renderer.step(*(bad if channel == name else 1.0 for channel in ("speed", "force")))
@@ -197,9 +191,7 @@ def test_what_lies_beyond_the_range_is_counted(texture: Texture) -> None:
     assert (s.n_speed_clamped, s.n_force_clamped) == (2, 1)
 
 
-def test_above_the_range_the_level_grows_by_its_power_law_and_no_further_than_twice_the_range(
-    texture: Texture,
-) -> None:
+def test_above_the_range_the_level_grows_by_its_power_law_and_no_further_than_twice_the_range(texture: Texture) -> None:
     assert FURTHEST == 2
     speed, force = np.linspace(100.0, 900.0, 200), np.linspace(1.0, 9.0, 200)
     inside = rendered(texture, np.minimum(speed, HIGH[0]), np.minimum(force, HIGH[1]))
@@ -227,12 +219,7 @@ def test_any_stroke_gives_a_finite_bounded_vibration(
         (ramp[::-1], ramp / 50),
         (np.full(n, 1e9), np.full(n, 1e9)),
     ]
-    for used in (
-        texture,
-        plain_texture,
-        with_card(texture, saturation=0.1),
-        with_card(plain_texture, saturation=0.1),
-    ):
+    for used in (texture, plain_texture, with_card(texture, saturation=0.1), with_card(plain_texture, saturation=0.1)):
         bound = used.card["saturation"] * SCALING.sd[0] + abs(SCALING.mean[0])
         for speed, force in strokes:
             out = rendered(used, speed, force, excitation=excitation)
@@ -248,10 +235,7 @@ def test_any_stroke_gives_a_finite_bounded_vibration(
 def heavy_tails() -> dict[str, np.ndarray]:
     """Return tails of h = 0.12, alike everywhere."""
     h = 0.12 / HEAVIEST_TAIL
-    return {
-        "excitation.tail.weight": np.zeros((1, 5)),
-        "excitation.tail.bias": np.array([math.log(h / (1 - h))]),
-    }
+    return {"excitation.tail.weight": np.zeros((1, 5)), "excitation.tail.bias": np.array([math.log(h / (1 - h))])}
 
 
 @pytest.mark.parametrize(
@@ -315,9 +299,7 @@ def test_a_recorded_window_is_gone_on_from_as_it_is(texture: Texture) -> None:
     np.testing.assert_array_equal(window, before)
     scaled = SCALING.scale(window.astype(float))[None]
     alone = model_of(texture.sizes, texture.tensors).start(scaled).predict().sample
-    assert first[0] == pytest.approx(
-        float(SCALING.unscale_acceleration(alone)[0]), rel=1e-5
-    )  # a network in float32
+    assert first[0] == pytest.approx(float(SCALING.unscale_acceleration(alone)[0]), rel=1e-5)  # a network in float32
 
 
 @pytest.mark.parametrize("excitation", [True, False])

@@ -53,9 +53,7 @@ def _judgement(rate_hz=1000.0, block=2000):
         "ceiling": _vibration(rng, 2, 4, block),
     }
     recorded, v, f = (trace.blocks(c)[list(TEST)] for c in (trace.acceleration, trace.speed, trace.force))
-    free = {
-        name: free_run(recorded, signal, v, f, rate_hz, scaling.sd[0]) for name, signal in synthesized.items()
-    }
+    free = {name: free_run(recorded, signal, v, f, rate_hz, scaling.sd[0]) for name, signal in synthesized.items()}
     scores = {
         name: one_step(predictor, samples, targets(TEST, block, 160).reshape(len(TEST), -1), scaling)
         for name, predictor in {
@@ -191,18 +189,14 @@ def test_the_tables_show_the_numbers_of_the_document(judged, written):
         cells = rows[f"free_run.{key}"][1:]
         for run, cell in zip(RUNS, cells, strict=True):
             _check(cell, document[run][key])
-    named = {"one_step": document["one_step"]} | {
-        f"references.{k}": v for k, v in document["references"].items()
-    }
+    named = {"one_step": document["one_step"]} | {f"references.{k}": v for k, v in document["references"].items()}
     for key, scores in named.items():
         error, _, ratio, physical, fit = rows[key]
         for cell, figure in ((error, "mae_scaled"), (physical, "mae_m_s2"), (fit, "gfc")):
             _check(cell, scores[figure])
         if scores["mae_scaled"] is not None:
             expected = 100 * (scores["mae_scaled"] / document["references"]["ar"]["mae_scaled"] - 1)
-            assert float(ratio["text"].replace("−", "-").removesuffix(" %")) == pytest.approx(
-                expected, abs=0.051
-            )
+            assert float(ratio["text"].replace("−", "-").removesuffix(" %")) == pytest.approx(expected, abs=0.051)
     low, high = document["one_step"]["intervals"]["mae_scaled"]
     assert f"{low:.3f} … {high:.3f}" in written
     assert json.dumps(document["one_step"]["mae_m_s2"]) in written  # the raw document, in full
@@ -227,9 +221,7 @@ def test_names_and_notes_cannot_break_the_page(judged):
     name, notes = '<b title="x">& µ</b>', "</pre><script>alert(1)</script>"
     document = copy.deepcopy(judged.document) | {"texture": name}
     document["reasons"]["references.lattice"] = '"><script>'
-    parsed = _Page(
-        page(replace(judged, document=document, synthesized={}), _texture(notes=notes, tool="<i>"))
-    )
+    parsed = _Page(page(replace(judged, document=document, synthesized={}), _texture(notes=notes, tool="<i>")))
     assert "script" not in {tag for tag, _ in parsed.tags}
     assert name in parsed.words
     assert notes in parsed.words
@@ -271,9 +263,7 @@ def test_both_players_have_one_gain(judged, rate_hz):
 def test_a_tone_sounds_at_its_own_pitch(judged, written):
     assert len(_players(written)) == 2
     tone = np.sin(2 * np.pi * 130.0 * np.arange(2000) / 1000.0)
-    _, sound, _ = sounds(
-        replace(judged, synthesized={"free_run": np.tile(tone, (1, len(TEST), 1))}), "free_run"
-    )
+    _, sound, _ = sounds(replace(judged, synthesized={"free_run": np.tile(tone, (1, len(TEST), 1))}), "free_run")
     samples = np.frombuffer(sound[44:], dtype="<i2")[: AUDIO_HZ * 8 // 10]
     peak = np.abs(np.fft.rfft(samples)).argmax() * AUDIO_HZ / len(samples)
     assert peak == pytest.approx(130.0, abs=AUDIO_HZ / len(samples))
@@ -299,15 +289,10 @@ def test_the_figures_draw_what_was_scored(judged):
     for name in RUNS:
         ratio = 10 * np.log10(pooled["recorded"] / np.maximum(pooled[name], floor))
         assert np.sqrt(np.square(ratio).mean()) == pytest.approx(judged.document[name]["lsd_long_db"])
-        assert signals.level_errors(judged, name).mean() == pytest.approx(
-            judged.document[name]["level_bias_db"]
-        )
+        assert signals.level_errors(judged, name).mean() == pytest.approx(judged.document[name]["level_bias_db"])
     axes = figures.bands(judged).axes[0]
     known = [
-        e
-        for n in ("free_run", "free_run_ar", "ceiling")
-        for e in judged.document[n]["band_errors_db"]
-        if e is not None
+        e for n in ("free_run", "free_run_ar", "ceiling") for e in judged.document[n]["band_errors_db"] if e is not None
     ]
     assert [bar.get_height() for bar in axes.patches] == pytest.approx(known)
     (line, _), *_ = (axes.lines for axes in figures.waveform(judged).axes)
@@ -324,16 +309,12 @@ def test_spectrograms_share_a_scale_and_show_a_tone_where_it_is(judged):
     low, high = synthesized.get_extent()[2:]
     bin_hz = (high - low) / len(cells)
     centre = (low + (cells.argmax(axis=0) + 0.5) * bin_hz).reshape(len(TEST), -1)
-    np.testing.assert_allclose(
-        centre[:, 4:-4], 200.0, atol=bin_hz / 2
-    )  # mirroring bends the tone at the borders
+    np.testing.assert_allclose(centre[:, 4:-4], 200.0, atol=bin_hz / 2)  # mirroring bends the tone at the borders
     assert figure.axes[0].lines[0].get_xdata()[0] == pytest.approx(1.6)  # the border of two blocks
 
 
 def _without(judgement, *names, **changed):
-    document = (
-        copy.deepcopy(judgement.document) | {name: dict.fromkeys(FREE_RUN_KEYS) for name in names} | changed
-    )
+    document = copy.deepcopy(judgement.document) | {name: dict.fromkeys(FREE_RUN_KEYS) for name in names} | changed
     synthesized = {name: signal for name, signal in judgement.synthesized.items() if name not in names}
     return replace(judgement, document=document, synthesized=synthesized)
 

@@ -15,9 +15,7 @@ def tone(hz: float, rate_hz: float, seconds: float = 1.0) -> np.ndarray:
 
 @pytest.mark.parametrize(("source_hz", "target_hz"), RATES)
 @pytest.mark.parametrize("share", [0.02, 0.2, 0.44])
-def test_a_tone_below_the_cutoff_survives_without_delay(
-    source_hz: float, target_hz: float, share: float
-) -> None:
+def test_a_tone_below_the_cutoff_survives_without_delay(source_hz: float, target_hz: float, share: float) -> None:
     hz = share * target_hz
     found = decimate(tone(hz, source_hz), source_hz, target_hz)
     inner = slice(60, -60)  # half the kernel: a transition of 0.1 needs about 5/0.1 samples in all
@@ -84,9 +82,7 @@ def test_interpolation_keeps_a_constant(factor: Fraction) -> None:
 
 def test_interpolation_passes_through_the_samples() -> None:
     samples = np.random.default_rng(0).standard_normal(80)
-    np.testing.assert_allclose(
-        interpolate(samples, Fraction(4))[::4], samples, atol=1e-14
-    )  # sinc at integers
+    np.testing.assert_allclose(interpolate(samples, Fraction(4))[::4], samples, atol=1e-14)  # sinc at integers
 
 
 def test_interpolation_downwards_is_refused() -> None:
@@ -100,7 +96,5 @@ def test_long_signals_are_cut_without_a_seam() -> None:
     whole = interpolate(samples, Fraction(48))
     assert whole.size > 65536
     late = interpolate(samples[1300:], Fraction(48))
-    near = slice(
-        25 * 48, 100 * 48
-    )  # away from the beginning of the shorter one; holds 65536 − 1300·48 = 3136
+    near = slice(25 * 48, 100 * 48)  # away from the beginning of the shorter one; holds 65536 − 1300·48 = 3136
     np.testing.assert_allclose(whole[1300 * 48 :][near], late[near], atol=1e-13)  # rounding

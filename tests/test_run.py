@@ -50,17 +50,13 @@ def test_a_disk_that_fills_up_costs_the_log_and_not_the_training(
     monkeypatch.setattr("foten.train.run.write_log", full)
     folder.log(epoch(1))
     folder.log(epoch(2))
-    assert notes == [
-        f"{folder.path / 'log.csv'}: no space left on device; the training goes on without its log"
-    ]
+    assert notes == [f"{folder.path / 'log.csv'}: no space left on device; the training goes on without its log"]
     assert (folder.path / "log.csv").read_text() == before
     with pytest.raises(OSError, match="No space left"):
         refused.log(epoch(0))
 
 
-def test_what_is_not_a_terminal_sees_a_line_for_each_stage_and_epoch(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_what_is_not_a_terminal_sees_a_line_for_each_stage_and_epoch(capsys: pytest.CaptureFixture[str]) -> None:
     with TrainingDisplay(2) as display:
         display.stage("fitting level and lattice")
         for number in range(3):

@@ -10,9 +10,7 @@ from foten.recording.trace import Trace
 def trace(seed: int = 0) -> Trace:
     rng = np.random.default_rng(seed)
     n = 600
-    return Trace(
-        0.3 + 2 * rng.standard_normal(n), rng.uniform(10, 200, n), rng.uniform(0.2, 3, n), 1000.0, block=100
-    )
+    return Trace(0.3 + 2 * rng.standard_normal(n), rng.uniform(10, 200, n), rng.uniform(0.2, 3, n), 1000.0, block=100)
 
 
 def test_the_training_blocks_become_standard() -> None:
@@ -34,18 +32,14 @@ def test_other_blocks_have_no_say() -> None:
 
 def test_the_order_of_blocks_does_not_matter() -> None:
     forwards, backwards = fit_scaling(trace(), (0, 2, 5)), fit_scaling(trace(), (5, 0, 2))
-    np.testing.assert_allclose(
-        forwards.mean + forwards.sd, backwards.mean + backwards.sd, rtol=1e-13
-    )  # rounding
+    np.testing.assert_allclose(forwards.mean + forwards.sd, backwards.mean + backwards.sd, rtol=1e-13)  # rounding
 
 
 def test_scaling_and_back() -> None:
     scaling = Scaling((0.3, 90.0, 1.2), (2.0, 50.0, 0.4))
     samples = trace().stacked()
     scaled = scaling.scale(samples)
-    np.testing.assert_allclose(
-        scaling.unscale_acceleration(scaled[:, 0]), samples[:, 0], rtol=1e-13
-    )  # rounding
+    np.testing.assert_allclose(scaling.unscale_acceleration(scaled[:, 0]), samples[:, 0], rtol=1e-13)  # rounding
     for channel in range(3):
         np.testing.assert_array_equal(scaling.scale_channel(channel, samples[:, channel]), scaled[:, channel])
 

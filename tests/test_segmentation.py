@@ -29,11 +29,7 @@ def described(x: np.ndarray, cuts: tuple[int, ...], max_order: int) -> float:
         r = np.array([piece[k:] @ piece[: n - k] / n for k in range(max_order + 1)])
         told = []
         for p in range(max_order + 1):
-            taps = (
-                np.linalg.solve(r[np.abs(np.subtract.outer(range(p), range(p)))], r[1 : p + 1])
-                if p
-                else np.empty(0)
-            )
+            taps = np.linalg.solve(r[np.abs(np.subtract.outer(range(p), range(p)))], r[1 : p + 1]) if p else np.empty(0)
             error = r[0] - taps @ r[1 : p + 1]
             if n >= _LEAST_SPANS[p]:
                 told.append(np.log(max(p, 1)) + (p + 2) / 2 * np.log(n) + n / 2 * np.log(2 * np.pi * error))
@@ -62,9 +58,7 @@ def test_nothing_on_the_grid_is_shorter(seed: int) -> None:
 
 def test_a_change_of_loudness_alone_is_found() -> None:
     rng = np.random.default_rng(0)
-    x = lfilter(
-        [1.0], [1.0, -1.2, 0.8], np.concatenate([rng.standard_normal(700), 3 * rng.standard_normal(700)])
-    )
+    x = lfilter([1.0], [1.0, -1.2, 0.8], np.concatenate([rng.standard_normal(700), 3 * rng.standard_normal(700)]))
     assert np.abs(pieces_of(x).cuts - 700).max() < 20
 
 

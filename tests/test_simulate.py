@@ -130,10 +130,7 @@ def test_another_noise_seed_is_the_same_stroke_over_another_piece() -> None:
 def test_a_stored_recording_keeps_its_own_parameters() -> None:
     recording = simulate("towel", 2)
     simulation = json.loads(json.dumps(dict(recording.simulation or {})))
-    assert (
-        second_realisation(dataclasses.replace(recording, simulation=simulation), 0).sha256()
-        == recording.sha256()
-    )
+    assert second_realisation(dataclasses.replace(recording, simulation=simulation), 0).sha256() == recording.sha256()
     simulation["parameters"]["level"] *= 2
     louder = second_realisation(dataclasses.replace(recording, simulation=simulation), 0)
     assert level(vibrations(louder)) > 1.8 * level(vibrations(recording))
@@ -155,9 +152,7 @@ def test_the_slow_accelerometer_has_its_own_anti_alias_filter() -> None:
 def test_friction_opposes_the_motion() -> None:
     recording, stroke = simulate("textured-rubber", 10), stroking(10, 0, 10_000.0)
     fast = stroke.speed > 50
-    along = np.sum(
-        np.stack([recording[f"force_{axis}"].samples for axis in "xy"], axis=1) * stroke.velocity, axis=1
-    )
+    along = np.sum(np.stack([recording[f"force_{axis}"].samples for axis in "xy"], axis=1) * stroke.velocity, axis=1)
     ratio = along[fast] / (stroke.speed * stroke.force)[fast]
     assert np.median(ratio) == pytest.approx(-TEXTURES["textured-rubber"].friction, rel=0.08)
 
@@ -170,9 +165,7 @@ def test_a_minute_takes_less_than_five_seconds() -> None:
 
 
 def test_bad_input_is_named() -> None:
-    with pytest.raises(
-        ValueError, match=r"unknown texture 'sandpaper', expected one of steel-mesh-1.*linear-cloth"
-    ):
+    with pytest.raises(ValueError, match=r"unknown texture 'sandpaper', expected one of steel-mesh-1.*linear-cloth"):
         simulate("sandpaper")
     with pytest.raises(ValueError, match="divided by a whole number"):
         simulate("jeans", 1, accelerometer_hz=3000)
@@ -184,9 +177,7 @@ def test_bad_input_is_named() -> None:
         second_realisation(dataclasses.replace(simulate("jeans", 1), simulation=None), 1)
 
 
-def test_the_command_writes_what_the_function_returns(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_what_the_function_returns(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from foten.cli.command_line import _status
     from foten.datasets.hdf5 import read_recording
 

@@ -72,11 +72,7 @@ def test_every_third_of_speed_is_tested() -> None:
 
 def test_contiguous_parts_are_one_stretch_each_in_order() -> None:
     split = split_blocks(trace(20), "contiguous")
-    assert (split.train, split.validation, split.test) == (
-        tuple(range(12)),
-        tuple(range(12, 16)),
-        tuple(range(16, 20)),
-    )
+    assert (split.train, split.validation, split.test) == (tuple(range(12)), tuple(range(12, 16)), tuple(range(16, 20)))
 
 
 def test_a_seed_is_a_split() -> None:

@@ -67,13 +67,10 @@ def test_impossible_constants_are_refused(values: tuple[float, float, float]) ->
 
 def test_a_hole_in_the_table_is_told(tmp_path: Path) -> None:
     t = np.concatenate([np.arange(0, 1, 0.01), [5.0]])
-    assert read_stroke(
-        written(tmp_path / "h.csv", {"t": t, "speed": t, "force": t}), 100.0
-    ).gap_s == pytest.approx(4.01)
-    assert (
-        read_stroke(written(tmp_path / "n.csv", {"t": t[:-1], "speed": t[:-1], "force": t[:-1]}), 100.0).gap_s
-        == 0
+    assert read_stroke(written(tmp_path / "h.csv", {"t": t, "speed": t, "force": t}), 100.0).gap_s == pytest.approx(
+        4.01
     )
+    assert read_stroke(written(tmp_path / "n.csv", {"t": t[:-1], "speed": t[:-1], "force": t[:-1]}), 100.0).gap_s == 0
 
 
 def pen(t: np.ndarray, offset: float = 0.0, force: float = 1.0) -> dict[str, np.ndarray]:
@@ -111,9 +108,7 @@ def test_a_pen_may_land_elsewhere_but_not_jump_in_contact(tmp_path: Path) -> Non
 
 
 def test_a_recorded_hand_needs_no_acceleration() -> None:
-    recording = Recording(
-        {"speed": Channel(np.full(1000, 80.0), 1000.0), "force": Channel(np.ones(120), 120.0)}
-    )
+    recording = Recording({"speed": Channel(np.full(1000, 80.0), 1000.0), "force": Channel(np.ones(120), 120.0)})
     speed, force = recorded_stroke(recording, 500.0).conditioned(20.0)
     assert speed.size == force.size == 500
     assert speed == pytest.approx(80.0)

@@ -52,9 +52,7 @@ def test_it_finds_the_speed_and_force_of_a_hand(texture: Texture, events_hz: flo
     at = np.arange(0.0, seconds - 0.1, 1 / events_hz)
     at = np.sort(at + rng.uniform(-0.15, 0.15, at.size) / events_hz)
     pressed = np.log(np.maximum(np.interp(at, t, hand.force), 1.01 * CURVE.a) / CURVE.a) / CURVE.b
-    events = np.stack(
-        [*(np.interp(at, t, axis) for axis in hand.position.T), np.clip(pressed, 1e-3, 1.0), at], axis=1
-    )
+    events = np.stack([*(np.interp(at, t, axis) for axis in hand.position.T), np.clip(pressed, 1e-3, 1.0), at], axis=1)
     late = np.minimum(0.002 * np.abs(rng.standard_normal(at.size)), 0.005)
     found = hands(Stylus(Renderer(texture)), events, n, late)[500:-500]
     speed = np.hypot(*(lowpassed(axis) for axis in hand.velocity.T))[500:-500]
@@ -68,9 +66,7 @@ def test_it_finds_the_speed_and_force_of_a_hand(texture: Texture, events_hz: flo
 
 def test_a_steady_stroke_is_its_speed_and_force(texture: Texture) -> None:
     at = np.arange(0.0, 2.0, 1 / 133)
-    events = np.stack(
-        [80 * at, 60 * at, np.full(at.size, 0.5), at + 1e6], axis=1
-    )  # a device's clock begins anywhere
+    events = np.stack([80 * at, 60 * at, np.full(at.size, 0.5), at + 1e6], axis=1)  # a device's clock begins anywhere
     stylus = Stylus(Renderer(texture))
     found = hands(stylus, events - [0, 0, 0, 1e6], 1900)[-200:]
     np.testing.assert_allclose(found[:, 0], 100.0, rtol=1e-6)
@@ -79,8 +75,7 @@ def test_a_steady_stroke_is_its_speed_and_force(texture: Texture) -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "meant"),
-    [((0, 0), (0.13, 3.32)), ((0, 2), (0.13, 2)), ((0.2, 0), (0.2, 3.32)), ((0.2, 2), (0.2, 2))],
+    ("told", "meant"), [((0, 0), (0.13, 3.32)), ((0, 2), (0.13, 2)), ((0.2, 0), (0.2, 3.32)), ((0.2, 2), (0.2, 2))]
 )
 def test_what_is_left_out_of_a_curve_is_the_papers(
     texture: Texture, told: tuple[float, float], meant: tuple[float, float]
@@ -246,9 +241,7 @@ def test_a_curve_of_pressure_is_found_again() -> None:
         return float(np.square(a * np.exp(b * pressure) - force).sum())
 
     assert (noisy.a, noisy.b) == pytest.approx((0.2, 2.8), rel=0.1)
-    assert (
-        missed(noisy.a, noisy.b) < 15 * 0.05**2
-    )  # least squares of force: no logarithm overrates the light end
+    assert missed(noisy.a, noisy.b) < 15 * 0.05**2  # least squares of force: no logarithm overrates the light end
     for wrong, message in (
         ((pressure[:2], force[:2]), "three or more"),
         ((pressure, force[:-1]), "shape"),

@@ -55,11 +55,7 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "RAY_DEDUP_LOGS": "0"}
     for expected in ((4, 0), (0, 0)):  # the second time nothing is left to do
         done = subprocess.run(
-            [*command, "--workers", "2", "--json"],
-            capture_output=True,
-            text=True,
-            env=environment,
-            check=False,
+            [*command, "--workers", "2", "--json"], capture_output=True, text=True, env=environment, check=False
         )
         assert done.returncode == 0, done.stderr
         document = json.loads(done.stdout)
@@ -89,9 +85,7 @@ def test_a_table_has_references_methods_and_the_papers_figure(swept: Path) -> No
     rows = {row[0]: row[1:] for row in cells[1:]}
     assert list(rows)[:2] == ["zero", "persistence"]
     assert rows["FNN [13]"][-1] == str(PAPER["fnn"].mae)
-    errors = [
-        one["evaluation"]["one_step"]["mae_scaled"] for one in results if one["run"]["method"] == "FNN [13]"
-    ]
+    errors = [one["evaluation"]["one_step"]["mae_scaled"] for one in results if one["run"]["method"] == "FNN [13]"]
     assert rows["FNN [13]"][:3] == [f"{errors[0]:.3f}", f"{errors[1]:.3f}", f"{np.mean(errors):.3f}"]
     assert float(rows["least possible"][0]) < float(rows["best AR"][0]) < float(rows["zero"][0])
     free = [row[0] for row in table(results, "lsd")]
@@ -99,9 +93,7 @@ def test_a_table_has_references_methods_and_the_papers_figure(swept: Path) -> No
     assert any("best on the mean" in line for line in findings(results))
 
 
-def test_tables_are_written_in_three_forms(
-    swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_tables_are_written_in_three_forms(swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert _status(["tables", str(swept), "-o", str(tmp_path / "tables")]) == 0
     assert "| FNN [13] |" in capsys.readouterr().out
     assert {path.name for path in (tmp_path / "tables").iterdir()} == {
@@ -133,9 +125,7 @@ def test_each_run_is_a_row_with_intervals_over_blocks(swept: Path) -> None:
     assert dict(zip(heading, each_run([gan])[1], strict=True))["mae"] == ""
 
 
-def test_figures_are_drawn_from_the_results(
-    swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_figures_are_drawn_from_the_results(swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert _status(["figures", str(swept), "-o", str(tmp_path / "figures")]) == 0
     names = ["figure-4", "figure-6", "figure-7"]  # no grid, no Fig. 5
     made = [Path(line) for line in capsys.readouterr().out.splitlines()]
@@ -271,9 +261,7 @@ def test_splits_that_are_the_same_blocks_are_said(swept: Path) -> None:
 def test_a_sweep_names_what_it_has_anew_and_makes_again_what_is_damaged(swept: Path, tmp_path: Path) -> None:
     folder = tmp_path / "results"
     shutil.copytree(swept, folder)
-    asked = read_experiment(
-        experiment(tmp_path, TINY.replace("Two methods", "Renamed").replace('"excited"', '"E"'))
-    )
+    asked = read_experiment(experiment(tmp_path, TINY.replace("Two methods", "Renamed").replace('"excited"', '"E"')))
     said: list[str] = []
     assert sweep(asked, folder, say=said.append) == (0, 0)  # Ray is not even started
     results = read_results(folder)
@@ -304,9 +292,7 @@ def test_one_recording_under_two_names_is_refused(tmp_path: Path) -> None:
     assert not list((tmp_path / "results").iterdir())
 
 
-def test_an_address_where_nobody_listens_is_said_at_once(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_address_where_nobody_listens_is_said_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with socket.socket() as taken:  # bound and not listening: refused
         taken.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{taken.getsockname()[1]}"
@@ -324,16 +310,11 @@ def test_special_characters_are_markdowns_too() -> None:
 
 
 def test_special_characters_are_latexs() -> None:
-    assert (
-        written([["a_b & 5 %", "1.0 ± 0.1"], ["–", ""]], "tex").splitlines()[2]
-        == r"a\_b \& 5 \% & 1.0 $\pm$ 0.1 \\"
-    )
+    assert written([["a_b & 5 %", "1.0 ± 0.1"], ["–", ""]], "tex").splitlines()[2] == r"a\_b \& 5 \% & 1.0 $\pm$ 0.1 \\"
 
 
 def test_ar_is_run_once_whatever_the_grid(tmp_path: Path) -> None:
-    text = TINY.replace("[train]", '[grid]\nloss = ["mse", "mae"]\n[train]').replace(
-        "methods = [", 'methods = ["ar", '
-    )
+    text = TINY.replace("[train]", '[grid]\nloss = ["mse", "mae"]\n[train]').replace("methods = [", 'methods = ["ar", ')
     assert [run.method for run in read_experiment(experiment(tmp_path, text)).runs()].count("ar") == 2
 
 
@@ -347,9 +328,7 @@ def test_results_that_a_table_would_mix_are_refused(swept: Path, tmp_path: Path)
 
 def test_what_is_not_complete_is_said_and_not_compared(swept: Path) -> None:
     results = read_results(swept)
-    lacking = [
-        one for one in results if one["run"]["method"] != "excited" or one["run"]["texture"] != "linear-twin"
-    ]
+    lacking = [one for one in results if one["run"]["method"] != "excited" or one["run"]["texture"] != "linear-twin"]
     assert any("not compared, for want of textures or splits: excited" in line for line in findings(lacking))
     assert title_of(results) == "Two methods"
 
@@ -424,8 +403,7 @@ def test_ours_are_read_and_are_as_large_as_the_papers(name: str) -> None:
     assert len(runs) == n[name]
     paper = [run for run in runs if run.model == "foten" and name in ("table-1", "table-2")]
     assert all(
-        (run.train["batch"], run.train["epochs"], run.train["learning_rate"]) == (16, 100, 1e-3)
-        for run in paper
+        (run.train["batch"], run.train["epochs"], run.train["learning_rate"]) == (16, 100, 1e-3) for run in paper
     )
     windows = {run.sizes["window"] for run in runs if run.model == "foten"}
     assert windows == ({5, 10, 15, 20, 25, 30} if name == "figure-5" else {20})
@@ -447,10 +425,7 @@ def test_what_means_nothing_to_a_method_is_no_grid(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="method 'gan': loss means nothing to gan"):
         read_experiment(experiment(tmp_path, gan)).runs()
     ar = 'title = "x"\nmethods = ["ar"]\ntextures = ["towel"]\n'
-    for more, match in (
-        ("[train]\nepoch = 1", "unknown key 'epoch'"),
-        ("[grid]\nepochs = [1]", "a grid is of netw"),
-    ):
+    for more, match in (("[train]\nepoch = 1", "unknown key 'epoch'"), ("[grid]\nepochs = [1]", "a grid is of netw")):
         with pytest.raises(ValueError, match=match):
             read_experiment(experiment(tmp_path, ar + more))
 
@@ -475,16 +450,8 @@ def test_what_means_nothing_to_a_method_is_no_grid(tmp_path: Path) -> None:
         ('"FNN [13]"}', '"FNN [13]", train = {epoch = 1}}', "unknown key 'epoch' in 'train' of a method"),
         ("epochs = 1", 'recipe = "paper"', "'recipe' stands beside [train]"),
         ("epochs = 1", "batch = 2.5", "batch is 2.5, expected a whole number"),
-        (
-            '"FNN [13]"}',
-            '"FNN [13]"}, {model = "fnn", name = "again"}',
-            "'FNN [13]' and 'again' are the same run",
-        ),
-        (
-            '"FNN [13]"}',
-            '"FNN [13]"}, {model = "ar", train = {epochs = 3}}',
-            "'ar' is fitted without a recipe",
-        ),
+        ('"FNN [13]"}', '"FNN [13]"}, {model = "fnn", name = "again"}', "'FNN [13]' and 'again' are the same run"),
+        ('"FNN [13]"}', '"FNN [13]"}, {model = "ar", train = {epochs = 3}}', "'ar' is fitted without a recipe"),
         ('{model = "fnn", name = "FNN [13]"}', "5", "a method is 5, expected a model's name or a table"),
         ("sizes = {excitation = true}", "sizes = 5", "'sizes' of a method is 5, expected a table"),
         ('"linear-twin"', '"linear-cloth"', "two textures have the same name"),

@@ -34,10 +34,7 @@ def test_the_same_table_in_many_spellings(tmp_path, text):
 def test_other_encodings(tmp_path):
     text = "t;Kraft µ²\n0;1\n1;2\n"
     assert _columns(tmp_path / "a.csv", text, "latin-1") == {"t": [0, 1], "Kraft µ²": [1, 2]}
-    assert _columns(tmp_path / "b.txt", text.replace(";", "\t"), "utf-16") == {
-        "t": [0, 1],
-        "Kraft µ²": [1, 2],
-    }
+    assert _columns(tmp_path / "b.txt", text.replace(";", "\t"), "utf-16") == {"t": [0, 1], "Kraft µ²": [1, 2]}
 
 
 def test_without_a_header_the_first_row_is_kept(tmp_path):
@@ -145,10 +142,7 @@ def test_a_headerless_single_column_of_excel_keeps_its_first_row(tmp_path):
 
 def test_several_sheets_name_their_columns(tmp_path):
     _workbook(tmp_path / "a.xlsx", fast=[["a"], [1], [2], [3]], slow=[["f"], [4], [5]])
-    assert [(c.name, c.samples.size) for c in read_excel(tmp_path / "a.xlsx")] == [
-        ("fast.a", 3),
-        ("slow.f", 2),
-    ]
+    assert [(c.name, c.samples.size) for c in read_excel(tmp_path / "a.xlsx")] == [("fast.a", 3), ("slow.f", 2)]
 
 
 def test_a_truncated_or_foreign_workbook_is_refused(tmp_path):
@@ -188,8 +182,6 @@ def test_a_sheet_that_says_it_is_larger_than_memory_is_refused(tmp_path):
         with zipfile.ZipFile(tmp_path / name, "w") as archive:
             for part, data in (parts | {"xl/worksheets/sheet1.xml": wrong}).items():
                 archive.writestr(part, data)
-    with pytest.raises(
-        ValueError, match=r"rows.xlsx is truncated or is not an .xlsx workbook \(sheet Sheet says"
-    ):
+    with pytest.raises(ValueError, match=r"rows.xlsx is truncated or is not an .xlsx workbook \(sheet Sheet says"):
         read_excel(tmp_path / "rows.xlsx")
     assert read_excel(tmp_path / "digits.xlsx")[0].fault.endswith("expected a number")

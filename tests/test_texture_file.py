@@ -23,9 +23,7 @@ from foten.runtime.native import NativeTexture
 def raw(card: Any, tensors: dict[str, np.ndarray]) -> bytes:
     """Return a file with any card, valid or not."""
     text = card if isinstance(card, str) else json.dumps(card)
-    return bytes(
-        save({name: np.ascontiguousarray(t) for name, t in tensors.items()}, metadata={"foten": text})
-    )
+    return bytes(save({name: np.ascontiguousarray(t) for name, t in tensors.items()}, metadata={"foten": text}))
 
 
 def with_tensor(texture: Texture, name: str, tensor: np.ndarray) -> bytes:
@@ -47,9 +45,7 @@ def test_a_round_trip_keeps_everything(texture: Texture, tmp_path: Path) -> None
 
 
 def test_the_same_texture_is_the_same_bytes(texture: Texture) -> None:
-    shuffled = Texture(
-        card=dict(reversed(texture.card.items())), tensors=dict(reversed(texture.tensors.items()))
-    )
+    shuffled = Texture(card=dict(reversed(texture.card.items())), tensors=dict(reversed(texture.tensors.items())))
     assert shuffled.to_bytes() == texture.to_bytes() == texture_from_bytes(texture.to_bytes()).to_bytes()
 
 
@@ -82,9 +78,7 @@ def test_every_truncation_is_refused(texture: Texture) -> None:
     header = 8 + struct.unpack("<Q", data[:8])[0]
     rng = np.random.default_rng(0)
     lengths = {0, 1, 7, 8, 9, header - 1, header, header + 1, len(data) - 1}
-    lengths |= {int(n) for n in rng.integers(0, header, 20)} | {
-        int(n) for n in rng.integers(header, len(data), 20)
-    }
+    lengths |= {int(n) for n in rng.integers(0, header, 20)} | {int(n) for n in rng.integers(header, len(data), 20)}
     for length in lengths:
         with pytest.raises(ValueError, match="truncated"):
             texture_from_bytes(data[:length])
@@ -121,14 +115,7 @@ def test_pickles_and_checkpoints_are_never_opened(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "data",
-    [
-        b"",
-        b"RIFF....WAVEfmt ",
-        b"\x89HDF\r\n\x1a\n" + bytes(100),
-        b"a,b\n1,2\n" * 50,
-        bytes(64),
-        b"\xff" * 64,
-    ],
+    [b"", b"RIFF....WAVEfmt ", b"\x89HDF\r\n\x1a\n" + bytes(100), b"a,b\n1,2\n" * 50, bytes(64), b"\xff" * 64],
     ids=["empty", "wav", "hdf5", "csv", "zeros", "ones"],
 )
 def test_other_files_are_refused(data: bytes) -> None:
@@ -190,9 +177,7 @@ def test_a_card_that_does_not_fit_is_refused(texture: Texture, fields: dict[str,
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize(
-    "name", ["warm_start", "lattice.reflections", "golden.one_step", "network.head_1.weight"]
-)
+@pytest.mark.parametrize("name", ["warm_start", "lattice.reflections", "golden.one_step", "network.head_1.weight"])
 def test_a_tensor_with_nan_is_refused(texture: Texture, name: str, value: float) -> None:
     tensor = texture.tensors[name].copy()
     tensor.flat[-1] = value
@@ -269,12 +254,7 @@ def test_every_tensor_is_needed(key: str) -> None:
 
 @pytest.mark.parametrize(
     "name",
-    [
-        "head_1.weight",
-        "temporal.layers.1.attention_in.weight",
-        "spectral.phase_in.weight",
-        "temporal.norm.weight",
-    ],
+    ["head_1.weight", "temporal.layers.1.attention_in.weight", "spectral.phase_in.weight", "temporal.norm.weight"],
 )
 def test_a_tensor_of_another_size_is_refused(plain_texture: Texture, name: str) -> None:
     tensors = {**plain_texture.tensors, name: plain_texture.tensors[name][:-2]}
@@ -338,9 +318,7 @@ def test_a_header_whose_length_begins_like_a_pickle_is_read(texture: Texture) ->
 DEEP = "[" * 100_000
 
 
-@pytest.mark.parametrize(
-    "card", [DEEP, DEEP + "]" * 100_000, '{"a":' * 200 + "1" + "}" * 200, "9" * 5000, "[null]"]
-)
+@pytest.mark.parametrize("card", [DEEP, DEEP + "]" * 100_000, '{"a":' * 200 + "1" + "}" * 200, "9" * 5000, "[null]"])
 def test_json_that_cannot_be_read_is_a_value_error(texture: Texture, card: str) -> None:
     with pytest.raises(ValueError, match="the card is not"):
         texture_from_bytes(raw(card, dict(texture.tensors)))
@@ -349,9 +327,7 @@ def test_json_that_cannot_be_read_is_a_value_error(texture: Texture, card: str) 
         texture_from_bytes(data)
 
 
-@pytest.mark.parametrize(
-    "value", [[None], 2**70, 10**400, -(10**400), 1e300, None, {"a": [None]}, "\ud800", [DEEP]]
-)
+@pytest.mark.parametrize("value", [[None], 2**70, 10**400, -(10**400), 1e300, None, {"a": [None]}, "\ud800", [DEEP]])
 def test_no_value_anywhere_in_a_card_is_more_than_a_value_error(texture: Texture, value: Any) -> None:
     """Each key of the card and of what it holds, in turn: refused, or such that the file can be written and proved again."""
     for key, inside in texture.card.items():

@@ -26,15 +26,7 @@ from foten.train.tones import _unevenness, fit_tones, n_tones, played, wavelengt
 RATE = 1000.0
 LENGTH = 1.7  # mm
 WITH_TONES = FotenPlusSizes(
-    **{
-        **SMALL,
-        "n_layers": 1,
-        "order": 4,
-        "n_tones": 3,
-        "n_tone_speed": 4,
-        "n_tone_force": 2,
-        "residual_order": 4,
-    }
+    **{**SMALL, "n_layers": 1, "order": 4, "n_tones": 3, "n_tone_speed": 4, "n_tone_force": 2, "residual_order": 4}
 )
 
 
@@ -143,9 +135,7 @@ def test_a_rendering_goes_on_where_the_recording_was() -> None:
 
 
 @pytest.mark.parametrize(("speed", "hertz"), [(110.0, 44.0), (330.0, 132.0)])
-def test_tones_keep_to_the_path_above_the_trained_speed_too_and_never_alias(
-    speed: float, hertz: float
-) -> None:
+def test_tones_keep_to_the_path_above_the_trained_speed_too_and_never_alias(speed: float, hertz: float) -> None:
     """Trained up to 220 mm/s at 2.5 mm: 88 Hz."""
     texture, _ = with_tones()
     rendered = Renderer(texture, excitation=False).render(np.full(4000, speed), np.ones(4000))[2000:]

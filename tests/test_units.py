@@ -118,11 +118,7 @@ def test_a_unit_in_a_header_is_converted_and_said(channel, header, factor):
         ("force", "force [kg]", "'kg' of column 'force .kg.' is not one of N, .*a mass.*--unit force=kgf"),
         ("force", "force [lbs]", "--unit force=lbf"),
         ("force", "Force (g)", "--unit force=gf"),
-        (
-            "force",
-            "force [V]",
-            r"say how many N one V is, e.g. --unit force=V\*4.9; if it is no unit, --unit force=N",
-        ),
+        ("force", "force [V]", r"say how many N one V is, e.g. --unit force=V\*4.9; if it is no unit, --unit force=N"),
         ("acceleration", "acceleration [V]", r"--unit acceleration=V\*4.9"),
         ("acceleration", "acceleration [counts]", r"--unit acceleration=count\*4.9"),
         ("acceleration", "acc_counts", r"--unit acceleration=count\*4.9"),
@@ -142,10 +138,7 @@ def test_a_unit_that_is_not_one_is_refused_with_what_may_be_meant(channel, heade
 
 
 def test_what_the_user_says_goes_before_the_file_and_is_kept():
-    assert factor_of("force", "force [lbf]", given="N") == (
-        1.0,
-        "force was taken as N, where its file states lbf",
-    )
+    assert factor_of("force", "force [lbf]", given="N") == (1.0, "force was taken as N, where its file states lbf")
     assert factor_of("force", "force [V]", given="V*4.9")[0] == 4.9
     with pytest.raises(ValueError, match="is in lbf by its name and in N by its unit"):
         factor_of("force", "force [lbf]", "N")
@@ -213,10 +206,7 @@ def test_the_command_refuses_a_unit_in_one_line(tmp_path, capsys):
     assert error.count("\n") == 1
     assert "--unit force=kgf" in error
     assert (
-        _status(
-            ["import", str(tmp_path / "a.csv"), "-o", str(tmp_path / "a.h5"), "--unit", "force=kgf", "--json"]
-        )
-        == 0
+        _status(["import", str(tmp_path / "a.csv"), "-o", str(tmp_path / "a.h5"), "--unit", "force=kgf", "--json"]) == 0
     )
     history = json.loads(capsys.readouterr().out)["history"]
     assert "force was converted from kgf to N" not in history  # the file's own unit is named too

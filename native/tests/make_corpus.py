@@ -13,15 +13,7 @@ from conftest import exported
 from foten.families import FAMILIES
 from foten.families.texture_file import Texture
 
-TINY = {
-    "window": 3,
-    "d_model": 1,
-    "n_heads": 1,
-    "n_layers": 1,
-    "d_feedforward": 1,
-    "head": (1, 1),
-    "spectral_width": 1,
-}
+TINY = {"window": 3, "d_model": 1, "n_heads": 1, "n_layers": 1, "d_feedforward": 1, "head": (1, 1), "spectral_width": 1}
 PLUS = {**TINY, "excitation_width": 1, "order": 2}
 KINDS = {
     "foten": ("foten", TINY),
@@ -35,11 +27,7 @@ KINDS = {
     "plus-silent": ("foten-plus", {**PLUS, "network_in_loop": False, "condition_in_tokens": False}),
     "ten-excited": (
         "ten",
-        {
-            **{k: v for k, v in TINY.items() if k != "spectral_width"},
-            "excitation": True,
-            "excitation_width": 1,
-        },
+        {**{k: v for k, v in TINY.items() if k != "spectral_width"}, "excitation": True, "excitation_width": 1},
     ),
     "graph": ("fnn", {"window": 24, "n_lags": 1, "first": 1, "second": 1}),
     "graph-excited": (
@@ -48,15 +36,7 @@ KINDS = {
     ),
     "graph-hop": (
         "ldhtd-hop",
-        {
-            "window": 8,
-            "hop": 3,
-            "recurrent": 1,
-            "condition_width": 1,
-            "d_model": 2,
-            "n_heads": 1,
-            "d_feedforward": 1,
-        },
+        {"window": 8, "hop": 3, "recurrent": 1, "condition_width": 1, "d_model": 2, "n_heads": 1, "d_feedforward": 1},
     ),
     "graph-noise": ("dftnet", {"window": 8, "n_conditions": 1, "first": 1, "second": 1, "third": 1}),
     "plus-tones": ("foten-plus", {**PLUS, "n_tones": 1, "n_tone_speed": 2, "residual_order": 3}),

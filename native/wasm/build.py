@@ -44,18 +44,7 @@ def built() -> bytes:
         out = Path(folder) / "foten.wasm"
         sources = [f"{name}.c" for name in NAMES]
         # From the folder of the sources, so that no path of a machine gets into the module.
-        command = [
-            sys.executable,
-            "-m",
-            "ziglang",
-            "cc",
-            *FLAGS,
-            "-I../include",
-            *LINKED,
-            "-o",
-            str(out),
-            *sources,
-        ]
+        command = [sys.executable, "-m", "ziglang", "cc", *FLAGS, "-I../include", *LINKED, "-o", str(out), *sources]
         subprocess.run(command, cwd=SOURCES, check=True)
         return out.read_bytes()
 

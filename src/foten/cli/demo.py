@@ -14,9 +14,7 @@ def demo(
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for everything it makes.")
     ] = Path("demo"),
-    key: Annotated[
-        str, typer.Option("--texture", help="Simulated texture; foten simulate --list.")
-    ] = "towel",
+    key: Annotated[str, typer.Option("--texture", help="Simulated texture; foten simulate --list.")] = "towel",
     seconds: Annotated[float, typer.Option(help="Length of the recording (s).")] = 44.0,
     epochs: Annotated[int, typer.Option(help="Of training.")] = 5,
     seed: Annotated[int, typer.Option(min=0, max=2**31, help="Of everything.")] = 0,

@@ -22,12 +22,10 @@ def evaluate(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Of the excitation.")] = 0,
     trim: Annotated[
-        float | None,
-        typer.Option(help="Of another recording, discarded at both ends (ms). [the trained one's]"),
+        float | None, typer.Option(help="Of another recording, discarded at both ends (ms). [the trained one's]")
     ] = None,
     block: Annotated[
-        float | None,
-        typer.Option(help="Of another recording, what is scored as one (ms). [the trained one's]"),
+        float | None, typer.Option(help="Of another recording, what is scored as one (ms). [the trained one's]")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

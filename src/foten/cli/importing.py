@@ -21,10 +21,7 @@ def import_(
     output: Annotated[
         Path,
         typer.Option(
-            "-o",
-            "--output",
-            help="The recording to write, .h5; of models a texture, .foten.",
-            show_default=False,
+            "-o", "--output", help="The recording to write, .h5; of models a texture, .foten.", show_default=False
         ),
     ],
     mapping: Annotated[
@@ -57,16 +54,12 @@ def import_(
         ),
     ] = None,
     fill_gaps: Annotated[
-        float,
-        typer.Option(
-            "--fill-gaps", metavar="MS", help="Fill gaps of up to MS ms in position, speed and force."
-        ),
+        float, typer.Option("--fill-gaps", metavar="MS", help="Fill gaps of up to MS ms in position, speed and force.")
     ] = 0.0,
     force_units: Annotated[
         bool,
         typer.Option(
-            "--force-units",
-            help="Accept what no hand does, spikes for example: above 5 m/s, 1000 m/s², 500 N or 10 m.",
+            "--force-units", help="Accept what no hand does, spikes for example: above 5 m/s, 1000 m/s², 500 N or 10 m."
         ),
     ] = False,
     texture: Annotated[str, typer.Option(help="What was stroked; the file's name by default.")] = "",
@@ -201,6 +194,4 @@ def _import_models(files: list[Path], output: Path, texture: str, notes: str, as
         f"{sizes['ma']} zeros each, up to {ends['speed']:.0f} mm/s and {ends['force']:.1f} N"
     )
     print("the licence of the model file holds for the texture too: see its notice before you pass it on")
-    print(
-        f"wrote {output}; next: foten render {output} --speed 80 --force 0.8 --seconds 3 -o {output.stem}.wav"
-    )
+    print(f"wrote {output}; next: foten render {output} --speed 80 --force 0.8 --seconds 3 -o {output.stem}.wav")

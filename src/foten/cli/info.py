@@ -59,9 +59,7 @@ def _linear_part(texture: Texture) -> dict[str, str]:
     sizes, metrics = texture.card["sizes"], texture.card["metrics"]
     if texture.card["model"] == "ar":
         zeros = f", {sizes['ma']} zeros" if sizes["ma"] else ""
-        return {
-            "models": f"{sizes['n_models']} of order {sizes['order']}{zeros}, in {sizes['n_triangles']} triangles"
-        }
+        return {"models": f"{sizes['n_models']} of order {sizes['order']}{zeros}, in {sizes['n_triangles']} triangles"}
     if texture.card["model"] != "foten-plus":
         return {}
     vertices = sizes["n_speed"] * sizes["n_force"]

@@ -13,14 +13,10 @@ from foten.cli.console import JsonOption, print_json, say
 
 
 def inspect(
-    recording_file: Annotated[
-        Path, typer.Argument(metavar="REC.h5", help="A recording that foten import wrote.")
-    ],
+    recording_file: Annotated[Path, typer.Argument(metavar="REC.h5", help="A recording that foten import wrote.")],
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o", "--output", metavar="DIR", help="Write inspect.json, overview.png, coverage.png, psd.png."
-        ),
+        typer.Option("-o", "--output", metavar="DIR", help="Write inspect.json, overview.png, coverage.png, psd.png."),
     ] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Exit 1 where there is a problem.")] = False,
     as_json: JsonOption = False,

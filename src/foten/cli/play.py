@@ -14,8 +14,7 @@ from foten.cli.render import print_outside_range, provenance, report_gaps
 
 def play(
     texture_file: Annotated[
-        Path | None,
-        typer.Argument(metavar="T.foten", help="A texture file; by default one that comes with foten."),
+        Path | None, typer.Argument(metavar="T.foten", help="A texture file; by default one that comes with foten.")
     ] = None,
     to: Annotated[
         str, typer.Option(help="sound, null, FILE.wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.")
@@ -23,15 +22,13 @@ def play(
     stroke: Annotated[
         Path | None,
         typer.Option(
-            metavar="S.csv",
-            help="As of 'foten render', over and over, without a pause; by default a circle.",
+            metavar="S.csv", help="As of 'foten render', over and over, without a pause; by default a circle."
         ),
     ] = None,
     speed: Annotated[float | None, typer.Option(help="Constant speed (mm/s), with --force.")] = None,
     force: Annotated[float | None, typer.Option(help="Constant force (N), with --speed.")] = None,
     seconds: Annotated[
-        float | None,
-        typer.Option(min=0.0, help="How long (s); by default until Ctrl-C, and 10 s into a file."),
+        float | None, typer.Option(min=0.0, help="How long (s); by default until Ctrl-C, and 10 s into a file.")
     ] = None,
     rate: Annotated[
         float | None, typer.Option(help="Of the output (Hz); by default 48000 for sound, else 8000 or more.")
@@ -46,15 +43,12 @@ def play(
         ),
     ] = None,
     device: Annotated[
-        str | None,
-        typer.Option(help="Number or name of the sound card, as 'python -m sounddevice' lists them."),
+        str | None, typer.Option(help="Number or name of the sound card, as 'python -m sounddevice' lists them.")
     ] = None,
     channel: Annotated[
         int | None, typer.Option(min=0, help="Of the sound card that is played on, from 0; 0 by default.")
     ] = None,
-    lead_ms: Annotated[
-        float | None, typer.Option(help="Rendered ahead of what is heard (ms); 10 by default.")
-    ] = None,
+    lead_ms: Annotated[float | None, typer.Option(help="Rendered ahead of what is heard (ms); 10 by default.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the excitation.")] = 0,
     deterministic: Annotated[bool, typer.Option("--deterministic", help="Without excitation.")] = False,
     as_json: JsonOption = False,
@@ -78,9 +72,7 @@ def play(
     profile = read_profile(actuator) if actuator is not None else None
     texture = read_texture(texture_file)
     own = texture.rate_hz
-    renderer = Renderer(
-        texture, rate_for(to, rate, own), seed, excitation=not deterministic, actuator=profile
-    )
+    renderer = Renderer(texture, rate_for(to, rate, own), seed, excitation=not deterministic, actuator=profile)
     info = renderer.native_texture.info
     if stroke is not None:
         from foten.runtime.stroke import read_stroke
@@ -151,9 +143,7 @@ def play(
                 "this machine is busy with something else"
             )
         if played.n_late:
-            print(
-                f"this machine stood still for {played.n_late} blocks of the sink, which were not made up for"
-            )
+            print(f"this machine stood still for {played.n_late} blocks of the sink, which were not made up for")
         if played.n_cut:
             print(
                 f"{played.n_cut} samples were beyond full scale and cut; a smaller --gain than {scale:.3g} keeps them"

@@ -22,9 +22,7 @@ def render(
     ],
     stroke: Annotated[
         Path | None,
-        typer.Option(
-            metavar="S.csv", help="Header t (s), speed (mm/s) or x, y (mm), force (N) or pressure (0 to 1)."
-        ),
+        typer.Option(metavar="S.csv", help="Header t (s), speed (mm/s) or x, y (mm), force (N) or pressure (0 to 1)."),
     ] = None,
     recording_file: Annotated[
         Path | None, typer.Option("--recording", metavar="REC.h5", help="Take the hand of a recording.")
@@ -32,9 +30,7 @@ def render(
     speed: Annotated[float | None, typer.Option(help="Constant speed (mm/s).")] = None,
     force: Annotated[float | None, typer.Option(help="Constant force (N).")] = None,
     seconds: Annotated[float | None, typer.Option(help="How long, with --speed and --force (s).")] = None,
-    audible: Annotated[
-        Path | None, typer.Option(metavar="FILE.wav", help="Also as sound, 48 kHz, 16 bits.")
-    ] = None,
+    audible: Annotated[Path | None, typer.Option(metavar="FILE.wav", help="Also as sound, 48 kHz, 16 bits.")] = None,
     seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Of the excitation.")] = 0,
     deterministic: Annotated[bool, typer.Option("--deterministic", help="Without excitation.")] = False,
     as_json: JsonOption = False,
@@ -98,9 +94,7 @@ def render(
         print(f"wrote {audible}, where 1 m/s² is {gain:.3g} of full scale")
     print_outside_range(statistics, texture)
     if not texture.has_excitation and not deterministic:
-        say(
-            f"{texture.card['model']} carries no excitation, so the loop is deterministic and may fall silent"
-        )
+        say(f"{texture.card['model']} carries no excitation, so the loop is deterministic and may fall silent")
 
 
 def provenance(texture: Texture, source: str, seed: int, deterministic: bool) -> dict[str, Any]:
@@ -122,9 +116,7 @@ def report_gaps(stroke: Stroke) -> None:
     if stroke.gap_s:
         say(f"the stroke has a hole of {stroke.gap_s:.3g} s, bridged in a straight line")
     if stroke.n_lifted:
-        say(
-            f"the pen was taken as lifted in holes or jumps of the stroke, {stroke.n_lifted} in all: silence there"
-        )
+        say(f"the pen was taken as lifted in holes or jumps of the stroke, {stroke.n_lifted} in all: silence there")
 
 
 def print_outside_range(statistics: dict[str, int], texture: Texture) -> None:
@@ -142,8 +134,6 @@ def print_outside_range(statistics: dict[str, int], texture: Texture) -> None:
     if statistics["n_saturated"]:
         say(f"the saturator cut {statistics['n_saturated']} samples: the loop ran away there")
     if statistics["n_refused"]:
-        say(
-            f"the hand was negative or no number {statistics['n_refused']} times, taken as 0 or as it was before"
-        )
+        say(f"the hand was negative or no number {statistics['n_refused']} times, taken as 0 or as it was before")
     if statistics["n_lost"]:
         say(f"{statistics['n_lost']} samples were no numbers, and silence instead; is the file foten's own?")

@@ -31,8 +31,7 @@ def sweep(
         str | None, typer.Option(help="Of a Ray cluster; auto for the one that this machine is part of.")
     ] = None,
     gpus_per_run: Annotated[
-        float,
-        typer.Option(min=0.0, max=8.0, help="Share of a GPU that each run takes: 0.25 lets four share one."),
+        float, typer.Option(min=0.0, max=8.0, help="Share of a GPU that each run takes: 0.25 lets four share one.")
     ] = 0.0,
     batched: Annotated[
         int,
@@ -70,9 +69,7 @@ def sweep(
         left = f", about {progress.left_s / 60:.0f} min left" if progress.n_left else ""
         say(f"{n}/{n + progress.n_left} {run.label}, {run.texture}, split {run.split_seed}: {ended}{left}")
 
-    n_done, n_failed = sweeping.sweep(
-        experiment, output, workers, address, gpus_per_run, on_progress, say, batched
-    )
+    n_done, n_failed = sweeping.sweep(experiment, output, workers, address, gpus_per_run, on_progress, say, batched)
     if as_json:
         print_json({"output": str(output), "n_runs": len(runs), "n_done": n_done, "n_failed": n_failed})
     else:

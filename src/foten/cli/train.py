@@ -18,12 +18,8 @@ if TYPE_CHECKING:
 
 
 def train(
-    recording_file: Annotated[
-        Path, typer.Argument(metavar="REC.h5", help="A recording that foten import wrote.")
-    ],
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="T.foten", help="The texture file to write.")
-    ],
+    recording_file: Annotated[Path, typer.Argument(metavar="REC.h5", help="A recording that foten import wrote.")],
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="T.foten", help="The texture file to write.")],
     model: Annotated[
         str,
         typer.Option(
@@ -31,9 +27,7 @@ def train(
             "compared with, re-implemented: ar (piecewise AR), fnn, dstn, hapinf, ldhtd, ldhtd-hop, dftnet, gan."
         ),
     ] = "foten-plus",
-    recipe: Annotated[
-        str, typer.Option(help="default (ours) or paper (Adam 1e-3, batch 16, 100 epochs).")
-    ] = "default",
+    recipe: Annotated[str, typer.Option(help="default (ours) or paper (Adam 1e-3, batch 16, 100 epochs).")] = "default",
     rate: Annotated[
         float | None, typer.Option(help="Of the model (Hz); the acceleration's own at most. [1000]")
     ] = None,
@@ -45,12 +39,8 @@ def train(
             help="m, samples that a prediction sees. [20; ten 25, ten-mfcc and ten-wavelet 30, dstn 40, fnn 144]"
         ),
     ] = None,
-    seed: Annotated[
-        int, typer.Option(min=0, max=2**32 - 1, help="Of initial weights, order and dropout.")
-    ] = 0,
-    split: Annotated[
-        str, typer.Option(help="regrouped by speed and force, or contiguous in time.")
-    ] = "regrouped",
+    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Of initial weights, order and dropout.")] = 0,
+    split: Annotated[str, typer.Option(help="regrouped by speed and force, or contiguous in time.")] = "regrouped",
     split_seed: Annotated[int, typer.Option(min=0, help="Of the regrouped split.")] = 0,
     epochs: Annotated[
         int | None, typer.Option(help="At most; the recipe's by default. (Of gan, of 50 steps each.)")
@@ -82,8 +72,7 @@ def train(
         bool, typer.Option("--zero-phase", help="Filter forwards and backwards, as the paper offline.")
     ] = False,
     force_units: Annotated[
-        bool,
-        typer.Option("--force-units", help="Accept what no hand does: above 5 m/s, 1000 m/s² or 500 N."),
+        bool, typer.Option("--force-units", help="Accept what no hand does: above 5 m/s, 1000 m/s² or 500 N.")
     ] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the run folder's checkpoint.")] = False,
     run_folder: Annotated[
@@ -147,25 +136,13 @@ def train(
         }
         given = [name for name, value in of_networks.items() if value is not None]
         if given:
-            raise ValueError(
-                f"--{given[0].replace('_', '-')} is for networks, and --model ar is none: leave it out"
-            )
+            raise ValueError(f"--{given[0].replace('_', '-')} is for networks, and --model ar is none: leave it out")
     if excitation and FAMILIES[model].from_noise:
-        raise ValueError(
-            f"--excitation is for models that predict samples, and {model} is made of noise: leave it out"
-        )
+        raise ValueError(f"--excitation is for models that predict samples, and {model} is made of noise: leave it out")
     check_used(model, [name for name, value in asked.items() if value is not None])
     sizes = sizes_of(model, own if window is None else {"window": window, **own})
     job = TrainingJob(
-        recording,
-        model,
-        sizes,
-        config,
-        preprocess_config,
-        split,
-        split_seed,
-        texture or recording.texture,
-        licence,
+        recording, model, sizes, config, preprocess_config, split, split_seed, texture or recording.texture, licence
     )
     display = TrainingDisplay(config.epochs, "nat" if sizes.from_noise else "sd")
     folder = RunFolder(run_folder or output.with_suffix(".run"), display.note)

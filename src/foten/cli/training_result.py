@@ -43,9 +43,7 @@ def print_training_result(
     if card["model"] == "ar":
         sizes = card["sizes"]
         summary[0] += f", order {sizes['order']}"
-        summary.append(
-            f"{sizes['n_models']} models from {metrics['n_pieces']} pieces, those around it counted"
-        )
+        summary.append(f"{sizes['n_models']} models from {metrics['n_pieces']} pieces, those around it counted")
         if metrics["n_pieces_left_out"]:
             summary.append(f"{metrics['n_pieces_left_out']} pieces that do not vibrate left out")
     else:

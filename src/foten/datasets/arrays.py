@@ -48,9 +48,7 @@ def read_numpy(path: Path) -> list[Column]:
                     columns += columns_of_array(name, array)
     except MemoryError:
         raise ValueError(f"{path.name} says that it holds more than the memory does") from None
-    except (
-        Exception
-    ) as error:  # a damaged file raises a dozen kinds, zlib.error and NotImplementedError among them
+    except Exception as error:  # a damaged file raises a dozen kinds, zlib.error and NotImplementedError among them
         if _PICKLE in str(error):
             raise ValueError(f"{path.name} {_PICKLE}") from None
         raise ValueError(f"{path.name} is truncated or is no NumPy file ({brief(error)})") from None

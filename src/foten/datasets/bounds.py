@@ -30,9 +30,7 @@ def check_length(where: str, channel: Channel) -> None:
         ValueError: it lasts longer than `LONGEST_S`, or is faster than `FASTEST_HZ`.
     """
     if channel.rate_hz > FASTEST_HZ:
-        raise ValueError(
-            f"{where}: the rate is {channel.rate_hz:g} Hz, expected {FASTEST_HZ:g} at most; is it right?"
-        )
+        raise ValueError(f"{where}: the rate is {channel.rate_hz:g} Hz, expected {FASTEST_HZ:g} at most; is it right?")
     if not channel.duration_s <= LONGEST_S:
         raise ValueError(
             f"{where}: {channel.samples.size} samples at {channel.rate_hz:g} Hz last {channel.duration_s:.4g} s, expected "

@@ -64,11 +64,7 @@ def columns_of_array(name: str, array: NDArray[Any]) -> list[Column]:
     if array.ndim > 2:
         return [Column(name, np.zeros(0), fault=f"has shape {array.shape}, expected one or two axes")]
     if array.ndim == 2 and min(array.shape) > MOST_COLUMNS:
-        return [
-            Column(
-                name, np.zeros(0), fault=f"has shape {array.shape}, expected {MOST_COLUMNS} columns at most"
-            )
-        ]
+        return [Column(name, np.zeros(0), fault=f"has shape {array.shape}, expected {MOST_COLUMNS} columns at most")]
     if array.ndim == 1:
         return [Column(name, array.astype(np.float64))]
     if array.shape[0] < array.shape[1]:

@@ -148,9 +148,7 @@ def matlab_contents(path: Path) -> Contents:
                 if not key.startswith(("__", "#")):
                     waiting.append((f"{name}.{key}" if name else key, below))
             continue
-        if isinstance(value, bytes | str) or (
-            isinstance(value, list) and all(isinstance(v, str) for v in value)
-        ):
+        if isinstance(value, bytes | str) or (isinstance(value, list) and all(isinstance(v, str) for v in value)):
             texts[printable(name)] = _plain(np.array(value)) if isinstance(value, list) else _plain(value)
         if isinstance(value, list | str | bytes) or value is None:
             columns.append({"name": name, "fault": "holds text or cells, expected numbers"})

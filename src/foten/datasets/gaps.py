@@ -12,11 +12,7 @@ FILLED = ("position", "speed", "force")  # the hand, which is slow; an accelerat
 
 
 def filled(
-    channel: str,
-    samples: NDArray[np.float64],
-    times: NDArray[np.float64] | None,
-    rate_hz: float,
-    gap_ms: float,
+    channel: str, samples: NDArray[np.float64], times: NDArray[np.float64] | None, rate_hz: float, gap_ms: float
 ) -> tuple[NDArray[np.float64], str]:
     """Return samples without NaN, marker drop-outs filled with straight lines if asked, and a sentence.
 
@@ -86,8 +82,7 @@ def bridged(channel: str, one: Channel, gap_ms: float) -> tuple[Channel, str]:
         would = max(1, int(np.ceil(worst - 1e-6)))
         raise ValueError(f"{what}; --fill-gaps {would} would draw straight lines there, or cut the file")
     added = [
-        np.linspace(one.times_s[i], one.times_s[i + 1], round(steps[i] / period), endpoint=False)[1:]
-        for i in holes
+        np.linspace(one.times_s[i], one.times_s[i + 1], round(steps[i] / period), endpoint=False)[1:] for i in holes
     ]
     times = np.sort(np.concatenate([one.times_s, *added]))
     samples = np.interp(times, one.times_s, one.samples)
@@ -96,8 +91,6 @@ def bridged(channel: str, one: Channel, gap_ms: float) -> tuple[Channel, str]:
     )
 
 
-def _lengths(
-    clock: NDArray[np.float64], starts: NDArray[np.int64], ends: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def _lengths(clock: NDArray[np.float64], starts: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.float64]:
     after = np.minimum(ends, clock.size - 1)
     return np.asarray(clock[after] - clock[starts], dtype=np.float64)

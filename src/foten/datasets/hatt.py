@@ -75,23 +75,17 @@ def _models(root: Xml.Element) -> HattModels:
     if root.tag == "tapSet":
         raise ValueError("these are taps, expected the textures of a <modelSet>; taps are not rendered")
     if root.tag != "modelSet":
-        raise ValueError(
-            f"the root is <{root.tag}>, expected <modelSet>: is it a model file of Penn's toolkit?"
-        )
+        raise ValueError(f"the root is <{root.tag}>, expected <modelSet>: is it a model file of Penn's toolkit?")
     for name, unit in UNITS.items():
         given = root.findtext(name, unit).strip()
         if given.replace("²", "^2") not in (unit, unit.replace("^", "")):
             raise ValueError(f"<{name}> is {given!r}, expected {unit!r}")
     models = root.findall("model")
     if not 3 <= len(models) <= MOST_MODELS:
-        raise ValueError(
-            f"the file holds {len(models)} models, expected 3 to {MOST_MODELS}: is it truncated?"
-        )
+        raise ValueError(f"the file holds {len(models)} models, expected 3 to {MOST_MODELS}: is it truncated?")
     stated = root.findtext("numMod")
     if stated is not None and int(_one(stated, "numMod")) != len(models):
-        raise ValueError(
-            f"<numMod> says {stated.strip()} models and the file holds {len(models)}: is it truncated?"
-        )
+        raise ValueError(f"<numMod> says {stated.strip()} models and the file holds {len(models)}: is it truncated?")
     ar = _same_length([_values(model, "ARcoeff") for model in models], "ARcoeff")
     ma = [_values(model, "MAcoeff") if model.find("MAcoeff") is not None else np.ones(1) for model in models]
     friction = root.findtext("mu")
@@ -99,17 +93,12 @@ def _models(root: Xml.Element) -> HattModels:
         material=(root.findtext("material") or "").strip(),
         rate_hz=_one(root.findtext("SampleRate"), "SampleRate"),
         friction=np.nan if friction is None else _one(friction, "mu"),
-        points=np.array(
-            [[_one(model.findtext(name), name) for name in ("speedMod", "forceMod")] for model in models]
-        ),
+        points=np.array([[_one(model.findtext(name), name) for name in ("speedMod", "forceMod")] for model in models]),
         ar=ar,
         ma=_same_length(ma, "MAcoeff"),
         variance=np.array([_one(model.findtext("var"), "var") for model in models]),
         gain=np.array(
-            [
-                _one(model.findtext("gain"), "gain") if model.find("gain") is not None else 1.0
-                for model in models
-            ]
+            [_one(model.findtext("gain"), "gain") if model.find("gain") is not None else 1.0 for model in models]
         ),
         triangles=_triangles(root, len(models)),
     )
@@ -136,9 +125,7 @@ def _triangles(root: Xml.Element, n: int) -> NDArray[np.int64]:
     if triangles.shape[1] != 3 or not (triangles == np.round(triangles)).all():
         raise ValueError("a <tri> is not three integers")
     if triangles.min() < 1 or triangles.max() > n:
-        raise ValueError(
-            f"a <tri> names models {triangles.min():g} to {triangles.max():g}, expected 1 to {n}"
-        )
+        raise ValueError(f"a <tri> names models {triangles.min():g} to {triangles.max():g}, expected 1 to {n}")
     return triangles.astype(np.int64) - 1
 
 

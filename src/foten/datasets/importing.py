@@ -55,8 +55,7 @@ def read_columns(path: Path) -> list[Column]:
     suffix = path.suffix.lower()
     if suffix in (".pkl", ".pickle"):
         raise ValueError(
-            f"{path.name} is a pickle, which can run code when opened; save plain arrays as .npz or .h5 "
-            "instead"
+            f"{path.name} is a pickle, which can run code when opened; save plain arrays as .npz or .h5 instead"
         )
     if suffix not in DATASETS:
         hint = "; save it as .xlsx" if suffix in (".xls", ".xlsb", ".ods") else ""
@@ -85,9 +84,7 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> Import:
         taken = {reference for _, reference in mapping}
         names = [name_of(files, path, c) for path, columns in files.items() for c in columns]
         decisions += (
-            [f"left out: {', '.join(name for name in names if name not in taken)}"]
-            if set(names) - taken
-            else []
+            [f"left out: {', '.join(name for name in names if name not in taken)}"] if set(names) - taken else []
         )
     picked: dict[str, tuple[Path, Column]] = {}
     clocks: list[tuple[Path, Column]] = []
@@ -101,14 +98,10 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> Import:
     options = _for_axes(options, picked)
     for channel in (*options.units, *options.rates_hz):
         if channel not in picked and channel != "time":
-            raise ValueError(
-                f"{channel} has a unit or rate but is not mapped; mapped are {', '.join(picked)}"
-            )
+            raise ValueError(f"{channel} has a unit or rate but is not mapped; mapped are {', '.join(picked)}")
 
     history: list[str] = []
-    digests = {
-        path: hashlib.sha256(path.read_bytes()).hexdigest() for path in {p for p, _ in picked.values()}
-    }
+    digests = {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in {p for p, _ in picked.values()}}
     samples: dict[str, NDArray[np.float64]] = {}
     times: dict[str, NDArray[np.float64] | None] = {}
     rates: dict[str, float] = {}
@@ -144,9 +137,7 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> Import:
                 clock = None
         values, said = filled(channel, samples[channel], clock, rates[channel], options.fill_gaps_ms)
         history += [said] if said else []
-        channels[channel], said = bridged(
-            channel, Channel(values, rates[channel], clock), options.fill_gaps_ms
-        )
+        channels[channel], said = bridged(channel, Channel(values, rates[channel], clock), options.fill_gaps_ms)
         history += [said] if said else []
     for channel, one in channels.items():
         if quantity(channel) == "acceleration" and one.rate_hz < SLOWEST_HZ and not options.force_units:
@@ -168,9 +159,7 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> Import:
             )
     kinds = {quantity(channel) for channel in channels}
     if "acceleration" not in kinds:
-        decisions.append(
-            "there is no acceleration: strokes can be rendered from this recording, nothing learned"
-        )
+        decisions.append("there is no acceleration: strokes can be rendered from this recording, nothing learned")
     elif not {"speed", "position"} & kinds or "force" not in kinds:
         decisions.append("without speed (or position) and force nothing can be learned from this recording")
     recording = Recording(
@@ -211,8 +200,7 @@ def _unique_names(paths: Sequence[Path]) -> None:
 
 def _check_overlap(channels: Mapping[str, Channel]) -> None:
     spans = {
-        name: (float(c.times_s[0]) if c.times_s is not None else 0.0, c.duration_s)
-        for name, c in channels.items()
+        name: (float(c.times_s[0]) if c.times_s is not None else 0.0, c.duration_s) for name, c in channels.items()
     }
     late = max(spans, key=lambda name: spans[name][0])
     early = min(spans, key=lambda name: spans[name][0] + spans[name][1])
@@ -233,24 +221,18 @@ def _check_size(channel: str, one: Channel, force_units: bool) -> str:
     largest = int(np.argmax(size))
     what = f"{channel} reaches {one.samples[largest]:.6g} {unit} at sample {largest}"
     if force_units:
-        return (
-            f"{what}; {beyond.size} samples beyond {LIMITS[kind]:g} {unit} were let through (--force-units)"
-        )
+        return f"{what}; {beyond.size} samples beyond {LIMITS[kind]:g} {unit} were let through (--force-units)"
     if beyond.size <= 0.01 * size.size:
         raise ValueError(
             f"{what}, beyond any hand ({LIMITS[kind]:g} {unit}), in {beyond.size} of {size.size} samples: "
             "spikes? --force-units imports them as they are, and foten inspect shows where"
         )
     large = float(np.quantile(size, 0.99))
-    usual = {
-        unit: factor for unit, factor in FACTORS[kind].items() if unit in _OFTEN or unit == UNITS[channel]
-    }
+    usual = {unit: factor for unit, factor in FACTORS[kind].items() if unit in _OFTEN or unit == UNITS[channel]}
     likely = min(usual.items(), key=lambda item: abs(np.log(large * item[1] / _USUAL[kind])))
     guess = (
         f"was it given in {likely[0]}? Then: --unit {channel}={likely[0]}"
         if likely[1] != 1
         else f"a raw sensor reading? Give its sensitivity: --unit {channel}=V*FACTOR"
     )
-    raise ValueError(
-        f"{what}, expected below {LIMITS[kind]:g} {unit}; {guess} (--force-units imports it all the same)"
-    )
+    raise ValueError(f"{what}, expected below {LIMITS[kind]:g} {unit}; {guess} (--force-units imports it all the same)")

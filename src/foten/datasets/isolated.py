@@ -25,10 +25,7 @@ from foten.untrusted import brief, check_regular
 Contents = tuple[Any, list[NDArray[np.float64]]]
 """What a file holds: a JSON value, and arrays that it refers to by their order."""
 
-READERS = {
-    "HDF5": "foten.datasets.contents.hdf5_contents",
-    "MATLAB": "foten.datasets.contents.matlab_contents",
-}
+READERS = {"HDF5": "foten.datasets.contents.hdf5_contents", "MATLAB": "foten.datasets.contents.matlab_contents"}
 """Functions from a path to `Contents`, by format; they run in the other process alone."""
 
 LONGEST_S = 15  # of processor time for one file, and one more for each
@@ -71,10 +68,7 @@ class _Process:
     def __init__(self) -> None:
         start = _START.format(path=sys.path)
         self._process = subprocess.Popen(
-            [sys.executable, "-c", start],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
+            [sys.executable, "-c", start], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
         )
         self.owner = os.getpid()
 
@@ -98,9 +92,7 @@ class _Process:
         except (EOFError, OSError, ValueError):
             self.close()
             return _CRASHED, []
-        except (
-            BaseException
-        ):  # interrupted halfway: what is left in the pipe would be taken for the next answer
+        except BaseException:  # interrupted halfway: what is left in the pipe would be taken for the next answer
             self.close()
             raise
         if not _FORKS:
@@ -206,9 +198,7 @@ def _answer(answers: BinaryIO, kind: str, path: Path) -> None:
         answer = {"refused": str(error)}
     except MemoryError:
         answer = {"damaged": "it says that it holds more than the memory does"}
-    except (
-        Exception
-    ) as error:  # a damaged file raises a dozen kinds, RuntimeError, KeyError and TypeError among them
+    except Exception as error:  # a damaged file raises a dozen kinds, RuntimeError, KeyError and TypeError among them
         answer = {"damaged": brief(error)}
     _send(answers, answer, arrays)
 

@@ -94,9 +94,7 @@ LINEAR_FAMILY: Mapping[str, LinearParameters] = MappingProxyType(
 )
 
 
-def linear_signal(
-    parameters: LinearParameters, speed: Signal, force: Signal, rng: np.random.Generator
-) -> Signal:
+def linear_signal(parameters: LinearParameters, speed: Signal, force: Signal, rng: np.random.Generator) -> Signal:
     """Return one realisation y [m/s²], shape (n,), already stationary at its first sample."""
     from scipy.signal import lfilter
 
@@ -134,9 +132,7 @@ def linear_truth(recording: Recording) -> LinearTruth:
     simulation = recording.simulation
     if simulation is None or "coefficients" not in simulation["parameters"]:
         made_by = "no simulator" if simulation is None else f"the texture {simulation['key']!r}"
-        raise ValueError(
-            f"the truth is known for {', '.join(LINEAR_FAMILY)}; this recording comes from {made_by}"
-        )
+        raise ValueError(f"the truth is known for {', '.join(LINEAR_FAMILY)}; this recording comes from {made_by}")
     parameters = LinearParameters(**simulation["parameters"])
     return LinearTruth(np.array(parameters.coefficients), float(simulation["accelerometer_hz"]), parameters)
 
@@ -175,9 +171,7 @@ def one_step_bounds(
         ValueError: another rate than the truth's, or a filter that is not minimum-phase or not stable.
     """
     if not np.isclose(rate_hz, truth.rate_hz):
-        raise ValueError(
-            f"the signal is at {rate_hz:g} Hz, the process at {truth.rate_hz:g} Hz; bounds need one rate"
-        )
+        raise ValueError(f"the signal is at {rate_hz:g} Hz, the process at {truth.rate_hz:g} Hz; bounds need one rate")
     if np.abs(np.roots(highpass_b)).max(initial=0) > 1 + 1e-4:  # 1e-4: a double root computed to 1e-8
         raise ValueError("the high-pass has a zero outside the unit circle, expected minimum phase")
     mean_absolute = MEAN_ABSOLUTE * truth.sigma(speed, force)

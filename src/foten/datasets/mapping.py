@@ -69,12 +69,9 @@ def guessed_mapping(files: Files, options: ImportOptions) -> tuple[tuple[str, st
             raise ValueError(f"{channel} could be any of {could}; say which, e.g. --map {_example(files)}")
     if not set(places) - {"time"}:
         raise ValueError(
-            f"no header says which column is which; found {_listing(files)}; say so, e.g. --map "
-            f"{_example(files)}"
+            f"no header says which column is which; found {_listing(files)}; say so, e.g. --map {_example(files)}"
         )
-    return tuple(
-        (channel, name_of(files, *place)) for channel, candidates in places.items() for place in candidates
-    )
+    return tuple((channel, name_of(files, *place)) for channel, candidates in places.items() for place in candidates)
 
 
 def _alias(header: str, kind: str) -> str:
@@ -105,16 +102,10 @@ def _example(files: Files) -> str:
     if clock is not None:
         pairs.append(f"time={clock}")
         del left[clock]
-    words_of = {
-        "acceleration": ("acc", "besch"),
-        "speed": ("speed", "vel", "gesch"),
-        "force": ("force", "kraft"),
-    }
+    words_of = {"acceleration": ("acc", "besch"), "speed": ("speed", "vel", "gesch"), "force": ("force", "kraft")}
     for channel, words in words_of.items():
         if left:
-            place = next(
-                (one for one in left if any(word in one.lower() for word in words)), next(iter(left))
-            )
+            place = next((one for one in left if any(word in one.lower() for word in words)), next(iter(left)))
             del left[place]
             pairs.append(f"{channel}={place}")
     return ",".join(pairs)
@@ -163,9 +154,7 @@ def column_of(files: Files, channel: str, reference: str) -> tuple[Path, Column]
         raise ValueError(f"{channel}={reference} is in {len(hits)} files; write {options}")
     if not hits:
         there = {path: files[path] for path in paths}
-        close = difflib.get_close_matches(
-            name, [c.name for cs in there.values() for c in cs], n=1, cutoff=0.5
-        )
+        close = difflib.get_close_matches(name, [c.name for cs in there.values() for c in cs], n=1, cutoff=0.5)
         hint = f"; did you mean {close[0]}?" if close else ""
         where = paths[0].name if len(paths) == 1 else "the files"
         raise ValueError(f"{channel}: no column {name!r} in {where}, which has {_listing(there)}{hint}")

@@ -70,8 +70,7 @@ def parse_pairs(texts: Sequence[str], option: str) -> list[tuple[str, str]]:
         key, equals, value = piece.partition("=")
         if not equals or not key.strip() or not value.strip():
             raise ValueError(
-                f"{option} {piece!r} is not CHANNEL=VALUE (a column whose name holds a comma goes by its "
-                "number)"
+                f"{option} {piece!r} is not CHANNEL=VALUE (a column whose name holds a comma goes by its number)"
             )
         pairs.append((key.strip(), value.strip()))
     return pairs

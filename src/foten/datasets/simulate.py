@@ -60,9 +60,7 @@ ACCELEROMETER_NOISE = 2e-3  # m/s²/√Hz, ADXL335 class: 0.04 m/s² rms up to 4
 FORCE_NOISE_N = 0.01
 POSITION_NOISE_MM = 0.02
 MARKER_HEIGHT_MM = 40.0
-SETTLING = (
-    1000  # samples of the first reading before the record, so that it begins without a filter's transient
-)
+SETTLING = 1000  # samples of the first reading before the record, so that it begins without a filter's transient
 REFERENCE_SPEED = 100.0  # mm/s
 GRID_MM = 0.02  # of the roughness
 TIP_PER_MM = 4.0  # cycles/mm: the ball of 2 mm bridges finer structure
@@ -120,9 +118,7 @@ class TextureParameters:
             if len(getattr(self, name)) != 2 or not min(getattr(self, name)) > 0:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected two positive numbers")
         if not max(*self.modes_hz, self.contact_hz) < RATE_HZ / 2 or self.wavelength_mm < GRID_MM:
-            raise ValueError(
-                f"modes and contact lie below {RATE_HZ / 2:g} Hz, and waves are longer than {GRID_MM} mm"
-            )
+            raise ValueError(f"modes and contact lie below {RATE_HZ / 2:g} Hz, and waves are longer than {GRID_MM} mm")
 
 
 # fmt: off
@@ -226,9 +222,7 @@ def second_realisation(recording: Recording, noise_seed: int) -> Recording:
     if simulation is None:
         raise ValueError("only a simulated recording has a second realisation; this one is not simulated")
     if simulation.get("version") != VERSION:
-        raise ValueError(
-            f"simulated by version {simulation.get('version')}, this is {VERSION}: simulate it again"
-        )
+        raise ValueError(f"simulated by version {simulation.get('version')}, this is {VERSION}: simulate it again")
     kind = LinearParameters if "coefficients" in simulation["parameters"] else TextureParameters
     try:
         return _simulate(
@@ -241,9 +235,7 @@ def second_realisation(recording: Recording, noise_seed: int) -> Recording:
             float(simulation["accelerometer_hz"]),
         )
     except (KeyError, TypeError) as error:
-        raise ValueError(
-            f"its parameters are those of another simulator ({error}): simulate it again"
-        ) from error
+        raise ValueError(f"its parameters are those of another simulator ({error}): simulate it again") from error
 
 
 def _parameters_of(key: str) -> TextureParameters | LinearParameters:
@@ -293,14 +285,10 @@ def _simulate(
             "simulated rigid tool, 2 mm steel ball",
             "simulated ADXL335, force at 10 kHz, position at 120 Hz",
         )
-    return Recording(
-        channels, texture=key, tool=tool, sensors=sensors, notes="simulated", simulation=simulation
-    )
+    return Recording(channels, texture=key, tool=tool, sensors=sensors, notes="simulated", simulation=simulation)
 
 
-def _linear_channels(
-    parameters: LinearParameters, stroke: Stroking, rng: np.random.Generator
-) -> dict[str, Channel]:
+def _linear_channels(parameters: LinearParameters, stroke: Stroking, rng: np.random.Generator) -> dict[str, Channel]:
     acceleration = linear_signal(parameters, stroke.speed, stroke.force, rng)
     signals = {"acceleration": acceleration, "speed": stroke.speed, "force": stroke.force}
     return {name: Channel(samples, stroke.rate_hz) for name, samples in signals.items()}
@@ -348,9 +336,7 @@ def vibration(parameters: TextureParameters, stroke: Stroking, rng: np.random.Ge
     strikes = np.sqrt(counts) * rng.standard_normal(counts.size)
     excitation += parameters.impacts_ratio / np.sqrt(at_reference * passed) * strikes
 
-    grown = (
-        stroke.speed / REFERENCE_SPEED
-    ) ** parameters.speed_exponent * stroke.force**parameters.force_exponent
+    grown = (stroke.speed / REFERENCE_SPEED) ** parameters.speed_exponent * stroke.force**parameters.force_exponent
     excitation *= parameters.level * grown
     excitation = sosfilt(butter(2, parameters.contact_hz, fs=stroke.rate_hz, output="sos"), excitation)
     firm = stroke.force / (stroke.force + 1.0)  # half at 1 N, where both modes weigh 1

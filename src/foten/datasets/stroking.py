@@ -23,9 +23,7 @@ SKEW = 0.35  # peaks are log-uniform at 1; less favours fast movements
 STROKE_S = (0.3, 0.75)  # a shorter one would reach towards the 20 Hz where texture begins
 PEAK_TO_MEAN = 1.875  # speed of a minimum-jerk movement
 OVERLAP = 0.4  # of the shorter of two movements
-REVERSAL_SHARE = (
-    0.35  # of movements that wait for the one before to end, so that the speed passes through zero
-)
+REVERSAL_SHARE = 0.35  # of movements that wait for the one before to end, so that the speed passes through zero
 BOW = 0.06  # standard deviation of the sideways bend, in lengths of the movement
 MEAN_FORCE_N = (0.2, 3.0)  # of a stroke
 FORCE_WOBBLE = 0.28  # largest log-deviation: e^0.28 keeps 0.2 to 3.0 N within 0.1 to 4 N
@@ -131,17 +129,13 @@ def _add_movement(
     rate_hz: float,
 ) -> None:
     """Add one minimum-jerk movement, bent sideways by `bow` lengths, to position and velocity in place."""
-    first, stop = (
-        min(max(0, int(np.ceil(t * rate_hz))), len(position)) for t in (start_s, start_s + duration_s)
-    )
+    first, stop = (min(max(0, int(np.ceil(t * rate_hz))), len(position)) for t in (start_s, start_s + duration_s))
     u = (np.arange(first, stop) / rate_hz - start_s)[:, None] / duration_s
     sideways = bow * np.array([-displacement[1], displacement[0]])
     hump = u * (1 - u)
     position[first:stop] += displacement * u**3 * (10 - 15 * u + 6 * u**2) + sideways * 64 * hump**3
     position[stop:] += displacement
-    velocity[first:stop] += (
-        displacement * 30 * hump**2 + sideways * 192 * hump**2 * (1 - 2 * u)
-    ) / duration_s
+    velocity[first:stop] += (displacement * 30 * hump**2 + sideways * 192 * hump**2 * (1 - 2 * u)) / duration_s
 
 
 def _wander(times_s: Signal, seconds: float, cutoff_hz: float, rng: np.random.Generator) -> Signal:

@@ -72,9 +72,7 @@ def read_excel(path: Path) -> list[Column]:
         try:
             for sheet in book.worksheets:
                 sheet.reset_dimensions()  # some writers state a wrong extent; trusting it loses rows
-                rows = [
-                    list(row) for row in itertools.islice(sheet.iter_rows(values_only=True), MOST_ROWS + 1)
-                ]
+                rows = [list(row) for row in itertools.islice(sheet.iter_rows(values_only=True), MOST_ROWS + 1)]
                 cells = len(rows) * max((len(row) for row in rows), default=0)
                 if len(rows) > MOST_ROWS or cells > MOST_CELLS:
                     raise ValueError(
@@ -84,9 +82,7 @@ def read_excel(path: Path) -> list[Column]:
                     sheets.append((sheet.title, rows))
         finally:
             book.close()
-    except (
-        Exception
-    ) as error:  # a damaged file raises a dozen kinds, BadZipFile, SyntaxError and TypeError among them
+    except Exception as error:  # a damaged file raises a dozen kinds, BadZipFile, SyntaxError and TypeError among them
         raise ValueError(f"{path.name} is truncated or is not an .xlsx workbook ({brief(error)})") from None
     if not sheets:
         raise ValueError(f"{path.name} has no filled cell")
@@ -151,16 +147,12 @@ def _table(rows: list[list[Any]], where: str, remarks: frozenset[int] = frozense
 
     start = next((i for i, row in enumerate(rows) if fits(row)), 0)
     worded = [
-        i
-        for i in range(start)
-        if len(rows[i]) == width and _width(rows[i]) and not any(map(_is_number, rows[i]))
+        i for i in range(start) if len(rows[i]) == width and _width(rows[i]) and not any(map(_is_number, rows[i]))
     ]
     # A row that does not fit is still data where it cannot be anything else: an overflow in the first row is no
     # header, and to skip it would shift this table against all others.
     skipped = [
-        i
-        for i in range(worded[-1] + 1 if worded else 0, start)
-        if i not in remarks and any(map(_is_number, rows[i]))
+        i for i in range(worded[-1] + 1 if worded else 0, start) if i not in remarks and any(map(_is_number, rows[i]))
     ]
     if worded:
         start = min([start, *skipped])
@@ -176,9 +168,7 @@ def _table(rows: list[list[Any]], where: str, remarks: frozenset[int] = frozense
         if not _width(rows[i]):
             rows[i] = [None] * width  # a blank line among the data is a row that is missing, not no row
         elif len(rows[i]) != width:
-            raise ValueError(
-                f"{where}, row {i + 1} has {len(rows[i])} cells, expected {width}; was the file cut off?"
-            )
+            raise ValueError(f"{where}, row {i + 1} has {len(rows[i])} cells, expected {width}; was the file cut off?")
     names, units = [str(k) for k in range(width)], [""] * width
     heads = [rows[i] for i in worded[-2:] if i >= worded[-1] - 1]
     if len(heads) == 2 and _are_units(list(map(_words, heads[1]))):

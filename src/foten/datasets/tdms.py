@@ -45,9 +45,7 @@ def read_tdms(path: Path) -> list[Column]:
         name = channel.name if names.count(channel.name) == 1 else f"{channel.group_name}/{channel.name}"
         samples = np.asarray(channel[:])
         rate_hz = _rate(channel.properties.get("wf_increment"))
-        unit = next(
-            (str(channel.properties[key]) for key in _UNITS if channel.properties.get(key)), ""
-        ).strip()
+        unit = next((str(channel.properties[key]) for key in _UNITS if channel.properties.get(key)), "").strip()
         if samples.dtype.kind in "biuf":
             columns.append(Column(name, samples.astype(np.float64), rate_hz, unit))
         else:

@@ -48,11 +48,7 @@ def times_of(
     if bad_steps.size:
         i = int(bad_steps[0])
         what = "repeats" if steps[i] == 0 else "goes back"
-        hint = (
-            "are the times rounded? Leave time out and give --rate"
-            if steps[i] == 0
-            else "are the rows sorted?"
-        )
+        hint = "are the times rounded? Leave time out and give --rate" if steps[i] == 0 else "are the rows sorted?"
         raise ValueError(
             f"{path.name}: the time {what} at sample {i + 1}: {times[i + 1]:.9g} after {times[i]:.9g} "
             f"({bad_steps.size} such places); {hint}"
@@ -77,10 +73,7 @@ def rate_and_source(
     if channel in options.rates_hz:
         rate = options.rates_hz[channel]
         if column.rate_hz is not None and abs(rate - column.rate_hz) > 1e-6 * rate:
-            return (
-                rate,
-                f"{channel} has the rate given, {rate:g} Hz; {path.name} states {column.rate_hz:g} Hz",
-            )
+            return (rate, f"{channel} has the rate given, {rate:g} Hz; {path.name} states {column.rate_hz:g} Hz")
         return rate, ""
     if times is not None:
         if times.size < 2:
@@ -91,9 +84,7 @@ def rate_and_source(
     if options.rate_hz is not None:
         return options.rate_hz, ""
     scalars = [
-        c
-        for c in columns
-        if c.samples.size == 1 and re.search(r"(^|[._])(fs|rate|sample_?rate|hz)$", c.name.lower())
+        c for c in columns if c.samples.size == 1 and re.search(r"(^|[._])(fs|rate|sample_?rate|hz)$", c.name.lower())
     ]
     guess = f"{scalars[0].samples[0]:g}" if scalars else "10000"
     hint = f" (the file has {scalars[0].name} = {guess})" if scalars else ""

@@ -52,9 +52,7 @@ FACTORS: Mapping[str, Mapping[str, float]] = {
 _MASSES: Mapping[str, str] = {"g": "gf", "gram": "gf", "kg": "kgf", "lb": "lbf", "oz": "ozf"}
 """Units of mass, each with the force that a sensor of weight may mean by it."""
 
-_RAW = frozenset(
-    ["V", "mV", "uV", "A", "mA", "uA", "V/V", "mV/V", "count", "LSB", "ADC", "bit", "digit", "%"]
-)
+_RAW = frozenset(["V", "mV", "uV", "A", "mA", "uA", "V/V", "mV/V", "count", "LSB", "ADC", "bit", "digit", "%"])
 """What converters and amplifiers give: nothing without a sensitivity."""
 
 _SPELLINGS: Mapping[str, str] = {
@@ -114,18 +112,7 @@ _AXIS = re.compile(r"(?P<name>.+?)(?P<axis>[_.](?:[xyz]|\d+))?")
 _BEFORE_A_UNIT = re.compile(r"\s+in\s+|\s*[/,]\s*|[_\s]+")
 
 _REMARKS = frozenset(
-    [
-        "x",
-        "y",
-        "z",
-        "normal",
-        "tangential",
-        "lateral",
-        "vertical",
-        "horizontal",
-        "filtered",
-        "smoothed",
-    ]
+    ["x", "y", "z", "normal", "tangential", "lateral", "vertical", "horizontal", "filtered", "smoothed"]
 )
 """Words in brackets that are no unit."""
 
@@ -203,9 +190,7 @@ def _ends_a_name(text: str, kind: str) -> bool:
     unit = canonical(text)
     if text.lower() in _NAMES:
         return text == unit and ((unit in FACTORS[kind] and unit not in ("in", "ft")) or text == "V")
-    return unit in _UNITS and (
-        len(text) > 1 or unit in FACTORS[kind] or (kind == "force" and unit in _MASSES)
-    )
+    return unit in _UNITS and (len(text) > 1 or unit in FACTORS[kind] or (kind == "force" and unit in _MASSES))
 
 
 def factor_of(channel: str, header: str, stated: str = "", given: str | None = None) -> tuple[float, str]:

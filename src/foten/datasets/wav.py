@@ -27,14 +27,10 @@ def read_wav(path: Path) -> list[Column]:
 
     try:
         with warnings.catch_warnings():
-            warnings.filterwarnings(
-                "ignore", message="Chunk .*not understood", category=wavfile.WavFileWarning
-            )
+            warnings.filterwarnings("ignore", message="Chunk .*not understood", category=wavfile.WavFileWarning)
             warnings.filterwarnings("error", message=".*EOF", category=wavfile.WavFileWarning)
             rate, samples = wavfile.read(path)
-    except (
-        Exception
-    ) as error:  # a damaged file raises a dozen kinds, struct.error and ZeroDivisionError among them
+    except Exception as error:  # a damaged file raises a dozen kinds, struct.error and ZeroDivisionError among them
         raise ValueError(f"{path.name} is truncated or is no WAV file ({brief(error)})") from None
     unit = ""
     if samples.dtype.kind == "u":
@@ -45,6 +41,4 @@ def read_wav(path: Path) -> list[Column]:
     tracks = samples.reshape(samples.shape[0], -1)
     if not tracks.size:
         raise ValueError(f"{path.name} has no samples")
-    return [
-        Column(str(k), tracks[:, k].astype(np.float64), float(rate), unit) for k in range(tracks.shape[1])
-    ]
+    return [Column(str(k), tracks[:, k].astype(np.float64), float(rate), unit) for k in range(tracks.shape[1])]

@@ -7,9 +7,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-MAX_POLE = (
-    0.9995  # a memory of 2000 samples, 0.2 s at 10 kHz; least squares on real textures gives up to 0.9999
-)
+MAX_POLE = 0.9995  # a memory of 2000 samples, 0.2 s at 10 kHz; least squares on real textures gives up to 0.9999
 
 
 def least_squares(design: Array, target: Array, ridge: float = 1e-9) -> Array:

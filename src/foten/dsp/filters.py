@@ -27,9 +27,7 @@ def butterworth(kind: str, cutoff_hz: float, rate_hz: float, order: int = 2) -> 
         ValueError: the cutoff does not lie between 0 and half the rate, or the order is odd.
     """
     if not 0 < cutoff_hz < rate_hz / 2:
-        raise ValueError(
-            f"cutoff is {cutoff_hz:g} Hz, expected between 0 and half the rate, {rate_hz / 2:g} Hz"
-        )
+        raise ValueError(f"cutoff is {cutoff_hz:g} Hz, expected between 0 and half the rate, {rate_hz / 2:g} Hz")
     if order < 2 or order % 2:
         raise ValueError(f"filter order is {order}, expected 2, 4, 6, …")
     warped = math.tan(math.pi * cutoff_hz / rate_hz)

@@ -8,9 +8,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FRAME_MS = 40.0
-FLOOR_DB = (
-    -30.0
-)  # re the reference; levels below it count as it: a texture at rest is not judged by its sensor's noise
+FLOOR_DB = -30.0  # re the reference; levels below it count as it: a texture at rest is not judged by its sensor's noise
 
 
 def frame_levels(blocks: Array, rate_hz: float, reference: float) -> Array:

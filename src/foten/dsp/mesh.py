@@ -39,9 +39,7 @@ class Mesh:
         if not ((self.triangles >= 0) & (self.triangles < len(self.points))).all():
             raise ValueError("a triangle of the mesh has a corner that no model is at")
         corners = (self.points / self.scale)[self.triangles]
-        if not (
-            np.abs(_cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])) > LEAST_AREA
-        ).all():
+        if not (np.abs(_cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])) > LEAST_AREA).all():
             raise ValueError("a triangle of the mesh is flat: three models in a line, or two in one place")
 
     def at(self, speed: Array, force: Array) -> tuple[NDArray[np.int64], Array]:

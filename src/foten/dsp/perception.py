@@ -52,8 +52,7 @@ def carried(densities: Mapping[str, tuple[Array, Array]], rate_hz: float) -> dic
         return {}
     return {
         rate: sum(
-            float(np.trapezoid(np.where(hertz <= USABLE_BAND * rate, power, 0.0), hertz))
-            for hertz, power in weighted
+            float(np.trapezoid(np.where(hertz <= USABLE_BAND * rate, power, 0.0), hertz)) for hertz, power in weighted
         )
         / total
         for rate in sorted({*(rate for rate in RATES_HZ if rate <= rate_hz), rate_hz})

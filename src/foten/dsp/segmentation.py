@@ -26,7 +26,9 @@ Index = NDArray[np.int64]
 MAX_ORDER = 20
 _LEAST_SPANS = (10, 10, 12, 14, 16, 18, 20, *[25] * 4, *[50] * 10)
 """The fewest samples of a piece of each order; as in the source."""
-_QUIETEST = 1e-12  # variance of a piece as a share of the signal's power: a silent piece is not infinitely short to tell
+_QUIETEST = (
+    1e-12  # variance of a piece as a share of the signal's power: a silent piece is not infinitely short to tell
+)
 _PASSES = 5  # over all cuts, at most, when they are moved
 _AT_ONCE = 100_000  # pieces that are fitted together
 
@@ -65,9 +67,7 @@ def pieces_of(x: Array, max_order: int = MAX_ORDER, grid: int = 50, longest: int
             f"a grid of {grid} and pieces of {longest} at most cannot be, expected a grid of 10 or more, and twice as much"
         )
     if x.size < 2 * grid:
-        raise ValueError(
-            f"the signal has {x.size} samples, expected at least two steps of the grid, {2 * grid}"
-        )
+        raise ValueError(f"the signal has {x.size} samples, expected at least two steps of the grid, {2 * grid}")
     description = _Description(x, max_order)
     places = np.append(np.arange(0, x.size - grid + 1, grid), x.size)
     cuts = places[_best(description.between(places, longest), np.log(x.size))]
@@ -94,9 +94,7 @@ class _Description:
 
     def of(self, begin: Index, end: Index) -> tuple[Array, Index]:
         """Return the nats of pieces from samples `begin` to before `end`, and the order that takes the fewest, each (b,)."""
-        parts = [
-            self._some(begin[i : i + _AT_ONCE], end[i : i + _AT_ONCE]) for i in range(0, len(begin), _AT_ONCE)
-        ]
+        parts = [self._some(begin[i : i + _AT_ONCE], end[i : i + _AT_ONCE]) for i in range(0, len(begin), _AT_ONCE)]
         return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
 
     def _some(self, begin: Index, end: Index) -> tuple[Array, Index]:

@@ -124,9 +124,7 @@ def evaluate(
     linear = None if split is None else fit_linear(samples, split.train, block, 20)
     one = _one_step(texture, kernel, samples, blocks, split, block, scaling, trace, truth, reasons)
     on_stage("free run")
-    free, synthesized = _free_run(
-        texture, kernel, trace, blocks, split, linear, truth, scaling, seed, reasons
-    )
+    free, synthesized = _free_run(texture, kernel, trace, blocks, split, linear, truth, scaling, seed, reasons)
     document = {
         "texture": texture.card["texture"],
         "model": texture.card["model"],
@@ -207,9 +205,7 @@ def _one_step(
             else:
                 references[name] = score(fitted)
         best = linear["ar_best"]
-        references["ar_best"].update(
-            order=best.window if best else None, scheduled=best.scheduled if best else None
-        )
+        references["ar_best"].update(order=best.window if best else None, scheduled=best.scheduled if best else None)
     for name, bound in (("bound", truth.bound), ("bound_window", truth.bound_window)):
         if bound is None:
             reasons[f"references.{name}"] = truth.why_no_bound

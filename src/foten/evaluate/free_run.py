@@ -59,12 +59,7 @@ def synthesize(
 
 
 def synthesize_linear(
-    predictor: Linear,
-    trace: Trace,
-    blocks: tuple[int, ...],
-    scaling: Scaling,
-    seed: int = 0,
-    n_seeds: int = N_SEEDS,
+    predictor: Linear, trace: Trace, blocks: tuple[int, ...], scaling: Scaling, seed: int = 0, n_seeds: int = N_SEEDS
 ) -> Array:
     """Return the free run of a linear predictor with white noise of one scale: the anchor to beat.
 
@@ -81,12 +76,9 @@ def synthesize_linear(
     recorded = scaling.scale(trace.stacked())[:, 0].reshape(-1, trace.block)[list(blocks)]
     initial = [lfiltic([1.0], a, block[m - 1 :: -1]) for block in recorded[:, :m]]
     rendered = [
-        lfilter(
-            [1.0],
-            a,
-            constant + stable.noise_sd * gaussian(seed, stream, 0, n),
-            zi=initial[stream % len(blocks)],
-        )[0]
+        lfilter([1.0], a, constant + stable.noise_sd * gaussian(seed, stream, 0, n), zi=initial[stream % len(blocks)])[
+            0
+        ]
         for stream in range(n_seeds * len(blocks))
     ]
     return _after_recorded(trace, blocks, m, scaling.unscale_acceleration(np.array(rendered)))
@@ -113,13 +105,7 @@ def nearest_training_blocks(trace: Trace, blocks: tuple[int, ...], train: tuple[
 
 
 def free_run(
-    recorded: Array,
-    synthesized: Array,
-    speed: Array,
-    force: Array,
-    rate_hz: float,
-    sd: float,
-    n_given: int = 0,
+    recorded: Array, synthesized: Array, speed: Array, force: Array, rate_hz: float, sd: float, n_given: int = 0
 ) -> dict[str, Any]:
     """Return the free-run figures of synthesized blocks beside recorded ones.
 
@@ -142,12 +128,7 @@ def free_run(
     n_segment = metrics.segment_length(recorded.shape[-1])
     part = scored(recorded.shape[-1])
     worst = np.abs(synthesized[:, :, n_given:]).max(axis=(0, 2)) / sd
-    recorded, synthesized, speed, force = (
-        recorded[:, part],
-        synthesized[:, :, part],
-        speed[:, part],
-        force[:, part],
-    )
+    recorded, synthesized, speed, force = (recorded[:, part], synthesized[:, :, part], speed[:, part], force[:, part])
     frequencies, p = metrics.welch(recorded, rate_hz, n_segment)
     _, q = metrics.welch(synthesized, rate_hz, n_segment)
     bins = metrics.scored_bins(frequencies, rate_hz)
@@ -156,12 +137,8 @@ def free_run(
     level_p = metrics.frame_levels(recorded, rate_hz, reference)
     level_q = metrics.frame_levels(synthesized, rate_hz, reference)
     distance = metrics.log_spectral_distance(p[None], q)
-    raw = np.array(
-        [[metrics.goodness_of_fit(a, b) for a, b in zip(recorded, run, strict=True)] for run in synthesized]
-    )
-    smooth = np.array(
-        [[metrics._cosine(np.sqrt(a), np.sqrt(b)) for a, b in zip(p, run, strict=True)] for run in q]
-    )
+    raw = np.array([[metrics.goodness_of_fit(a, b) for a, b in zip(recorded, run, strict=True)] for run in synthesized])
+    smooth = np.array([[metrics._cosine(np.sqrt(a), np.sqrt(b)) for a, b in zip(p, run, strict=True)] for run in q])
 
     frame_speed, frame_force = metrics.frame_means(speed, rate_hz), metrics.frame_means(force, rate_hz)
     envelope_p = metrics.modulation_spectra(recorded, rate_hz)

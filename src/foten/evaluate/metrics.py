@@ -83,9 +83,7 @@ def band_edges(rate_hz: float) -> Array:
     return np.geomspace(LOWEST_HZ, min(HIGHEST_HZ, 0.45 * rate_hz), N_BANDS + 1)
 
 
-def band_errors(
-    recorded: Array, synthesized: Array, frequencies: Array, rate_hz: float
-) -> list[float | None]:
+def band_errors(recorded: Array, synthesized: Array, frequencies: Array, rate_hz: float) -> list[float | None]:
     """Return the error of each band's energy [dB], from pooled densities (k,); None where a band holds no bin."""
     edges = band_edges(rate_hz)
     starts = np.searchsorted(frequencies, edges)

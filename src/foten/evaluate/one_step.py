@@ -82,9 +82,9 @@ def predict(predictor: Predictor | TexturePredictor, samples: Array, n: NDArray[
         return predictor.predict_blocks(_with_history(predictor.window, samples, n)).sample
     flat = n.ravel()
     pieces = np.array_split(flat, flat.size // 2048 + 1)
-    return np.concatenate(
-        [predictor.predict(windows(samples, piece, predictor.window)) for piece in pieces]
-    ).reshape(n.shape)
+    return np.concatenate([predictor.predict(windows(samples, piece, predictor.window)) for piece in pieces]).reshape(
+        n.shape
+    )
 
 
 def _with_history(window: int, samples: Array, n: NDArray[np.int64]) -> Array:

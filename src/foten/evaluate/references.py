@@ -72,9 +72,7 @@ class Linear:
 
     def stable(self) -> Linear:
         """Return an unscheduled predictor with its poles inside 0.9995, for a closed loop."""
-        return Linear(
-            np.append(stabilised(self.coefficients[:-1], MAX_POLE), self.coefficients[-1]), self.noise_sd
-        )
+        return Linear(np.append(stabilised(self.coefficients[:-1], MAX_POLE), self.coefficients[-1]), self.noise_sd)
 
 
 def first_scored(block: int) -> int:
@@ -119,9 +117,7 @@ def _design(block: Array, order: int, scheduled: bool) -> Array:
     return np.concatenate([design, design * condition[:, :1], design * condition[:, 1:]], axis=1)
 
 
-def best_linear(
-    samples: Array, train: tuple[int, ...], validation: tuple[int, ...], block: int
-) -> Linear | None:
+def best_linear(samples: Array, train: tuple[int, ...], validation: tuple[int, ...], block: int) -> Linear | None:
     """Return the AR of any order of `ORDERS`, scheduled or not, with the lowest absolute error on the validation blocks.
 
     Orders beyond what is left out of every block (`first_scored`) are not tried.

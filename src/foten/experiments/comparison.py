@@ -47,9 +47,7 @@ class Row:
 
     def means(self, textures: Sequence[str]) -> Array:
         """Return the mean over splits for each texture, NaN where there is none, shape (n_textures,)."""
-        return np.array(
-            [self.values[t].mean() if len(self.values.get(t, ())) else math.nan for t in textures]
-        )
+        return np.array([self.values[t].mean() if len(self.values.get(t, ())) else math.nan for t in textures])
 
 
 def rows_of(results: Results, figure: str) -> tuple[list[str], list[Row]]:

@@ -26,13 +26,7 @@ from foten.train.pipeline import train
 
 
 def run_demo(
-    directory: Path,
-    key: str,
-    seconds: float,
-    epochs: int,
-    seed: int,
-    threads: int,
-    say: Callable[[str], None],
+    directory: Path, key: str, seconds: float, epochs: int, seed: int, threads: int, say: Callable[[str], None]
 ) -> dict[str, Path]:
     """Simulate a recording, train on it, evaluate the texture and render it.
 
@@ -53,9 +47,7 @@ def run_demo(
     config = dataclasses.replace(RECIPES["default"], epochs=epochs, seed=seed, threads=threads)
 
     def on_epoch(line: Epoch) -> None:
-        say(
-            f"    epoch {line.epoch}: one-step validation error {line.validation_mae:.4f} sd, {line.seconds:.1f} s"
-        )
+        say(f"    epoch {line.epoch}: one-step validation error {line.validation_mae:.4f} sd, {line.seconds:.1f} s")
 
     job = TrainingJob(recording, "foten-plus", FotenPlusSizes(), config, texture_name=key)
     trained = train(job, on_epoch, on_stage=lambda stage: say(f"    {stage}"))

@@ -130,9 +130,7 @@ def _texture(content: object, folder: Path) -> str:
     return content
 
 
-def _check_types(
-    content: Mapping[str, Any], names: Collection[str], kind: type, expected: str, of: str = ""
-) -> None:
+def _check_types(content: Mapping[str, Any], names: Collection[str], kind: type, expected: str, of: str = "") -> None:
     for name in names:
         if name in content and not isinstance(content[name], kind):
             raise ValueError(f"{name!r}{of} is {content[name]!r}, expected {expected}")

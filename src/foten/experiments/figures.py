@@ -88,11 +88,7 @@ def split(result: Mapping[str, Any], recordings: Path | None = None) -> Figure:
     parts = split_blocks(trace, seed=run.split_seed)
     figure, panels = _figure(10.0, 5.0, nrows=3, sharex=True)
     times = np.arange(trace.n_blocks * trace.block) / trace.rate_hz
-    rows = (
-        ("acceleration [m/s²]", trace.acceleration),
-        ("speed [mm/s]", trace.speed),
-        ("force [N]", trace.force),
-    )
+    rows = (("acceleration [m/s²]", trace.acceleration), ("speed [mm/s]", trace.speed), ("force [N]", trace.force))
     length = trace.block / trace.rate_hz
     for axes, (label, values) in zip(panels, rows, strict=True):
         for name, colour in PARTS.items():
@@ -173,15 +169,7 @@ def thresholds(results: Results) -> Figure:
         lines /= np.nanmean(lines, axis=1, keepdims=True)
         for line in lines:
             axes.plot(deltas, line, "-", lw=0.7, color="#9a9a9a")
-        axes.plot(
-            deltas,
-            np.nanmean(lines, axis=0),
-            "o-",
-            lw=1.6,
-            ms=4,
-            color=COLOURS[0],
-            label="mean of the textures",
-        )
+        axes.plot(deltas, np.nanmean(lines, axis=0), "o-", lw=1.6, ms=4, color=COLOURS[0], label="mean of the textures")
         axes.set_ylabel(f"{name}: MAE ÷ the texture's mean", fontsize=9)
     panels[0].legend(fontsize=8, frameon=False)
     panels[1].set_xlabel("δ of the Huber loss [sd]", fontsize=9)
@@ -202,9 +190,7 @@ def waveforms(results: Results) -> Figure:
         axes.plot(times, recorded, color="#222222", lw=0.7)
         for k, (method, one) in enumerate(by_method.items()):
             run = np.clip(np.array(one["signals"]["free_run"]), -0.5 * step, 0.5 * step)
-            axes.plot(
-                times, run - (k + 1) * step, color=COLOURS[methods.index(method) % len(COLOURS)], lw=0.7
-            )
+            axes.plot(times, run - (k + 1) * step, color=COLOURS[methods.index(method) % len(COLOURS)], lw=0.7)
         axes.set_yticks([-k * step for k in range(len(by_method) + 1)], ["recorded", *by_method], fontsize=7)
         axes.set_title(name_of(texture), fontsize=9, loc="left")
     figure.supxlabel("time [ms]", fontsize=9)
@@ -235,18 +221,9 @@ def spectra(results: Results) -> Figure:
         axes.plot(first["frequencies_hz"], recorded, color="#222222", lw=1.2, label="recorded")
         axes.set_ylim(low, high)
         axes.set_title(name_of(texture), fontsize=9, loc="left")
-    named = {
-        label: handle
-        for axes in panels
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
-    }
+    named = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     figure.legend(
-        named.values(),
-        named.keys(),
-        loc="outside upper center",
-        ncols=min(4, len(named)),
-        frameon=False,
-        fontsize=8,
+        named.values(), named.keys(), loc="outside upper center", ncols=min(4, len(named)), frameon=False, fontsize=8
     )
     figure.supxlabel("frequency [Hz]", fontsize=9)
     figure.supylabel("power density [dB re 1 (m/s²)²/Hz]", fontsize=9)

@@ -64,9 +64,7 @@ def _best_method(results: Results, figure: str) -> Iterator[str]:
 def _order(results: Results) -> Iterator[str]:
     textures, rows = rows_of(results, "mae")
     known = as_in_paper(rows)
-    ours = {
-        row.model: float(row.means(textures).mean()) for row in complete(rows, textures) if row.name in known
-    }
+    ours = {row.model: float(row.means(textures).mean()) for row in complete(rows, textures) if row.name in known}
     if len(ours) > 1 and all(math.isfinite(value) for value in ours.values()):
         here = sorted(ours, key=lambda model: ours[model])
         there = sorted(ours, key=lambda model: PAPER[model].mae or math.inf)

@@ -114,9 +114,7 @@ def name_of(texture: str) -> str:
 
 def experiments_of(results: Results) -> list[dict[str, str]]:
     """Return `title` and `note` of the experiments that the results are of."""
-    distinct = {
-        json.dumps(one.get("experiment", {"title": "", "note": ""}), sort_keys=True) for one in results
-    }
+    distinct = {json.dumps(one.get("experiment", {"title": "", "note": ""}), sort_keys=True) for one in results}
     return [json.loads(one) for one in sorted(distinct)]
 
 

@@ -89,9 +89,7 @@ def _trained(run: Run, recording: Recording) -> Texture:
     return trained.texture
 
 
-def _judged(
-    run: Run, recording: Recording, texture: Texture, seconds: float, n_batched: int = 1
-) -> dict[str, Any]:
+def _judged(run: Run, recording: Recording, texture: Texture, seconds: float, n_batched: int = 1) -> dict[str, Any]:
     started = time.perf_counter()
     judgement = evaluate(texture, recording, truth_for(recording, texture))
     document, metrics = judgement.document, texture.card["metrics"]

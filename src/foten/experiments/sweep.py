@@ -82,9 +82,7 @@ def sweep(
     import ray
 
     if address is not None and workers is not None:
-        raise ValueError(
-            "--workers is of this machine: a cluster at --address has as many as its nodes have cores"
-        )
+        raise ValueError("--workers is of this machine: a cluster at --address has as many as its nodes have cores")
     runs = experiment.runs()
     results.mkdir(parents=True, exist_ok=True)
     recordings: dict[Any, tuple[str, Recording]] = {}
@@ -95,9 +93,7 @@ def sweep(
             recordings[run.source] = recording.sha256(), recording
         path = results / f"{run.name(recordings[run.source][0], foten.__version__)}.json"
         if path in named:
-            raise ValueError(
-                f"{named[path].texture} and {run.texture} are the same recording: leave one of them out"
-            )
+            raise ValueError(f"{named[path].texture} and {run.texture} are the same recording: leave one of them out")
         named[path] = run
         if not _kept(path, _about(experiment, index, run), say):
             waiting.append((index, run, path))
@@ -123,11 +119,7 @@ def sweep(
 
 def _about(experiment: Experiment, index: int, run: Run) -> dict[str, Any]:
     """Return a result's place in an experiment and its names, on which its figures do not depend."""
-    return {
-        "index": index,
-        "experiment": {"title": experiment.title, "note": experiment.note},
-        "run": asdict(run),
-    }
+    return {"index": index, "experiment": {"title": experiment.title, "note": experiment.note}, "run": asdict(run)}
 
 
 def _kept(path: Path, about: Mapping[str, Any], say: Callable[[str], None]) -> bool:
@@ -162,9 +154,7 @@ def _start_ray(workers: int | None, address: str | None, gpus_per_run: float) ->
         _check_answered(address)
     local: dict[str, Any] = {"num_cpus": workers or os.cpu_count(), "include_dashboard": False}
     try:
-        ray.init(
-            address=address or "local", runtime_env=environment, **quiet, **(local if address is None else {})
-        )
+        ray.init(address=address or "local", runtime_env=environment, **quiet, **(local if address is None else {}))
     except (ConnectionError, RuntimeError) as error:
         if address is None:
             raise ValueError(f"Ray does not start here: {str(error).splitlines()[0]}") from error
@@ -172,7 +162,9 @@ def _start_ray(workers: int | None, address: str | None, gpus_per_run: float) ->
 
 
 def _no_cluster(address: str) -> str:
-    return f"no Ray cluster answers at {address}: was it started with 'ray start --head', and is RAY_AUTH_TOKEN its token?"
+    return (
+        f"no Ray cluster answers at {address}: was it started with 'ray start --head', and is RAY_AUTH_TOKEN its token?"
+    )
 
 
 def _check_answered(address: str) -> None:
@@ -219,9 +211,7 @@ def _guarded(runs: Sequence[Mapping[str, Any]], *recordings: Recording) -> list[
 
 
 def _collected(
-    experiment: Experiment,
-    pending: dict[Any, list[Waiting]],
-    on_progress: Callable[[Progress], None],
+    experiment: Experiment, pending: dict[Any, list[Waiting]], on_progress: Callable[[Progress], None]
 ) -> tuple[int, int]:
     import ray
 

@@ -78,9 +78,7 @@ def each_run(results: Results) -> list[list[str]]:
             row += [None if value is None else figure.factor * value for value in (of[key], *interval)]
         seconds = (one["seconds"][stage] for stage in ("training", "evaluation"))
         row += [one["validation_mae_scaled"], one["n_epochs"], *seconds]
-        rows.append(
-            ["" if value is None else f"{value:.6g}" if type(value) is float else str(value) for value in row]
-        )
+        rows.append(["" if value is None else f"{value:.6g}" if type(value) is float else str(value) for value in row])
     return rows
 
 

@@ -45,9 +45,7 @@ class FotenPlusSizes(SpectralSizes):
     n_speed: int = 1  # its vertices over speed
     n_force: int = 1  # and over force
     gain_before_filter: bool = False  # where the level enters the lattice
-    n_tones: int = (
-        0  # multiples of the path's frequency; none for a surface that does not repeat, nor what follows
-    )
+    n_tones: int = 0  # multiples of the path's frequency; none for a surface that does not repeat, nor what follows
     n_tone_speed: int = 1  # vertices of their amplitudes over speed
     n_tone_force: int = 1  # and over force
     residual_order: int = 1  # of the lattice of what tones leave
@@ -62,12 +60,7 @@ class FotenPlusSizes(SpectralSizes):
         for name in ("residual_order", "n_residual_speed", "n_residual_force"):
             check_count(name, getattr(self, name), 1)
         check_count("n_tones", self.n_tones, 0)
-        for name in (
-            "condition_in_tokens",
-            "network_in_loop",
-            "gain_before_filter",
-            "residual_gain_before_filter",
-        ):
+        for name in ("condition_in_tokens", "network_in_loop", "gain_before_filter", "residual_gain_before_filter"):
             check_flag(name, getattr(self, name))
         limit = self.correction_limit
         if type(limit) not in (int, float) or not 0 < limit < 1e6:

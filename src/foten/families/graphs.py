@@ -40,9 +40,7 @@ class TenMfccSizes(TenSizes):
         check_count("n_bands", self.n_bands, 2)
         check_count("n_coefficients", self.n_coefficients, 1)
         if self.n_coefficients > self.n_bands:
-            raise ValueError(
-                f"n_coefficients is {self.n_coefficients}, expected at most n_bands, {self.n_bands}"
-            )
+            raise ValueError(f"n_coefficients is {self.n_coefficients}, expected at most n_bands, {self.n_bands}")
 
     tensor_shapes = WithExcitation.tensor_shapes
     multiply_adds = Sizes.multiply_adds

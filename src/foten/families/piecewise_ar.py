@@ -13,7 +13,9 @@ HIGHEST_ORDER = 40  # beyond it line spectral frequencies no longer give the fil
 class PiecewiseArSizes(Sizes):
     """The sizes of local models. Where `ma` is 0 each is an autoregression; Penn's texture toolkit has zeros as well."""
 
-    window: int = 21  # samples that a prediction is given; at least p + 1, and more to infer the innovations before zeros
+    window: int = (
+        21  # samples that a prediction is given; at least p + 1, and more to infer the innovations before zeros
+    )
     order: int = 20  # p, of all models alike
     ma: int = 0  # q, of what the innovations go through before
     n_models: int = 3

@@ -178,9 +178,7 @@ def texture_from_bytes(data: bytes) -> Texture:
     except (SafetensorError, ValueError, AttributeError, KeyError, TypeError, OverflowError) as error:
         raise ValueError(f"this is not a texture file, or it is truncated ({error})") from error
     if not isinstance(metadata, dict) or "foten" not in metadata:
-        raise ValueError(
-            "this is a safetensors file without a texture card, expected one written by 'foten train'"
-        )
+        raise ValueError("this is a safetensors file without a texture card, expected one written by 'foten train'")
     try:
         card = parse_json(metadata["foten"])
     except (ValueError, TypeError) as error:
@@ -204,9 +202,7 @@ def check_card(card: Any) -> None:
     if version != FORMAT_VERSION:
         older = type(version) is int and version < FORMAT_VERSION
         advice = "train it again with this foten" if older else "update foten"
-        raise ValueError(
-            f"the file has format version {shortened(version)}, expected {FORMAT_VERSION}: {advice}"
-        )
+        raise ValueError(f"the file has format version {shortened(version)}, expected {FORMAT_VERSION}: {advice}")
     for key, kind in _CARD.items():
         if key not in card:
             raise ValueError(f"the card has no {key!r}")
@@ -245,9 +241,7 @@ def check_card(card: Any) -> None:
     except (TypeError, KeyError, AttributeError, OverflowError) as error:
         raise ValueError(f"the preprocessing or the split in the card is incomplete ({error})") from error
     if made.rate_hz != card["rate_hz"]:
-        raise ValueError(
-            f"the card has a rate of {card['rate_hz']} Hz and preprocessing to {made.rate_hz} Hz"
-        )
+        raise ValueError(f"the card has a rate of {card['rate_hz']} Hz and preprocessing to {made.rate_hz} Hz")
     if card["split"] is None:
         return
     needed = "validation_spectrum_db" if sizes.from_noise else "validation_mae_scaled"
@@ -279,9 +273,7 @@ def _check_tensors(texture: Texture) -> None:
     m = texture.window
     n_golden = len(texture.tensors.get("golden.one_step", ()))
     if n_golden < MIN_GOLDEN:
-        raise ValueError(
-            f"the file holds {n_golden} golden windows, expected {MIN_GOLDEN} or more: it proves nothing"
-        )
+        raise ValueError(f"the file holds {n_golden} golden windows, expected {MIN_GOLDEN} or more: it proves nothing")
     shapes = {
         **sizes.tensor_shapes(),
         "warm_start": (m, 3),
@@ -300,6 +292,4 @@ def _check_tensors(texture: Texture) -> None:
             raise ValueError(f"tensor {name!r} has shape {given}, expected {shape}")
     unknown = sorted(set(texture.tensors) - set(shapes))
     if unknown:
-        raise ValueError(
-            f"the file holds a tensor {unknown[0]!r} that {texture.card['model']!r} does not have"
-        )
+        raise ValueError(f"the file holds a tensor {unknown[0]!r} that {texture.card['model']!r} does not have")

@@ -38,8 +38,6 @@ class DecoderLayer(nn.Module):
 def attended(query: Tensor, key: Tensor, value: Tensor, n_heads: int) -> Tensor:
     """Return values by how their keys meet the queries, in heads: (b, n, w), (b, k, w), (b, k, w) → (b, n, w)."""
     b, _, width = query.shape
-    query, key, value = (
-        x.reshape(b, -1, n_heads, width // n_heads).transpose(1, 2) for x in (query, key, value)
-    )
+    query, key, value = (x.reshape(b, -1, n_heads, width // n_heads).transpose(1, 2) for x in (query, key, value))
     share = torch.softmax((query * (width // n_heads) ** -0.5) @ key.transpose(2, 3), dim=-1)
     return (share @ value).transpose(1, 2).reshape(b, -1, width)

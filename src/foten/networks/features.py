@@ -12,9 +12,7 @@ from torch import Tensor, nn
 from foten.dsp.spectrum import dft_matrices
 from foten.families import TenMfccSizes, TenWaveletSizes
 
-QUIETEST = (
-    1e-3  # power of a band, scaled, below which its logarithm no longer falls: 40 dB below the vibration
-)
+QUIETEST = 1e-3  # power of a band, scaled, below which its logarithm no longer falls: 40 dB below the vibration
 
 
 class MfccBranch(nn.Module):
@@ -57,9 +55,7 @@ class WaveletBranch(nn.Module):
     def __init__(self, sizes: TenWaveletSizes) -> None:
         super().__init__()
         self.register_buffer(
-            "transform",
-            torch.from_numpy(wavelet_transform(sizes.window, sizes.n_levels)),
-            persistent=False,
+            "transform", torch.from_numpy(wavelet_transform(sizes.window, sizes.n_levels)), persistent=False
         )
 
     def forward(self, acceleration: Tensor) -> Tensor:
@@ -73,12 +69,8 @@ def mel_bands(n_bins: int, n_bands: int) -> NDArray[np.float64]:
     edges = np.linspace(0.0, 2595 * math.log10(1 + 8000 / 700), n_bands + 2)
     edges = 700 * (10 ** (edges / 2595) - 1)
     width = hz[1]
-    rising = (hz[:, None] - np.minimum(edges[:-2], edges[1:-1] - width)) / np.maximum(
-        edges[1:-1] - edges[:-2], width
-    )
-    falling = (np.maximum(edges[2:], edges[1:-1] + width) - hz[:, None]) / np.maximum(
-        edges[2:] - edges[1:-1], width
-    )
+    rising = (hz[:, None] - np.minimum(edges[:-2], edges[1:-1] - width)) / np.maximum(edges[1:-1] - edges[:-2], width)
+    falling = (np.maximum(edges[2:], edges[1:-1] + width) - hz[:, None]) / np.maximum(edges[2:] - edges[1:-1], width)
     bands = np.maximum(0.0, np.minimum(rising, falling))
     return np.asarray(bands / bands.sum(axis=0))
 

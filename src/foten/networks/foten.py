@@ -25,13 +25,7 @@ class TemporalBranch(nn.Module):
         d = sizes.d_model
         self.embedding = nn.Linear(sizes.n_inputs, d)
         self.layers = nn.ModuleList(
-            EncoderLayer(
-                d,
-                sizes.n_heads,
-                sizes.d_feedforward,
-                sizes.pre_norm,
-            )
-            for _ in range(sizes.n_layers)
+            EncoderLayer(d, sizes.n_heads, sizes.d_feedforward, sizes.pre_norm) for _ in range(sizes.n_layers)
         )
         self.norm = nn.LayerNorm(d) if sizes.pre_norm else nn.Identity()
         self.dropout = Dropout()
@@ -55,12 +49,7 @@ class SpectralBranch(nn.Module):
         self.lifted = width > 1
         for name in ("magnitude", "phase"):
             self.add_module(f"{name}_in", nn.Linear(1, width) if self.lifted else nn.Identity())
-            layer = EncoderLayer(
-                width,
-                sizes.n_heads,
-                sizes.d_feedforward,
-                sizes.pre_norm,
-            )
+            layer = EncoderLayer(width, sizes.n_heads, sizes.d_feedforward, sizes.pre_norm)
             self.add_module(f"{name}_layer", layer)
             self.add_module(f"{name}_out", nn.Linear(width, 1) if self.lifted else nn.Identity())
         real, imaginary = (matrix[:, : sizes.n_bins] for matrix in dft_matrices(m))
@@ -140,13 +129,9 @@ class Foten(nn.Module):
         given = windows if self.sizes.n_inputs == 4 else without_condition
         tokens = self.temporal(given, last_only=self.decoder is None)
         if self.spectral is not None and self.spectral_embedding is not None:
-            tokens = torch.cat(
-                [tokens, self.spectral_embedding(self.spectral(windows[:, :, 0]))[:, None]], dim=1
-            )
+            tokens = torch.cat([tokens, self.spectral_embedding(self.spectral(windows[:, :, 0]))[:, None]], dim=1)
         if self.decoder is not None:
-            asked = self.query + torch.zeros_like(
-                tokens[:, :1]
-            )  # a length would be a constant of the exported graph
+            asked = self.query + torch.zeros_like(tokens[:, :1])  # a length would be a constant of the exported graph
             tokens = torch.cat([self.decoded(self.decoder(asked, tokens)), tokens[:, -1:]], dim=1)
         fused = torch.cat([tokens.flatten(1), windows[:, -1, 1:3]], dim=1)
         hidden = self.dropout(torch.relu(self.head_1(fused)))

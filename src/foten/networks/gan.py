@@ -79,9 +79,7 @@ class Discriminator(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         widths = (3, 16, 32, 64)
-        self.layers = nn.ModuleList(
-            spectral_norm(nn.Conv2d(a, b, 4, stride=2, padding=2)) for a, b in pairwise(widths)
-        )
+        self.layers = nn.ModuleList(spectral_norm(nn.Conv2d(a, b, 4, stride=2, padding=2)) for a, b in pairwise(widths))
         self.out = spectral_norm(nn.Linear(widths[-1], 1))
 
     def forward(self, spectrogram: Tensor, condition: Tensor) -> Tensor:

@@ -25,9 +25,7 @@ class Hapinf(nn.Module):
         self.sizes = sizes
         d, heads, inner = sizes.d_model, sizes.n_heads, sizes.d_feedforward
         self.embedding = nn.Linear(3, d)
-        self.encoder = nn.ModuleList(
-            EncoderLayer(d, heads, inner, pre_norm=True) for _ in range(sizes.n_layers)
-        )
+        self.encoder = nn.ModuleList(EncoderLayer(d, heads, inner, pre_norm=True) for _ in range(sizes.n_layers))
         self.encoded = nn.LayerNorm(d)
         self.decoder = DecoderLayer(d, heads, inner)
         self.decoded = nn.LayerNorm(d)

@@ -33,10 +33,7 @@ class LdhtdHop(nn.Module):
 
     def forward(self, windows: Tensor) -> Tensor:
         """Return the samples to come: windows (b, m, 3) scaled → (b, hop) scaled."""
-        last = [
-            layer(windows[:, -self.hop :, k : k + 1])[0][:, -1]
-            for k, layer in ((1, self.speed), (2, self.force))
-        ]
+        last = [layer(windows[:, -self.hop :, k : k + 1])[0][:, -1] for k, layer in ((1, self.speed), (2, self.force))]
         tokens = torch.stack(last, dim=1)
         scores = self.asked(tokens) @ self.offered(tokens).transpose(1, 2) * tokens.shape[2] ** -0.5
         hand = self.hand((torch.softmax(scores, dim=2) @ self.value(tokens)).flatten(1))

@@ -45,9 +45,7 @@ class NoiseFilter(nn.Module):
         scatter = 0.5 * (np.euler_gamma + np.where(alone, np.log(2.0), 0.0))
         power = float(np.square(hann(n).numpy()).sum())
         self.register_buffer("cosines", torch.from_numpy(cosines).float(), persistent=False)
-        self.register_buffer(
-            "offset", torch.from_numpy(scatter - 0.5 * np.log(power)).float(), persistent=False
-        )
+        self.register_buffer("offset", torch.from_numpy(scatter - 0.5 * np.log(power)).float(), persistent=False)
 
     def forward(self, noise: Tensor, logs: Tensor) -> Tensor:
         """Return a sample of each frame of noise: (..., n), its log |X| (..., n // 2 + 1) → (...)."""

@@ -45,9 +45,7 @@ class PreprocessConfig:
         if not self.rate_hz > 0:
             raise ValueError(f"rate is {self.rate_hz:g} Hz, expected a positive number")
         if self.trim_ms < 0 or not self.block_ms > 0:
-            raise ValueError(
-                f"trim is {self.trim_ms:g} ms and block {self.block_ms:g} ms, expected ≥ 0 and > 0"
-            )
+            raise ValueError(f"trim is {self.trim_ms:g} ms and block {self.block_ms:g} ms, expected ≥ 0 and > 0")
         for name in ("highpass_hz", "lowpass_hz", "render_lowpass_hz"):
             if not 0 < getattr(self, name) < self.rate_hz / 2:
                 raise ValueError(
@@ -120,10 +118,7 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None) -> 
         return filter_recorded(sections, signal, zero_phase=config.zero_phase)
 
     vibration = np.stack(
-        [
-            settled(filtered(highpass, decimate(axis.samples, axis.rate_hz, rate)[start:stop]), False)
-            for axis in axes
-        ]
+        [settled(filtered(highpass, decimate(axis.samples, axis.rate_hz, rate)[start:stop]), False) for axis in axes]
     )
     if len(axes) > 1:
         by_block = vibration.reshape(len(axes), -1, config.block).swapaxes(0, 1)

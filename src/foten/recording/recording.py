@@ -75,9 +75,7 @@ class Channel:
         long = np.flatnonzero(np.diff(times) > HOLE * period)
         reach = np.arange(5)
         after, before = long[:, None] + 1 + reach, long[:, None] - reach
-        landed = np.where(
-            after < times.size, times[np.minimum(after, times.size - 1)] - reach * period, np.nan
-        )
+        landed = np.where(after < times.size, times[np.minimum(after, times.size - 1)] - reach * period, np.nan)
         left = np.where(before >= 0, times[np.maximum(before, 0)] + reach * period, np.nan)
         return long[np.nanmedian(landed, axis=1) - np.nanmedian(left, axis=1) > HOLE * period]
 

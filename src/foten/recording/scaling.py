@@ -20,9 +20,7 @@ class Scaling:
     def __post_init__(self) -> None:
         for name, mean, sd in zip(CHANNELS, self.mean, self.sd, strict=True):
             if not np.isfinite(mean) or not np.isfinite(sd) or sd <= 0:
-                raise ValueError(
-                    f"{name} has mean {mean} and standard deviation {sd}, expected finite and > 0"
-                )
+                raise ValueError(f"{name} has mean {mean} and standard deviation {sd}, expected finite and > 0")
 
     def scale(self, samples: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return samples (…, 3) in their units as scaled samples (…, 3)."""

@@ -109,20 +109,14 @@ def _regroup(trace: Trace, n_held: int, rng: np.random.Generator) -> tuple[list[
     n_groups = 3 if n >= 18 else 2 if n >= 8 else 1
     for group in np.array_split(np.argsort(speed, kind="stable"), n_groups):
         by_force = group[np.argsort(force[group], kind="stable")]
-        cells += [
-            [int(i) for i in cell if int(i) not in extreme] for cell in np.array_split(by_force, n_groups)
-        ]
+        cells += [[int(i) for i in cell if int(i) not in extreme] for cell in np.array_split(by_force, n_groups)]
     # Walking over shuffled cells in turn and dealing test, validation, train in their ratio spreads each part
     # over the cells and meets the totals exactly, which rounding within cells of three blocks does not.
     for cell in cells:
         rng.shuffle(cell)
     order = [cells[i] for i in rng.permutation(len(cells))]
     dealt = [
-        block
-        for layer in range(max(map(len, order)))
-        for cell in order
-        if layer < len(cell)
-        for block in [cell[layer]]
+        block for layer in range(max(map(len, order))) for cell in order if layer < len(cell) for block in [cell[layer]]
     ]
     test, validation = dealt[0 : 2 * n_held : 2], dealt[1 : 2 * n_held : 2]
     others = [block for block in range(n) if block not in set(test) | set(validation)]

@@ -107,9 +107,7 @@ class FotenPlus:
         physical = self.lattice.level.physical(condition.reshape(-1, 2))[:, 0]
         return np.concatenate([condition, physical.reshape(*condition.shape[:-1], 1)], axis=-1)
 
-    def _analysed(
-        self, windows: Array, lattice: Lattice, phase: Array | None, corrected: bool
-    ) -> FotenPlusStream:
+    def _analysed(self, windows: Array, lattice: Lattice, phase: Array | None, corrected: bool) -> FotenPlusStream:
         """Return streams after windows of what a lattice is of, and, with tones, the phase at their last sample."""
         s, m, _ = windows.shape
         conditions = self.with_path(windows[:, :, 1:])

@@ -19,9 +19,7 @@ Array = NDArray[np.float64]
 class Network:
     """Windows (b, m, 3 or 4) scaled → (b,): acceleration, speed, force, and what else the tokens hold."""
 
-    def __init__(
-        self, sizes: TransformerSizes, tensors: Mapping[str, NDArray[Any]], prefix: str = ""
-    ) -> None:
+    def __init__(self, sizes: TransformerSizes, tensors: Mapping[str, NDArray[Any]], prefix: str = "") -> None:
         self._sizes, self._w = sizes, Weights(tensors, prefix)
 
     def __call__(self, windows: Array) -> Array:

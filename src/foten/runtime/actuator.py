@@ -19,9 +19,7 @@ Array = NDArray[np.float64]
 
 FORMAT, VERSION = "foten-actuator", 1
 LARGEST = 1e9  # of any figure: no actuator has more
-_NEAR_S = (
-    0.02  # of the delay at which drive and acceleration are most alike, within which the best is looked for
-)
+_NEAR_S = 0.02  # of the delay at which drive and acceleration are most alike, within which the best is looked for
 _MOST_MISSED = 0.15  # of the acceleration's power: what misses more was no such sweep
 
 
@@ -55,16 +53,12 @@ class ActuatorProfile:
 
     def __post_init__(self) -> None:
         numbers = {
-            field.name: getattr(self, field.name)
-            for field in fields(self)
-            if field.name not in ("name", "unit")
+            field.name: getattr(self, field.name) for field in fields(self) if field.name not in ("name", "unit")
         }
         for name, value in numbers.items():
             # The comparison holds for integers of any number of digits, and for NaN it does not.
             if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
-                raise ValueError(
-                    f"{name} of the actuator is {value!r:.30}, expected a number below {LARGEST:g}"
-                )
+                raise ValueError(f"{name} of the actuator is {value!r:.30}, expected a number below {LARGEST:g}")
             if name != "gain" and value < 0:
                 raise ValueError(f"{name} of the actuator is {value}, expected 0 or more")
         if self.gain == 0:
@@ -87,9 +81,7 @@ class ActuatorProfile:
 def write_profile(profile: ActuatorProfile, path: Path) -> None:
     """Write a profile as JSON, whole or not at all."""
     with atomic_write(path) as part:
-        part.write_text(
-            json.dumps({"format": FORMAT, "version": VERSION, **asdict(profile)}, indent=1) + "\n"
-        )
+        part.write_text(json.dumps({"format": FORMAT, "version": VERSION, **asdict(profile)}, indent=1) + "\n")
 
 
 def read_profile(path: Path) -> ActuatorProfile:
@@ -186,9 +178,7 @@ def identify(
             f"nothing was driven or measured between {low_hz:g} and {high_hz:g} Hz; is the recording silent?"
         )
     x, y, s = x[used], y[used], np.asarray(2j * np.pi * hertz[used], dtype=np.complex128)
-    alike = np.abs(
-        np.fft.irfft(np.where(used, np.fft.rfft(acceleration, n) * np.conj(np.fft.rfft(drive, n)), 0.0), n)
-    )
+    alike = np.abs(np.fft.irfft(np.where(used, np.fft.rfft(acceleration, n) * np.conj(np.fft.rfft(drive, n)), 0.0), n))
     lag = int(alike.argmax())
     near = (lag if lag < n // 2 else lag - n) / rate_hz
     # Coarse, then fine.

@@ -116,9 +116,7 @@ def as_table(times: list[StepTimes]) -> str:
     lines = [f"{'':12s}{'p50':>9s}{'p99':>9s}{'p99.9':>9s}{'max':>10s}   contacts a core"]
     for one in times:
         figures = "".join(f"{getattr(one, name):9.2f}" for name in ("p50_us", "p99_us", "p999_us"))
-        lines.append(
-            f"{one.isa:12s}{figures}{one.largest_us:10.1f}   {one.contacts:.0f} at {one.rate_hz:g} Hz"
-        )
+        lines.append(f"{one.isa:12s}{figures}{one.largest_us:10.1f}   {one.contacts:.0f} at {one.rate_hz:g} Hz")
     hops = [f"one sample in {one.hop} costs what all of them do" for one in times[:1] if one.hop > 1]
     return "\n".join(
         [

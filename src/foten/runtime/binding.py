@@ -54,9 +54,7 @@ class NativeStatistics(Structure):
 class NativeStylusStatistics(Structure):
     """What a stylus has counted: foten_stylus_stats."""
 
-    _fields_ = [
-        (name, c_uint64) for name in ("n", "n_refused", "n_late", "n_dropped", "n_clipped", "n_jumps")
-    ]
+    _fields_ = [(name, c_uint64) for name in ("n", "n_refused", "n_late", "n_dropped", "n_clipped", "n_jumps")]
 
 
 class NativeActuator(Structure):
@@ -86,10 +84,7 @@ _SIGNATURES = {
     "foten_version": (c_char_p, []),
     "foten_isa": (c_char_p, []),
     "foten_model_load": (c_int, [c_void_p, c_size_t, POINTER(c_void_p), c_char_p, c_size_t]),
-    "foten_model_load_with": (
-        c_int,
-        [c_void_p, c_size_t, PREDICTOR, c_void_p, POINTER(c_void_p), c_char_p, c_size_t],
-    ),
+    "foten_model_load_with": (c_int, [c_void_p, c_size_t, PREDICTOR, c_void_p, POINTER(c_void_p), c_char_p, c_size_t]),
     "foten_model_free": (None, [c_void_p]),
     "foten_model_info": (Info, [c_void_p]),
     "foten_state_new": (c_void_p, [c_void_p, POINTER(Options)]),
@@ -127,9 +122,7 @@ def library() -> ctypes.CDLL:
     import foten.runtime
 
     candidates = [
-        Path(folder) / "kernel" / f"libfoten{suffix}"
-        for folder in foten.runtime.__path__
-        for suffix in _SUFFIXES
+        Path(folder) / "kernel" / f"libfoten{suffix}" for folder in foten.runtime.__path__ for suffix in _SUFFIXES
     ]
     for path in candidates:
         if path.exists():

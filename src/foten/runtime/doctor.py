@@ -43,8 +43,7 @@ def checks() -> list[Check]:
 
 def _python() -> Check:
     return Check(
-        "python",
-        f"{platform.python_version()} on {platform.system()} {platform.machine()}, NumPy {np.__version__}",
+        "python", f"{platform.python_version()} on {platform.system()} {platform.machine()}, NumPy {np.__version__}"
     )
 
 
@@ -100,20 +99,14 @@ def _start_up() -> list[Check]:
     for _ in range(_TRIALS):
         for name, program in programs.items():
             begin = time.perf_counter()
-            done = subprocess.run(
-                [sys.executable, "-c", program], check=False, capture_output=True, text=True
-            )
+            done = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True, text=True)
             if done.returncode != 0:
                 return [Check(name, reason(done), fine=False)]
             times[name].append(time.perf_counter() - begin)
     least = {name: min(values) for name, values in times.items()}
     numpy = least["import numpy"]
     return [
-        Check(
-            name,
-            f"{1000 * seconds:.0f} ms, {seconds / numpy:.2f} times 'import numpy'",
-            fine=seconds <= 2 * numpy,
-        )
+        Check(name, f"{1000 * seconds:.0f} ms, {seconds / numpy:.2f} times 'import numpy'", fine=seconds <= 2 * numpy)
         for name, seconds in least.items()
         if name != "import numpy"
     ]
@@ -141,9 +134,7 @@ def _sound() -> Check:
 
     try:
         sounddevice: Any = sound_library()
-        devices = [
-            device["name"] for device in sounddevice.query_devices() if device["max_output_channels"] > 0
-        ]
+        devices = [device["name"] for device in sounddevice.query_devices() if device["max_output_channels"] > 0]
     except Exception as error:  # PortAudio's own too: whatever it is, it is told and the rest is looked at
         return Check("sound", str(error))
     return Check("sound", ", ".join(devices) if devices else "PortAudio is here, and no device to play on")
@@ -158,8 +149,7 @@ def _daq() -> Check:
 def _training() -> Check:
     if importlib.util.find_spec("torch") is None:
         return Check(
-            "training",
-            "PyTorch is not installed, and rendering does not need it: pip install 'foten[train]' to train",
+            "training", "PyTorch is not installed, and rendering does not need it: pip install 'foten[train]' to train"
         )
     return Check("training", f"PyTorch {_version('torch')}")
 

@@ -44,9 +44,7 @@ def run_loops(
     out = np.empty(condition.shape[:2])
 
     def run(i: int) -> None:
-        window, conditions = (
-            np.ascontiguousarray(part[i], dtype=np.float64) for part in (windows, condition)
-        )
+        window, conditions = (np.ascontiguousarray(part[i], dtype=np.float64) for part in (windows, condition))
         drawn = None if noise is None else np.ascontiguousarray(noise[i], dtype=np.float64)
         NativeState(texture).run_scaled(window, conditions, drawn, limit, out[i])
 
@@ -65,9 +63,7 @@ class Prediction(NamedTuple):
     tail: NDArray[np.float64]
 
 
-def predict_blocks(
-    texture: NativeTexture, blocks: NDArray[np.float64], part: PredictionPart = "model"
-) -> Prediction:
+def predict_blocks(texture: NativeTexture, blocks: NDArray[np.float64], part: PredictionPart = "model") -> Prediction:
     """Return one-step predictions of recorded blocks, scaled (s, n, 3), from sample `window` on: (s, n − window) each.
 
     Args:

@@ -78,9 +78,7 @@ class NativeTexture:
         self._asked: ctypes._FuncPointer | None = None
         if status == NO_PREDICTOR:
             self._asked = _asked(data, self._failed)  # as long as the texture is
-            status = library().foten_model_load_with(
-                data, len(data), self._asked, None, byref(pointer), why, len(why)
-            )
+            status = library().foten_model_load_with(data, len(data), self._asked, None, byref(pointer), why, len(why))
             self.raise_failed()
         if status == NO_MEMORY:
             raise MemoryError(why.value.decode(errors="replace"))
@@ -141,9 +139,7 @@ class NativeState:
         own = texture.info.rate_hz
         rate = own if rate_hz is None else rate_hz
         if not own / 20 <= rate <= 400 * own:
-            raise ValueError(
-                f"the rate is {rate_hz} Hz, expected {own / 20:g} to {400 * own:g} Hz for this texture"
-            )
+            raise ValueError(f"the rate is {rate_hz} Hz, expected {own / 20:g} to {400 * own:g} Hz for this texture")
         options = Options(rate, seed, stream, not excitation, smooth)
         pointer = library().foten_state_new(texture.pointer, byref(options))
         if not pointer:
@@ -191,9 +187,7 @@ class NativeState:
         n = self._texture.info.window
         columns = [np.ascontiguousarray(column, dtype=np.float32) for column in (acceleration, speed, force)]
         if any(column.shape != (n,) for column in columns):
-            raise ValueError(
-                f"the window has shapes {[column.shape for column in columns]}, expected ({n},) each"
-            )
+            raise ValueError(f"the window has shapes {[column.shape for column in columns]}, expected ({n},) each")
         if library().foten_start(self._pointer, *(column.ctypes.data_as(FLOATS) for column in columns)) != 0:
             raise ValueError("the window to start from holds NaN or infinity")
 
@@ -299,9 +293,7 @@ def _asked(data: bytes, failed: list[BaseException]) -> ctypes._FuncPointer:
     predictor = OnnxPredictor(texture.sizes, texture.tensors)
     shape = (1, predictor.window, 3)
 
-    def answer(
-        _: int | None, window: ctypes._Pointer[c_float], following: ctypes._Pointer[c_float], n: int
-    ) -> None:
+    def answer(_: int | None, window: ctypes._Pointer[c_float], following: ctypes._Pointer[c_float], n: int) -> None:
         # Of as many as the kernel has room for, whatever this side reads in the card.
         out = np.ctypeslib.as_array(following, (n,))
         out[:] = np.nan

@@ -37,10 +37,7 @@ class OnnxPredictor:
         self._session = _session(tensors[GRAPH].tobytes())
         inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
         named = [(one.name, one.type) for one in (*inputs, *outputs)]
-        if named != [(INPUT, "tensor(float)"), (OUTPUT, "tensor(float)")] or inputs[0].shape[1:] != [
-            self.window,
-            3,
-        ]:
+        if named != [(INPUT, "tensor(float)"), (OUTPUT, "tensor(float)")] or inputs[0].shape[1:] != [self.window, 3]:
             raise ValueError(
                 f"the graph takes {[(one.name, one.shape) for one in inputs]}, expected windows (b, {self.window}, 3)"
             )
@@ -65,9 +62,7 @@ class OnnxPredictor:
             ValueError: there is room for another number of them.
         """
         if out.shape != (self.n_ahead,):
-            raise ValueError(
-                f"the card speaks of {out.size} samples at once, and the graph of {self.n_ahead}"
-            )
+            raise ValueError(f"the card speaks of {out.size} samples at once, and the graph of {self.n_ahead}")
         out[:] = self._session.run([OUTPUT], {INPUT: window})[0].ravel()
 
 
@@ -83,14 +78,10 @@ def _session(graph: bytes) -> Any:
         model = onnx.load_from_string(graph)
     except Exception as error:  # protobuf's, whichever of its implementations is installed
         raise ValueError("the texture's graph is damaged: it is no ONNX") from error
-    foreign = {
-        node.op_type for node in model.graph.node if node.domain or not _OPERATORS.fullmatch(node.op_type)
-    }
+    foreign = {node.op_type for node in model.graph.node if node.domain or not _OPERATORS.fullmatch(node.op_type)}
     if foreign or model.functions or any(one.data_location for one in model.graph.initializer):
         what = f"operator {min(foreign)}" if foreign else "part"
-        raise ValueError(
-            f"the texture's graph has a foreign {what}, and is not run: none of foten's networks has it"
-        )
+        raise ValueError(f"the texture's graph has a foreign {what}, and is not run: none of foten's networks has it")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4  # what is wrong is said by the error

@@ -115,9 +115,7 @@ def read_stroke(path: Path, rate_hz: float, calibration: PressureCalibration | N
         times, positions, force, n_lifted = _lifted(times, np.stack([columns["x"], columns["y"]]), force)
     n = round(times[-1] * rate_hz)
     if n < 1:
-        raise ValueError(
-            f"{path.name} lasts {times[-1]:g} s, less than one sample at {rate_hz:g} Hz; is t in seconds?"
-        )
+        raise ValueError(f"{path.name} lasts {times[-1]:g} s, less than one sample at {rate_hz:g} Hz; is t in seconds?")
     if "speed" in columns:
         moved = at_rate(columns["speed"], times, rate_hz, n)[None]
     else:

@@ -28,9 +28,7 @@ class _Both:
     """Two optimisers as one, for a checkpoint."""
 
     def __init__(self, generator: nn.Module, discriminator: nn.Module, rate: float) -> None:
-        self.of = [
-            Adam(network.parameters(), lr=rate, betas=(0.5, 0.9)) for network in (generator, discriminator)
-        ]
+        self.of = [Adam(network.parameters(), lr=rate, betas=(0.5, 0.9)) for network in (generator, discriminator)]
 
     def state_dict(self) -> dict[str, Any]:
         return {"of": [one.state_dict() for one in self.of]}
@@ -105,9 +103,7 @@ def fit_adversarial(
 
     Of the configuration, what `config.UNUSED` names is not heeded.
     """
-    train, validation = (
-        _Crops(network, m, blocks, some) for some in (blocks.split.train, blocks.split.validation)
-    )
+    train, validation = (_Crops(network, m, blocks, some) for some in (blocks.split.train, blocks.split.validation))
     judge = Discriminator()
     tiles = train.tiles()
     recorded = train.spectrograms(*tiles).flatten(0, 1)

@@ -20,16 +20,7 @@ from foten.networks.dropout import mask, mask_shapes, masks_given, set_dropout
 from foten.recording.windows import window_indices
 from foten.train.config import TrainConfig
 from foten.train.epochs import Epoch, Progress, goes_on
-from foten.train.fit import (
-    TrainingWindows,
-    epoch_seed,
-    loss_of,
-    mask_seed,
-    masks_of,
-    order_of,
-    schedule_of,
-    validated,
-)
+from foten.train.fit import TrainingWindows, epoch_seed, loss_of, mask_seed, masks_of, order_of, schedule_of, validated
 from foten.train.optimiser import Optimiser
 
 BATCHED = ("foten", "foten-plus", "ten", "ten-mfcc", "ten-wavelet", "foten-d", "fnn")
@@ -70,14 +61,10 @@ def fit_batched(
     config, n_train = configs[0], len(data[0].train)
     alike = {(repr({**vars(one), "seed": 0}), len(of.train)) for one, of in zip(configs, data, strict=True)}
     if len(alike) > 1 or config.threads > 1:
-        raise ValueError(
-            "networks are fitted as one model by one recipe, one thread and as many windows each"
-        )
+        raise ValueError("networks are fitted as one model by one recipe, one thread and as many windows each")
     device, m = next(networks[0].parameters()).device, data[0].window
     offsets = torch.from_numpy(window_indices(np.zeros(1, dtype=np.int64), m)).to(device)
-    textures = [
-        _of_device(network, of, one, device) for network, of, one in zip(networks, data, configs, strict=True)
-    ]
+    textures = [_of_device(network, of, one, device) for network, of, one in zip(networks, data, configs, strict=True)]
     criterion = loss_of(config)
     steps = max(1, math.ceil(n_train / config.batch))
     rate = schedule_of(config, steps * max(1, config.epochs))
@@ -87,9 +74,7 @@ def fit_batched(
             return texture.samples[n[:, None] + offsets]
 
         started = time.perf_counter()
-        loss, error = validated(
-            texture.network, windows, texture.goal, texture.unit, texture.validation, criterion
-        )
+        loss, error = validated(texture.network, windows, texture.goal, texture.unit, texture.validation, criterion)
         progress = texture.progress
         best = loss < progress.best_loss
         if best:
@@ -107,9 +92,7 @@ def fit_batched(
     live = [texture for texture in textures if texture.error is None]
     stack = _Stack(live, config, rate, criterion, offsets) if live else None
     for epoch in range(1, config.epochs + 1):
-        going = [
-            k for k, texture in enumerate(live) if texture.error is None and goes_on(texture.progress, config)
-        ]
+        going = [k for k, texture in enumerate(live) if texture.error is None and goes_on(texture.progress, config)]
         if not going or stack is None:
             break
         if len(going) < len(live):
@@ -127,9 +110,7 @@ def fit_batched(
     return [texture.error or texture.progress for texture in textures]
 
 
-def _of_device(
-    network: nn.Module, data: TrainingWindows, config: TrainConfig, device: torch.device
-) -> _Texture:
+def _of_device(network: nn.Module, data: TrainingWindows, config: TrainConfig, device: torch.device) -> _Texture:
     samples = torch.from_numpy(data.samples).to(device, torch.float32)
     goal = samples[:, 0] if data.target is None else torch.from_numpy(data.target).to(device, torch.float32)
     unit = torch.ones(len(samples)) if data.unit is None else torch.from_numpy(data.unit)
@@ -160,16 +141,10 @@ class _Stack:
         self._optimiser = Optimiser(self._weights, config, stacked=True)
 
         def loss(
-            weights: dict[str, Tensor],
-            fixed: dict[str, Tensor],
-            windows: Tensor,
-            goal: Tensor,
-            masks: list[Tensor],
+            weights: dict[str, Tensor], fixed: dict[str, Tensor], windows: Tensor, goal: Tensor, masks: list[Tensor]
         ) -> Tensor:
             with masks_given(masks):
-                return criterion(
-                    functional_call(self._textures[0].network, (weights, fixed), (windows,)), goal
-                )
+                return criterion(functional_call(self._textures[0].network, (weights, fixed), (windows,)), goal)
 
         self._gradients = vmap(grad_and_value(loss))
 
@@ -192,15 +167,11 @@ class _Stack:
         for texture in self._textures:
             texture.network.train()
         orders = torch.stack(
-            [
-                one.train[order_of(len(one.train), one.config.seed, epoch).to(self._device)]
-                for one in self._textures
-            ]
+            [one.train[order_of(len(one.train), one.config.seed, epoch).to(self._device)] for one in self._textures]
         )
         # Of masks on a GPU, where one generator draws a whole epoch's, as `fit` has it there.
         self._generators = [
-            torch.Generator(self._device).manual_seed(epoch_seed(one.config.seed, epoch))
-            for one in self._textures
+            torch.Generator(self._device).manual_seed(epoch_seed(one.config.seed, epoch)) for one in self._textures
         ]
         total = torch.zeros(len(self._textures), device=self._device)
         for number, batch in enumerate(orders.split(self._config.batch, dim=1)):

@@ -15,11 +15,7 @@ from foten.train.blocks import ScaledBlocks
 
 
 def card_of(
-    recording: Recording,
-    blocks: ScaledBlocks,
-    preprocess_config: PreprocessConfig,
-    texture_name: str,
-    licence: str,
+    recording: Recording, blocks: ScaledBlocks, preprocess_config: PreprocessConfig, texture_name: str, licence: str
 ) -> dict[str, Any]:
     """Return the card's entries about a recording, its preprocessing and its split."""
     trace, split = blocks.trace, blocks.split

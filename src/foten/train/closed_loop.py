@@ -75,9 +75,7 @@ class ClosedLoop:
 def free_run_distance(loop: ClosedLoop, excitation: Excitation, seed: int) -> tuple[float, float]:
     """Return how far the free run is from the validation blocks: log-spectral distance and level error [dB]."""
     rate, block = loop.blocks.trace.rate_hz, loop.blocks.trace.block
-    recorded, rendered = loop.free_runs(
-        excitation, loop.blocks.split.validation, seed, DISTANCE_STREAM, N_RUNS
-    )
+    recorded, rendered = loop.free_runs(excitation, loop.blocks.split.validation, seed, DISTANCE_STREAM, N_RUNS)
     n_segment = segment_length(block)
     frequencies, p = welch(recorded, rate, n_segment)
     _, q = welch(rendered, rate, n_segment)
@@ -89,9 +87,7 @@ def free_run_distance(loop: ClosedLoop, excitation: Excitation, seed: int) -> tu
     )
 
 
-def settle_level(
-    loop: ClosedLoop, excitation: Excitation, trained: NDArray[np.int64], seed: int
-) -> list[float]:
+def settle_level(loop: ClosedLoop, excitation: Excitation, trained: NDArray[np.int64], seed: int) -> list[float]:
     """Adjust σ until the closed loop is as loud as the recording, at every speed and force.
 
     A likelihood measures the error of one step. In the closed loop the lattice filters the excitation, and small errors
@@ -217,9 +213,7 @@ def _moving(blocks: ScaledBlocks, n: int) -> NDArray[np.bool_]:
     return np.asarray((speed >= FADE_SPEED) & (force >= FADE_FORCE))
 
 
-def _level_variance(
-    recorded: Array, runs: Array, moving: NDArray[np.bool_], rate_hz: float
-) -> tuple[float, float]:
+def _level_variance(recorded: Array, runs: Array, moving: NDArray[np.bool_], rate_hz: float) -> tuple[float, float]:
     """Return by how much more recorded levels vary about free runs' mean than free runs do, and its jackknifed standard error.
 
     The variance of the log of loudness in frames of 10 ms, under the same condition: what is loud when fast, or spiky within
@@ -239,9 +233,7 @@ def _level_variance(
     def framed(signal: NDArray[Any]) -> NDArray[Any]:
         return signal[..., : n * frame].reshape(*signal.shape[:-1], n, frame)
 
-    levels, ours = (
-        0.5 * np.log(np.square(framed(signal)).mean(axis=-1) + least) for signal in (recorded, runs)
-    )
+    levels, ours = (0.5 * np.log(np.square(framed(signal)).mean(axis=-1) + least) for signal in (recorded, runs))
     beyond = np.square(levels - ours.mean(axis=0)) - ours.var(axis=0, ddof=1) * (1 + 1 / len(ours))
     counts = framed(moving).all(axis=-1)
     total, number = np.where(counts, beyond, 0.0).sum(axis=1), counts.sum(axis=1)
@@ -258,10 +250,7 @@ def _spikier(recorded: Array, rendered: Array) -> tuple[float, float]:
         """Return log kurtosis of all, then without each block in turn."""
         second, fourth = (np.power(blocks, k).mean(axis=1) for k in (2, 4))
         n = len(blocks)
-        sums = [
-            np.concatenate([[part.sum() / n], (part.sum() - part) / max(1, n - 1)])
-            for part in (second, fourth)
-        ]
+        sums = [np.concatenate([[part.sum() / n], (part.sum() - part) / max(1, n - 1)]) for part in (second, fourth)]
         return np.log(sums[1] / np.square(sums[0]))
 
     ratio = log_kurtosis(recorded) - log_kurtosis(rendered)
@@ -272,9 +261,7 @@ def _spikier(recorded: Array, rendered: Array) -> tuple[float, float]:
 
 def _lasts_s(recorded: Array, rendered: Array, rate_hz: float) -> float:
     """Return how long the loudness stays up that recorded blocks have beyond rendered ones, (n_blocks, any) each [s]."""
-    more = np.array(
-        [_unevenness(recorded, ms, rate_hz) / _unevenness(rendered, ms, rate_hz) - 1 for ms in FRAMES_MS]
-    )
+    more = np.array([_unevenness(recorded, ms, rate_hz) / _unevenness(rendered, ms, rate_hz) - 1 for ms in FRAMES_MS])
 
     def missed(lasts_s: float) -> float:
         # What is left of the variance of an exponentially correlated loudness in the mean of a frame.

@@ -40,9 +40,7 @@ class TrainConfig:
     gain_before_filter: bool = True  # try the level before the lattice as well as after it
     tones: bool = True  # try tones of the path
     tails: bool = True  # try an excitation with heavy tails
-    volatility: bool = (
-        True  # give the excitation volatility, where the recording is spikier than the free run
-    )
+    volatility: bool = True  # give the excitation volatility, where the recording is spikier than the free run
     seed: int = 0  # of the initial weights, the order of windows and dropout
     threads: int = 2  # each takes a share of every batch; part of what makes a file reproducible
 
@@ -129,7 +127,7 @@ UNUSED: dict[str, tuple[str, ...]] = {
         "matrix_learning_rate",
         "probation",
         "least_gain",
-    ),
+    )
 }
 """Settings that are nothing to a model: the GAN's loss is what judges it."""
 

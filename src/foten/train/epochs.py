@@ -195,9 +195,7 @@ def load_progress(path: Path, config: TrainConfig, parts: Mapping[str, Stateful]
     try:
         saved = torch.load(path, weights_only=True, map_location="cpu")
     except (pickle.UnpicklingError, RuntimeError, EOFError, OSError) as error:
-        raise ValueError(
-            f"{path.name} is damaged and cannot be resumed; delete it and start again"
-        ) from error
+        raise ValueError(f"{path.name} is damaged and cannot be resumed; delete it and start again") from error
     if saved.get("config") != asdict(config):
         raise ValueError(f"{path.name} was written by a run with other settings; resume with the same ones")
     if set(saved.get("parts", ())) != set(parts):

@@ -70,9 +70,7 @@ def fit_excitation(
     errors = settle_level(loop, excitation, windows.train, config.seed)
     if config.volatility:
         fit_volatility(loop, excitation, config.seed)
-    return FittedExcitation(
-        excitation, errors, tail_gain, _likelihood_of(excitation, innovations, windows, loop)
-    )
+    return FittedExcitation(excitation, errors, tail_gain, _likelihood_of(excitation, innovations, windows, loop))
 
 
 def _likelihood_of(
@@ -125,11 +123,7 @@ def fit_scale(
         scale.out.bias.copy_(0.5 * torch.log(squared[train].mean(dim=0, keepdim=True)))
     scale.double().requires_grad_(True)
     optimiser = torch.optim.LBFGS(
-        scale.parameters(),
-        max_iter=60,
-        history_size=20,
-        line_search_fn="strong_wolfe",
-        tolerance_change=1e-7,
+        scale.parameters(), max_iter=60, history_size=20, line_search_fn="strong_wolfe", tolerance_change=1e-7
     )
 
     def closure() -> torch.Tensor:
@@ -164,10 +158,7 @@ def _likelihood(sigma: torch.Tensor, squared: torch.Tensor) -> torch.Tensor:
 
 
 def fit_tail(
-    excitation: Excitation,
-    windows: TrainingWindows,
-    residual: NDArray[np.float64],
-    sigma: NDArray[np.float64],
+    excitation: Excitation, windows: TrainingWindows, residual: NDArray[np.float64], sigma: NDArray[np.float64]
 ) -> float:
     """Give a fitted excitation the tails that its residuals have, where validation agrees.
 
@@ -195,9 +186,7 @@ def fit_tail(
     with torch.no_grad():
         tail[5] = -2.0
     powers = torch.cat([powers, torch.ones_like(powers[:, :1])], dim=1)
-    optimiser = torch.optim.LBFGS(
-        [tail, factor], max_iter=80, line_search_fn="strong_wolfe", tolerance_change=1e-7
-    )
+    optimiser = torch.optim.LBFGS([tail, factor], max_iter=80, line_search_fn="strong_wolfe", tolerance_change=1e-7)
 
     def nll(part: slice) -> torch.Tensor:
         h = HEAVIEST_TAIL * torch.sigmoid(powers[part] @ tail)

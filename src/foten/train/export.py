@@ -147,8 +147,7 @@ def pick_warm_start(blocks: ScaledBlocks, m: int) -> tuple[Array, dict[str, Any]
     trace, scaling = blocks.trace, blocks.scaling
     ends, _ = blocks.targets(m)
     distance = np.hypot(
-        (trace.speed[ends - 1] - WARM_START[0]) / scaling.sd[1],
-        (trace.force[ends - 1] - WARM_START[1]) / scaling.sd[2],
+        (trace.speed[ends - 1] - WARM_START[0]) / scaling.sd[1], (trace.force[ends - 1] - WARM_START[1]) / scaling.sd[2]
     )
     near = ends[np.argsort(distance, kind="stable")[: max(1, len(ends) // WARM_START_NEAR)]]
     candidates = windows(blocks.flat, near, m)
@@ -204,10 +203,6 @@ def multiply_adds(network: nn.Module, m: int) -> int:
     # Without oneDNN, whose recurrent layers are one operation that nobody counts; and without what it says of other processors.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        with (
-            torch.no_grad(),
-            torch.backends.mkldnn.flags(enabled=False),
-            FlopCounterMode(display=False) as counter,
-        ):
+        with torch.no_grad(), torch.backends.mkldnn.flags(enabled=False), FlopCounterMode(display=False) as counter:
             copy.deepcopy(network).cpu().float().eval().requires_grad_(False)(torch.zeros(1, m, 3))
     return int(counter.get_total_flops()) // 2

@@ -176,9 +176,7 @@ def masks_of(seed: int, device: torch.device) -> torch.Generator | None:
     return torch.Generator().manual_seed(seed % 2**63) if device.type == "cpu" else None
 
 
-def predict(
-    network: nn.Module, data: TrainingWindows, n: NDArray[np.int64], batch: int = 4096
-) -> NDArray[np.float64]:
+def predict(network: nn.Module, data: TrainingWindows, n: NDArray[np.int64], batch: int = 4096) -> NDArray[np.float64]:
     """Return a network's predictions of the samples n, shape (k,), scaled: of several at once the first."""
     device = next(network.parameters()).device
     network.eval()

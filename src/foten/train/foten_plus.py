@@ -117,9 +117,7 @@ class FotenPlusTask(NetworkTask):
         distance = free_run_distance(loop, fitted.excitation, config.seed)
         return Rendering(part, fitted, distance, with_network=True)
 
-    def _texture(
-        self, chosen: Rendering, mae: float, epochs: dict[str, Any], renderings: dict[str, Any]
-    ) -> Texture:
+    def _texture(self, chosen: Rendering, mae: float, epochs: dict[str, Any], renderings: dict[str, Any]) -> Texture:
         network = self.network
         assert isinstance(network, Corrector)
         weights = tensors_of(network, "network.")
@@ -165,19 +163,11 @@ def prepare_foten_plus(job: TrainingJob, on_stage: Stage) -> FotenPlusTask:
     chosen, tried = _chosen(renderings)
     windows = _innovations(chosen.part, blocks)
     return FotenPlusTask(
-        job=job,
-        blocks=blocks,
-        network=network.to(device),
-        windows=windows,
-        draft=draft,
-        plain=chosen,
-        tried=tried,
+        job=job, blocks=blocks, network=network.to(device), windows=windows, draft=draft, plain=chosen, tried=tried
     )
 
 
-def _rendering(
-    part: LinearPart, network: Corrector, draft: Draft, blocks: ScaledBlocks, job: TrainingJob
-) -> Rendering:
+def _rendering(part: LinearPart, network: Corrector, draft: Draft, blocks: ScaledBlocks, job: TrainingJob) -> Rendering:
     """Return a linear part with an excitation."""
     windows = _innovations(part, blocks, residual=True)
     assert windows.target is not None
@@ -209,8 +199,7 @@ def _chosen(renderings: list[Rendering]) -> tuple[Rendering, dict[str, Any]]:
 
     allowed = TONES_MAY_DISTORT * renderings[0].distance[0]
     best = min(
-        (one for one in renderings if one is renderings[0] or one.distance[0] <= allowed),
-        key=lambda one: one.nearness,
+        (one for one in renderings if one is renderings[0] or one.distance[0] <= allowed), key=lambda one: one.nearness
     )
     rejected = [report(one) for one in renderings if one is not best]
     return best, {**report(best), **({"rejected": rejected} if rejected else {})}
@@ -232,9 +221,7 @@ def _linear_mae(windows: TrainingWindows) -> float:
     return float(np.abs(windows.target[n] * windows.unit[n]).mean())
 
 
-def _check_twin(
-    network: Corrector, sizes: FotenPlusSizes, weights: Tensors, windows: TrainingWindows
-) -> None:
+def _check_twin(network: Corrector, sizes: FotenPlusSizes, weights: Tensors, windows: TrainingWindows) -> None:
     """Check that the network in PyTorch and its reference give the same, in float64."""
     n = windows.validation[:: max(1, len(windows.validation) // 8)]
     some = windows.samples[n[:, None] + np.arange(-windows.window, 0)]

@@ -23,9 +23,7 @@ _LEAST_SD = np.array([1.0, 0.01])  # mm/s and N; models all at one force still h
 _SETTLING = 4096  # samples of an impulse response that a level is told from
 
 
-LICENCE = (
-    "as of the model file; Penn's toolkit: non-profit research, no distribution, see the notice in the file"
-)
+LICENCE = "as of the model file; Penn's toolkit: non-profit research, no distribution, see the notice in the file"
 
 
 def texture_of(
@@ -50,17 +48,12 @@ def texture_of(
     decisions = []
     for what, coefficients in (("AR", models.ar), ("MA", models.ma)):
         if coefficients.shape[1] - 1 > HIGHEST_ORDER:
-            raise ValueError(
-                f"the {what} order is {coefficients.shape[1] - 1}, expected at most {HIGHEST_ORDER}"
-            )
+            raise ValueError(f"the {what} order is {coefficients.shape[1] - 1}, expected at most {HIGHEST_ORDER}")
     reflected = [_reflected(row) for row in models.ma]
     gain = models.gain * np.array([size for _, size in reflected])
     ar = np.array([_pulled_in(row) for row in models.ar])
     ma = np.array([_pulled_in(row) for row, _ in reflected])
-    for what, before, after in (
-        ("pole", models.ar, ar),
-        ("zero", models.ma, ma),
-    ):
+    for what, before, after in (("pole", models.ar, ar), ("zero", models.ma, ma)):
         n_moved = int((before != after).any(axis=1).sum())
         if n_moved:
             decisions.append(
@@ -78,9 +71,7 @@ def texture_of(
     scaling = Scaling(mean=(0.0, float(speed), float(force)), sd=(sd, float(speed_sd), float(force_sd)))
     used, triangles = np.unique(models.triangles, return_inverse=True)
     if used.size < len(ar):
-        decisions.append(
-            f"{len(ar) - used.size} of {len(ar)} models are a corner of no triangle and were left out"
-        )
+        decisions.append(f"{len(ar) - used.size} of {len(ar)} models are a corner of no triangle and were left out")
     local = LocalModels(
         models.points[used],
         lsf[used],

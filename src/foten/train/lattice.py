@@ -251,11 +251,7 @@ def _covariances(n_speed: int, n_force: int) -> list[NDArray[Any]]:
     speed, force = alike(n_speed), alike(n_force)
     if n_speed * n_force == 1:
         return []
-    return [
-        np.kron(speed, np.ones_like(force)),
-        np.kron(np.ones_like(speed), force),
-        np.kron(speed, force),
-    ]
+    return [np.kron(speed, np.ones_like(force)), np.kron(np.ones_like(speed), force), np.kron(speed, force)]
 
 
 def _shrunk(information: Array, score: Array, parts: list[NDArray[Any]]) -> NDArray[Any]:

@@ -169,9 +169,7 @@ def fit_linear_parts(
     # Of what the tones leave when the phase is known as well as it can be.
     without = acceleration - (played(data, tones.table, tones.phase) * data.unit).ravel()
     residual_level, residual_data = levelled(without)
-    fitted, tried_for_residual = fit_lattice(
-        residual_data, max_order, config.table, config.gain_before_filter
-    )
+    fitted, tried_for_residual = fit_lattice(residual_data, max_order, config.table, config.gain_before_filter)
     report = {
         "lattices": tried,
         "lattices_of_the_residual": tried_for_residual,
@@ -183,11 +181,7 @@ def fit_linear_parts(
 
 
 def _with_tones(
-    plain: LinearPart,
-    tones: FittedTones,
-    residual: _FittedLattice,
-    rate_hz: float,
-    report: dict[str, Any],
+    plain: LinearPart, tones: FittedTones, residual: _FittedLattice, rate_hz: float, report: dict[str, Any]
 ) -> LinearPart:
     order, n_speed, n_force = residual.counts
     sizes = replace(

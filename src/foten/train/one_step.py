@@ -18,15 +18,7 @@ from foten.runtime.onnx_predictor import GRAPH
 from foten.train.closed_loop import ClosedLoop, free_run_distance
 from foten.train.epochs import Progress
 from foten.train.excitation import fit_excitation
-from foten.train.export import (
-    N_GOLDEN,
-    Draft,
-    Tensors,
-    graph_of,
-    in_float64,
-    multiply_adds,
-    tensors_of,
-)
+from foten.train.export import N_GOLDEN, Draft, Tensors, graph_of, in_float64, multiply_adds, tensors_of
 from foten.train.fit import TrainingWindows, pick_device, predict
 from foten.train.foten_plus import check_block
 from foten.train.job import TrainingJob
@@ -64,9 +56,7 @@ class OneStepTask(NetworkTask):
         on_stage("proving the texture file")
         return draft.texture(sizes, tensors, metrics, N_GOLDEN).texture
 
-    def _excitation(
-        self, draft: Draft, tensors: Tensors, windows: TrainingWindows, metrics: dict[str, Any]
-    ) -> Tensors:
+    def _excitation(self, draft: Draft, tensors: Tensors, windows: TrainingWindows, metrics: dict[str, Any]) -> Tensors:
         """Return the tensors of an excitation, that of foten-plus, and add to the metrics what came of it."""
         sizes, config = self.job.sizes, self.job.config
         assert isinstance(sizes, WithExcitation)

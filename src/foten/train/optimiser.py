@@ -11,9 +11,7 @@ from torch import Tensor, nn
 from foten.train.config import TrainConfig
 
 MOMENTUM = 0.95
-LEAST_SIDE = (
-    4  # a matrix is wider and taller than that: of what is narrower little is left by orthogonalisation
-)
+LEAST_SIDE = 4  # a matrix is wider and taller than that: of what is narrower little is left by orthogonalisation
 _COEFFICIENTS = 3.4445, -4.7750, 2.0315  # of the quintic that pushes singular values towards 1
 _STEPS = 5
 
@@ -32,9 +30,7 @@ class Optimiser:
     for the paper's recipe Adam, Sec. IV-e.
     """
 
-    def __init__(
-        self, parameters: Mapping[str, nn.Parameter], config: TrainConfig, stacked: bool = False
-    ) -> None:
+    def __init__(self, parameters: Mapping[str, nn.Parameter], config: TrainConfig, stacked: bool = False) -> None:
         self._config = config
         self._matrices = {
             name: one
@@ -43,9 +39,7 @@ class Optimiser:
         }
         self._momentum = {name: torch.zeros_like(one) for name, one in self._matrices.items()}
         others = [one for name, one in parameters.items() if name not in self._matrices]
-        self._adam = torch.optim.AdamW(
-            others, lr=config.learning_rate, weight_decay=config.weight_decay, fused=True
-        )
+        self._adam = torch.optim.AdamW(others, lr=config.learning_rate, weight_decay=config.weight_decay, fused=True)
 
     def step(self, rate: float) -> None:
         """Take a step with the gradients that there are, at a share of the highest learning rates."""
@@ -71,8 +65,7 @@ class Optimiser:
         new = [one for group in other._adam.param_groups for one in group["params"]]
         for before, after in zip(old, new, strict=True):
             other._adam.state[after] = {
-                key: value if key == "step" else value[kept]
-                for key, value in self._adam.state[before].items()
+                key: value if key == "step" else value[kept] for key, value in self._adam.state[before].items()
             }
         return other
 

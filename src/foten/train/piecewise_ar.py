@@ -28,9 +28,7 @@ Array = NDArray[np.float64]
 ORDERS = (4, 6, 8, 10, 12, 14, 16, 18, 20)  # tried for all models of a texture alike
 GRID_S, LONGEST_S = 0.05, 1.0  # between places that a cut is tried at; of a piece, over which a hand changes
 LEAST_SAMPLES = 100  # of a piece that is fitted
-LEAST_POWER = (
-    1e-6  # of a piece, as a share of that of the training blocks: a sensor that dropped out is no texture
-)
+LEAST_POWER = 1e-6  # of a piece, as a share of that of the training blocks: a sensor that dropped out is no texture
 LEAST_LEFT = 1e-9  # of a piece by its filter, as a share: one that hung, or a tone that somebody fed in
 SAME = 0.02  # standard deviations between models that are one
 _GRID = 50  # samples between places, at the least

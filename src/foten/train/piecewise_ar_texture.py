@@ -172,7 +172,5 @@ class _Filter:
         for z in noise:
             e.append(self.root * z)
             driven = sum(b * value for b, value in zip(self.b, reversed(e), strict=False))
-            y.append(
-                self.gain * driven - sum(a * value for a, value in zip(self.a[1:], reversed(y), strict=False))
-            )
+            y.append(self.gain * driven - sum(a * value for a, value in zip(self.a[1:], reversed(y), strict=False)))
         return np.array(y[-noise.size :])

@@ -97,9 +97,7 @@ def train_batched(jobs: Sequence[TrainingJob]) -> list[Trained | Exception]:
             for (k, task), progress in zip(alike.items(), fitted, strict=True):
                 try:
                     done[k] = (
-                        progress
-                        if isinstance(progress, ValueError)
-                        else _trained(task, progress, lambda stage: None)
+                        progress if isinstance(progress, ValueError) else _trained(task, progress, lambda stage: None)
                     )
                 except Exception as error:
                     done[k] = error

@@ -10,14 +10,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from foten.atomic_write import atomic_write, reason
 from foten.train.epochs import Epoch, write_log
@@ -66,9 +59,7 @@ class RunFolder:
         elif not self.checkpoint.exists():
             raise ValueError(f"nothing to resume: {self.checkpoint} does not exist")
         elif (self.path / "config.json").read_text() != self._config:
-            raise ValueError(
-                f"{self.path} was trained with other settings, see its config.json; resume with the same"
-            )
+            raise ValueError(f"{self.path} was trained with other settings, see its config.json; resume with the same")
 
     def log(self, epoch: Epoch) -> None:
         """Add one line to the log on disk.
@@ -130,17 +121,13 @@ def _draw_curves(path: Path, trained: Trained) -> None:
     loss, error = figure.subplots(1, 2)
     numbers = [line.epoch for line in epochs]
     loss.plot(numbers, [line.train_loss for line in epochs], "o-", ms=3, color="#0072B2", label="training")
-    loss.plot(
-        numbers, [line.validation_loss for line in epochs], "s-", ms=3, color="#D55E00", label="validation"
-    )
+    loss.plot(numbers, [line.validation_loss for line in epochs], "s-", ms=3, color="#D55E00", label="validation")
     loss.set(xlabel="epoch", ylabel="loss of spectra" if of_spectra else "one-step loss, weighted")
     known = [value for line in epochs for value in (line.train_loss, line.validation_loss) if value > 0]
     # Within a factor of three a logarithmic axis has no ticks to read.
     if max(known) > 3 * min(known):
         loss.set_yscale("log")
-    error.plot(
-        numbers, [line.validation_mae for line in epochs], "s-", ms=3, color="#D55E00", label="network"
-    )
+    error.plot(numbers, [line.validation_mae for line in epochs], "s-", ms=3, color="#D55E00", label="network")
     if linear_mae is not None:
         error.axhline(linear_mae, ls="--", color="#009E73", label="without the network")
     what = "validation error of spectra [nat]" if of_spectra else "one-step validation error, scaled"

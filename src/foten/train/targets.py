@@ -54,9 +54,7 @@ def log_spectra(windows: TrainingWindows, blocks: ScaledBlocks) -> TrainingWindo
         for i in range(0, len(n), _AT_ONCE):
             some = n[i : i + _AT_ONCE]
             around = torch.from_numpy(some % block - m // 2)[:, None] + torch.arange(m)
-            target[some] = log_magnitudes(
-                acceleration[torch.from_numpy(some // block)[:, None], around]
-            ).numpy()
+            target[some] = log_magnitudes(acceleration[torch.from_numpy(some // block)[:, None], around]).numpy()
     return replace(windows, train=train, validation=validation, target=target)
 
 

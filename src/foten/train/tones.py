@@ -17,7 +17,9 @@ Array = NDArray[np.float64]
 
 SHORTEST_MM = 0.2
 LEAST_PERIODS = 3.0  # in a stretch: so many of a window's own lobes lie at the lowest spatial frequencies
-STANDS_OUT = 3.0  # times its surroundings, for a wavelength to be tried; irregular cloth has 4, surfaces without one 1.3
+STANDS_OUT = (
+    3.0  # times its surroundings, for a wavelength to be tried; irregular cloth has 4, surfaces without one 1.3
+)
 TWICE_CHANCE = 2.0  # the largest that noise would reach
 OF_THE_PATH = 1.2  # times what stands out over time: a hum at a steady speed repeats over both
 MAX_TONES = 6
@@ -61,15 +63,12 @@ def wavelength(data: LatticeData, rate_hz: float) -> float | None:
             for power, way in zip(powers, (travelled, usual_speed * elapsed), strict=True):
                 power += np.abs(np.exp(-2j * np.pi * cycles[:, None] * way) @ windowed) ** 2 / total
     ratio, over_time = (
-        power / np.array([np.median(power[max(0, i - 20) : i + 21]) for i in range(len(cycles))])
-        for power in powers
+        power / np.array([np.median(power[max(0, i - 20) : i + 21]) for i in range(len(cycles))]) for power in powers
     )
     # At either end all surroundings lie on one side, and a slope stands out.
     power_over_path = powers[0]
     line = (
-        np.flatnonzero(
-            (power_over_path[1:-1] > power_over_path[:-2]) & (power_over_path[1:-1] >= power_over_path[2:])
-        )
+        np.flatnonzero((power_over_path[1:-1] > power_over_path[:-2]) & (power_over_path[1:-1] >= power_over_path[2:]))
         + 1
     )
     ratio[np.setdiff1d(np.arange(len(ratio)), line)] = 0.0

@@ -22,11 +22,7 @@ COLOURS = {
     "free_run_ar": "#1a9c72",
     "ceiling": "#b77ab0",
 }
-STYLES = {
-    "free_run_deterministic": (0, (4, 2)),
-    "free_run_ar": (0, (6, 1.5, 1.5, 1.5)),
-    "ceiling": (0, (1.5, 1.5)),
-}
+STYLES = {"free_run_deterministic": (0, (4, 2)), "free_run_ar": (0, (6, 1.5, 1.5, 1.5)), "ceiling": (0, (1.5, 1.5))}
 
 
 def new_figure(width: float, height: float, **options: Any) -> tuple[Figure, Any]:

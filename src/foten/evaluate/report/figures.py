@@ -32,9 +32,7 @@ def waveform(judgement: Judgement) -> Figure:
     for name in (shown_run(judgement), "free_run_ar"):
         if name is not None and name in judgement.synthesized:
             rows[name] = judgement.synthesized[name][0, block, part][:N_WAVEFORM]
-    figure, panels = new_figure(
-        9.6, 0.55 + 1.15 * len(rows), nrows=len(rows), sharex=True, sharey=True, squeeze=False
-    )
+    figure, panels = new_figure(9.6, 0.55 + 1.15 * len(rows), nrows=len(rows), sharex=True, sharey=True, squeeze=False)
     times = np.arange(len(rows["recorded"])) / judgement.trace.rate_hz * 1000
     for axes, (name, samples) in zip(panels[:, 0], rows.items(), strict=True):
         axes.plot(times, samples, color=COLOURS[name], linewidth=1.0)
@@ -97,9 +95,7 @@ def bands(judgement: Judgement) -> Figure | None:
     axes.axhline(0, color=INK, linewidth=0.8)
     for i, error in enumerate(next(iter(shown.values()))):
         if error is None:
-            axes.text(
-                i, 0, " no bin", rotation=90, ha="center", va="bottom", fontsize=8, color=INK, alpha=0.6
-            )
+            axes.text(i, 0, " no bin", rotation=90, ha="center", va="bottom", fontsize=8, color=INK, alpha=0.6)
     edges = metrics.band_edges(judgement.trace.rate_hz)
     axes.set_xticks(np.arange(len(edges)) - 0.5, [f"{edge:.0f}" for edge in edges])
     axes.tick_params(axis="x", labelsize=8)

@@ -41,16 +41,13 @@ def over_time(judgement: Judgement) -> Figure:
     )
     _draw_spectrograms(panels[:n], pictured, rate_hz, borders)
     style_colorbar(
-        figure.colorbar(panels[0].images[0], ax=list(panels[:n]), pad=0.01, aspect=15 * n),
-        "dB re 1 (m/s²)²/Hz",
+        figure.colorbar(panels[0].images[0], ax=list(panels[:n]), pad=0.01, aspect=15 * n), "dB re 1 (m/s²)²/Hz"
     )
     lines = {"recorded": recorded[None]} | {key: runs[key] for key in (name, "free_run_ar") if key in runs}
     _draw_levels(panels[n], lines, rate_hz, borders, float(np.sqrt(np.square(every).mean())))
     times = _with_gaps(borders[:-1, None] + np.arange(recorded.shape[1]) / rate_hz)
     step = max(1, len(times) // 4000)
-    for axes, channel, label in zip(
-        panels[n + 1 :], (speed, force), ("speed\n[mm/s]", "force\n[N]"), strict=True
-    ):
+    for axes, channel, label in zip(panels[n + 1 :], (speed, force), ("speed\n[mm/s]", "force\n[N]"), strict=True):
         axes.plot(times[::step], _with_gaps(channel)[::step], color=INK, linewidth=1.1)
         axes.set_ylabel(label)
         axes.margins(y=0.15)
@@ -95,9 +92,7 @@ def _draw_spectrograms(panels: Any, signals: Mapping[str, Array], rate_hz: float
             axes.axvline(border, color="white", linewidth=1.2)
 
 
-def _draw_levels(
-    axes: Any, signals: Mapping[str, Array], rate_hz: float, borders: Array, reference: float
-) -> None:
+def _draw_levels(axes: Any, signals: Mapping[str, Array], rate_hz: float, borders: Array, reference: float) -> None:
     """Draw the frame levels of each signal (n_seeds, n_blocks, n), and the range of the seeds of the texture's run."""
     frame_s = max(1, round(metrics.FRAME_MS * rate_hz / 1000)) / rate_hz
     for key, samples in signals.items():
@@ -129,17 +124,13 @@ def _spectrogram(blocks: Array, rate_hz: float) -> tuple[tuple[float, float], Ar
     from scipy import signal
 
     n = blocks.shape[1]
-    n_segment = min(
-        2 ** round(math.log2(max(16.0, _SPECTROGRAM_MS * rate_hz / 1000))), 2 ** int(math.log2(n // 4))
-    )
+    n_segment = min(2 ** round(math.log2(max(16.0, _SPECTROGRAM_MS * rate_hz / 1000))), 2 ** int(math.log2(n // 4)))
     hop = max(n_segment // 8, -(-blocks.size // _SPECTROGRAM_COLUMNS))
     padded = np.pad(blocks, ((0, 0), (n_segment // 2, n_segment // 2 + n % 2)), mode="reflect")
     starts = np.arange(0, n, hop)
     windows = np.lib.stride_tricks.sliding_window_view(padded, n_segment, axis=1)[:, starts]
     taper = signal.get_window("hann", n_segment)
-    density = (
-        np.square(np.abs(np.fft.rfft(windows * taper, axis=-1))) * 2 / (rate_hz * np.square(taper).sum())
-    )
+    density = np.square(np.abs(np.fft.rfft(windows * taper, axis=-1))) * 2 / (rate_hz * np.square(taper).sum())
     frequencies = np.fft.rfftfreq(n_segment, 1 / rate_hz)
     kept = frequencies <= min(metrics.HIGHEST_HZ, 0.45 * rate_hz)
     decibels = 10 * np.log10(np.maximum(density[..., kept], 1e-30)).reshape(-1, int(kept.sum())).T

@@ -80,9 +80,7 @@ def _header(document: Mapping[str, Any], texture: Texture, name: str) -> str:
         "texture file": document["texture_sha256"][:10],
         "recording": document["recording_sha256"][:10],
     }
-    items = "".join(
-        f"<div><dt>{key}</dt><dd>{html.escape(str(value))}</dd></div>" for key, value in facts.items()
-    )
+    items = "".join(f"<div><dt>{key}</dt><dd>{html.escape(str(value))}</dd></div>" for key, value in facts.items())
     return f"<header><p class=kicker>foten evaluate</p><h1>{html.escape(name)}</h1><dl>{items}</dl></header>"
 
 
@@ -167,7 +165,9 @@ def _figures_section(judgement: Judgement, texture: Texture) -> str:
     }
     pair = "".join(parts.pop(name) for name in ("bands", "conditions") if name in parts)
     time = parts.pop("time")
-    return f'<section id="figures"><h2>Figures</h2>{"".join(parts.values())}<div class="pair">{pair}</div>{time}</section>'
+    return (
+        f'<section id="figures"><h2>Figures</h2>{"".join(parts.values())}<div class="pair">{pair}</div>{time}</section>'
+    )
 
 
 def _raw_section(document: Mapping[str, Any], texture: Texture) -> str:

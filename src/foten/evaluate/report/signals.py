@@ -25,9 +25,7 @@ LABELS = {
 
 def shown_run(judgement: Judgement) -> str | None:
     """Return the key of the run that stands for the texture: with excitation where there is one; None without any."""
-    return next(
-        (name for name in ("free_run", "free_run_deterministic") if name in judgement.synthesized), None
-    )
+    return next((name for name in ("free_run", "free_run_deterministic") if name in judgement.synthesized), None)
 
 
 def scored_channels(judgement: Judgement) -> tuple[Array, Array, Array]:

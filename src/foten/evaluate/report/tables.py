@@ -11,10 +11,7 @@ from foten.evaluate.report.signals import LABELS
 from foten.evaluate.report.wording import ar_name, minus, reason, signed
 
 REFERENCES = {
-    "lattice": (
-        "the model without its network",
-        "the lattice; what the network adds is the difference to it",
-    ),
+    "lattice": ("the model without its network", "the lattice; what the network adds is the difference to it"),
     "ar": ("AR(20)", "linear, least squares on the training blocks"),
     "ar_scheduled": ("AR(20) following speed and force", "each coefficient affine in speed and force"),
     "ar_best": ("best AR", "order and scheduling chosen on the validation blocks"),
@@ -57,12 +54,7 @@ FREE_RUN_FIGURES = {
         "mean level difference in frames of 40 ms: too loud (+) or too soft (−)",
     ),
     "level_error_db": ("level error", "dB", "lower", "mean absolute level difference of the same frames"),
-    "level_corr": (
-        "level correlation",
-        "−1 to 1",
-        "higher",
-        "whether the level rises and falls with the recording's",
-    ),
+    "level_corr": ("level correlation", "−1 to 1", "higher", "whether the level rises and falls with the recording's"),
     "kurtosis": ("kurtosis", "", "nearer recorded", "3 for a Gaussian, more for a spiky vibration"),
     "max_sd": (
         "largest sample",
@@ -121,9 +113,7 @@ def one_step_section(document: Mapping[str, Any]) -> str:
     rows |= {f"references.{k}": (*REFERENCES[k], references[k]) for k in REFERENCES if k in references}
     errors = [row["mae_scaled"] for *_, row in rows.values() if row["mae_scaled"] is not None]
     largest = max(errors, default=1.0) or 1.0
-    body = "".join(
-        _one_step_row(document, cells, key, *named, largest=largest) for key, named in rows.items()
-    )
+    body = "".join(_one_step_row(document, cells, key, *named, largest=largest) for key, named in rows.items())
     return (
         '<section id="one-step"><h2>One step</h2><p>Predicts each sample from recorded history. Errors are mean '
         f"absolute errors; 1 sd is {document['sd_m_s2']:.4g} m/s². The first {document['first_scored']} samples of each "
@@ -136,13 +126,7 @@ def one_step_section(document: Mapping[str, Any]) -> str:
 
 
 def _one_step_row(
-    document: Mapping[str, Any],
-    cells: _Cells,
-    key: str,
-    name: str,
-    what: str,
-    row: Mapping[str, Any],
-    largest: float,
+    document: Mapping[str, Any], cells: _Cells, key: str, name: str, what: str, row: Mapping[str, Any], largest: float
 ) -> str:
     if key == "references.ar_best" and row.get("order") is not None:
         name += f": {ar_name(row)}"
@@ -199,8 +183,7 @@ def free_run_section(document: Mapping[str, Any]) -> str:
         "ceiling": document["ceiling"].get("of") or "not known",
     }
     titles = "".join(
-        f"<th>{html.escape(LABELS[run])}<small>{html.escape(head)}</small></th>"
-        for run, head in heads.items()
+        f"<th>{html.escape(LABELS[run])}<small>{html.escape(head)}</small></th>" for run, head in heads.items()
     )
     return (
         '<section id="free-run"><h2>Free run</h2><p>Synthesized under the recorded speed and force, its own output as '

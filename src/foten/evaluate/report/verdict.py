@@ -86,9 +86,7 @@ def _compared(error: float, reference: float, name: str) -> tuple[str, str]:
     change = 100 * (error / reference - 1) if reference > 0 else 0.0
     if abs(change) < 1:
         return "even", f"within 1 % of {name}"
-    return (
-        ("good", f"{-change:.0f} % below {name}") if change < 0 else ("bad", f"{change:.0f} % above {name}")
-    )
+    return ("good", f"{-change:.0f} % below {name}") if change < 0 else ("bad", f"{change:.0f} % above {name}")
 
 
 def _free_run(document: Mapping[str, Any]) -> Iterator[Finding]:
@@ -127,9 +125,7 @@ def _spectrum(document: Mapping[str, Any], key: str) -> Finding:
 def _level(run: Mapping[str, Any]) -> Finding:
     bias, error = run["level_bias_db"], run["level_error_db"]
     tone = "good" if abs(bias) <= 1 else "even" if abs(bias) <= 3 else "bad"
-    side = (
-        "right on average" if abs(bias) < 0.05 else f"{abs(bias):.1f} dB too {'high' if bias > 0 else 'low'}"
-    )
+    side = "right on average" if abs(bias) < 0.05 else f"{abs(bias):.1f} dB too {'high' if bias > 0 else 'low'}"
     # Levels below −30 dB count as −30 dB, and a hand pauses: of a silent run the bias alone is too small.
     silent = " It all but falls silent." if bias < -10 and run["lsd_db"] > 20 else ""
     return Finding(

@@ -20,10 +20,7 @@ SHORTEST_LOSS_S = 0.005  # a shorter loss of contact is noise of the force senso
 HAND_HZ = 20.0  # a hand's movement holds nothing above; the low-pass of Sec. V-b
 TRAINING_HZ = PreprocessConfig().rate_hz  # at which training synchronises speed and force
 CELL_MM_S, CELL_N = 25.0, 0.5  # of the coverage
-USUAL_MM_S, USUAL_N = (
-    300.0,
-    5.0,
-)  # largest speed and force in use; the coverage is larger where the recording is
+USUAL_MM_S, USUAL_N = (300.0, 5.0)  # largest speed and force in use; the coverage is larger where the recording is
 
 Array = NDArray[np.float64]
 

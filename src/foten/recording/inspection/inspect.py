@@ -5,14 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from foten.recording.inspection.amplitude import check_clipping, check_spikes, check_units
-from foten.recording.inspection.hand import (
-    Hand,
-    check_contact,
-    check_ranges,
-    check_signs,
-    coverage_of,
-    hand_in,
-)
+from foten.recording.inspection.hand import Hand, check_contact, check_ranges, check_signs, coverage_of, hand_in
 from foten.recording.inspection.noise import check_noise, noise_floor
 from foten.recording.inspection.order import check_order
 from foten.recording.inspection.sampling import check_durations, check_gaps, check_missing, check_repeats

@@ -39,11 +39,7 @@ def noise_floor(name: str, channel: Channel, hand: Hand | None) -> tuple[float, 
         starts = times_of(channel)[:: frames.shape[1]][: levels.size]
         still = hand.still.astype(np.float64)
         quiet = np.all(
-            [
-                np.interp(starts + late, hand.times_s, still, left=0, right=0) == 1
-                for late in (0, FRAME_S / 2)
-            ],
-            axis=0,
+            [np.interp(starts + late, hand.times_s, still, left=0, right=0) == 1 for late in (0, FRAME_S / 2)], axis=0
         )
         if quiet.sum() >= 4:
             return float(np.median(levels[quiet])), "rest"

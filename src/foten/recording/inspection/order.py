@@ -25,11 +25,7 @@ def check_order(recording: Recording) -> Iterable[Finding]:
         for name, channel in recording.channels.items()
         if not name.startswith("acceleration") and channel.samples.size >= 100
     }
-    many = {
-        name: at
-        for name, (at, _, _) in jumps.items()
-        if at.size >= max(10, 0.001 * recording[name].samples.size)
-    }
+    many = {name: at for name, (at, _, _) in jumps.items() if at.size >= max(10, 0.001 * recording[name].samples.size)}
     for name, (at, least, size) in jumps.items():
         channel = recording[name]
         correlation = _neighbour_correlation(name, channel)
@@ -60,9 +56,7 @@ def check_order(recording: Recording) -> Iterable[Finding]:
             f"neighbours, where a hand moves smoothly, typically {np.median(np.diff(at)):.0f} samples apart"
         )
         if piece:
-            text += (
-                f", nearly all at multiples of {piece} samples, as if pieces of {piece} rows were shuffled"
-            )
+            text += f", nearly all at multiples of {piece} samples, as if pieces of {piece} rows were shuffled"
         if shared:
             text += f"; {np.isin(at, many[shared[0]]).mean():.0%} of them at the same rows as in {shared[0]}"
         yield Finding(PROBLEM, "order", name, text, places(channel, at))

@@ -170,8 +170,6 @@ def write_pictures(recording: Recording, inspection: Inspection, folder: Path) -
     for name, figure in drawn.items():
         if figure is not None:
             with atomic_write(folder / name) as part:
-                figure.savefig(
-                    part, format="png", metadata={"Software": None, "Source": inspection.recording_sha256}
-                )
+                figure.savefig(part, format="png", metadata={"Software": None, "Source": inspection.recording_sha256})
             written.append(folder / name)
     return written

@@ -128,14 +128,10 @@ class DaqSink:
                 self.failed = self.failed or OSError(f"the NI-DAQ ended badly: {_first_line(error)}")
         try:
             with self._library.Task("foten-still") as still:
-                still.ao_channels.add_ao_voltage_chan(
-                    self._channel, min_val=-self._limit, max_val=self._limit
-                )
+                still.ao_channels.add_ao_voltage_chan(self._channel, min_val=-self._limit, max_val=self._limit)
                 still.write(0.0)
         except errors.Error as error:  # worse than whatever it died of before
-            self.failed = OSError(
-                f"the NI-DAQ may not be at 0 V, switch the amplifier off: {_first_line(error)}"
-            )
+            self.failed = OSError(f"the NI-DAQ may not be at 0 V, switch the amplifier off: {_first_line(error)}")
 
 
 def _first_line(error: Exception) -> str:

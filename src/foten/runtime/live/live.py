@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from foten.runtime.live.ring import Ring
 
-BLOCK_MS = (
-    2.0  # rendered at once: a hand is looked at in every sample of the texture's rate, but set between blocks
-)
+BLOCK_MS = 2.0  # rendered at once: a hand is looked at in every sample of the texture's rate, but set between blocks
 LEAD_MS = 10.0  # rendered ahead of what is played: what the hand waits, and what a busy machine may take
-SWITCH_S = 0.0005  # how long another thread of Python keeps its lock while one renders live; 5 ms are usual, and too long
+SWITCH_S = (
+    0.0005  # how long another thread of Python keeps its lock while one renders live; 5 ms are usual, and too long
+)
 _BINS = np.concatenate([[0.0], np.geomspace(1e-7, 1.0, 701)])  # s; 2.3 % apart
 
 
@@ -126,9 +126,7 @@ class Live:
         lead_ms: float = LEAD_MS,
     ) -> None:
         if not 0 < block_ms <= lead_ms <= 1000:
-            raise ValueError(
-                f"blocks of {block_ms} ms and a lead of {lead_ms} ms, expected 0 < block ≤ lead ≤ 1000 ms"
-            )
+            raise ValueError(f"blocks of {block_ms} ms and a lead of {lead_ms} ms, expected 0 < block ≤ lead ≤ 1000 ms")
         self._render, self._sink = render, sink
         rate = sink.rate_hz
         self._block = np.zeros(max(1, round(block_ms * rate / 1000)), dtype=np.float32)

@@ -37,9 +37,7 @@ class OscSink(Paced):
     Source: Open Sound Control 1.0; types `ifb`, big-endian, padded to four bytes.
     """
 
-    def __init__(
-        self, host: str, port: int, rate_hz: float, address: str = "/foten", ratio: float = 1.0
-    ) -> None:
+    def __init__(self, host: str, port: int, rate_hz: float, address: str = "/foten", ratio: float = 1.0) -> None:
         super().__init__(rate_hz, ratio=ratio)
         if not address.startswith("/") or not address.isascii():
             raise ValueError(f"the OSC address is {address!r}, expected one that begins with /")

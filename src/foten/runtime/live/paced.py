@@ -110,12 +110,8 @@ class WavSink(Paced):
             raise FileNotFoundError(f"no such folder: {path.parent}")
         self.most = min(_LARGEST_WAV // 4, _LARGEST_WAV if n is None else n)
         if n is not None and n > self.most:
-            raise ValueError(
-                f"{n / rate_hz:.0f} s at {rate_hz:g} Hz are more than a WAV file holds, 4 GB; play fewer"
-            )
-        self._about = json.dumps(
-            {"unit": "m/s^2", "rate_hz": rate_hz, **(about or {})}, sort_keys=True
-        ).encode()
+            raise ValueError(f"{n / rate_hz:.0f} s at {rate_hz:g} Hz are more than a WAV file holds, 4 GB; play fewer")
+        self._about = json.dumps({"unit": "m/s^2", "rate_hz": rate_hz, **(about or {})}, sort_keys=True).encode()
         self._stack = ExitStack()
         self._file = self._stack.enter_context(self._stack.enter_context(atomic_write(path)).open("wb"))
         self._n = 0

@@ -23,7 +23,9 @@ from foten.runtime.stroke import Stroke
 
 LOUDNESS = 0.1  # of full scale, of a sound's standard deviation, where no gain is given
 CIRCLES_A_SECOND = 0.5
-LEAST_RATE_HZ = 8000.0  # of what is sent to a device that keeps to any rate: images and steps of the texture's own are felt
+LEAST_RATE_HZ = (
+    8000.0  # of what is sent to a device that keeps to any rate: images and steps of the texture's own are felt
+)
 
 Array = NDArray[np.float64]
 Hand = Callable[[NDArray[np.int64]], tuple[Array, Array]]
@@ -89,9 +91,7 @@ def along(stroke: Stroke, lowpass_hz: float) -> Hand:
 def rendering(renderer: Renderer, hand: Hand) -> Callable[[Samples], None]:
     """Return what fills an array, shape (n,), with the next samples under a hand: those of a whole stroke, whatever the sizes."""
     state, ratio = renderer.native_state, renderer.texture_rate / renderer.rate
-    waiting = np.zeros(
-        0, dtype=np.float32
-    )  # of one of the texture's own samples, for which the last array had no room
+    waiting = np.zeros(0, dtype=np.float32)  # of one of the texture's own samples, for which the last array had no room
     n = 0
 
     def render(out: Samples) -> None:
@@ -152,12 +152,7 @@ def rate_for(where: str, asked: float | None, texture_rate: float) -> float:
 
 
 def play(
-    renderer: Renderer,
-    sink: Sink,
-    hand: Hand,
-    seconds: float | None,
-    lead_ms: float,
-    on_start: Callable[[], None],
+    renderer: Renderer, sink: Sink, hand: Hand, seconds: float | None, lead_ms: float, on_start: Callable[[], None]
 ) -> Played:
     """Play a hand for a while, or until Ctrl-C, and return what it came to; `on_start` is called once it plays.
 

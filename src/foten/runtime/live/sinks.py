@@ -142,9 +142,7 @@ def _write_picture(
     waveform, spectrum, hand = figure.subplots(3, 1)
     waveform.plot(t, acceleration, lw=0.5, color="#0072B2")
     waveform.set(
-        ylabel="acceleration [m/s²]",
-        title=f"{about.get('texture') or 'texture'}, rendered",
-        xlim=(0, t[-1] or 1),
+        ylabel="acceleration [m/s²]", title=f"{about.get('texture') or 'texture'}, rendered", xlim=(0, t[-1] or 1)
     )
     if acceleration.size >= 64:
         n = min(max(32, round(SPECTROGRAM_S * rate_hz)), acceleration.size // 4)
@@ -164,12 +162,7 @@ def _write_picture(
         figure.colorbar(image, ax=spectrum, label="dB re loudest", pad=0.01)
     spectrum.set(ylabel="frequency [Hz]", ylim=(0, min(1000, rate_hz / 2)), xlim=(0, t[-1] or 1))
     hand.plot(t, speed, color="#009E73")
-    hand.set(
-        ylabel="speed [mm/s]",
-        xlabel="time [s]",
-        xlim=(0, t[-1] or 1),
-        ylim=(0, 1.05 * float(speed.max()) or 1),
-    )
+    hand.set(ylabel="speed [mm/s]", xlabel="time [s]", xlim=(0, t[-1] or 1), ylim=(0, 1.05 * float(speed.max()) or 1))
     hand.yaxis.label.set_color("#009E73")
     press = hand.twinx()
     press.plot(t, force, color="#D55E00")
