@@ -165,11 +165,8 @@ def fit_lattice_of(data: LatticeData, order: int, n_speed: int, n_force: int) ->
     chosen = list(data.train)
     speed, force = data.speed[chosen], data.force[chosen]
     table = spanning(speed, force, n_speed, n_force)
-    # Four vertices count at a sample, and ten pairs of them: rows of all 36 would take several times the memory and time.
-    by_block = [sparse.csr_array(table.weights(*block)) for block in zip(speed, force, strict=True)]
-    by_pair = sparse.vstack([_pairs(block) for block in by_block], format="csr").T
-    weights = sparse.vstack(by_block, format="csr")
-    by_vertex, n_vertices = weights.T, weights.shape[1]
+    near = vertex_weights(table, speed, force)
+    n_vertices = near.by_vertex.shape[0]
     parts = _covariances(len(table.speed_knots), len(table.force_knots))
     weight = np.ones_like(speed) if data.weight is None else data.weight[chosen]
     kept = _kept_of_noise(data.x[chosen], weight, order)
@@ -179,16 +176,34 @@ def fit_lattice_of(data: LatticeData, order: int, n_speed: int, n_force: int) ->
         b = delayed(b)
         power, correlation = weight * (f * f + b * b) / 2, weight * f * b
         power[:, : i + 1] = correlation[:, : i + 1] = 0.0  # before that a section still fills
-        upper = (by_pair @ power.ravel()).reshape(n_vertices, n_vertices)
+        upper = (near.by_pair @ power.ravel()).reshape(n_vertices, n_vertices)
         gram = upper + upper.T - np.diag(np.diag(upper))
-        moment = -(by_vertex @ correlation.ravel())
+        moment = -(near.by_vertex @ correlation.ravel())
         everywhere = kept[i] * moment.sum() / gram.sum()
         # In units of a section's own error: a reflection is known to within √((1 − k²)/n).
         noise = max(1e-4, 1 - everywhere**2) * power[:, i + 1 :].mean()
         k = everywhere + _shrunk(gram / noise, (moment - gram.sum(axis=1) * everywhere) / noise, parts)
         reflections[:, i] = np.clip(k, -MAX_REFLECTION, MAX_REFLECTION)
-        f, b, _ = rotate_back(f, b, (weights @ reflections[:, i]).reshape(f.shape))
+        f, b, _ = rotate_back(f, b, (near.by_vertex.T @ reflections[:, i]).reshape(f.shape))
     return replace(table, values=reflections)
+
+
+@dataclass(frozen=True)
+class VertexWeights:
+    """How much each vertex of a table counts at samples, and each pair of vertices i ≤ j, in row i·k + j: (k, n) and (k², n).
+
+    Four vertices count at a sample, and ten pairs of them: all 36 would take several times the memory and time.
+    """
+
+    by_vertex: sparse.csc_array
+    by_pair: sparse.csc_array
+
+
+def vertex_weights(table: SpeedForceTable, speed: Array, force: Array) -> VertexWeights:
+    """Return what the vertices of a table count at the samples of blocks, speed and force (n_blocks, block) each."""
+    by_block = [sparse.csr_array(table.weights(*block)) for block in zip(speed, force, strict=True)]
+    by_pair = [_pairs(block) for block in by_block]
+    return VertexWeights(sparse.vstack(by_block, format="csr").T, sparse.vstack(by_pair, format="csr").T)
 
 
 def _pairs(weights: sparse.csr_array) -> sparse.csr_array:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from foten.dsp.lattice import polynomial
 from foten.dsp.speed_force_table import SpeedForceTable, spanning
 from foten.dsp.tones import tone, tone_slope
-from foten.train.lattice import LatticeData, fit_lattice_of
+from foten.train.lattice import LatticeData, VertexWeights, fit_lattice_of, vertex_weights
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,10 @@ def wavelength(data: LatticeData, rate_hz: float) -> float | None:
         return None
     if len(stretches) > 200:
         stretches = [stretches[i] for i in np.linspace(0, len(stretches) - 1, 200).astype(int)]
-    cycles = np.arange(LEAST_PERIODS / span, 1 / SHORTEST_MM, 0.25 / span)
+    step = 0.25 / span
+    cycles = np.arange(LEAST_PERIODS / span, 1 / SHORTEST_MM, step)
+    coarse = cycles[::16, None]  # e^(−2πi(c + d)w) is a product: exponentials of 16 + n/16 frequencies in place of n
+    fine = step * np.arange(16)[:, None]
     usual_speed = float(np.mean([travelled[-1] / elapsed[-1] for travelled, elapsed, _ in stretches]))
     powers = np.zeros((2, len(cycles)))
     for travelled, elapsed, x in stretches:
@@ -61,7 +64,8 @@ def wavelength(data: LatticeData, rate_hz: float) -> float | None:
         total = float(np.square(windowed).sum())
         if total > 0:
             for power, way in zip(powers, (travelled, usual_speed * elapsed), strict=True):
-                power += np.abs(np.exp(-2j * np.pi * cycles[:, None] * way) @ windowed) ** 2 / total
+                sums = (np.exp(-2j * np.pi * coarse * way) * windowed) @ np.exp(-2j * np.pi * fine * way).T
+                power += np.abs(sums.ravel()[: len(cycles)]) ** 2 / total
     ratio, over_time = (
         power / np.array([np.median(power[max(0, i - 20) : i + 21]) for i in range(len(cycles))]) for power in powers
     )
@@ -148,8 +152,9 @@ def fit_tones(data: LatticeData, wavelength_mm: float, rate_hz: float) -> Fitted
     table = replace(table, values=np.zeros((len(table.values), 2 * n)))
     fastest = USABLE_BAND * rate_hz * wavelength_mm
     whitener = np.ones(1)
+    near = vertex_weights(table, data.speed[chosen], data.force[chosen])
     for _ in range(ROUNDS):
-        table = _fitted(data, table, phase, whitener, fastest)
+        table = _fitted(data, table, phase, whitener, fastest, near)
         coefficients = _coefficients(data, table)
         x = data.x - tone(coefficients, phase)
         whitener = polynomial(fit_lattice_of(replace(data, x=x), WHITENING, 1, 1).values[0])
@@ -161,7 +166,7 @@ def fit_tones(data: LatticeData, wavelength_mm: float, rate_hz: float) -> Fitted
     length = float((path[chosen][:, -1] - path[chosen][:, 0]).sum() / turned)
     deviation = phase - 2 * np.pi * path / length
     unevenness = _unevenness(path[chosen], deviation[chosen], data.speed[chosen], length)
-    return FittedTones(length, _fitted(data, table, phase, whitener, fastest), phase, unevenness)
+    return FittedTones(length, _fitted(data, table, phase, whitener, fastest, near), phase, unevenness)
 
 
 def _unevenness(path: Array, deviation: Array, speed: Array, wavelength_mm: float) -> float:
@@ -235,26 +240,31 @@ def _filtered(whitener: Array, x: Array) -> Array:
 
 
 def _fitted(
-    data: LatticeData, table: SpeedForceTable, phase: Array, whitener: Array, fastest: float
+    data: LatticeData, table: SpeedForceTable, phase: Array, whitener: Array, fastest: float, near: VertexWeights
 ) -> SpeedForceTable:
     """Return the coefficients that leave the least whitened error, neighbours held together.
+
+    The weights of vertices change little within the whitener's length, so waves are whitened and then weighted: in normal
+    equations a sample then counts at the ten pairs of its four vertices, and not at all.
 
     Where speed times multiple exceeds `fastest` [mm/s] they are zero: the rate does not hold that frequency.
     """
     n_vertices, n_columns = table.values.shape
-    gram, moment = np.zeros((n_vertices * n_columns,) * 2), np.zeros(n_vertices * n_columns)
+    chosen = list(data.train)
     multiples = np.arange(1, n_columns // 2 + 1)
-    for block in data.train:
-        angle = phase[block][:, None] * multiples
-        waves = np.stack([np.cos(angle), np.sin(angle)], axis=2).reshape(len(angle), -1)
-        weights = table.weights(data.speed[block], data.force[block])
-        near = np.flatnonzero(weights.any(axis=0))  # a block does not come by every vertex
-        design = (weights[:, near, None] * waves[:, None, :]).reshape(len(waves), -1)
-        design = _filtered(whitener, design.T)[:, whitener.size :]
-        target = _filtered(whitener, data.x[block])[whitener.size :]
-        columns = (near[:, None] * n_columns + np.arange(n_columns)).ravel()
-        gram[np.ix_(columns, columns)] += design @ design.T
-        moment[columns] += design @ target
+    angle = phase[chosen][:, None] * multiples[:, None]
+    waves = np.stack([np.cos(angle), np.sin(angle)], axis=2).reshape(len(chosen), n_columns, -1)
+    waves, target = _filtered(whitener, waves), _filtered(whitener, data.x[chosen])
+    waves[..., : whitener.size] = 0.0
+    waves = waves.transpose(1, 0, 2).reshape(n_columns, -1)
+    row, column = np.triu_indices(n_columns)
+    products = near.by_pair @ (waves[row] * waves[column]).T
+    upper = np.zeros((n_vertices, n_vertices, n_columns, n_columns))
+    upper[:, :, row, column] = upper[:, :, column, row] = products.reshape(n_vertices, n_vertices, -1)
+    blocks = upper + upper.transpose(1, 0, 2, 3)
+    blocks[range(n_vertices), range(n_vertices)] /= 2
+    gram = blocks.transpose(0, 2, 1, 3).reshape((n_vertices * n_columns,) * 2)
+    moment = (near.by_vertex @ (waves * target.ravel()).T).ravel()
     # What a vertex knows of each wave, on the mean, is the unit of what holds it to its neighbours.
     known = np.diag(gram).reshape(n_vertices, n_columns).mean(axis=0)
     bonds = ROUGHNESS * _differences(len(table.speed_knots), len(table.force_knots))
