@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
@@ -47,12 +47,14 @@ class Optimiser:
         for group in self._adam.param_groups:
             group["lr"] = config.learning_rate * rate
         self._adam.step()
+        directions = []
         for name, matrix in self._matrices.items():
             assert matrix.grad is not None
             momentum = self._momentum[name].mul_(MOMENTUM).add_(matrix.grad)
-            direction = orthogonalised(matrix.grad + MOMENTUM * momentum)
-            tall = max(1.0, matrix.shape[-2] / matrix.shape[-1]) ** 0.5
-            with torch.no_grad():
+            directions.append(matrix.grad.add(momentum, alpha=MOMENTUM))
+        with torch.no_grad():
+            for matrix, direction in zip(self._matrices.values(), orthogonalised(directions), strict=True):
+                tall = max(1.0, matrix.shape[-2] / matrix.shape[-1]) ** 0.5
                 matrix.mul_(1 - config.learning_rate * rate * config.weight_decay)
                 matrix.sub_(direction, alpha=config.matrix_learning_rate * rate * tall)
 
@@ -81,16 +83,23 @@ class Optimiser:
 
 
 @torch.no_grad()
-def orthogonalised(matrices: Tensor) -> Tensor:
-    """Return the orthogonal factor of matrices, roughly: (…, a, b) → singular values of 0.7 to 1.2.
+def orthogonalised(matrices: Sequence[Tensor]) -> list[Tensor]:
+    """Return the orthogonal factors of matrices, roughly: (…, a, b) each → singular values of 0.7 to 1.2.
 
-    A quintic in odd powers, five times over, which is Newton and Schulz's iteration with a steeper start.
+    A quintic in odd powers, five times over, which is Newton and Schulz's iteration with a steeper start. Matrices of one shape
+    are one batched product.
     """
     a, b, c = _COEFFICIENTS
-    x = matrices / (matrices.norm(dim=(-2, -1), keepdim=True) + 1e-7)
-    tall = x.shape[-2] > x.shape[-1]
-    x = x.mT if tall else x
-    for _ in range(_STEPS):
-        gram = x @ x.mT
-        x = a * x + (b * gram + c * gram @ gram) @ x
-    return x.mT if tall else x
+    wide = [x.mT if x.shape[-2] > x.shape[-1] else x for x in matrices]
+    out = [torch.empty(0)] * len(wide)
+    for shape in {x.shape[-2:] for x in wide}:
+        alike = [i for i, x in enumerate(wide) if x.shape[-2:] == shape]
+        x = torch.cat([wide[i].reshape(-1, *shape) for i in alike])
+        x = x / (x.norm(dim=(-2, -1), keepdim=True) + 1e-7)
+        for _ in range(_STEPS):
+            gram = x @ x.mT
+            x = torch.baddbmm(x, torch.baddbmm(gram, gram, gram, beta=b, alpha=c), x, beta=a)
+        for i, one in zip(alike, x.split([wide[i].numel() // shape.numel() for i in alike]), strict=True):
+            factor = one.reshape(wide[i].shape)
+            out[i] = factor.mT if wide[i].shape != matrices[i].shape else factor
+    return out
