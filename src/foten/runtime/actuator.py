@@ -105,9 +105,6 @@ def sweep(
     """Return a drive that runs through the frequencies once, each octave as long as the others, and fades in and out.
 
     Shape (seconds · rate_hz,). Play it, record the stylus's acceleration beside it, and give both to `identify`.
-
-    Raises:
-        ValueError: it lasts no time, or the frequencies cannot be.
     """
     if not 0 < seconds < math.inf or not 0 < rate_hz < math.inf:
         raise ValueError(f"the sweep lasts {seconds} s at {rate_hz} Hz, expected positive numbers")

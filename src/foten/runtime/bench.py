@@ -43,9 +43,7 @@ class StepTimes:
     p99_us: float
     p999_us: float
     largest_us: float
-    contacts: (
-        float  # that one core holds at that rate, by the median; of a model that hops, by that of the means over hops
-    )
+    contacts: float  # that one core holds at that rate, by the median of samples, or of the means over hops
     hop: int  # samples that the model gives at once, which the first of them costs
 
 
@@ -72,7 +70,7 @@ def time_steps(path: Path, n: int) -> StepTimes:
 
 def time_all(path: Path, n: int) -> list[StepTimes]:
     """Return the times in each instruction set that this processor has, the best first; each in a process of its own."""
-    if NativeTexture(path.read_bytes()).asks:
+    if NativeTexture(path.read_bytes()).info.hop:
         # ONNX Runtime takes the instructions that it likes, whatever the kernel around it does.
         return [replace(time_steps(path, n), isa="onnxruntime")]
     times = []

@@ -12,16 +12,8 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.runtime.binding import (
-    NO_MEMORY,
-    NO_PREDICTOR,
-    PREDICTOR,
-    Info,
-    NativeActuator,
-    NativeStatistics,
-    Options,
-    library,
-)
+from foten.runtime import binding
+from foten.runtime.binding import NativeActuator, NativeStatistics, library
 
 PredictionPart = Literal["model", "linear", "rendering"]
 
@@ -53,27 +45,21 @@ class NativeTexture:
     def __init__(self, data: bytes) -> None:
         self.pointer, why = c_void_p(), ctypes.create_string_buffer(512)
         ends = byref(self.pointer), why, len(why)
-        status = library().foten_model_load(data, len(data), *ends)
         self._failed: list[BaseException] = []
-        self._asked: ctypes._FuncPointer | None = None
-        if status == NO_PREDICTOR:
+        status = library().foten_model_load(data, len(data), *ends)
+        if status == binding.NO_PREDICTOR:
             self._asked = _asked(data, self._failed)  # as long as the texture is
             status = library().foten_model_load_with(data, len(data), self._asked, None, *ends)
             self.raise_failed()
         if status != 0:
-            raise (MemoryError if status == NO_MEMORY else ValueError)(why.value.decode(errors="replace"))
+            raise (MemoryError if status == binding.NO_MEMORY else ValueError)(why.value.decode(errors="replace"))
         info = library().foten_model_info(self.pointer)
-        fields = {name: getattr(info, name) for name, *_ in Info._fields_}
+        fields = {name: getattr(info, name) for name, *_ in binding.Info._fields_}
         # Copied: the texts live as long as the texture does.
         fields |= {name: fields[name].decode(errors="replace") for name in ("model", "texture")}
         fields |= {name: tuple(fields[name]) for name in ("trained_speed", "trained_force")}
         self.info = NativeInfo(**fields)
         freed_with(self, library().foten_model_free, self.pointer)
-
-    @property
-    def asks(self) -> bool:
-        """Return whether the kernel asks ONNX Runtime for samples."""
-        return self._asked is not None
 
     def raise_failed(self) -> None:
         """Raise what went wrong while the kernel asked Python for a sample: an interrupt, or an error of the runtime."""
@@ -84,14 +70,7 @@ class NativeTexture:
 class NativeState:
     """One hand on a texture. Its calls release the interpreter's lock; each state belongs to one thread at a time.
 
-    Args:
-        rate_hz: of what is rendered; None for the texture's own.
-        seed, stream: of the noise, 0 … 2⁶⁴ − 1.
-        excitation: False leaves the random part out.
-        smooth: puts the hand that is set through the low-pass that the recording's went through.
-
-    Raises:
-        ValueError: the rate is not from a twentieth of the texture's to 400 times it.
+    The options are those of `Renderer`; the rate is from a twentieth of the texture's to 400 times it.
     """
 
     def __init__(
@@ -107,7 +86,7 @@ class NativeState:
         rate = own if rate_hz is None else rate_hz
         if not own / 20 <= rate <= 400 * own:
             raise ValueError(f"the rate is {rate_hz} Hz, expected {own / 20:g} to {400 * own:g} Hz for this texture")
-        options = Options(rate, seed, stream, not excitation, smooth)
+        options = binding.Options(rate, seed, stream, not excitation, smooth)
         self._texture = texture  # the state needs it as long as it lives
         self.pointer = c_void_p(library().foten_state_new(texture.pointer, byref(options)))
         if not self.pointer:
@@ -122,8 +101,7 @@ class NativeState:
     @property
     def statistics(self) -> NativeStatistics:
         """Return what was counted since the last reset."""
-        counts: NativeStatistics = library().foten_statistics(self.pointer)
-        return counts
+        return library().foten_statistics(self.pointer)
 
     def set_actuator(self, actuator: NativeActuator | None) -> None:
         """Render what drives an actuator from now on, or acceleration again."""
@@ -210,7 +188,7 @@ def _asked(data: bytes, failed: list[BaseException]) -> ctypes._FuncPointer:
         except BaseException as error:  # which would be printed and lost
             failed.append(error)
 
-    return PREDICTOR(answer)
+    return binding.PREDICTOR(answer)
 
 
 def _check_writable(array: NDArray[np.float32]) -> None:

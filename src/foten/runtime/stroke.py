@@ -28,9 +28,7 @@ class Stroke:
     moved: Array  # velocity of each axis [mm/s], shape (n_axes, n); one axis where only the speed is known
     force: Array  # [N], shape (n,)
     rate_hz: float
-    gap_s: float = (
-        0.0  # the longest hole between two given samples that was bridged, of ten times the usual step; else 0
-    )
+    gap_s: float = 0.0  # the longest hole between given samples that was bridged, of ten times the usual step; else 0
     n_lifted: int = 0  # holes and jumps between positions that were taken as lifting the pen
 
     def conditioned(self, lowpass_hz: float) -> tuple[Array, Array]:
@@ -39,11 +37,7 @@ class Stroke:
 
 
 def constant_stroke(speed: float, force: float, seconds: float, rate_hz: float) -> Stroke:
-    """Return a stroke at one speed [mm/s] and force [N].
-
-    Raises:
-        ValueError: something is negative, not finite, or lasts less than a sample.
-    """
+    """Return a stroke at one speed [mm/s] and force [N]."""
     for name, value in (("speed", speed), ("force", force), ("seconds", seconds)):
         if not (math.isfinite(value) and value >= 0):
             raise ValueError(f"{name} is {value}, expected a finite number, 0 or more")

@@ -131,5 +131,4 @@ class Stylus:
     @property
     def stats(self) -> NativeStylusStatistics:
         """Return what was counted."""
-        counts: NativeStylusStatistics = library().foten_stylus_statistics(self._pointer)
-        return counts
+        return library().foten_stylus_statistics(self._pointer)

@@ -110,17 +110,13 @@ class Sink(Protocol):
     rate_hz: float  # at which it takes them
     n_at_once: int  # samples that it takes at most at once
     patient: bool  # whether it would rather wait for samples than play silence, as a file does
-    failed: (
-        BaseException | None
-    )  # what it died of, or the rendering that it plays, which `Live` sets; None while both live
+    failed: BaseException | None  # what it died of, or what it plays died of, which `Live` sets
 
     def start(self, read: Read) -> None:
         """Begin to take samples: `read` fills an array; it waits for a patient sink alone."""
-        ...
 
     def stop(self) -> None:
         """End, and give back what it holds; a second time nothing happens."""
-        ...
 
 
 class Live:

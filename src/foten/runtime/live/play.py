@@ -103,12 +103,7 @@ def sink_of(
     channel: int | None = None,
     about: dict[str, Any] | None = None,
 ) -> Sink:
-    """Return the sink that a text names: sound, null, FILE.wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.
-
-    Raises:
-        ValueError: it names none.
-        OSError: the device, its library or the host is missing.
-    """
+    """Return the sink that a text names: sound, null, FILE.wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT."""
     if where != "sound" and (device is not None or channel is not None):
         raise ValueError(f"--device and --channel are a sound card's, and it is played to {where}")
     kind, _, target = where.partition(":")
@@ -125,9 +120,8 @@ def sink_of(
         host, _, port = target.rpartition(":")
         if host and port.isdecimal() and 0 < int(port) < 65536:
             return (UdpSink if kind == "udp" else OscSink)(host, int(port), rate_hz)
-    raise ValueError(
-        f"cannot play to {where!r}, expected sound, null, a name that ends in .wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT"
-    )
+    known = "sound, null, a name that ends in .wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT"
+    raise ValueError(f"cannot play to {where!r}, expected {known}")
 
 
 def rate_for(where: str, asked: float | None, texture_rate: float) -> float:
@@ -172,10 +166,7 @@ def gain_for(profile: ActuatorProfile | None, asked: float | None, sd: float, wh
     """Return the sink's gain: what is asked for; else what is safe to assume.
 
     An actuator's drive in V goes to a DAQ as it is, one in full scale to a sound card; acceleration goes to a sound card at a
-    usual loudness, and to whatever takes numbers as it is.
-
-    Raises:
-        ValueError: the unit of what is rendered is not that of the sink, or a gain is asked for where numbers go as they are.
+    usual loudness, and to whatever takes numbers as it is. A unit that is not the sink's raises ValueError.
     """
     if asked is not None:
         if where != "sound" and not where.startswith("daq:"):
@@ -186,12 +177,9 @@ def gain_for(profile: ActuatorProfile | None, asked: float | None, sd: float, wh
         if profile is None:
             return LOUDNESS / sd
         if unit != "full scale":
-            raise ValueError(
-                f"a sound card takes full scale, and the profile drives in {unit}: say with --gain how much of it 1 {unit} is"
-            )
+            ask = f"say with --gain how much of it 1 {unit} is"
+            raise ValueError(f"a sound card takes full scale, and the profile drives in {unit}: {ask}")
     elif where.startswith("daq:") and unit != "V":
-        raise ValueError(
-            f"a DAQ takes volts, and what is rendered is in {unit}: say with --gain how many volts 1 {unit} is, "
-            "or give a profile in V with --actuator"
-        )
+        ask = f"say with --gain how many volts 1 {unit} is, or give a profile in V with --actuator"
+        raise ValueError(f"a DAQ takes volts, and what is rendered is in {unit}: {ask}")
     return 1.0

@@ -32,9 +32,6 @@ def write_rendered(
     Args:
         acceleration, speed, force: [m/s², mm/s, N], shape (n,) each.
         about: what made it (texture, seed, stroke), kept in the file where its format has room.
-
-    Raises:
-        ValueError: the suffix is unknown.
     """
     check_suffix(path)
     with atomic_write(path) as part:
