@@ -10,6 +10,7 @@ import re
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,30 +51,22 @@ def _kernel() -> Check:
 
 def _size() -> Check:
     """Bytes of what an installation without extras brings: this package and all that it needs."""
-    sizes: dict[str, int] = {}
-    recorded: set[Path] = set()
+    files: dict[str, set[Path]] = {}
     waiting = ["foten"]
     while waiting:
         name = waiting.pop().lower()
-        if name in sizes:
+        if name in files:
             continue
-        sizes[name] = 0
-        try:
+        files[name] = set()
+        with suppress(importlib.metadata.PackageNotFoundError):  # run from its sources
             distribution = importlib.metadata.distribution(name)
-        except importlib.metadata.PackageNotFoundError:  # run from its sources
-            continue
-        paths = [Path(str(file.locate())) for file in distribution.files or []]
-        recorded.update(paths)
-        sizes[name] = sum(path.stat().st_size for path in paths if path.is_file())
-        asked = [line for line in distribution.requires or [] if "extra ==" not in line]
-        waiting += [re.split(r"[^A-Za-z0-9._-]", line, maxsplit=1)[0] for line in asked]
+            files[name] = {Path(str(file.locate())) for file in distribution.files or []}
+            asked = [line for line in distribution.requires or [] if "extra ==" not in line]
+            waiting += [re.split(r"[^A-Za-z0-9._-]", line, maxsplit=1)[0] for line in asked]
     # Of an editable install the sources lie elsewhere.
-    for folder in foten.__path__:
-        sizes["foten"] += sum(
-            path.stat().st_size
-            for path in Path(folder).rglob("*")
-            if path.is_file() and "__pycache__" not in path.parts and path not in recorded
-        )
+    here = (path for folder in foten.__path__ for path in Path(folder).rglob("*"))
+    files["foten"] |= {path for path in here if "__pycache__" not in path.parts}
+    sizes = {name: sum(path.stat().st_size for path in paths if path.is_file()) for name, paths in files.items()}
     largest = sorted(sizes, key=lambda name: -sizes[name])
     summary = ", ".join(f"{name} {sizes[name] / 1e6:.1f}" for name in largest if sizes[name] > 5e5)
     return Check("size", f"{sum(sizes.values()) / 1e6:.0f} MB: {summary}")
