@@ -23,11 +23,9 @@ from foten.families.texture_file import Texture
 from foten.runtime.actuator import ActuatorProfile
 from foten.runtime.live import sound as sound_module
 from foten.runtime.live.daq import DaqSink
-from foten.runtime.live.live import Live, LiveStatistics, Timing
-from foten.runtime.live.network import OscSink, UdpSink
-from foten.runtime.live.paced import NullSink, WavSink
+from foten.runtime.live.live import Live, LiveStatistics, Ring, Timing
+from foten.runtime.live.paced import NullSink, OscSink, UdpSink, WavSink
 from foten.runtime.live.play import along, circling, gain_for, rate_for, rendering, sink_of
-from foten.runtime.live.ring import Ring
 from foten.runtime.live.sound import SoundSink
 from foten.runtime.renderer import Renderer
 from foten.runtime.stroke import Stroke
@@ -370,7 +368,7 @@ def sound(monkeypatch: pytest.MonkeyPatch) -> FakeSound:
 
 
 def test_a_card_that_fills_its_buffer_at_once_finds_all_of_it(sound: FakeSound) -> None:
-    live = Live(lambda out: out.fill(0.5), SoundSink(0.5, rate_hz=48_000.0, channel=1, n_channels=2))
+    live = Live(lambda out: out.fill(0.5), SoundSink(0.5, rate_hz=48_000.0, channel=1))
     live.start()
     played = [sound.call() for _ in range(4)]  # 20 ms in blocks of 5
     live.stop()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from ctypes import byref, c_float, c_void_p
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +13,8 @@ from scipy.signal import sosfilt
 from foten.datasets.stroking import stroking
 from foten.dsp.filters import butterworth
 from foten.families.texture_file import Texture
-from foten.runtime.native import NativeStylus, NativeTexture
+from foten.runtime.binding import StylusOptions, library
+from foten.runtime.native import NativeTexture
 from foten.runtime.renderer import Renderer
 from foten.runtime.stylus import PressureCalibration, Stylus, fit_pressure
 
@@ -81,10 +84,13 @@ def test_what_is_left_out_of_a_curve_is_the_papers(
     texture: Texture, told: tuple[float, float], meant: tuple[float, float]
 ) -> None:
     """A steepness by itself was dropped."""
-    stylus = NativeStylus(NativeTexture(texture.to_bytes()), *told)
-    stylus.push(0.0, 0.0, 0.5, 0.0)
-    force = [stylus.next()[1] for _ in range(1000)][-1]
-    assert force == pytest.approx(meant[0] * np.exp(meant[1] * 0.5), rel=1e-6)
+    native, speed, force = NativeTexture(texture.to_bytes()), c_float(), c_float()
+    stylus = c_void_p(library().foten_stylus_new(native.pointer, byref(StylusOptions(*told))))
+    library().foten_stylus_push(stylus, 0.0, 0.0, 0.5, 0.0)
+    for _ in range(1000):
+        library().foten_stylus_next(stylus, byref(speed), byref(force))
+    library().foten_stylus_free(stylus)
+    assert force.value == pytest.approx(meant[0] * np.exp(meant[1] * 0.5), rel=1e-6)
 
 
 def test_the_force_of_a_pressure_is_equation_12() -> None:

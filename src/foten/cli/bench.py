@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -22,6 +23,6 @@ def bench(
         raise FileNotFoundError(f"no such file: {texture_file}")
     times = timing.time_all(texture_file, n)
     if as_json:
-        print_json(timing.as_documents(times))
+        print_json([asdict(one) for one in times])
     else:
         print(timing.as_table(times))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import typer
 
 from foten.cli.console import JsonOption, print_json
@@ -13,7 +15,7 @@ def doctor(as_json: JsonOption = False) -> None:
 
     checks = examination.checks()
     if as_json:
-        print_json(examination.as_documents(checks))
+        print_json([asdict(check) for check in checks])
     else:
         for check in checks:
             mark = {True: "✓", False: "✗", None: " "}[check.fine]

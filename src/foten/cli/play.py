@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from math import inf
 from pathlib import Path
 from typing import Annotated
 
@@ -56,18 +57,16 @@ def play(
     """Play a texture live: to the sound card, a file, an NI-DAQ or another program."""
     from foten.families.texture_file import read_texture
     from foten.runtime.actuator import read_profile
-    from foten.runtime.example import EXAMPLE
     from foten.runtime.live.live import LEAD_MS
     from foten.runtime.live.play import along, circling, gain_for, holding, rate_for, sink_of
     from foten.runtime.live.play import play as play_live
-    from foten.runtime.renderer import Renderer
+    from foten.runtime.renderer import EXAMPLE, Renderer
+    from foten.runtime.stroke import read_stroke
 
     texture_file = texture_file or EXAMPLE
-    if not texture_file.exists():
-        raise FileNotFoundError(f"no such file: {texture_file}")
     if (speed is None) != (force is None) or (stroke is not None and speed is not None):
         raise ValueError("expected --stroke, or --speed with --force, or neither for a circle")
-    if seconds is not None and not 0 <= seconds < float("inf"):
+    if seconds is not None and not 0 <= seconds < inf:
         raise ValueError(f"--seconds is {seconds}, expected a finite number, 0 or more")
     profile = read_profile(actuator) if actuator is not None else None
     texture = read_texture(texture_file)
@@ -75,14 +74,12 @@ def play(
     renderer = Renderer(texture, rate_for(to, rate, own), seed, excitation=not deterministic, actuator=profile)
     info = renderer.native_texture.info
     if stroke is not None:
-        from foten.runtime.stroke import read_stroke
-
         looped_stroke = read_stroke(stroke, own)
         report_gaps(looped_stroke)
         conditions, source = along(looped_stroke, info.lowpass_hz), stroke.name
     elif speed is not None and force is not None:
         for name, value, unit in (("speed", speed, "mm/s"), ("force", force, "N")):
-            if not 0 <= value < float("inf"):
+            if not 0 <= value < inf:
                 raise ValueError(f"--{name} is {value} {unit}, expected a finite number, 0 or more")
         conditions, source = holding(speed, force), f"{speed:g} mm/s, {force:g} N"
     else:
@@ -101,52 +98,47 @@ def play(
 
     lead_ms = LEAD_MS if lead_ms is None else lead_ms
     played = play_live(renderer, sink, conditions, seconds, lead_ms, on_start)
-    statistics = played.statistics
+    statistics, counted = played.statistics, played.counted
     if as_json:
+        block_ms = {
+            f"block_p{name}_ms": 1000 * statistics.block.percentile_s(percent)
+            for name, percent in (("50", 50), ("99", 99), ("999", 99.9))
+        }
         print_json(
             {
                 "n_samples": statistics.n_samples,
                 "block_ms": statistics.block_ms,
-                **{
-                    f"block_p{name}_ms": 1000 * statistics.block.percentile_s(percent)
-                    for name, percent in (("50", 50), ("99", 99), ("999", 99.9))
-                },
+                **block_ms,
                 "block_largest_ms": 1000 * statistics.block.largest_s,
                 "n_missed": statistics.n_missed,
                 "n_underruns": statistics.n_underruns,
                 "n_device_underruns": played.n_device_underruns,
                 "n_late": played.n_late,
                 "n_lacking": statistics.n_lacking,
-                "ring_least_ms": statistics.least_ms if statistics.least_ms < float("inf") else None,
+                "ring_least_ms": statistics.least_ms if statistics.least_ms < inf else None,
                 "gain": scale,
                 "n_cut": played.n_cut,
                 "delays_ms": played.delays_ms,
                 "interrupted": played.interrupted,
-                **played.counted,
+                **counted,
             }
         )
     else:
         print(statistics.line())
         delays = ", ".join(f"{ms:.1f} ms {name}" for name, ms in played.delays_ms.items())
         print(f"delay from hand to output: {delays}")
-        print_outside_range(played.counted, texture)
-        if played.counted["n_limited"]:
-            print(f"the actuator's limit bent {played.counted['n_limited']} samples")
-        if statistics.n_underruns:
-            print(
-                f"the ring ran empty {statistics.n_underruns} times, {statistics.n_lacking} samples of silence; "
-                f"a longer --lead-ms than {lead_ms:g} helps"
-            )
-        if played.n_device_underruns:
-            print(
-                f"the sound card got its samples too late {played.n_device_underruns} times, whatever the ring held: "
-                "this machine is busy with something else"
-            )
-        if played.n_late:
-            print(f"this machine stood still for {played.n_late} blocks of the sink, which were not made up for")
-        if played.n_cut:
-            print(
-                f"{played.n_cut} samples were beyond full scale and cut; a smaller --gain than {scale:.3g} keeps them"
-            )
+        print_outside_range(counted, texture)
+        if n := counted["n_limited"]:
+            print(f"the actuator's limit bent {n} samples")
+        if n := statistics.n_underruns:
+            silence = f"{statistics.n_lacking} samples of silence"
+            print(f"the ring ran empty {n} times, {silence}; a longer --lead-ms than {lead_ms:g} helps")
+        if n := played.n_device_underruns:
+            busy = "this machine is busy with something else"
+            print(f"the sound card got its samples too late {n} times, whatever the ring held: {busy}")
+        if n := played.n_late:
+            print(f"this machine stood still for {n} blocks of the sink, which were not made up for")
+        if n := played.n_cut:
+            print(f"{n} samples were beyond full scale and cut; a smaller --gain than {scale:.3g} keeps them")
     if played.interrupted:
         raise typer.Exit(130)

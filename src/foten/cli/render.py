@@ -43,15 +43,15 @@ def render(
 
     for path in output:
         sinks.check_suffix(path)
-    check_folders([*output, *([audible] if audible else [])])
+    written = [*output] if audible is None else [*output, audible]
+    check_folders(written)
     texture = read_texture(texture_file)
     rate = texture.rate_hz
     if audible is not None:
         sinks.audible_factor(rate)
         if audible.suffix.lower() != ".wav":
             raise ValueError(f"sound is written as .wav, got --audible {audible.name}")
-    written = [os.path.realpath(path) for path in (*output, *([audible] if audible else []))]
-    if len(set(written)) < len(written):
+    if len({os.path.realpath(path) for path in written}) < len(written):
         raise ValueError("two outputs have the same name")
     constants = (speed, force, seconds)
     sources = [stroke is not None, recording_file is not None, any(value is not None for value in constants)]
@@ -78,15 +78,8 @@ def render(
     gain = sinks.write_audible(audible, acceleration, rate) if audible is not None else None
     rms, peak = float((acceleration**2).mean() ** 0.5), float(abs(acceleration).max())
     if as_json:
-        print_json(
-            {
-                "outputs": [str(p) for p in output],
-                "rms_m_s2": rms,
-                "peak_m_s2": peak,
-                "audible_gain": gain,
-                **statistics,
-            }
-        )
+        levels = {"rms_m_s2": rms, "peak_m_s2": peak, "audible_gain": gain}
+        print_json({"outputs": [str(path) for path in output], **levels, **statistics})
         return
     print(f"{acceleration.size / rate:g} s at {rate:g} Hz, {rms:.3g} m/s² rms, {peak:.3g} m/s² peak")
     print(f"wrote {', '.join(str(path) for path in output)}")

@@ -29,33 +29,22 @@ class ActuatorProfile:
 
     It belongs to an actuator, a stylus and a grip, not to a texture, and lies in a small JSON file of its own.
 
-    Attributes:
-        name: what it is of.
-        resonance_hz: ω/2π; 0 for none: the drive is acceleration over gain.
-        damping: ζ.
-        gain: far above the resonance [m/s² for one unit of drive]; negative where the wires are turned round.
-        unit: of the drive: V, A, or full scale of a sound card.
-        limit: of the drive; 0 for none. From 0.8 of it on the drive bends.
-        lowest_hz: the high-pass that keeps the drive finite below the resonance.
-        delay_ms: of the amplifier and its interface, as measured; told, not compensated.
-
     Source: McMahan & Kuchenbecker, Haptics Symposium 2014, for the principle; the model is a mass on a spring in a housing.
     """
 
     name: str = ""
-    resonance_hz: float = 0.0
-    damping: float = 0.25
-    gain: float = 1.0
-    unit: str = "V"
-    limit: float = 0.0
-    lowest_hz: float = 20.0
-    delay_ms: float = 0.0
+    resonance_hz: float = 0.0  # ω/2π; 0 for none: the drive is acceleration over gain
+    damping: float = 0.25  # ζ
+    gain: float = 1.0  # far above the resonance [m/s² for one unit of drive]; negative where the wires are turned round
+    unit: str = "V"  # of the drive: V, A, or full scale of a sound card
+    limit: float = 0.0  # of the drive; 0 for none. From 0.8 of it on the drive bends
+    lowest_hz: float = 20.0  # of the high-pass that keeps the drive finite below the resonance
+    delay_ms: float = 0.0  # of the amplifier and its interface, as measured; not compensated
 
     def __post_init__(self) -> None:
-        numbers = {
-            field.name: getattr(self, field.name) for field in fields(self) if field.name not in ("name", "unit")
-        }
-        for name, value in numbers.items():
+        for name, value in asdict(self).items():
+            if name in ("name", "unit"):
+                continue
             # The comparison holds for integers of any number of digits, and for NaN it does not.
             if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
                 raise ValueError(f"{name} of the actuator is {value!r:.30}, expected a number below {LARGEST:g}")
@@ -101,10 +90,9 @@ def read_profile(path: Path) -> ActuatorProfile:
     version = content.pop("version", None)
     if version != VERSION:
         raise ValueError(f"{path.name} has version {version}, expected {VERSION}; update foten?")
-    known = {field.name for field in fields(ActuatorProfile)}
-    unknown = sorted(set(content) - known)
-    if unknown:
-        raise ValueError(f"{path.name} has {unknown[0]!r}, expected some of {', '.join(sorted(known))}")
+    known = sorted(field.name for field in fields(ActuatorProfile))
+    if unknown := sorted(content.keys() - known):
+        raise ValueError(f"{path.name} has {unknown[0]!r}, expected some of {', '.join(known)}")
     try:
         return ActuatorProfile(**content)
     except ValueError as error:
@@ -117,9 +105,6 @@ def sweep(
     """Return a drive that runs through the frequencies once, each octave as long as the others, and fades in and out.
 
     Shape (seconds · rate_hz,). Play it, record the stylus's acceleration beside it, and give both to `identify`.
-
-    Raises:
-        ValueError: it lasts no time, or the frequencies cannot be.
     """
     if not 0 < seconds < math.inf or not 0 < rate_hz < math.inf:
         raise ValueError(f"the sweep lasts {seconds} s at {rate_hz} Hz, expected positive numbers")
@@ -131,8 +116,9 @@ def sweep(
     slope = math.log(high_hz / low_hz) / seconds
     out = amplitude * np.sin(2 * np.pi * low_hz / slope * np.expm1(slope * t))
     n = min(out.size // 2, round(0.05 * rate_hz))
-    out[:n] *= 0.5 - 0.5 * np.cos(np.pi * np.arange(n) / n)
-    out[-n:] *= 0.5 + 0.5 * np.cos(np.pi * np.arange(n) / n)
+    fade = 0.5 - 0.5 * np.cos(np.pi * np.arange(n) / n)
+    out[:n] *= fade
+    out[-n:] *= 1 - fade
     return np.asarray(out)
 
 
@@ -177,34 +163,24 @@ def identify(
         raise ValueError(
             f"nothing was driven or measured between {low_hz:g} and {high_hz:g} Hz; is the recording silent?"
         )
-    x, y, s = x[used], y[used], np.asarray(2j * np.pi * hertz[used], dtype=np.complex128)
-    alike = np.abs(np.fft.irfft(np.where(used, np.fft.rfft(acceleration, n) * np.conj(np.fft.rfft(drive, n)), 0.0), n))
-    lag = int(alike.argmax())
+    lag = int(np.abs(np.fft.irfft(np.where(used, y * np.conj(x), 0.0), n)).argmax())
     near = (lag if lag < n // 2 else lag - n) / rate_hz
+    x, y, s = x[used], y[used], np.asarray(2j * np.pi * hertz[used], dtype=np.complex128)
     # Coarse, then fine.
     delays = near + np.arange(-_NEAR_S, _NEAR_S, 0.25 / high_hz)
     for _ in range(4):
         tried = [_resonator(x * np.exp(-s * delay), y, s) for delay in delays]
         best = int(np.argmin([missed for _, missed in tried]))
-        estimate, missed, delay = *tried[best], delays[best]
-        step = (delays[1] - delays[0]) / 4
-        delays = delay + step * np.arange(-4, 5)
+        (gain, w, damping), missed = tried[best]
+        delay = float(delays[best])
+        delays = delay + (delays[1] - delays[0]) / 4 * np.arange(-4, 5)
     if missed > _MOST_MISSED:
         raise ValueError(
             f"no resonator explains more than {100 * (1 - missed):.0f} % of what was recorded, expected the answer to that "
             "drive, louder than the noise; are both at the same rate?"
         )
-    gain, w, damping = estimate
-    profile = ActuatorProfile(
-        name=name,
-        resonance_hz=w / (2 * np.pi),
-        damping=damping,
-        gain=gain,
-        unit=unit,
-        limit=limit,
-        delay_ms=max(0.0, 1000 * float(delay)),
-    )
-    return profile, missed
+    delay_ms = max(0.0, 1000 * delay)
+    return ActuatorProfile(name, w / (2 * np.pi), damping, gain, unit, limit, delay_ms=delay_ms), missed
 
 
 def _resonator(
@@ -217,15 +193,14 @@ def _resonator(
     """
     scale = float(np.abs(s).mean())
     s = s / scale
-    weight, power = np.ones(s.size), float(np.square(np.abs(y)).sum())
-    gain, a, b = 0.0, 0.0, 0.0
+    columns = np.stack([s * s * x, -s * y, -y, s * s * y], axis=1)
+    weight = np.ones(s.size)
     for _ in range(12):
-        columns = np.stack([s * s * x, -s * y, -y], axis=1) * weight[:, None]
-        wanted = s * s * y * weight
-        real = np.concatenate([columns.real, columns.imag])
-        gain, a, b = np.linalg.lstsq(real, np.concatenate([wanted.real, wanted.imag]), rcond=None)[0]
+        weighted = columns * weight[:, None]
+        weighted = np.concatenate([weighted.real, weighted.imag])
+        gain, a, b = np.linalg.lstsq(weighted[:, :3], weighted[:, 3], rcond=None)[0]
         b, a = max(b, 1e-12), max(a, 1e-9)
         weight = 1 / np.abs(s * s + a * s + b)
-    missed = float(np.square(np.abs(y - gain * s * s * x / (s * s + a * s + b))).sum()) / power
+    missed = np.linalg.norm(y - gain * s * s * x / (s * s + a * s + b)) ** 2 / np.linalg.norm(y) ** 2
     w = math.sqrt(b)
-    return (float(gain), w * scale, float(a / (2 * w))), missed
+    return (float(gain), w * scale, float(a / (2 * w))), float(missed)

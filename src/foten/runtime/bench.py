@@ -9,7 +9,8 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import asdict, dataclass, replace
+import timeit
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -33,58 +34,43 @@ if isa() == name:  # else this processor has it not, and another one stands in
 
 @dataclass(frozen=True)
 class StepTimes:
-    """Times of a sample of the texture's own rate [µs], one by one, under a hand that moves.
+    """Times of a sample of the texture's own rate [µs], one by one, under a hand that moves."""
 
-    Attributes:
-        isa: the instruction set; "onnxruntime" where that runs the model.
-        rate_hz: of the texture.
-        contacts: states that one core holds at that rate, by the median; of a model that hops, by that of the means over hops.
-        hop: samples that the model gives at once, which the first of them costs.
-    """
-
-    isa: str
-    rate_hz: float
+    isa: str  # the instruction set; "onnxruntime" where that runs the model
+    rate_hz: float  # of the texture
     n: int
     p50_us: float
     p99_us: float
     p999_us: float
     largest_us: float
-    contacts: float
-    hop: int = 1
+    contacts: float  # that one core holds at that rate, by the median of samples, or of the means over hops
+    hop: int  # samples that the model gives at once, which the first of them costs
 
 
-def time_steps(path: Path, n: int = 20_000) -> StepTimes:
+def time_steps(path: Path, n: int) -> StepTimes:
     """Return the times of n samples of a texture file, here and now, in this process's instruction set."""
     texture = NativeTexture(path.read_bytes())
     state = NativeState(texture)
     out = np.empty(1, dtype=np.float32)
-    low, high = texture.info.trained_speed
-    lightest, heaviest = texture.info.trained_force
     turn = np.linspace(0, 20 * np.pi, n + _WARM_UP)
-    speed = low + (high - low) * (0.5 + 0.5 * np.sin(turn))
-    force = lightest + (heaviest - lightest) * (0.5 + 0.5 * np.cos(0.7 * turn))
-    times = np.empty(n + _WARM_UP)
-    for i in range(times.size):
-        state.set_hand(speed[i], force[i])
+    speed = np.interp(np.sin(turn), [-1, 1], texture.info.trained_speed)
+    force = np.interp(np.cos(0.7 * turn), [-1, 1], texture.info.trained_force)
+    times = []
+    for condition in zip(speed, force, strict=True):
+        state.set_hand(*condition)
         begin = time.perf_counter_ns()
         state.render(out)
-        times[i] = time.perf_counter_ns() - begin
-    us = times[_WARM_UP:] / 1000
-    p50, p99, p999 = np.percentile(us, [50, 99, 99.9])
-    rate, hop = float(texture.info.rate_hz), max(1, texture.info.hop)
+        times.append(time.perf_counter_ns() - begin)
+    us = np.array(times[_WARM_UP:]) / 1000
+    p50, p99, p999, largest = np.percentile(us, [50, 99, 99.9, 100]).tolist()
+    rate, hop = texture.info.rate_hz, max(1, texture.info.hop)
     usual = float(np.median(us[: us.size // hop * hop].reshape(-1, hop).mean(axis=1)))
-    contacts = 1e6 / rate / usual
-    return StepTimes(isa(), rate, n, float(p50), float(p99), float(p999), float(us.max()), contacts, hop)
+    return StepTimes(isa(), rate, n, p50, p99, p999, largest, 1e6 / rate / usual, hop)
 
 
-def time_all(path: Path, n: int = 20_000) -> list[StepTimes]:
-    """Return the times in each instruction set that this processor has, the best first; each in a process of its own.
-
-    Raises:
-        ValueError: the file is none that renders.
-        OSError: one of the processes came to an end.
-    """
-    if NativeTexture(path.read_bytes()).asks:
+def time_all(path: Path, n: int) -> list[StepTimes]:
+    """Return the times in each instruction set that this processor has, the best first; each in a process of its own."""
+    if NativeTexture(path.read_bytes()).info.hop:
         # ONNX Runtime takes the instructions that it likes, whatever the kernel around it does.
         return [replace(time_steps(path, n), isa="onnxruntime")]
     times = []
@@ -117,26 +103,7 @@ def as_table(times: list[StepTimes]) -> str:
     for one in times:
         figures = "".join(f"{getattr(one, name):9.2f}" for name in ("p50_us", "p99_us", "p999_us"))
         lines.append(f"{one.isa:12s}{figures}{one.largest_us:10.1f}   {one.contacts:.0f} at {one.rate_hz:g} Hz")
-    hops = [f"one sample in {one.hop} costs what all of them do" for one in times[:1] if one.hop > 1]
-    return "\n".join(
-        [
-            *lines,
-            *hops,
-            f"in µs a sample, called one by one from Python; a call that does nothing takes {_empty_us():.2f}",
-        ]
-    )
-
-
-def _empty_us() -> float:
-    """Return the median time of a call into the kernel that does nothing [µs]."""
-    call, times = library().foten_abi, []
-    for _ in range(2000):
-        begin = time.perf_counter_ns()
-        call()
-        times.append(time.perf_counter_ns() - begin)
-    return float(np.median(times)) / 1000
-
-
-def as_documents(times: list[StepTimes]) -> list[dict[str, object]]:
-    """Return the times as JSON values."""
-    return [asdict(one) for one in times]
+    lines += [f"one sample in {one.hop} costs what all of them do" for one in times[:1] if one.hop > 1]
+    empty_us = 1e6 * np.median(timeit.repeat(library().foten_abi, number=1, repeat=2000))
+    lines.append(f"in µs a sample, called one by one from Python; a call that does nothing takes {empty_us:.2f}")
+    return "\n".join(lines)

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 ABI = 4  # FOTEN_ABI of the header that this follows
 NO_MEMORY, NO_PREDICTOR = 3, 5
-_SUFFIXES = (".so", ".dylib", ".dll")
 
 
 class Info(Structure):
@@ -34,21 +33,10 @@ class Info(Structure):
 class NativeStatistics(Structure):
     """What a state has counted: foten_stats."""
 
-    _fields_ = [
-        (name, c_uint64)
-        for name in (
-            "n",
-            "n_speed_beyond",
-            "n_force_beyond",
-            "n_speed_clamped",
-            "n_force_clamped",
-            "n_below",
-            "n_saturated",
-            "n_refused",
-            "n_limited",
-            "n_lost",
-        )
-    ]
+    _names = (
+        "n n_speed_beyond n_force_beyond n_speed_clamped n_force_clamped n_below n_saturated n_refused n_limited n_lost"
+    )
+    _fields_ = [(name, c_uint64) for name in _names.split()]
 
 
 class NativeStylusStatistics(Structure):
@@ -77,7 +65,7 @@ class Options(Structure):
     ]
 
 
-FLOATS, DOUBLES = POINTER(c_float), POINTER(c_double)
+_FLOATS = _DOUBLES = c_void_p  # arrays, given as `array.ctypes`
 PREDICTOR = ctypes.CFUNCTYPE(None, c_void_p, POINTER(c_float), POINTER(c_float), c_int)
 _SIGNATURES = {
     "foten_abi": (c_int, []),
@@ -90,54 +78,47 @@ _SIGNATURES = {
     "foten_state_new": (c_void_p, [c_void_p, POINTER(Options)]),
     "foten_state_free": (None, [c_void_p]),
     "foten_reset": (None, [c_void_p, c_uint64]),
-    "foten_start": (c_int, [c_void_p, FLOATS, FLOATS, FLOATS]),
-    "foten_start_scaled": (c_int, [c_void_p, DOUBLES]),
-    "foten_run_scaled": (None, [c_void_p, DOUBLES, DOUBLES, c_double, c_size_t, DOUBLES]),
-    "foten_predict": (c_int, [c_void_p, DOUBLES, c_size_t, c_int, DOUBLES]),
+    "foten_start": (c_int, [c_void_p, _FLOATS, _FLOATS, _FLOATS]),
+    "foten_start_scaled": (c_int, [c_void_p, _DOUBLES]),
+    "foten_run_scaled": (None, [c_void_p, _DOUBLES, _DOUBLES, c_double, c_size_t, _DOUBLES]),
+    "foten_predict": (c_int, [c_void_p, _DOUBLES, c_size_t, c_int, _DOUBLES]),
     "foten_set_condition": (None, [c_void_p, c_float, c_float]),
-    "foten_render": (None, [c_void_p, FLOATS, c_size_t]),
-    "foten_render_stroke": (c_size_t, [c_void_p, FLOATS, FLOATS, c_size_t, FLOATS]),
+    "foten_render": (None, [c_void_p, _FLOATS, c_size_t]),
+    "foten_render_stroke": (c_size_t, [c_void_p, _FLOATS, _FLOATS, c_size_t, _FLOATS]),
     "foten_rendered": (c_size_t, [c_void_p, c_size_t]),
     "foten_delay_s": (c_double, [c_void_p]),
     "foten_statistics": (NativeStatistics, [c_void_p]),
     "foten_stylus_new": (c_void_p, [c_void_p, POINTER(StylusOptions)]),
     "foten_stylus_free": (None, [c_void_p]),
     "foten_stylus_push": (None, [c_void_p, c_double, c_double, c_double, c_double]),
-    "foten_stylus_next": (None, [c_void_p, FLOATS, FLOATS]),
-    "foten_render_stylus": (None, [c_void_p, c_void_p, FLOATS, c_size_t]),
+    "foten_stylus_next": (None, [c_void_p, _FLOATS, _FLOATS]),
+    "foten_render_stylus": (None, [c_void_p, c_void_p, _FLOATS, c_size_t]),
     "foten_stylus_statistics": (NativeStylusStatistics, [c_void_p]),
     "foten_set_actuator": (c_int, [c_void_p, POINTER(NativeActuator)]),
-    "foten_noise": (None, [c_uint64, c_uint64, c_uint64, c_size_t, POINTER(c_double)]),
+    "foten_noise": (None, [c_uint64, c_uint64, c_uint64, c_size_t, _DOUBLES]),
 }
 
 
 @cache
 def library() -> ctypes.CDLL:
-    """Return the library that was built with this package.
-
-    Raises:
-        OSError: there is none, or it does not load.
-    """
+    """Return the library that was built with this package, or raise OSError where there is none that loads."""
     # An editable install has the library in another folder than the sources; a package's path knows both.
     import foten.runtime
 
-    candidates = [
-        Path(folder) / "kernel" / f"libfoten{suffix}" for folder in foten.runtime.__path__ for suffix in _SUFFIXES
-    ]
-    for path in candidates:
-        if path.exists():
-            kernel = ctypes.CDLL(str(path))
-            if not hasattr(kernel, "foten_abi") or kernel.foten_abi() != ABI:
-                raise OSError(
-                    f"{path.name} is of another version than this package: reinstall with 'pip install --force-reinstall .'"
-                )
-            for name, (result, arguments) in _SIGNATURES.items():
-                function = getattr(kernel, name)
-                function.restype, function.argtypes = result, arguments
-            return kernel
-    raise OSError(
-        "foten's kernel is not installed beside the package: reinstall with 'pip install .', which builds it with a C compiler"
-    )
+    names = ("libfoten.so", "libfoten.dylib", "libfoten.dll")
+    candidates = [Path(folder, "kernel", name) for folder in foten.runtime.__path__ for name in names]
+    path = next((path for path in candidates if path.exists()), None)
+    if path is None:
+        missing = "foten's kernel is not installed beside the package"
+        raise OSError(f"{missing}: reinstall with 'pip install .', which builds it with a C compiler")
+    kernel = ctypes.CDLL(str(path))
+    if not hasattr(kernel, "foten_abi") or kernel.foten_abi() != ABI:
+        another = f"{path.name} is of another version than this package"
+        raise OSError(f"{another}: reinstall with 'pip install --force-reinstall .'")
+    for name, (result, arguments) in _SIGNATURES.items():
+        function = getattr(kernel, name)
+        function.restype, function.argtypes = result, arguments
+    return kernel
 
 
 def isa() -> str:
@@ -148,5 +129,5 @@ def isa() -> str:
 def noise(seed: int, stream: int, first: int, n: int) -> NDArray[np.float64]:
     """Return the kernel's own noise, shape (n,); the numbers of `foten.dsp.noise.gaussian`."""
     out = np.empty(n)
-    library().foten_noise(seed, stream, first, n, out.ctypes.data_as(POINTER(c_double)))
+    library().foten_noise(seed, stream, first, n, out.ctypes)
     return out

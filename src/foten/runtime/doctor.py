@@ -4,52 +4,44 @@ from __future__ import annotations
 
 import importlib.metadata
 import importlib.util
+import math
 import platform
 import re
 import subprocess
 import sys
 import time
-from dataclasses import asdict, dataclass
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+import foten
 from foten.runtime.bench import reason
-from foten.runtime.example import EXAMPLE
-
-_TRIALS = 5
+from foten.runtime.binding import isa, library
+from foten.runtime.live.sound import sound_library
+from foten.runtime.renderer import EXAMPLE
 
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was looked at.
-
-    Attributes:
-        name: of it.
-        result: what is so.
-        fine: whether rendering can do with it; None where it is only information.
-    """
+    """One thing that was looked at."""
 
     name: str
     result: str
-    fine: bool | None = None
+    fine: bool | None = None  # whether rendering can do with it; None where it is only information
 
 
 def checks() -> list[Check]:
     """Return the results, in the order of what a user needs."""
-    return [_python(), _kernel(), _size(), *_start_up(), _clock(), _sound(), _daq(), _training()]
-
-
-def _python() -> Check:
-    return Check(
-        "python", f"{platform.python_version()} on {platform.system()} {platform.machine()}, NumPy {np.__version__}"
-    )
+    python = f"{platform.python_version()} on {platform.system()} {platform.machine()}, NumPy {np.__version__}"
+    daq = _package("NI-DAQ", "nidaqmx", "nidaqmx", "package nidaqmx is not installed: pip install 'foten[daq]'")
+    without = "PyTorch is not installed, and rendering does not need it: pip install 'foten[train]' to train"
+    training = _package("training", "torch", "PyTorch", without)
+    return [Check("python", python), _kernel(), _size(), *_start_up(), _clock(), _sound(), daq, training]
 
 
 def _kernel() -> Check:
-    from foten.runtime.binding import isa, library
-
     try:
         version = library().foten_version().decode()
         return Check("kernel", f"{version}, instruction set {isa()}", fine=True)
@@ -59,30 +51,22 @@ def _kernel() -> Check:
 
 def _size() -> Check:
     """Bytes of what an installation without extras brings: this package and all that it needs."""
-    sizes: dict[str, int] = {}
-    recorded: set[Path] = set()
+    files: dict[str, set[Path]] = {}
     waiting = ["foten"]
     while waiting:
         name = waiting.pop().lower()
-        if name in sizes:
+        if name in files:
             continue
-        sizes[name] = 0
-        try:
+        files[name] = set()
+        with suppress(importlib.metadata.PackageNotFoundError):  # run from its sources
             distribution = importlib.metadata.distribution(name)
-        except importlib.metadata.PackageNotFoundError:  # run from its sources
-            continue
-        paths = [Path(str(file.locate())) for file in distribution.files or []]
-        recorded.update(paths)
-        sizes[name] = sum(path.stat().st_size for path in paths if path.is_file())
-        asked = [line for line in distribution.requires or [] if "extra ==" not in line]
-        waiting += [re.split(r"[^A-Za-z0-9._-]", line, maxsplit=1)[0] for line in asked]
+            files[name] = {Path(str(file.locate())) for file in distribution.files or []}
+            asked = [line for line in distribution.requires or [] if "extra ==" not in line]
+            waiting += [re.split(r"[^A-Za-z0-9._-]", line, maxsplit=1)[0] for line in asked]
     # Of an editable install the sources lie elsewhere.
-    for folder in importlib.util.find_spec("foten").submodule_search_locations or []:  # type: ignore[union-attr]
-        sizes["foten"] += sum(
-            path.stat().st_size
-            for path in Path(folder).rglob("*")
-            if path.is_file() and "__pycache__" not in path.parts and path not in recorded
-        )
+    here = (path for folder in foten.__path__ for path in Path(folder).rglob("*"))
+    files["foten"] |= {path for path in here if "__pycache__" not in path.parts}
+    sizes = {name: sum(path.stat().st_size for path in paths if path.is_file()) for name, paths in files.items()}
     largest = sorted(sizes, key=lambda name: -sizes[name])
     summary = ", ".join(f"{name} {sizes[name] / 1e6:.1f}" for name in largest if sizes[name] > 5e5)
     return Check("size", f"{sum(sizes.values()) / 1e6:.0f} MB: {summary}")
@@ -95,20 +79,18 @@ def _start_up() -> list[Check]:
         "import foten": "import foten; foten.Renderer",
         "first sample": f"import foten; foten.Renderer({str(EXAMPLE)!r}).step(80.0, 0.8)",
     }
-    times: dict[str, list[float]] = {name: [] for name in programs}
-    for _ in range(_TRIALS):
+    least = dict.fromkeys(programs, math.inf)
+    for _ in range(5):
         for name, program in programs.items():
             begin = time.perf_counter()
             done = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True, text=True)
             if done.returncode != 0:
                 return [Check(name, reason(done), fine=False)]
-            times[name].append(time.perf_counter() - begin)
-    least = {name: min(values) for name, values in times.items()}
-    numpy = least["import numpy"]
+            least[name] = min(least[name], time.perf_counter() - begin)
+    numpy = least.pop("import numpy")
     return [
         Check(name, f"{1000 * seconds:.0f} ms, {seconds / numpy:.2f} times 'import numpy'", fine=seconds <= 2 * numpy)
         for name, seconds in least.items()
-        if name != "import numpy"
     ]
 
 
@@ -120,47 +102,25 @@ def _clock() -> Check:
         due += 0.002
         time.sleep(max(0.0, due - time.perf_counter()))
         late.append(time.perf_counter() - due)
-    p50, p99, largest = 1000 * np.percentile(late, 50), 1000 * np.percentile(late, 99), 1000 * max(late)
+    p50, p99, largest = (1000 * np.percentile(late, [50, 99, 100])).tolist()
     advice = "" if largest < 8 else "; the usual lead of 10 ms may be too short here"
-    return Check(
-        "timer",
-        f"late by {p50:.2f} ms (p50), {p99:.2f} ms (p99), {largest:.2f} ms at most{advice}",
-        fine=bool(largest < 8),
-    )
+    result = f"late by {p50:.2f} ms (p50), {p99:.2f} ms (p99), {largest:.2f} ms at most{advice}"
+    return Check("timer", result, fine=largest < 8)
 
 
 def _sound() -> Check:
-    from foten.runtime.live.sound import sound_library
-
     try:
-        sounddevice: Any = sound_library()
-        devices = [device["name"] for device in sounddevice.query_devices() if device["max_output_channels"] > 0]
+        devices = [one["name"] for one in sound_library().query_devices() if one["max_output_channels"] > 0]
     except Exception as error:  # PortAudio's own too: whatever it is, it is told and the rest is looked at
         return Check("sound", str(error))
     return Check("sound", ", ".join(devices) if devices else "PortAudio is here, and no device to play on")
 
 
-def _daq() -> Check:
-    if importlib.util.find_spec("nidaqmx") is None:
-        return Check("NI-DAQ", "package nidaqmx is not installed: pip install 'foten[daq]'")
-    return Check("NI-DAQ", f"nidaqmx {_version('nidaqmx')}")
-
-
-def _training() -> Check:
-    if importlib.util.find_spec("torch") is None:
-        return Check(
-            "training", "PyTorch is not installed, and rendering does not need it: pip install 'foten[train]' to train"
-        )
-    return Check("training", f"PyTorch {_version('torch')}")
-
-
-def _version(package: str) -> str:
+def _package(name: str, package: str, title: str, missing: str) -> Check:
+    """Return the version of a package that may be here, or what there is to say where it is not."""
+    if importlib.util.find_spec(package) is None:
+        return Check(name, missing)
     try:
-        return importlib.metadata.version(package)
+        return Check(name, f"{title} {importlib.metadata.version(package)}")
     except importlib.metadata.PackageNotFoundError:
-        return "of an unknown version"
-
-
-def as_documents(checks: list[Check]) -> list[dict[str, Any]]:
-    """Return the checks as JSON values."""
-    return [asdict(check) for check in checks]
+        return Check(name, f"{title} of an unknown version")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
@@ -11,16 +10,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.runtime.binding import library
 from foten.runtime.native import NativeState, NativeTexture, PredictionPart
 
 
 def on_all_cores(work: Callable[[int], None], n: int) -> None:
-    """Call a function with 0 … n − 1, shared out over the cores; the kernel's calls release the interpreter's lock.
-
-    Each number is worked on by itself, so the result does not depend on how many cores there are.
-    """
+    """Call a function with 0 … n − 1, shared out over the cores; the kernel's calls release the interpreter's lock."""
     with ThreadPoolExecutor(min(n, os.cpu_count() or 1) or 1) as pool:
-        deque(pool.map(work, range(n)), maxlen=0)
+        list(pool.map(work, range(n)))  # which raises what a call raised
 
 
 def run_loops(
@@ -37,29 +34,29 @@ def run_loops(
         condition: speed and force of each sample, and the speed that tones go by [mm/s], shape (s, n, 3).
         noise: standard normal, shape (s, n); None for the deterministic loop.
         limit: that samples are cut to.
-
-    Raises:
-        ValueError: a window holds NaN or infinity.
     """
     out = np.empty(condition.shape[:2])
 
     def run(i: int) -> None:
         window, conditions = (np.ascontiguousarray(part[i], dtype=np.float64) for part in (windows, condition))
-        drawn = None if noise is None else np.ascontiguousarray(noise[i], dtype=np.float64)
-        NativeState(texture).run_scaled(window, conditions, drawn, limit, out[i])
+        drawn = None if noise is None else np.ascontiguousarray(noise[i], dtype=np.float64).ctypes
+        state = NativeState(texture)
+        if library().foten_start_scaled(state.pointer, window.ctypes) != 0:
+            raise ValueError("the windows to start from hold NaN or infinity")
+        library().foten_run_scaled(state.pointer, conditions.ctypes, drawn, limit, len(conditions), out[i].ctypes)
+        texture.raise_failed()
 
     on_all_cores(run, len(out))
     return out
 
 
 class Prediction(NamedTuple):
-    """What is expected of samples, the scale of what is missed, and the tail of its distribution; scaled, of one shape.
-
-    A scale of 0 is not known: a rendering predicts from something else, or there is no excitation.
-    """
+    """What is expected of samples, and the distribution of what is missed; scaled, of one shape."""
 
     sample: NDArray[np.float64]
-    scale: NDArray[np.float64]
+    scale: NDArray[
+        np.float64
+    ]  # 0 where it is not known: a rendering predicts from something else, or has no excitation
     tail: NDArray[np.float64]
 
 
@@ -67,12 +64,8 @@ def predict_blocks(texture: NativeTexture, blocks: NDArray[np.float64], part: Pr
     """Return one-step predictions of recorded blocks, scaled (s, n, 3), from sample `window` on: (s, n − window) each.
 
     Args:
-        texture: whose model predicts.
         blocks: acceleration, speed and force; each sample is predicted from those before it in its block.
         part: all of the "model"; its "linear" part alone; or what a "rendering" uses, the network only where it is in the loop.
-
-    Raises:
-        ValueError: a block is shorter than a window, or holds NaN or infinity.
     """
     out = np.empty((len(blocks), blocks.shape[1] - texture.info.window, 3))
 

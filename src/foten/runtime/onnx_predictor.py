@@ -15,7 +15,6 @@ Array = NDArray[np.float64]
 
 GRAPH = "graph"  # the tensor that holds one, as bytes
 INPUT, OUTPUT = "windows", "next"
-_AT_ONCE = 4096  # windows
 # What our networks are made of. A file is not trusted: nothing that repeats, branches, reads other files or is somebody's own.
 _OPERATORS = re.compile(
     "Add|And|Atan|Cast|Clip|Concat|Constant|ConstantOfShape|Conv|Cos|Div|Einsum|Equal|Exp|Flatten|Gather|Gemm|Greater|Identity|LSTM|"
@@ -48,19 +47,11 @@ class OnnxPredictor:
 
     def ahead(self, windows: Array) -> Array:
         """Return the samples to come: windows (b, m, 3) scaled → (b, n_ahead) scaled."""
-        given = windows.astype(np.float32)
-        pieces = [
-            self._session.run([OUTPUT], {INPUT: given[i : i + _AT_ONCE]})[0].reshape(-1, self.n_ahead)
-            for i in range(0, len(given), _AT_ONCE)
-        ]
-        return np.concatenate(pieces).astype(np.float64) if pieces else np.empty((0, self.n_ahead))
+        (following,) = self._session.run([OUTPUT], {INPUT: windows.astype(np.float32)})
+        return np.asarray(following, dtype=np.float64).reshape(-1, self.n_ahead)
 
     def predict_into(self, window: NDArray[np.float32], out: NDArray[np.float32]) -> None:
-        """Fill in the samples to come, (n_ahead,) scaled, of a window (1, m, 3) scaled.
-
-        Raises:
-            ValueError: there is room for another number of them.
-        """
+        """Fill in the samples to come, (n_ahead,) scaled, of a window (1, m, 3) scaled."""
         if out.shape != (self.n_ahead,):
             raise ValueError(f"the card speaks of {out.size} samples at once, and the graph of {self.n_ahead}")
         out[:] = self._session.run([OUTPUT], {INPUT: window})[0].ravel()

@@ -12,6 +12,11 @@ from foten.families.texture_file import Texture
 from foten.runtime.actuator import ActuatorProfile
 from foten.runtime.binding import NativeStatistics
 from foten.runtime.native import NativeState, NativeTexture
+from foten.untrusted import check_regular
+
+# A texture that comes with the package, so that there is something to play before anything was recorded: a woven steel mesh,
+# learned with the default recipe from `foten simulate steel-mesh-1`, no recording of anyone's.
+EXAMPLE = Path(__file__).with_name("example.foten")
 
 
 class Renderer:
@@ -57,7 +62,7 @@ class Renderer:
         if actuator is not None:
             self.native_state.set_actuator(actuator.native())
         self.seed = seed
-        self.texture_rate = float(self.native_texture.info.rate_hz)
+        self.texture_rate = self.native_texture.info.rate_hz
         self.rate = self.texture_rate if rate is None else float(rate)
 
     @property
@@ -112,9 +117,8 @@ class Renderer:
         if speed.ndim == 0 and force.ndim == 0:
             if n is None or n < 0:
                 raise ValueError(f"n is {n}, expected how many samples to render under a hand that is held")
-            self.native_state.set_hand(float(speed), float(force))
             out = np.empty(n, dtype=np.float32)
-            self.native_state.render(out)
+            self.render_into(out, float(speed), float(force))
             return out
         if n is not None:
             raise ValueError("n was given beside arrays, which say themselves how long the stroke is")
@@ -127,8 +131,7 @@ def _native(texture: str | PathLike[str] | bytes | Texture) -> NativeTexture:
     if isinstance(texture, Texture):
         return NativeTexture(texture.to_bytes())
     path = Path(texture)
-    if not path.exists():
-        raise FileNotFoundError(f"no such file: {path}")
+    check_regular(path)
     try:
         return NativeTexture(path.read_bytes())
     except ValueError as error:

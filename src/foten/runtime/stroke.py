@@ -23,21 +23,13 @@ COLUMNS = "t (s), and speed (mm/s) or x, y (mm), and force (N) or pressure (0 to
 
 @dataclass(frozen=True)
 class Stroke:
-    """A hand at a rate, as it was given: not yet low-passed.
+    """A hand at a rate, as it was given: not yet low-passed."""
 
-    Attributes:
-        moved: velocity of each axis [mm/s], shape (n_axes, n); one axis where only the speed is known.
-        force: [N], shape (n,).
-        rate_hz: samples a second.
-        gap_s: the longest hole between two given samples that was bridged, where one is ten times the usual step; else 0.
-        n_lifted: holes and jumps between positions that were taken as lifting the pen.
-    """
-
-    moved: Array
-    force: Array
+    moved: Array  # velocity of each axis [mm/s], shape (n_axes, n); one axis where only the speed is known
+    force: Array  # [N], shape (n,)
     rate_hz: float
-    gap_s: float = 0.0
-    n_lifted: int = 0
+    gap_s: float = 0.0  # the longest hole between given samples that was bridged, of ten times the usual step; else 0
+    n_lifted: int = 0  # holes and jumps between positions that were taken as lifting the pen
 
     def conditioned(self, lowpass_hz: float) -> tuple[Array, Array]:
         """Return speed [mm/s] and force [N] through the causal low-pass of rendering, shapes (n,)."""
@@ -45,11 +37,7 @@ class Stroke:
 
 
 def constant_stroke(speed: float, force: float, seconds: float, rate_hz: float) -> Stroke:
-    """Return a stroke at one speed [mm/s] and force [N].
-
-    Raises:
-        ValueError: something is negative, not finite, or lasts less than a sample.
-    """
+    """Return a stroke at one speed [mm/s] and force [N]."""
     for name, value in (("speed", speed), ("force", force), ("seconds", seconds)):
         if not (math.isfinite(value) and value >= 0):
             raise ValueError(f"{name} is {value}, expected a finite number, 0 or more")
@@ -86,7 +74,8 @@ def read_stroke(path: Path, rate_hz: float, calibration: PressureCalibration | N
     if not rows:
         raise ValueError(f"{path.name} is empty, expected a header with {COLUMNS}")
     header = [cell.strip().lower() for cell in rows[0]]
-    columns = {name: _column(path, rows[1:], header, name) for name in header if name in _KNOWN}
+    known = [name for name in header if name in ("t", "speed", "x", "y", "force", "pressure")]
+    columns = {name: _column(path, rows[1:], header.index(name), name) for name in known}
     if "t" not in columns or not (
         ("speed" in columns or {"x", "y"} <= columns.keys()) and ("force" in columns or "pressure" in columns)
     ):
@@ -98,8 +87,9 @@ def read_stroke(path: Path, rate_hz: float, calibration: PressureCalibration | N
     if wrong.size:
         raise ValueError(f"{path.name}: t does not increase at row {int(wrong[0]) + 3}")
     times = times - times[0]
-    force = columns.get("force")
-    if force is None:
+    if "force" in columns:
+        force = columns["force"]
+    else:
         pressure = columns["pressure"]
         if pressure.min() < 0 or pressure.max() > 1:
             raise ValueError(f"{path.name}: pressure runs to {pressure.max():g}, expected 0 to 1")
@@ -140,15 +130,13 @@ def _lifted(times: Array, positions: Array, force: Array) -> tuple[Array, Array,
 
     Movement in the air is taken out of all positions after it, so that no speed comes of it.
     """
-    steps = np.diff(times)
-    holes = _holes(times)
-    distance = np.hypot(*np.diff(positions, axis=1))
+    steps, moves, holes = np.diff(times), np.diff(positions, axis=1), _holes(times)
     airborne = np.minimum(force[:-1], force[1:]) <= 0
-    jumps = np.flatnonzero(airborne & (distance > LIMITS["speed"] * steps))
+    jumps = np.flatnonzero(airborne & (np.hypot(*moves) > LIMITS["speed"] * steps))
     lifts = np.union1d(holes, jumps)
-    moves = np.zeros_like(positions)
-    moves[:, lifts + 1] = np.diff(positions, axis=1)[:, lifts]
-    positions = positions - np.cumsum(moves, axis=1)
+    in_air = np.zeros_like(positions)
+    in_air[:, lifts + 1] = moves[:, lifts]
+    positions = positions - np.cumsum(in_air, axis=1)
     # The pen leaves within a usual step after the last row before a hole, and lands within one before the next.
     step = float(np.median(steps))
     added = np.concatenate([times[holes] + step, times[holes + 1] - step])
@@ -159,19 +147,14 @@ def _lifted(times: Array, positions: Array, force: Array) -> tuple[Array, Array,
     return merged[order], np.stack(rows), pressed, int(lifts.size)
 
 
-_KNOWN = ("t", "speed", "x", "y", "force", "pressure")
-
-
-def _column(path: Path, rows: list[list[str]], header: list[str], name: str) -> Array:
-    index = header.index(name)
-    values = []
-    for number, row in enumerate(rows, start=2):
+def _column(path: Path, rows: list[list[str]], index: int, name: str) -> Array:
+    values = np.empty(len(rows))
+    for i, row in enumerate(rows):
         try:
-            value = float(row[index])
+            values[i] = float(row[index])
         except (ValueError, IndexError) as error:
             given = repr(row[index]) if index < len(row) else "nothing"
-            raise ValueError(f"{path.name}: {name} at row {number} is {given}, expected a number") from error
-        if not math.isfinite(value):
-            raise ValueError(f"{path.name}: {name} at row {number} is {value}, expected a finite number")
-        values.append(value)
-    return np.array(values)
+            raise ValueError(f"{path.name}: {name} at row {i + 2} is {given}, expected a number") from error
+        if not math.isfinite(values[i]):
+            raise ValueError(f"{path.name}: {name} at row {i + 2} is {values[i]}, expected a finite number")
+    return values

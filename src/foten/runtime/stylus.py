@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import math
+import threading
+from ctypes import byref, c_float, c_void_p
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.runtime.binding import NativeStylusStatistics
-from foten.runtime.native import NativeStylus
+from foten.runtime.binding import NativeStylusStatistics, StylusOptions, library
+from foten.runtime.native import freed_with
 from foten.runtime.renderer import Renderer
 
 Array = NDArray[np.float64]
 
-_STEPS = 100
 _FLAT = 1e-300  # steepness of a force that no pressure changes: of 0 the kernel makes the paper's
 
 
@@ -30,7 +30,7 @@ class PressureCalibration:
     b: float = 3.32
 
     def __post_init__(self) -> None:
-        if not (0 < self.a < 1e6 and math.isfinite(self.a)) or not abs(self.b) < 100:
+        if not 0 < self.a < 1e6 or not abs(self.b) < 100:
             raise ValueError(f"the pressure's curve is {self.a} N · exp({self.b} p), which no tablet has")
 
     def force(self, pressure: Array) -> Array:
@@ -63,24 +63,23 @@ def fit_pressure(pressure: Array, force: Array) -> PressureCalibration:
         raise ValueError(
             f"{p.size} pairs over {np.ptp(p) if p.size else 0:.2g} of pressure, expected three or more, over 0.1 or more"
         )
-    b, log_a = np.polyfit(p, np.log(f), 1)
-    estimate, damping = np.array([log_a, b]), 1e-3
-    missed = np.exp(estimate[0] + estimate[1] * p) - f
-    for _ in range(_STEPS):  # Levenberg and Marquardt, from the fit of logarithms
-        curve = np.exp(estimate[0] + estimate[1] * p)
-        jacobian = np.stack([curve, curve * p], axis=1)
-        normal = jacobian.T @ jacobian
-        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -jacobian.T @ missed)
-        tried = np.exp(estimate[0] + step[0] + (estimate[1] + step[1]) * p) - f
-        if not np.square(tried).sum() <= np.square(missed).sum():
-            damping *= 10
-            if damping > 1e12:
+    powers = np.stack([p, np.ones_like(p)])  # the force is exp(b p + ln a)
+    estimate, damping = np.polyfit(p, np.log(f), 1), 1e-3
+    missed = np.exp(estimate @ powers) - f
+    for _ in range(100):  # Levenberg and Marquardt, from the fit of logarithms
+        slopes = powers * np.exp(estimate @ powers)
+        normal = slopes @ slopes.T
+        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -slopes @ missed)
+        tried = np.exp((estimate + step) @ powers) - f
+        if np.square(tried).sum() <= np.square(missed).sum():
+            estimate, missed, damping = estimate + step, tried, damping / 10
+            if np.abs(step).max() < 1e-12:
                 break
-            continue
-        estimate, missed, damping = estimate + step, tried, damping / 10
-        if np.abs(step).max() < 1e-12:
+        elif damping > 1e11:
             break
-    return PressureCalibration(float(np.exp(estimate[0])), float(estimate[1]))
+        else:
+            damping *= 10
+    return PressureCalibration(float(np.exp(estimate[1])), float(estimate[0]))
 
 
 class Stylus:
@@ -96,28 +95,32 @@ class Stylus:
     What is not finite, late, doubled, out of order or a jump is counted (`stats`) and does no harm. Beside the low-pass of 20 Hz,
     which recordings went through too, speed comes 2 to 5 ms after the hand at 240 to 60 events a second that are told at
     once, and force 3 to 10 ms.
-
-    Args:
-        renderer: what is rendered.
-        calibration: of pressure to force.
     """
 
     def __init__(self, renderer: Renderer, calibration: PressureCalibration | None = None) -> None:
         curve = calibration or PressureCalibration()
+        options = StylusOptions(curve.a, curve.b or _FLAT)
+        self._pointer = c_void_p(library().foten_stylus_new(renderer.native_texture.pointer, byref(options)))
+        if not self._pointer:
+            raise MemoryError("no memory for a stylus")
         self._renderer = renderer
-        self._stylus = NativeStylus(renderer.native_texture, curve.a, curve.b or _FLAT)
+        self._pushing = threading.Lock()
+        freed_with(self, library().foten_stylus_free, self._pointer)
 
     def push(self, x_mm: float, y_mm: float, pressure: float, t_s: float) -> None:
-        """Tell of an event: position [mm], pressure 0 … 1 (0 is lifted), the device's time [s]."""
-        self._stylus.push(x_mm, y_mm, pressure, t_s)
+        """Take in an event: position [mm], pressure 0 … 1 (0 is lifted), the device's time [s]; from any thread."""
+        with self._pushing:  # the kernel's queue is for one thread at a time
+            library().foten_stylus_push(self._pointer, x_mm, y_mm, pressure, t_s)
 
     def next_hand(self) -> tuple[float, float]:
         """Return speed [mm/s] and force [N] at the next sample of the texture's own rate, and move on by it."""
-        return self._stylus.next()
+        speed, force = c_float(), c_float()
+        library().foten_stylus_next(self._pointer, byref(speed), byref(force))
+        return speed.value, force.value
 
     def render_into(self, out: NDArray[np.float32]) -> None:
         """Fill an array (n,) with the next samples [m/s², or an actuator's drive] at the output rate, without allocation."""
-        self._renderer.native_state.render_stylus(self._stylus, out)
+        self._renderer.native_state.render_stylus(self._pointer, out)
 
     def render(self, n: int) -> NDArray[np.float32]:
         """Return n samples [m/s², or an actuator's drive] at the output rate."""
@@ -128,4 +131,4 @@ class Stylus:
     @property
     def stats(self) -> NativeStylusStatistics:
         """Return what was counted."""
-        return self._stylus.statistics
+        return library().foten_stylus_statistics(self._pointer)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import threading
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import numpy as np
 
-from foten.runtime.live.paced import Read, check_gain
+from foten.runtime.live.live import Read
+from foten.runtime.live.paced import check_gain
 
 _DAQ_BUFFERED_MS = 20.0
 
@@ -39,46 +41,36 @@ class DaqSink:
         self.rate_hz = float(rate_hz)
         self.n_cut = 0
         self.failed: BaseException | None = None
-        self._channel, self._stopped = channel, False
-        self._fading = threading.Event()
-        self._silent = threading.Event()
-        self._gain, self._limit = gain, limit_v
+        self._channel, self._gain, self._limit = channel, gain, limit_v
+        self._stopped, self._fading, self._silent = False, threading.Event(), threading.Event()
         n = max(2, round(_DAQ_BUFFERED_MS * rate_hz / 2000))  # half of the buffer
         self._block = np.zeros(n, dtype=np.float32)
         self.n_at_once = 2 * n  # as it starts, and never more later
         self._library = library or _nidaqmx()
-        errors = self._library.errors
-        try:
+        with self._in_one_line("no NI-DAQ"):
             self._task = self._library.Task("foten")
-        except errors.Error as error:
-            raise OSError(f"no NI-DAQ: {_first_line(error)}") from error
         try:
-            constants = self._library.constants
-            self._task.ao_channels.add_ao_voltage_chan(channel, min_val=-limit_v, max_val=limit_v)
-            self._task.timing.cfg_samp_clk_timing(
-                rate=rate_hz, sample_mode=constants.AcquisitionType.CONTINUOUS, samps_per_chan=2 * n
-            )
-            self._task.out_stream.output_buf_size = 2 * n
-            # Else the board takes from the buffer what its own memory holds, and plays that much later. Not all know how.
-            with suppress(errors.Error):
-                self._task.ao_channels.all.ao_data_xfer_req_cond = (
-                    constants.OutputDataTransferCondition.ON_BOARD_MEMORY_EMPTY
-                )
-            # Without this a late block would be the last one once more.
-            self._task.out_stream.regen_mode = constants.RegenerationMode.DONT_ALLOW_REGENERATION
-            self._writer = self._library.stream_writers.AnalogSingleChannelWriter(
-                self._task.out_stream, auto_start=False
-            )
-        except errors.Error as error:
+            with self._in_one_line(f"the NI-DAQ refuses {channel}"):
+                self._set_up()
+        except OSError:
             self._task.close()
-            raise OSError(f"the NI-DAQ refuses {channel}: {_first_line(error)}") from error
+            raise
+
+    def _set_up(self) -> None:
+        task, constants = self._task, self._library.constants
+        task.ao_channels.add_ao_voltage_chan(self._channel, min_val=-self._limit, max_val=self._limit)
+        continuous = constants.AcquisitionType.CONTINUOUS
+        task.timing.cfg_samp_clk_timing(rate=self.rate_hz, sample_mode=continuous, samps_per_chan=self.n_at_once)
+        task.out_stream.output_buf_size = self.n_at_once
+        # Else the board takes from the buffer what its own memory holds, and plays that much later. Not all know how.
+        with suppress(self._library.errors.Error):
+            task.ao_channels.all.ao_data_xfer_req_cond = constants.OutputDataTransferCondition.ON_BOARD_MEMORY_EMPTY
+        # Without this a late block would be the last one once more.
+        task.out_stream.regen_mode = constants.RegenerationMode.DONT_ALLOW_REGENERATION
+        self._writer = self._library.stream_writers.AnalogSingleChannelWriter(task.out_stream, auto_start=False)
 
     def start(self, read: Read) -> None:
-        """Fill the buffer and start the clock.
-
-        Raises:
-            BaseException: what filling it died of; OSError where the device refuses.
-        """
+        """Fill the buffer and start the clock; raises what filling it died of, or OSError where the device refuses."""
 
         def refill(*_: Any) -> int:
             try:
@@ -91,22 +83,19 @@ class DaqSink:
                 elif self._fading.is_set():
                     volts *= np.linspace(1.0, 0.0, volts.size)
                     self._silent.set()
-                self._writer.write_many_sample(volts)
-            except self._library.errors.Error as error:
-                self.failed = OSError(f"the NI-DAQ takes no samples: {_first_line(error)}")
-            except BaseException as error:  # told by `Live.stop`, in the thread that waits for it
+                with self._in_one_line("the NI-DAQ takes no samples"):
+                    self._writer.write_many_sample(volts)
+            except BaseException as error:  # raised by `Live.stop`, in the thread that waits for it
                 self.failed = error
             return 0
 
-        try:
-            for _ in range(2):
-                refill()
-                if self.failed is not None:
-                    raise self.failed
+        for _ in range(2):
+            refill()
+            if self.failed is not None:
+                raise self.failed
+        with self._in_one_line("the NI-DAQ does not start"):
             self._task.register_every_n_samples_transferred_from_buffer_event(self._block.size, refill)
             self._task.start()
-        except self._library.errors.Error as error:
-            raise OSError(f"the NI-DAQ does not start: {_first_line(error)}") from error
 
     def stop(self) -> None:
         """Fade out, stop the clock, set the output to 0 V, and give the device back.
@@ -116,31 +105,38 @@ class DaqSink:
         if self._stopped:
             return
         self._stopped = True
-        errors = self._library.errors
         if self.failed is None:
             self._fading.set()
             if self._silent.wait(1.0):
-                time.sleep(2 * self._block.size / self.rate_hz)  # until the fade has left the buffer
+                time.sleep(self.n_at_once / self.rate_hz)  # until the fade has left the buffer
         for end in (self._task.stop, self._task.close):
             try:
-                end()
-            except errors.Error as error:
-                self.failed = self.failed or OSError(f"the NI-DAQ ended badly: {_first_line(error)}")
+                with self._in_one_line("the NI-DAQ ended badly"):
+                    end()
+            except OSError as error:
+                self.failed = self.failed or error
         try:
-            with self._library.Task("foten-still") as still:
+            with (
+                self._in_one_line("the NI-DAQ may not be at 0 V, switch the amplifier off"),
+                self._library.Task("foten-still") as still,
+            ):
                 still.ao_channels.add_ao_voltage_chan(self._channel, min_val=-self._limit, max_val=self._limit)
                 still.write(0.0)
-        except errors.Error as error:  # worse than whatever it died of before
-            self.failed = OSError(f"the NI-DAQ may not be at 0 V, switch the amplifier off: {_first_line(error)}")
+        except OSError as error:  # worse than whatever it died of before
+            self.failed = error
 
-
-def _first_line(error: Exception) -> str:
-    return str(error).partition("\n")[0]
+    @contextmanager
+    def _in_one_line(self, what: str) -> Iterator[None]:
+        """Raise the library's error, which has many lines, as an OSError of one."""
+        try:
+            yield
+        except self._library.errors.Error as error:
+            first_line = str(error).partition("\n")[0]
+            raise OSError(f"{what}: {first_line}") from error
 
 
 def _nidaqmx() -> Any:
     try:
-        import nidaqmx
         import nidaqmx.constants
         import nidaqmx.errors
         import nidaqmx.stream_writers

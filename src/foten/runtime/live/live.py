@@ -14,14 +14,51 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.runtime.live.ring import Ring
+Samples = NDArray[np.float32]
+Read = Callable[[Samples], None]
 
 BLOCK_MS = 2.0  # rendered at once: a hand is looked at in every sample of the texture's rate, but set between blocks
 LEAD_MS = 10.0  # rendered ahead of what is played: what the hand waits, and what a busy machine may take
-SWITCH_S = (
-    0.0005  # how long another thread of Python keeps its lock while one renders live; 5 ms are usual, and too long
-)
+# How long another thread of Python keeps its lock while one renders live; 5 ms are usual, and too long.
+SWITCH_S = 0.0005
 _BINS = np.concatenate([[0.0], np.geomspace(1e-7, 1.0, 701)])  # s; 2.3 % apart
+
+
+class Ring:
+    """A ring of float32 samples, one writer, one reader; neither waits.
+
+    The counters only grow, each is written by one thread alone, and a sample is in place before its counter says so: no lock.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._samples = np.zeros(size, dtype=np.float32)
+        self._n_written = self._n_read = 0
+
+    @property
+    def level(self) -> int:
+        """Return how many samples wait to be read."""
+        return self._n_written - self._n_read
+
+    def write(self, samples: Samples) -> int:
+        """Take in as many samples as there is room for, and return how many."""
+        size = self._samples.size
+        n, at = min(samples.size, size - self.level), self._n_written % size
+        first = min(n, size - at)
+        self._samples[at : at + first] = samples[:first]
+        self._samples[: n - first] = samples[first:n]
+        self._n_written += n
+        return n
+
+    def read_into(self, out: Samples) -> int:
+        """Fill an array with what waits, zeros behind it, and return how many were there."""
+        size = self._samples.size
+        n, at = min(out.size, self.level), self._n_read % size
+        first = min(n, size - at)
+        out[:first] = self._samples[at : at + first]
+        out[first:n] = self._samples[: n - first]
+        out[n:] = 0.0
+        self._n_read += n
+        return n
 
 
 @dataclass
@@ -31,9 +68,9 @@ class Timing:
     counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_BINS.size, dtype=np.int64))
     largest_s: float = 0.0
 
-    def add(self, seconds: float, n: int = 1) -> None:
-        """Count n that took so long each."""
-        self.counts[np.searchsorted(_BINS, seconds) - 1 if seconds > 0 else 0] += n
+    def add(self, seconds: float) -> None:
+        """Count one that took so long."""
+        self.counts[np.searchsorted(_BINS, seconds) - 1 if seconds > 0 else 0] += 1
         self.largest_s = max(self.largest_s, seconds)
 
     def percentile_s(self, percent: float) -> float:
@@ -47,25 +84,15 @@ class Timing:
 
 @dataclass
 class LiveStatistics:
-    """What a rendering in real time did.
+    """What a rendering in real time did."""
 
-    Attributes:
-        block: how long a block took to render.
-        block_ms: how long it plays.
-        n_samples: rendered.
-        n_missed: blocks that took longer to render than to play.
-        n_underruns: times that the sink found less than it asked for.
-        n_lacking: samples of silence that it played instead.
-        least_ms: that the ring held, once it had been full.
-    """
-
-    block: Timing = field(default_factory=Timing)
-    block_ms: float = 0.0
-    n_samples: int = 0
-    n_missed: int = 0
-    n_underruns: int = 0
-    n_lacking: int = 0
-    least_ms: float = float("inf")
+    block: Timing = field(default_factory=Timing)  # how long a block took to render
+    block_ms: float = 0.0  # how long it plays
+    n_samples: int = 0  # rendered
+    n_missed: int = 0  # blocks that took longer to render than to play
+    n_underruns: int = 0  # times that the sink asked for more than there was
+    n_lacking: int = 0  # samples of silence that it played instead
+    least_ms: float = float("inf")  # that the ring held, once it had been full
 
     def line(self) -> str:
         """Return it in one line for people."""
@@ -78,27 +105,18 @@ class LiveStatistics:
 
 
 class Sink(Protocol):
-    """Where samples go. It takes them from `read` in a thread or a callback of its own, at its own pace.
+    """Where samples go. It takes them from `read` in a thread or a callback of its own, at its own pace."""
 
-    Attributes:
-        rate_hz: at which it takes them.
-        n_at_once: samples that it takes at most at once.
-        patient: whether it would rather wait for samples than play silence, as a file does.
-        failed: what it died of, or the rendering that it plays, of which `Live` tells it; None while both live.
-    """
+    rate_hz: float  # at which it takes them
+    n_at_once: int  # samples that it takes at most at once
+    patient: bool  # whether it would rather wait for samples than play silence, as a file does
+    failed: BaseException | None  # what it died of, or what it plays died of, which `Live` sets
 
-    rate_hz: float
-    n_at_once: int
-    patient: bool
-    failed: BaseException | None
-
-    def start(self, read: Callable[[NDArray[np.float32]], None]) -> None:
+    def start(self, read: Read) -> None:
         """Begin to take samples: `read` fills an array; it waits for a patient sink alone."""
-        ...
 
     def stop(self) -> None:
         """End, and give back what it holds; a second time nothing happens."""
-        ...
 
 
 class Live:
@@ -113,28 +131,18 @@ class Live:
 
     Args:
         render: fills an array with the next samples, in this class's thread; it should not keep Python's lock for long.
-        sink: plays them.
         block_ms: rendered at once.
         lead_ms: rendered ahead, or what the sink takes at once where that is more.
     """
 
-    def __init__(
-        self,
-        render: Callable[[NDArray[np.float32]], None],
-        sink: Sink,
-        block_ms: float = BLOCK_MS,
-        lead_ms: float = LEAD_MS,
-    ) -> None:
+    def __init__(self, render: Read, sink: Sink, block_ms: float = BLOCK_MS, lead_ms: float = LEAD_MS) -> None:
         if not 0 < block_ms <= lead_ms <= 1000:
             raise ValueError(f"blocks of {block_ms} ms and a lead of {lead_ms} ms, expected 0 < block ≤ lead ≤ 1000 ms")
-        self._render, self._sink = render, sink
-        rate = sink.rate_hz
+        self._render, self._sink, rate = render, sink, sink.rate_hz
         self._block = np.zeros(max(1, round(block_ms * rate / 1000)), dtype=np.float32)
-        self._lead = max(self._block.size, round(lead_ms * rate / 1000), sink.n_at_once + self._block.size)
+        self._lead = max(round(lead_ms * rate / 1000), sink.n_at_once + self._block.size)
         self._ring = Ring(max(2 * self._block.size, self._lead))
-        self._stopping = threading.Event()
-        self._wanted = threading.Event()
-        self._filled = threading.Event()
+        self._stopping, self._wanted, self._filled = threading.Event(), threading.Event(), threading.Event()
         self._failed: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="foten-render", daemon=True)
         self.statistics = LiveStatistics(block_ms=1000 * self._block.size / rate)
@@ -157,12 +165,12 @@ class Live:
         return 1000 * self._lead / self._sink.rate_hz
 
     def start(self) -> None:
-        """Fill the ring, then let the sink play.
-
-        Raises:
-            OSError: the sink refuses.
-        """
-        _keep_turns_short(self)
+        """Fill the ring, then let the sink play; raises what the sink does where it refuses."""
+        global _usual_s
+        if not _playing:
+            _usual_s = sys.getswitchinterval()
+            sys.setswitchinterval(min(SWITCH_S, _usual_s))
+        _playing.add(self)
         self._thread.start()
         self._filled.wait()
         if self._failed is not None:
@@ -174,15 +182,11 @@ class Live:
             raise
 
     def stop(self) -> None:
-        """End the sink, then the thread; a second time nothing happens.
-
-        Raises:
-            BaseException: what the rendering thread or the sink died of.
-        """
+        """End the sink, then the thread, and raise what either of them died of; a second time nothing happens."""
         self._close()
-        for failed in (self._failed, self._sink.failed):
-            if failed is not None:
-                raise failed
+        failed = self._failed or self._sink.failed
+        if failed is not None:
+            raise failed
 
     def _close(self) -> None:
         self._sink.failed = self._sink.failed or self._failed
@@ -196,9 +200,11 @@ class Live:
         self._wanted.set()
         if self._thread.is_alive():
             self._thread.join()
-        _let_turns_be_long(self)
+        _playing.discard(self)
+        if not _playing:
+            sys.setswitchinterval(_usual_s)
 
-    def _read(self, out: NDArray[np.float32]) -> None:
+    def _read(self, out: Samples) -> None:
         while self._sink.patient and self._ring.level < out.size and self.running:
             self._wanted.set()
             time.sleep(0.0005)
@@ -225,28 +231,14 @@ class Live:
                 self.statistics.block.add(took)
                 self.statistics.n_samples += self._block.size
                 self.statistics.n_missed += took > seconds
-        except BaseException as error:  # told by `stop`, in the thread that waits for it
+        except BaseException as error:  # raised by `stop`, in the thread that waits for it
             self._failed = error
         finally:
             self._filled.set()
 
 
 _playing: weakref.WeakSet[Live] = weakref.WeakSet()
-_usual_s = sys.getswitchinterval()
-
-
-def _keep_turns_short(live: Live) -> None:
-    global _usual_s
-    if not _playing:
-        _usual_s = sys.getswitchinterval()
-        sys.setswitchinterval(min(SWITCH_S, _usual_s))
-    _playing.add(live)
-
-
-def _let_turns_be_long(live: Live) -> None:
-    _playing.discard(live)
-    if not _playing:
-        sys.setswitchinterval(_usual_s)
+_usual_s = sys.getswitchinterval()  # before the first of them began
 
 
 @atexit.register

@@ -1,24 +1,22 @@
-"""Sinks that take samples as time passes: silence and a WAV file."""
+"""Sinks that take samples as time passes: silence, a WAV file, and packets to another program, UDP and OSC."""
 
 from __future__ import annotations
 
-import json
 import math
+import socket
 import struct
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from foten.atomic_write import atomic_write
-
-Samples = NDArray[np.float32]
-Read = Callable[[Samples], None]
+from foten.runtime.live.live import Read, Samples
+from foten.runtime.live.sinks import float_wav_ends
 
 PACKET_MS = 4.0
 _LARGEST_WAV = 2**32 - 4096  # bytes
@@ -44,11 +42,10 @@ class Paced:
                 f"a rate of {rate_hz} Hz in blocks of {block_ms} ms at {ratio} times, expected positive numbers"
             )
         self.rate_hz = float(rate_hz)
-        self._block = np.zeros(max(1, round(block_ms * rate_hz / 1000)), dtype=np.float32)
-        self._period_s = self._block.size / rate_hz / ratio
-        self.n_at_once = self._block.size
+        self.n_at_once = max(1, round(block_ms * rate_hz / 1000))
         self.n_late = 0
         self.failed: BaseException | None = None
+        self._period_s = self.n_at_once / rate_hz / ratio
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -60,18 +57,19 @@ class Paced:
     def stop(self) -> None:
         """End after the block that is being taken."""
         self._stopping.set()
-        if self._thread is not None and self._thread.is_alive():
+        if self._thread is not None:
             self._thread.join()
 
     def take(self, block: Samples) -> None:
         """Do something with a block."""
 
     def _run(self, read: Read) -> None:
+        block = np.zeros(self.n_at_once, dtype=np.float32)
         due = time.perf_counter()
         try:
             while not self._stopping.is_set():
-                read(self._block)
-                self.take(self._block)
+                read(block)
+                self.take(block)
                 due += self._period_s
                 wait = due - time.perf_counter()
                 if wait > 0:
@@ -80,7 +78,7 @@ class Paced:
                     n_late = int(-wait / self._period_s)
                     due += n_late * self._period_s
                     self.n_late += n_late
-        except BaseException as error:  # told by `Live.stop`, in the thread that waits for it
+        except BaseException as error:  # raised by `Live.stop`, in the thread that waits for it
             self.failed = error
 
 
@@ -92,7 +90,6 @@ class WavSink(Paced):
     """A WAV file of 32-bit floats, as they are, written as fast as they are rendered; the file is there when it stops.
 
     Args:
-        path: of the file.
         rate_hz: a whole number of samples a second.
         about: kept in the file as a comment.
         n: samples after which it is full; None for as many as come.
@@ -111,11 +108,10 @@ class WavSink(Paced):
         self.most = min(_LARGEST_WAV // 4, _LARGEST_WAV if n is None else n)
         if n is not None and n > self.most:
             raise ValueError(f"{n / rate_hz:.0f} s at {rate_hz:g} Hz are more than a WAV file holds, 4 GB; play fewer")
-        self._about = json.dumps({"unit": "m/s^2", "rate_hz": rate_hz, **(about or {})}, sort_keys=True).encode()
+        self._n, self._about = 0, about or {}
         self._stack = ExitStack()
         self._file = self._stack.enter_context(self._stack.enter_context(atomic_write(path)).open("wb"))
-        self._n = 0
-        self._file.write(self._header())
+        self._file.write(float_wav_ends(0, self.rate_hz, self._about)[0])
 
     @property
     def full(self) -> bool:
@@ -138,23 +134,50 @@ class WavSink(Paced):
         if self.failed is not None:
             self._stack.__exit__(type(self.failed), self.failed, None)
             return
-        comment = self._about + b"\0" * (1 + (len(self._about) + 1) % 2)
-        info = b"INFO" + b"ICMT" + struct.pack("<I", len(comment)) + comment
-        self._file.write(b"LIST" + struct.pack("<I", len(info)) + info)
-        size = self._file.tell()
+        head, tail = float_wav_ends(self._n, self.rate_hz, self._about)
+        self._file.write(tail)
         self._file.seek(0)
-        self._file.write(self._header(size - 8))
+        self._file.write(head)
         self._stack.close()
 
-    def _header(self, size: int = 0) -> bytes:
-        rate = round(self.rate_hz)
-        chunks = (
-            b"fmt "
-            + struct.pack("<IHHIIHHH", 18, 3, 1, rate, 4 * rate, 4, 32, 0)
-            + b"fact"
-            + struct.pack("<II", 4, self._n)
-        )
-        return b"RIFF" + struct.pack("<I", size) + b"WAVE" + chunks + b"data" + struct.pack("<I", 4 * self._n)
+
+class UdpSink(Paced):
+    """Packets to another program, all little-endian: b"FOT1", the count of packets before, the rate
+    [Hz, float32], the samples in it; then they.
+    """
+
+    def __init__(self, host: str, port: int, rate_hz: float) -> None:
+        super().__init__(rate_hz)
+        try:
+            self._to = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
+        except socket.gaierror as error:
+            raise OSError(f"no host {host!r} is known ({error.strerror})") from error
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._n = 0
+
+    def take(self, block: Samples) -> None:
+        """Send a block."""
+        samples = block.astype("<f4").tobytes()
+        self._socket.sendto(self._head(len(samples)) + samples, self._to)
+        self._n += 1
+
+    def stop(self) -> None:
+        """End, and close the socket."""
+        super().stop()
+        self._socket.close()
+
+    def _head(self, n_bytes: int) -> bytes:
+        return struct.pack("<4sIfI", b"FOT1", self._n & 0xFFFFFFFF, self.rate_hz, n_bytes // 4)
+
+
+class OscSink(UdpSink):
+    """OSC messages to "/foten": the count of messages before, the rate [Hz] and a blob of little-endian float32.
+
+    Source: Open Sound Control 1.0; types `ifb`, big-endian, padded to four bytes.
+    """
+
+    def _head(self, n_bytes: int) -> bytes:
+        return b"/foten\0\0,ifb\0\0\0\0" + struct.pack(">ifI", self._n & 0x7FFFFFFF, self.rate_hz, n_bytes)
 
 
 def check_gain(gain: float) -> None:

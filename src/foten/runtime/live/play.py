@@ -5,27 +5,26 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.recording.preprocess import condition
 from foten.runtime.actuator import ActuatorProfile
 from foten.runtime.live.daq import DaqSink
-from foten.runtime.live.live import Live, LiveStatistics, Sink
-from foten.runtime.live.network import OscSink, UdpSink
-from foten.runtime.live.paced import NullSink, Samples, WavSink
+from foten.runtime.live.live import Live, LiveStatistics, Read, Samples, Sink
+from foten.runtime.live.paced import NullSink, OscSink, UdpSink, WavSink
 from foten.runtime.live.sound import SOUND_RATE_HZ, SoundSink
 from foten.runtime.renderer import Renderer
 from foten.runtime.stroke import Stroke
 
 LOUDNESS = 0.1  # of full scale, of a sound's standard deviation, where no gain is given
 CIRCLES_A_SECOND = 0.5
-LEAST_RATE_HZ = (
-    8000.0  # of what is sent to a device that keeps to any rate: images and steps of the texture's own are felt
-)
+# Of what is sent to a device that keeps to any rate: images and steps of the texture's own would be felt.
+LEAST_RATE_HZ = 8000.0
 
 Array = NDArray[np.float64]
 Hand = Callable[[NDArray[np.int64]], tuple[Array, Array]]
@@ -34,25 +33,15 @@ Hand = Callable[[NDArray[np.int64]], tuple[Array, Array]]
 
 @dataclass(frozen=True)
 class Played:
-    """What playing came to.
+    """What playing came to."""
 
-    Attributes:
-        statistics: of the rendering and its ring.
-        delays_ms: what lies between hand and skin, by name.
-        counted: what the kernel counted.
-        n_cut: samples beyond what the sink takes.
-        n_device_underruns: times that a sound card itself found samples missing.
-        n_late: blocks that a sink which keeps its own time left out after the machine stood still.
-        interrupted: whether Ctrl-C ended it.
-    """
-
-    statistics: LiveStatistics
-    delays_ms: dict[str, float]
-    counted: dict[str, int]
-    n_cut: int
-    n_device_underruns: int
-    n_late: int
-    interrupted: bool
+    statistics: LiveStatistics  # of the rendering and its ring
+    delays_ms: dict[str, float]  # what lies between hand and skin, by name
+    counted: dict[str, int]  # by the kernel
+    n_cut: int  # samples beyond what the sink takes
+    n_device_underruns: int  # times that a sound card itself missed samples
+    n_late: int  # blocks that a sink which keeps its own time left out after the machine stood still
+    interrupted: bool  # by Ctrl-C
 
 
 def circling(speeds: tuple[float, float], forces: tuple[float, float], rate_hz: float) -> Hand:
@@ -78,8 +67,7 @@ def along(stroke: Stroke, lowpass_hz: float) -> Hand:
     from the end to the beginning at once. The low-pass rounds that step as it does those within.
     """
     n = stroke.force.size
-    twice = replace(stroke, moved=np.tile(stroke.moved, 2), force=np.tile(stroke.force, 2))
-    speed, force = twice.conditioned(lowpass_hz)
+    speed, force = condition(np.tile(stroke.moved, 2), np.tile(stroke.force, 2), stroke.rate_hz, lowpass_hz)
 
     def hand(at: NDArray[np.int64]) -> tuple[Array, Array]:
         i = np.where(at < n, at, n + at % n)
@@ -88,7 +76,7 @@ def along(stroke: Stroke, lowpass_hz: float) -> Hand:
     return hand
 
 
-def rendering(renderer: Renderer, hand: Hand) -> Callable[[Samples], None]:
+def rendering(renderer: Renderer, hand: Hand) -> Read:
     """Return what fills an array, shape (n,), with the next samples under a hand: those of a whole stroke, whatever the sizes."""
     state, ratio = renderer.native_state, renderer.texture_rate / renderer.rate
     waiting = np.zeros(0, dtype=np.float32)  # of one of the texture's own samples, for which the last array had no room
@@ -115,12 +103,7 @@ def sink_of(
     channel: int | None = None,
     about: dict[str, Any] | None = None,
 ) -> Sink:
-    """Return the sink that a text names: sound, null, FILE.wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.
-
-    Raises:
-        ValueError: it names none, or one without devices and channels of which some were given.
-        OSError: the device, its library or the host is missing.
-    """
+    """Return the sink that a text names: sound, null, FILE.wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT."""
     if where != "sound" and (device is not None or channel is not None):
         raise ValueError(f"--device and --channel are a sound card's, and it is played to {where}")
     kind, _, target = where.partition(":")
@@ -128,7 +111,7 @@ def sink_of(
         return NullSink(rate_hz)
     if where == "sound":
         chosen = int(device) if device is not None and device.isdecimal() else device
-        return SoundSink(gain, chosen, rate_hz, channel or 0, (channel or 0) + 1)
+        return SoundSink(gain, chosen, rate_hz, channel or 0)
     if where.lower().endswith(".wav"):
         return WavSink(Path(where), rate_hz, about, None if seconds is None else round(seconds * rate_hz))
     if kind == "daq" and target:
@@ -137,28 +120,21 @@ def sink_of(
         host, _, port = target.rpartition(":")
         if host and port.isdecimal() and 0 < int(port) < 65536:
             return (UdpSink if kind == "udp" else OscSink)(host, int(port), rate_hz)
-    raise ValueError(
-        f"cannot play to {where!r}, expected sound, null, a name that ends in .wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT"
-    )
+    known = "sound, null, a name that ends in .wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT"
+    raise ValueError(f"cannot play to {where!r}, expected {known}")
 
 
 def rate_for(where: str, asked: float | None, texture_rate: float) -> float:
     """Return the rate to play at: the one that is asked for, 48 kHz for sound, else the texture's own times a whole number."""
     if asked is not None:
         return asked
-    if where == "sound":
-        return SOUND_RATE_HZ
-    return texture_rate * max(1, int(np.ceil(LEAST_RATE_HZ / texture_rate)))
+    return SOUND_RATE_HZ if where == "sound" else texture_rate * max(1, math.ceil(LEAST_RATE_HZ / texture_rate))
 
 
 def play(
     renderer: Renderer, sink: Sink, hand: Hand, seconds: float | None, lead_ms: float, on_start: Callable[[], None]
 ) -> Played:
-    """Play a hand for a while, or until Ctrl-C, and return what it came to; `on_start` is called once it plays.
-
-    Raises:
-        OSError: the sink refused or died.
-    """
+    """Play a hand for a while, or until Ctrl-C, and return what it came to; `on_start` is called once it plays."""
     interrupted = False
     live = Live(rendering(renderer, hand), sink, lead_ms=lead_ms)
     begin = time.monotonic()
@@ -182,26 +158,15 @@ def play(
         delays["sound card, as it says"] = 1000 * sink.latency_s
     elif not sink.patient:
         delays["block of the sink"] = 1000 * sink.n_at_once / sink.rate_hz
-    return Played(
-        live.statistics,
-        delays,
-        renderer.counted(),
-        getattr(sink, "n_cut", 0),
-        getattr(sink, "n_device_underruns", 0),
-        getattr(sink, "n_late", 0),
-        interrupted,
-    )
+    n_cut, n_underruns, n_late = (getattr(sink, name, 0) for name in ("n_cut", "n_device_underruns", "n_late"))
+    return Played(live.statistics, delays, renderer.counted(), n_cut, n_underruns, n_late, interrupted)
 
 
 def gain_for(profile: ActuatorProfile | None, asked: float | None, sd: float, where: str) -> float:
     """Return the sink's gain: what is asked for; else what is safe to assume.
 
     An actuator's drive in V goes to a DAQ as it is, one in full scale to a sound card; acceleration goes to a sound card at a
-    usual loudness, and to whatever takes numbers as it is.
-
-    Raises:
-        ValueError: the unit of what is rendered is not that of the sink, and no one said how many of these are one of those; or
-            a gain is asked for where numbers go as they are.
+    usual loudness, and to whatever takes numbers as it is. A unit that is not the sink's raises ValueError.
     """
     if asked is not None:
         if where != "sound" and not where.startswith("daq:"):
@@ -212,12 +177,9 @@ def gain_for(profile: ActuatorProfile | None, asked: float | None, sd: float, wh
         if profile is None:
             return LOUDNESS / sd
         if unit != "full scale":
-            raise ValueError(
-                f"a sound card takes full scale, and the profile drives in {unit}: say with --gain how much of it 1 {unit} is"
-            )
+            ask = f"say with --gain how much of it 1 {unit} is"
+            raise ValueError(f"a sound card takes full scale, and the profile drives in {unit}: {ask}")
     elif where.startswith("daq:") and unit != "V":
-        raise ValueError(
-            f"a DAQ takes volts, and what is rendered is in {unit}: say with --gain how many volts 1 {unit} is, "
-            "or give a profile in V with --actuator"
-        )
+        ask = f"say with --gain how many volts 1 {unit} is, or give a profile in V with --actuator"
+        raise ValueError(f"a DAQ takes volts, and what is rendered is in {unit}: {ask}")
     return 1.0

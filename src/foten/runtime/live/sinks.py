@@ -30,29 +30,26 @@ def write_rendered(
     """Write a rendered stroke in the format that the suffix names: .wav (float32, m/s²), .csv, .npz or .png.
 
     Args:
-        path: where to.
-        acceleration: [m/s²], shape (n,); speed: [mm/s]; force: [N], likewise.
-        rate_hz: samples a second.
+        acceleration, speed, force: [m/s², mm/s, N], shape (n,) each.
         about: what made it (texture, seed, stroke), kept in the file where its format has room.
-
-    Raises:
-        ValueError: the suffix is unknown.
     """
-    suffix = path.suffix.lower()
-    if suffix == ".wav":
-        with atomic_write(path) as part:
-            part.write_bytes(_float_wav(acceleration, rate_hz, about))
-    elif suffix == ".csv":
-        with atomic_write(path) as part:
-            _write_csv(part, acceleration, rate_hz)
-    elif suffix == ".npz":
-        with atomic_write(path) as part:
-            _write_npz(part, acceleration, speed, force, rate_hz, about)
-    elif suffix == ".png":
-        with atomic_write(path) as part:
-            _write_picture(part, acceleration, speed, force, rate_hz, about)
-    else:
-        check_suffix(path)
+    check_suffix(path)
+    with atomic_write(path) as part:
+        match path.suffix.lower():
+            case ".wav":
+                head, tail = float_wav_ends(acceleration.size, rate_hz, about)
+                part.write_bytes(head + acceleration.astype("<f4").tobytes() + tail)
+            case ".csv":
+                rows = np.stack([np.arange(acceleration.size) / rate_hz, acceleration], axis=1)
+                np.savetxt(part, rows, "%.9g", ",", header="t,accel", comments="")
+            case ".npz":
+                with part.open("wb") as file:
+                    rate, text = np.array(rate_hz), np.array(json.dumps(dict(about), sort_keys=True))
+                    np.savez_compressed(
+                        file, acceleration=acceleration, speed=speed, force=force, rate_hz=rate, about=text
+                    )
+            case ".png":
+                _write_picture(part, acceleration, speed, force, rate_hz, about)
 
 
 def check_suffix(path: Path) -> None:
@@ -91,45 +88,19 @@ def audible_factor(rate_hz: float) -> Fraction:
     return rate_ratio(float(AUDIBLE_HZ), rate_hz, tolerance=1e-4)
 
 
-def _float_wav(samples: Array, rate_hz: float, about: Mapping[str, Any]) -> bytes:
-    """Return a mono IEEE-float WAV with a comment; the standard library's `wave` writes integers only.
+def float_wav_ends(n: int, rate_hz: float, about: Mapping[str, Any]) -> tuple[bytes, bytes]:
+    """Return what lies before and behind n samples in a mono IEEE-float WAV; the standard library's `wave` writes integers only.
 
-    The header holds a whole rate; the comment holds the exact one.
+    The header holds a whole rate; the comment behind the samples holds the exact one.
     """
-    data = samples.astype("<f4").tobytes()
     comment = json.dumps({"unit": "m/s^2", "rate_hz": rate_hz, **about}, sort_keys=True).encode() + b"\0"
     comment += b"\0" * (len(comment) % 2)
     info = b"INFO" + b"ICMT" + struct.pack("<I", len(comment)) + comment
+    tail = b"LIST" + struct.pack("<I", len(info)) + info
     rate = round(rate_hz)
-    chunks = [
-        (b"fmt ", struct.pack("<HHIIHHH", 3, 1, rate, 4 * rate, 4, 32, 0)),
-        (b"fact", struct.pack("<I", samples.size)),
-        (b"data", data),
-        (b"LIST", info),
-    ]
-    body = b"".join(name + struct.pack("<I", len(content)) + content for name, content in chunks)
-    return b"RIFF" + struct.pack("<I", 4 + len(body)) + b"WAVE" + body
-
-
-def _write_csv(part: Path, acceleration: Array, rate_hz: float) -> None:
-    with part.open("w") as file:
-        file.write("t,accel\n")
-        for i, value in enumerate(acceleration):
-            file.write(f"{i / rate_hz:.9g},{value:.9g}\n")
-
-
-def _write_npz(
-    part: Path, acceleration: Array, speed: Array, force: Array, rate_hz: float, about: Mapping[str, Any]
-) -> None:
-    with part.open("wb") as file:
-        np.savez_compressed(
-            file,
-            acceleration=acceleration,
-            speed=speed,
-            force=force,
-            rate_hz=np.array(rate_hz),
-            about=np.array(json.dumps(dict(about), sort_keys=True)),
-        )
+    head = b"WAVE" + b"fmt " + struct.pack("<IHHIIHHH", 18, 3, 1, rate, 4 * rate, 4, 32, 0)
+    head += b"fact" + struct.pack("<II", 4, n) + b"data" + struct.pack("<I", 4 * n)
+    return b"RIFF" + struct.pack("<I", len(head) + 4 * n + len(tail)) + head, tail
 
 
 def _write_picture(
@@ -138,12 +109,11 @@ def _write_picture(
     from matplotlib.figure import Figure
 
     t = np.arange(acceleration.size) / rate_hz
+    limits = (0, t[-1] or 1)
     figure = Figure(figsize=(9, 7), layout="constrained")
     waveform, spectrum, hand = figure.subplots(3, 1)
     waveform.plot(t, acceleration, lw=0.5, color="#0072B2")
-    waveform.set(
-        ylabel="acceleration [m/s²]", title=f"{about.get('texture') or 'texture'}, rendered", xlim=(0, t[-1] or 1)
-    )
+    waveform.set(ylabel="acceleration [m/s²]", title=f"{about.get('texture') or 'texture'}, rendered", xlim=limits)
     if acceleration.size >= 64:
         n = min(max(32, round(SPECTROGRAM_S * rate_hz)), acceleration.size // 4)
         frames = np.lib.stride_tricks.sliding_window_view(acceleration, n)[:: max(1, n // 8)]
@@ -151,18 +121,13 @@ def _write_picture(
         top = float(power.max()) or 1.0
         level = 10 * np.log10(np.maximum(power / top, 10 ** (-SPECTROGRAM_DB / 10)))
         edge = 0.5 * rate_hz / n
-        image = spectrum.imshow(
-            level.T,
-            origin="lower",
-            aspect="auto",
-            cmap="magma",
-            extent=(0.5 * n / rate_hz, t[-1] - 0.5 * n / rate_hz, -edge, rate_hz / 2 + edge),
-        )
+        extent = (0.5 * n / rate_hz, t[-1] - 0.5 * n / rate_hz, -edge, rate_hz / 2 + edge)
+        image = spectrum.imshow(level.T, origin="lower", aspect="auto", cmap="magma", extent=extent)
         spectrum.set_facecolor("black")
         figure.colorbar(image, ax=spectrum, label="dB re loudest", pad=0.01)
-    spectrum.set(ylabel="frequency [Hz]", ylim=(0, min(1000, rate_hz / 2)), xlim=(0, t[-1] or 1))
+    spectrum.set(ylabel="frequency [Hz]", ylim=(0, min(1000, rate_hz / 2)), xlim=limits)
     hand.plot(t, speed, color="#009E73")
-    hand.set(ylabel="speed [mm/s]", xlabel="time [s]", xlim=(0, t[-1] or 1), ylim=(0, 1.05 * float(speed.max()) or 1))
+    hand.set(ylabel="speed [mm/s]", xlabel="time [s]", xlim=limits, ylim=(0, 1.05 * float(speed.max()) or 1))
     hand.yaxis.label.set_color("#009E73")
     press = hand.twinx()
     press.plot(t, force, color="#D55E00")

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from foten.runtime.live.paced import Read, Samples, check_gain
+from foten.runtime.live.live import Read, Samples
+from foten.runtime.live.paced import check_gain
 
 SOUND_RATE_HZ = 48_000.0
 _SOUND_BLOCK_MS = 5.0
@@ -21,8 +22,7 @@ class SoundSink:
     Args:
         gain: full scale for one of what is rendered; what goes beyond full scale is cut, and counted in `n_cut`.
         device: its name, or its number as an int, as `python -m sounddevice` lists them; None for the usual one.
-        channel: that is played on, from 0; the others are silent.
-        n_channels: of the device.
+        channel: that is played on, from 0; those before it are silent.
 
     Raises:
         OSError: PortAudio or the device is missing; one line says what to do.
@@ -31,33 +31,24 @@ class SoundSink:
     patient = False
 
     def __init__(
-        self,
-        gain: float,
-        device: str | int | None = None,
-        rate_hz: float = SOUND_RATE_HZ,
-        channel: int = 0,
-        n_channels: int = 1,
-        latency: str | float = "low",
+        self, gain: float, device: str | int | None = None, rate_hz: float = SOUND_RATE_HZ, channel: int = 0
     ) -> None:
-        if not 0 <= channel < n_channels:
-            raise ValueError(f"channel {channel} of {n_channels}, expected one from 0 on below that")
         check_gain(gain)
         self.rate_hz = float(rate_hz)
         self.n_cut = self.n_device_underruns = 0
         self.failed: BaseException | None = None
-        self._stopped = False
-        self._gain, self._channel = gain, channel
+        self._stopped, self._gain, self._channel = False, gain, channel
         self._sounddevice = sound_library()
         self._mono = np.zeros(max(1, round(_SOUND_BLOCK_MS * rate_hz / 1000)), dtype=np.float32)
-        self._read: Read | None = None
+        self._read: Read  # from `start` on
         try:
             self._stream = self._sounddevice.OutputStream(
                 samplerate=rate_hz,
                 blocksize=self._mono.size,
                 device=device,
-                channels=n_channels,
+                channels=channel + 1,
                 dtype="float32",
-                latency=latency,
+                latency="low",
                 callback=self._play,
                 finished_callback=self._finished,
             )
@@ -72,11 +63,7 @@ class SoundSink:
         return float(self._stream.latency)
 
     def start(self, read: Read) -> None:
-        """Begin to play.
-
-        Raises:
-            OSError: the device refuses.
-        """
+        """Begin to play, or raise OSError where the device refuses."""
         self._read = read
         try:
             self._stream.start()
@@ -94,11 +81,10 @@ class SoundSink:
             self.failed = OSError("the sound card stopped by itself; was it unplugged?")
 
     def _play(self, out: Samples, n: int, when: Any, status: Any) -> None:
-        assert self._read is not None
         self.n_device_underruns += bool(status.output_underflow)
         try:
             self._read(self._mono)
-        except BaseException as error:  # told by `Live.stop`, in the thread that waits for it
+        except BaseException as error:  # raised by `Live.stop`, in the thread that waits for it
             self.failed = error
             raise
         self._mono *= self._gain
@@ -108,11 +94,7 @@ class SoundSink:
 
 
 def sound_library() -> Any:
-    """Return the package sounddevice.
-
-    Raises:
-        OSError: it or PortAudio is missing; one line says what to do.
-    """
+    """Return the package sounddevice, or raise OSError where it or PortAudio is missing; one line says what to do."""
     try:
         import sounddevice
     except ImportError as error:
