@@ -32,8 +32,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("RAY_AUTH_MODE", "token")
 os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
 
-from foten.experiments.experiment import Experiment, Method
-from foten.experiments.run import execute, recording_of
+from foten.experiments.experiment import Experiment, Method, recording_of
+from foten.experiments.run import execute
 from foten.experiments.sweep import sweep
 
 RAY = shutil.which("ray", path=str(Path(sys.executable).parent)) or "ray"

@@ -19,13 +19,11 @@ from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
 from foten.experiments.comparison import Row, compared, holm, rows_of
-from foten.experiments.experiment_file import experiment_path, read_experiment
+from foten.experiments.experiment import experiment_path, read_experiment
 from foten.experiments.figures import figures
-from foten.experiments.findings import findings
-from foten.experiments.paper import PAPER
-from foten.experiments.results import read_results, title_of
+from foten.experiments.results import PAPER, read_results, title_of
 from foten.experiments.sweep import _kept, sweep
-from foten.experiments.tables import each_run, table, written
+from foten.experiments.tables import each_run, findings, table, written
 
 TINY = """
 title = "Two methods"

@@ -47,7 +47,7 @@ def sweep(
     as_json: JsonOption = False,
 ) -> None:
     """Train and judge every method of an experiment on every texture and split; goes on where it stopped."""
-    from foten.experiments.experiment_file import experiment_path, read_experiment
+    from foten.experiments.experiment import experiment_path, read_experiment
 
     experiment = read_experiment(experiment_path(experiment_file))
     runs = experiment.runs()
@@ -92,9 +92,8 @@ def tables(
     as_json: JsonOption = False,
 ) -> None:
     """Set the results of a sweep beside references and beside the paper's figures."""
-    from foten.experiments.findings import findings
     from foten.experiments.results import read_results, title_of
-    from foten.experiments.tables import FIGURES, FORMATS, each_run, table, written
+    from foten.experiments.tables import FIGURES, FORMATS, each_run, findings, table, written
 
     if not results.is_dir():
         raise ValueError(f"there is no folder {results}")

@@ -12,8 +12,6 @@ from foten.train.config import TrainConfig
 
 MOMENTUM = 0.95
 LEAST_SIDE = 4  # a matrix is wider and taller than that: of what is narrower little is left by orthogonalisation
-_COEFFICIENTS = 3.4445, -4.7750, 2.0315  # of the quintic that pushes singular values towards 1
-_STEPS = 5
 
 
 class Optimiser:
@@ -44,11 +42,9 @@ class Optimiser:
     def step(self, rate: float) -> None:
         """Take a step with the gradients that there are, at a share of the highest learning rates."""
         config = self._config
-        for group in self._adam.param_groups:
-            group["lr"] = config.learning_rate * rate
+        self._adam.param_groups[0]["lr"] = config.learning_rate * rate
         self._adam.step()
         for name, matrix in self._matrices.items():
-            assert matrix.grad is not None
             momentum = self._momentum[name].mul_(MOMENTUM).add_(matrix.grad)
             direction = orthogonalised(matrix.grad + MOMENTUM * momentum)
             tall = max(1.0, matrix.shape[-2] / matrix.shape[-1]) ** 0.5
@@ -57,16 +53,13 @@ class Optimiser:
                 matrix.sub_(direction, alpha=config.matrix_learning_rate * rate * tall)
 
     def keep(self, parameters: Mapping[str, nn.Parameter], kept: Tensor) -> Optimiser:
-        """Return the optimiser of some of the networks of a stack: their new parameters, and their numbers."""
+        """Return the optimiser of some of the networks of a stack: their new parameters, and which of the old they are."""
         other = Optimiser(parameters, self._config, stacked=True)
-        for name, momentum in self._momentum.items():
-            other._momentum[name] = momentum[kept]
-        old = [one for group in self._adam.param_groups for one in group["params"]]
-        new = [one for group in other._adam.param_groups for one in group["params"]]
+        other._momentum = {name: momentum[kept] for name, momentum in self._momentum.items()}
+        old, new = (one._adam.param_groups[0]["params"] for one in (self, other))
         for before, after in zip(old, new, strict=True):
-            other._adam.state[after] = {
-                key: value if key == "step" else value[kept] for key, value in self._adam.state[before].items()
-            }
+            moments = self._adam.state[before].items()
+            other._adam.state[after] = {key: value if key == "step" else value[kept] for key, value in moments}
         return other
 
     def state_dict(self) -> dict[str, Any]:
@@ -86,11 +79,11 @@ def orthogonalised(matrices: Tensor) -> Tensor:
 
     A quintic in odd powers, five times over, which is Newton and Schulz's iteration with a steeper start.
     """
-    a, b, c = _COEFFICIENTS
+    a, b, c = 3.4445, -4.7750, 2.0315  # pushes singular values towards 1
     x = matrices / (matrices.norm(dim=(-2, -1), keepdim=True) + 1e-7)
     tall = x.shape[-2] > x.shape[-1]
     x = x.mT if tall else x
-    for _ in range(_STEPS):
+    for _ in range(5):
         gram = x @ x.mT
         x = a * x + (b * gram + c * gram @ gram) @ x
     return x.mT if tall else x
