@@ -123,13 +123,13 @@ def nodes(arguments: argparse.Namespace) -> None:
             with node("--address", f"{HOST}:{PORT}") as second:
                 time.sleep(10)
 
-                def on_progress(progress: Any, lost: bool = lost, second: Any = second) -> None:
-                    if lost and progress.n_done == n // 2:
+                def say(text: str, lost: bool = lost, second: Any = second) -> None:
+                    if lost and text.startswith(f"{n // 2}/{n} "):
                         kill(second)
-                        print(f"  a node was killed after {progress.n_done} runs", file=sys.stderr)
+                        print(f"  a node was killed after {n // 2} runs", file=sys.stderr)
 
                 started = time.perf_counter()
-                done, failed = sweep(asked, Path(folder), address=f"{HOST}:{PORT}", on_progress=on_progress)
+                done, failed = sweep(asked, Path(folder), address=f"{HOST}:{PORT}", say=say)
                 seconds = time.perf_counter() - started
             found.append(results_of(Path(folder)))
         print(

@@ -63,13 +63,7 @@ def sweep(
         raise ValueError(f"-o {output} is a file, expected a folder")
     from foten.experiments import sweep as sweeping
 
-    def on_progress(progress: sweeping.Progress) -> None:
-        run, n = progress.last, progress.n_done + progress.n_failed
-        ended = f"failed: {progress.why}" if progress.why else f"{progress.seconds:.0f} s"
-        left = f", about {progress.left_s / 60:.0f} min left" if progress.n_left else ""
-        say(f"{n}/{n + progress.n_left} {run.label}, {run.texture}, split {run.split_seed}: {ended}{left}")
-
-    n_done, n_failed = sweeping.sweep(experiment, output, workers, address, gpus_per_run, on_progress, say, batched)
+    n_done, n_failed = sweeping.sweep(experiment, output, workers, address, gpus_per_run, say, batched)
     if as_json:
         print_json({"output": str(output), "n_runs": len(runs), "n_done": n_done, "n_failed": n_failed})
     else:

@@ -158,11 +158,9 @@ def read_experiment(path: Path) -> Experiment:
     if path.is_dir():
         raise ValueError(f"{path} is a folder, expected a .toml file")
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        return _experiment(tomllib.loads(path.read_text(encoding="utf-8")), path.parent)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path.name}: this is not TOML ({error})") from error
-    try:
-        return _experiment(content, path.parent)
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error
 

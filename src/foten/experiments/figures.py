@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from numpy.typing import NDArray
 
 from foten.experiments.experiment import Run, recording_of
 from foten.experiments.results import Results, label_of, name_of
@@ -28,12 +29,10 @@ PARTS = {"train": "#8fd3e8", "validation": "#f3e28a", "test": "#f0a3a0"}
 def figures(
     results: Results, recordings: Path | None = None, say: Callable[[str], None] = lambda text: None
 ) -> Iterator[tuple[str, Figure]]:
-    """Return each figure that the results have the numbers for, and its name.
+    """Return each figure that the results have the numbers for, and its name; say which are left out, and why.
 
     Args:
-        results: of `read_results`.
         recordings: folder of the recordings that were learned from; by default their paths in the results are used.
-        say: called with the figures that are left out, and why.
     """
     try:
         yield "figure-4", split(results[0], recordings)
@@ -47,7 +46,7 @@ def figures(
         alike = [_file_name(other) for other, _ in methods].count(_file_name(method)) > 1
         name += f"-{methods.index((method, model)) + 1}" if alike else ""
         for others, some in _by_other_settings(own, ("window", "loss")):
-            if len(set(map(_window_and_loss, some))) > 1:
+            if len({(one["run"]["sizes"]["window"], one["run"]["train"]["loss"]) for one in some}) > 1:
                 yield f"figure-5-{name}{others}", windows_and_losses(some)
         huber = [one for one in own if one["run"]["train"]["loss"] == "huber"]
         for others, some in _by_other_settings(huber, ("delta",)):
@@ -74,17 +73,17 @@ def _file_name(method: str) -> str:
 
 def _has_one_step(result: Mapping[str, Any]) -> bool:
     """Return whether a result is of a network with windows and a loss, and with a one-step error."""
-    sizes, train = result["run"]["sizes"], result["run"]["train"]
-    return "window" in sizes and "loss" in train and _errors(result)[0] is not None
+    sizes, train, one_step = result["run"]["sizes"], result["run"]["train"], result["evaluation"]["one_step"]
+    return "window" in sizes and "loss" in train and one_step["mae_scaled"] is not None
 
 
-def _window_and_loss(result: Mapping[str, Any]) -> tuple[int, str]:
-    return result["run"]["sizes"]["window"], result["run"]["train"]["loss"]
-
-
-def _errors(result: Mapping[str, Any]) -> tuple[float, float]:
-    """Return the one-step errors on the test blocks and on the validation blocks, by which settings are chosen."""
-    return result["evaluation"]["one_step"]["mae_scaled"], result["validation_mae_scaled"]
+def _mean_errors(results: Results, *settings: tuple[str, str]) -> dict[tuple[Any, ...], NDArray[np.float64]]:
+    """Return mean one-step errors on the test and on the validation blocks, (2,), by texture and settings of a run."""
+    errors = defaultdict(list)
+    for one in results:
+        key = (one["run"]["texture"], *(one["run"][part][name] for part, name in settings))
+        errors[key].append((one["evaluation"]["one_step"]["mae_scaled"], one["validation_mae_scaled"]))
+    return {key: np.mean(of, axis=0) for key, of in errors.items()}
 
 
 def split(result: Mapping[str, Any], recordings: Path | None = None) -> Figure:
@@ -121,20 +120,15 @@ def split(result: Mapping[str, Any], recordings: Path | None = None) -> Figure:
 
 def windows_and_losses(results: Results) -> Figure:
     """Return one-step errors by window and loss, a panel for each texture, as Fig. 5: test solid, validation hollow."""
-    textures = list(dict.fromkeys(one["run"]["texture"] for one in results))
-    losses = sorted({_window_and_loss(one)[1] for one in results})
+    errors = _mean_errors(results, ("train", "loss"), ("sizes", "window"))
+    textures, losses = list(dict.fromkeys(key[0] for key in errors)), sorted({key[1] for key in errors})
     figure, panels = _panels(textures, 2.6, 2.1)
     for axes, texture in zip(panels, textures, strict=True):
         for loss, colour in zip(losses, COLOURS, strict=False):
-            errors = defaultdict(list)
-            for one in results:
-                window, own_loss = _window_and_loss(one)
-                if (one["run"]["texture"], own_loss) == (texture, loss):
-                    errors[window].append(_errors(one))
-            windows = sorted(errors)
-            means = np.array([np.mean(errors[window], axis=0) for window in windows])
-            axes.plot(windows, means[:, 0], "o-", ms=3, lw=1, color=colour, label=loss)
-            axes.plot(windows, means[:, 1], "o", ms=4, mfc="none", color=colour)
+            windows = sorted(window for *of, window in errors if of == [texture, loss])
+            tested, validated = np.array([errors[texture, loss, window] for window in windows]).reshape(-1, 2).T
+            axes.plot(windows, tested, "o-", ms=3, lw=1, color=colour, label=loss)
+            axes.plot(windows, validated, "o", ms=4, mfc="none", color=colour)
     panels[0].legend(fontsize=8, frameon=False)
     figure.supxlabel("window [samples]", fontsize=9)
     figure.supylabel("one-step MAE [sd]: test ●, validation ○", fontsize=9)
@@ -143,12 +137,9 @@ def windows_and_losses(results: Results) -> Figure:
 
 def thresholds(results: Results) -> Figure:
     """Return one-step errors by the threshold of the Huber loss, relative to each texture's mean, and their mean."""
-    errors = defaultdict(list)
-    for one in results:
-        errors[one["run"]["texture"], one["run"]["train"]["delta"]].append(_errors(one))
-    textures, deltas = dict.fromkeys(texture for texture, _ in errors), sorted({delta for _, delta in errors})
-    unknown = (np.nan, np.nan)
-    lines = np.array([[np.mean(errors.get((t, d), [unknown]), axis=0) for d in deltas] for t in textures])
+    errors = _mean_errors(results, ("train", "delta"))
+    textures, deltas = list(dict.fromkeys(key[0] for key in errors)), sorted({key[1] for key in errors})
+    lines = np.array([[errors.get((texture, delta), [np.nan] * 2) for delta in deltas] for texture in textures])
     lines /= np.nanmean(lines, axis=1, keepdims=True)
     figure, panels = _figure(6.5, 5.5, nrows=2, sharex=True)
     for axes, name, of in zip(panels, ("test", "validation"), np.moveaxis(lines, 2, 0), strict=True):

@@ -77,15 +77,11 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
     seen: dict[tuple[str, str, int], str] = {}
     digests: dict[str, str] = {}
     for path in sorted(folder.glob("*.json")):
-        try:
-            result = json.loads(path.read_bytes())
-            run = Run(**result["run"])
-            complete = isinstance(run.texture, str) and is_result(result)
-        except (ValueError, KeyError, TypeError, OSError):
-            complete = False
-        if not complete:
+        result = read_result(path)
+        if result is None:
             raise ValueError(f"{path.name} is no result of foten sweep, or damaged")
-        texture = name_of(run.texture)
+        run = Run(**result["run"])
+        texture, digest = name_of(run.texture), result["recording_sha256"]
         cell = run.label, texture, run.split_seed
         if cell in seen:
             raise ValueError(
@@ -93,7 +89,6 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
                 "other settings or of an earlier version left in the folder? Move one away"
             )
         seen[cell] = path.name
-        digest = result["recording_sha256"]
         if run.seconds is None and digests.setdefault(texture, digest) != digest:
             raise ValueError(f"two recordings are called {texture}, which a table cannot tell apart")
         results.append(result)
@@ -102,14 +97,15 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
     return sorted(results, key=lambda result: result.get("index", 0))
 
 
-def is_result(content: Any) -> bool:
-    """Return whether the content of a JSON file is a result with all that tables and figures need."""
-    return (
-        isinstance(content, dict)
-        and set(content) >= _OF_A_RESULT
-        and isinstance(content["evaluation"], dict)
-        and set(content["evaluation"]) >= _OF_AN_EVALUATION
-    )
+def read_result(path: Path) -> dict[str, Any] | None:
+    """Return the result in a file, with all that tables and figures need; None where there is none, or it is damaged."""
+    try:
+        result = json.loads(path.read_bytes())
+        complete = isinstance(Run(**result["run"]).texture, str) and isinstance(result["evaluation"], dict)
+    except (ValueError, KeyError, TypeError, OSError):
+        return None
+    complete = complete and set(result) >= _OF_A_RESULT and set(result["evaluation"]) >= _OF_AN_EVALUATION
+    return result if complete else None
 
 
 def label_of(result: Mapping[str, Any]) -> str:

@@ -12,7 +12,7 @@ import os
 import socket
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ import ray
 import foten
 from foten.atomic_write import atomic_write
 from foten.experiments.experiment import Experiment, Run, recording_of
-from foten.experiments.results import is_result
+from foten.experiments.results import read_result
 from foten.experiments.run import execute, execute_batched, failure
 from foten.recording.recording import Recording
 from foten.train.batched import BATCHED
@@ -36,39 +36,22 @@ NO_CLUSTER = (
 THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
-@dataclass(frozen=True)
-class Progress:
-    """The progress of a sweep; runs of earlier sweeps are not counted."""
-
-    n_done: int
-    n_failed: int
-    n_left: int
-    last: Run  # that ended
-    seconds: float  # that it took
-    why: str  # it failed, else empty
-    left_s: float  # estimated for the remaining runs
-
-
 def sweep(
     experiment: Experiment,
     results: Path,
     workers: int | None = None,
     address: str | None = None,
     gpus_per_run: float = 0.0,
-    on_progress: Callable[[Progress], None] = lambda progress: None,
     say: Callable[[str], None] = lambda text: None,
     n_batched: int = 1,
 ) -> tuple[int, int]:
     """Execute the runs of an experiment that have no result yet, keep one file each, and return how many were done and failed.
 
     Args:
-        experiment: what to run.
-        results: folder of the result files.
         workers: runs at a time on this machine; one for each core by default. Each has one thread.
         address: of a Ray cluster, "auto" for the one that this machine is part of; None starts Ray here.
         gpus_per_run: share of a GPU that each run takes.
-        on_progress: called after each run.
-        say: called with messages for the user.
+        say: called with messages for the user, and a line after each run.
         n_batched: largest number of textures that are trained as one batched model, of the models in `BATCHED`.
 
     Raises:
@@ -104,7 +87,7 @@ def sweep(
             task.remote([asdict(run) for _, run, _ in some], *(kept[run.source] for _, run, _ in some)): some
             for some in _groups(waiting, n_batched)
         }
-        return _collected(experiment, pending, on_progress)
+        return _collected(experiment, pending, say)
     finally:
         ray.shutdown()
 
@@ -118,11 +101,8 @@ def _kept(path: Path, about: Mapping[str, Any], say: Callable[[str], None]) -> b
     """Return whether a run has a result, and update the names in it to those of the experiment."""
     if not path.exists():
         return False
-    try:
-        result = json.loads(path.read_bytes())
-    except ValueError:
-        result = None
-    if not is_result(result):
+    result = read_result(path)
+    if result is None:
         say(f"{path.name} is damaged, and is made again")
         return False
     if any(result.get(key) != value for key, value in json.loads(json.dumps(about)).items()):
@@ -189,11 +169,11 @@ def _guarded(runs: Sequence[Mapping[str, Any]], *recordings: Recording) -> list[
 
 
 def _collected(
-    experiment: Experiment, pending: dict[Any, list[Waiting]], on_progress: Callable[[Progress], None]
+    experiment: Experiment, pending: dict[Any, list[Waiting]], say: Callable[[str], None]
 ) -> tuple[int, int]:
     started = time.perf_counter()
     n_done = n_failed = 0
-    n_left = sum(map(len, pending.values()))
+    n_runs = sum(map(len, pending.values()))
     while pending:
         (ready, *_), _ = ray.wait(list(pending), num_returns=1)
         some = pending.pop(ready)
@@ -202,14 +182,15 @@ def _collected(
         except ray.exceptions.RayError as error:
             results = [{"failed": f"lost {RETRIES + 1} times: {str(error).splitlines()[0]}"}] * len(some)
         for (index, run, path), result in zip(some, results, strict=True):
-            why = str(result.get("failed", ""))
-            n_left -= 1
-            if why:
+            if "failed" in result:
                 n_failed += 1
+                ended = f"failed: {result['failed']}"
             else:
-                _write(path, {**result, **_about(experiment, index, run)})
                 n_done += 1
-            seconds = sum(result.get("seconds", {}).values())
-            pace = (time.perf_counter() - started) / (n_done + n_failed)
-            on_progress(Progress(n_done, n_failed, n_left, run, seconds, why, pace * n_left))
+                ended = f"{sum(result['seconds'].values()):.0f} s"
+                _write(path, {**result, **_about(experiment, index, run)})
+            n = n_done + n_failed
+            minutes = (time.perf_counter() - started) / n * (n_runs - n) / 60
+            left = f", about {minutes:.0f} min left" if n < n_runs else ""
+            say(f"{n}/{n_runs} {run.label}, {run.texture}, split {run.split_seed}: {ended}{left}")
     return n_done, n_failed

@@ -40,15 +40,12 @@ class _Texture:
 def fit_batched(
     networks: Sequence[nn.Module], data: Sequence[TrainingWindows], configs: Sequence[TrainConfig]
 ) -> list[Progress | ValueError]:
-    """Train networks in place and leave each at its best validation loss, as `fit` does one by one.
+    """Train networks in place, each to its best validation loss, as `fit` does; return each log, or why it could not be fitted.
 
     Args:
         networks: of one architecture, windows (b, m, c) → (b,), on one device.
         data: what each is fitted to, with as many training windows as the others.
         configs: alike but for their seeds; of one thread.
-
-    Returns:
-        The log of each, or why it could not be fitted.
 
     Raises:
         ValueError: they do not fit together.

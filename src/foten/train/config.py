@@ -7,7 +7,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from typing import Any
 
-LOSSES = ("huber", "mse", "mae")
 WARM_START = (45.0, 0.8)  # mm/s, N: mean of early contacts; Sec. V-a
 
 
@@ -42,8 +41,8 @@ class TrainConfig:
     threads: int = 2  # each takes a share of every batch; part of what makes a file reproducible
 
     def __post_init__(self) -> None:
-        if self.loss not in LOSSES:
-            raise ValueError(f"loss is {self.loss!r}, expected one of {', '.join(LOSSES)}")
+        if self.loss not in ("huber", "mse", "mae"):
+            raise ValueError(f"loss is {self.loss!r}, expected one of huber, mse, mae")
         if self.schedule not in ("one_cycle", "constant"):
             raise ValueError(f"schedule is {self.schedule!r}, expected 'one_cycle' or 'constant'")
         if self.optimiser not in ("muon", "adamw"):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,24 +34,37 @@ from foten.train.job import TrainingJob
 from foten.train.targets import distilled, log_spectra, multi_step
 from foten.train.task import NetworkTask, Stage
 
-NAT_DB = 20 / math.log(10)
 
+@dataclass(kw_only=True)
+class EndToEndTask(NetworkTask):
+    """A network that is fitted to recorded samples, or to their spectra."""
 
-class OneStepTask(NetworkTask):
-    """A network that is to be fitted to recorded samples."""
+    renderer: nn.Module  # what makes samples: the network, which in a model of spectra is a part of it
 
     def finish(self, progress: Progress, on_stage: Stage) -> Texture:
         """Return the texture, with an excitation where one was asked for."""
-        job, sizes, error = self.job, self.job.sizes, progress.best.validation_mae
-        windows = _windows_of(job, self.blocks)
-        draft, tensors = _draft(job, self.blocks, self.network)
-        metrics = {**_metrics(progress, self.blocks), "validation_mae_scaled": error}
-        if sizes.n_ahead > 1:
+        job, sizes, best = self.job, self.job.sizes, progress.best
+        card = job.card(self.blocks, next(self.network.parameters()).device.type)
+        metrics: dict[str, Any] = {
+            "validation_loss": best.validation_loss,
+            "validation_mae_scaled": best.validation_mae,
+            "recorded_peak_sd": self.blocks.peak_sd,
+            "best_epoch": best.epoch,
+            "n_epochs": progress.epochs[-1].epoch,
+        }
+        draft, tensors = Draft(job.model, self.blocks, card), tensors_of(self.renderer)
+        if sizes.in_graph:  # the graph alone, which the network in float64 proves
+            draft = replace(draft, network=in_float64(self.renderer))
+            tensors = {GRAPH: graph_of(self.renderer, sizes.window)}
+            metrics["multiply_adds"] = multiply_adds(self.renderer, sizes.window) // sizes.n_ahead
+        windows = TrainingWindows(self.blocks.flat, *self.blocks.targets(sizes.window), sizes.window)
+        if sizes.from_noise:
+            spectrum_db = 20 / math.log(10) * best.validation_mae  # of nats
+            metrics |= {"validation_mae_scaled": None, "validation_spectrum_db": spectrum_db}
+        elif sizes.n_ahead > 1:
             n = windows.validation
             first = float(np.abs(predict(self.network, windows, n) - windows.samples[n, 0]).mean())
-            metrics |= {"validation_mae_scaled": first, "validation_mae_scaled_hop": error}
-        if sizes.in_graph:
-            metrics["multiply_adds"] = multiply_adds(self.network, sizes.window) // sizes.n_ahead
+            metrics |= {"validation_mae_scaled": first, "validation_mae_scaled_hop": best.validation_mae}
         if sizes.excited:
             on_stage("fitting the excitation and settling its level in the closed loop")
             tensors |= self._excitation(draft, tensors, windows, metrics)
@@ -87,30 +100,7 @@ class OneStepTask(NetworkTask):
         return tensors_of(fitted.excitation, "excitation.")
 
 
-@dataclass(kw_only=True)
-class NoiseModelTask(NetworkTask):
-    """A model of spectra.
-
-    Attributes:
-        renderer: what makes samples of noise; the network is a part of it.
-    """
-
-    renderer: nn.Module
-
-    def finish(self, progress: Progress, on_stage: Stage) -> Texture:
-        """Return the texture."""
-        draft, tensors = _draft(self.job, self.blocks, self.renderer)
-        metrics = {
-            **_metrics(progress, self.blocks),
-            "validation_mae_scaled": None,
-            "validation_spectrum_db": NAT_DB * progress.best.validation_mae,
-            "multiply_adds": multiply_adds(self.renderer, self.job.sizes.window),
-        }
-        on_stage("proving the texture file")
-        return draft.texture(self.job.sizes, tensors, metrics, N_GOLDEN).texture
-
-
-class AdversarialTask(NoiseModelTask):
+class AdversarialTask(EndToEndTask):
     """A generator, which a discriminator fits."""
 
     def fit(self, on_epoch: Callable[[Epoch], None], checkpoint: Path | None, resume: bool) -> Progress:
@@ -119,43 +109,15 @@ class AdversarialTask(NoiseModelTask):
         return fit_adversarial(self.network, m, self.blocks, config, on_epoch, checkpoint, resume)
 
 
-def _draft(job: TrainingJob, blocks: ScaledBlocks, network: nn.Module) -> tuple[Draft, Tensors]:
-    """Return a draft of a network's texture, and its tensors; of a graph the graph alone, which the network in float64 proves."""
-    card = job.card(blocks, next(network.parameters()).device.type)
-    if job.sizes.in_graph:
-        return Draft(job.model, blocks, card, in_float64(network)), {GRAPH: graph_of(network, job.sizes.window)}
-    return Draft(job.model, blocks, card), tensors_of(network)
-
-
-def _metrics(progress: Progress, blocks: ScaledBlocks) -> dict[str, Any]:
-    best = progress.best
-    return {
-        "validation_loss": best.validation_loss,
-        "recorded_peak_sd": blocks.peak_sd,
-        "best_epoch": best.epoch,
-        "n_epochs": progress.epochs[-1].epoch,
-    }
-
-
-def _windows_of(job: TrainingJob, blocks: ScaledBlocks) -> TrainingWindows:
-    """Return the windows of a recording, whose targets are its samples."""
-    m = job.sizes.window
-    return TrainingWindows(blocks.flat, *blocks.targets(m), m)
-
-
 def _prepared(job: TrainingJob) -> tuple[ScaledBlocks, TrainingWindows]:
-    """Return blocks and windows, and seed what follows.
-
-    Raises:
-        ValueError: the recording does not fit the configuration; the message names the option.
-    """
-    blocks = job.blocks()
-    check_block(blocks, job.sizes.window)
+    """Return blocks and windows, checked, and seed what follows."""
+    blocks, m = job.blocks(), job.sizes.window
+    check_block(blocks, m)
     torch.manual_seed(job.config.seed)
-    return blocks, _windows_of(job, blocks)
+    return blocks, TrainingWindows(blocks.flat, *blocks.targets(m), m)
 
 
-def prepare_one_step(job: TrainingJob, on_stage: Stage) -> OneStepTask:
+def prepare_one_step(job: TrainingJob, on_stage: Stage) -> EndToEndTask:
     """Return a network and the windows that it is to be fitted to."""
     blocks, windows = _prepared(job)
     if job.model == "ldhtd":
@@ -163,15 +125,15 @@ def prepare_one_step(job: TrainingJob, on_stage: Stage) -> OneStepTask:
     network = build(job.model, job.sizes).to(pick_device())
     if job.sizes.n_ahead > 1:
         windows = multi_step(windows, blocks, job.sizes.n_ahead)
-    return OneStepTask(job=job, blocks=blocks, network=network, windows=windows)
+    return EndToEndTask(job=job, blocks=blocks, network=network, windows=windows, renderer=network)
 
 
-def prepare_dftnet(job: TrainingJob, on_stage: Stage) -> NoiseModelTask:
+def prepare_dftnet(job: TrainingJob, on_stage: Stage) -> EndToEndTask:
     """Return the network of spectra and the frames that it is to be fitted to."""
     blocks, windows = _prepared(job)
-    network = build(job.model, job.sizes).to(pick_device())
-    spectra = log_spectra(windows, blocks)
-    return NoiseModelTask(job=job, blocks=blocks, network=network.spectrum, windows=spectra, renderer=network)
+    renderer = build(job.model, job.sizes).to(pick_device())
+    windows = log_spectra(windows, blocks)
+    return EndToEndTask(job=job, blocks=blocks, network=renderer.spectrum, windows=windows, renderer=renderer)
 
 
 def prepare_gan(job: TrainingJob, on_stage: Stage) -> AdversarialTask:

@@ -109,9 +109,7 @@ def fit(
 
     Args:
         network: windows (b, m, 3) → (b,) or (b, k), on the CPU or a GPU.
-        on_epoch: called after each epoch.
-        checkpoint: file that is written after each epoch.
-        resume: go on from the checkpoint.
+        checkpoint: file that is written after each epoch, and that `resume` goes on from.
     """
     of = DeviceWindows(data, network)
     set_dropout(network, config.dropout)

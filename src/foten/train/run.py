@@ -23,9 +23,7 @@ class RunFolder:
     ``config.json``, ``log.csv`` and, at the end, ``split.json`` and ``curves.png``; ``checkpoint.pt`` while
     it runs; TensorBoard events where tensorboard is installed.
 
-    Args:
-        path: of the folder.
-        on_note: called with a line where a later line of the log cannot be written: the training is worth more.
+    What cannot be written after the first line of the log is said in a note: the training is worth more.
     """
 
     def __init__(self, path: Path, on_note: Callable[[str], None] = lambda text: None) -> None:
@@ -36,11 +34,7 @@ class RunFolder:
         self._events: Any = None
 
     def open(self, config: Mapping[str, Any], resume: bool) -> None:
-        """Check that this run may use the folder; nothing is written before the first line of the log.
-
-        Args:
-            config: resolved, JSON values.
-            resume: go on from the checkpoint of a run with the same configuration.
+        """Check that a run with this configuration may use the folder; nothing is written before the first line of the log.
 
         Raises:
             ValueError: the path is a file, or there is nothing to resume, or the settings differ.
@@ -57,11 +51,7 @@ class RunFolder:
             raise ValueError(f"{self.path} was trained with other settings, see its config.json; resume with the same")
 
     def log(self, epoch: Epoch) -> None:
-        """Add one line to the log on disk.
-
-        Raises:
-            OSError: the first line cannot be written.
-        """
+        """Add one line to the log on disk; the first one raises an OSError where that cannot be."""
         if not self._epochs:
             self.path.mkdir(parents=True, exist_ok=True)
             with atomic_write(self.path / "config.json") as part:
@@ -86,10 +76,7 @@ class RunFolder:
                     self._events.add_scalar(name, value, epoch.epoch)
 
     def close(self, trained: Trained) -> None:
-        """Write the whole log, the split and the curves, as far as the disk takes them.
-
-        The checkpoint goes unless the run was interrupted.
-        """
+        """Write log, split and curves, as far as the disk takes them; the checkpoint goes unless the run was interrupted."""
         try:
             write_log(self.path / "log.csv", trained.progress.epochs)
             trained.split.save(self.path / "split.json")
@@ -130,12 +117,7 @@ def _draw_curves(path: Path, trained: Trained) -> None:
 
 
 class TrainingDisplay:
-    """The training on stderr: on a terminal a bar with the remaining time, elsewhere a line for each stage and epoch.
-
-    Args:
-        epochs: at most.
-        unit: of the validation error.
-    """
+    """The training on stderr: on a terminal a bar with the remaining time, elsewhere a line for each stage and epoch."""
 
     def __init__(self, epochs: int, unit: str = "sd") -> None:
         self._epochs, self._unit = epochs, unit
