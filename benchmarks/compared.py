@@ -14,9 +14,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from foten.experiments.findings import findings
 from foten.experiments.results import FIGURES, label_of, read_results, title_of
-from foten.experiments.tables import table, written
+from foten.experiments.tables import findings, table, written
 from main_table import between
 
 RESULTS = Path(__file__).parent / "results" / "table-1-small"

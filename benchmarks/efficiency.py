@@ -30,7 +30,7 @@ import torch
 
 from foten.atomic_write import atomic_write
 from foten.datasets.simulate import simulate
-from foten.experiments.paper import PAPER
+from foten.experiments.results import PAPER
 from foten.families import FAMILIES, FotenPlusSizes
 from foten.families.texture_file import Texture
 from foten.networks import build

@@ -32,8 +32,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("RAY_AUTH_MODE", "token")
 os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
 
-from foten.experiments.experiment import Experiment, Method
-from foten.experiments.run import execute, recording_of
+from foten.experiments.experiment import Experiment, Method, recording_of
+from foten.experiments.run import execute
 from foten.experiments.sweep import sweep
 
 RAY = shutil.which("ray", path=str(Path(sys.executable).parent)) or "ray"
@@ -123,13 +123,13 @@ def nodes(arguments: argparse.Namespace) -> None:
             with node("--address", f"{HOST}:{PORT}") as second:
                 time.sleep(10)
 
-                def on_progress(progress: Any, lost: bool = lost, second: Any = second) -> None:
-                    if lost and progress.n_done == n // 2:
+                def say(text: str, lost: bool = lost, second: Any = second) -> None:
+                    if lost and text.startswith(f"{n // 2}/{n} "):
                         kill(second)
-                        print(f"  a node was killed after {progress.n_done} runs", file=sys.stderr)
+                        print(f"  a node was killed after {n // 2} runs", file=sys.stderr)
 
                 started = time.perf_counter()
-                done, failed = sweep(asked, Path(folder), address=f"{HOST}:{PORT}", on_progress=on_progress)
+                done, failed = sweep(asked, Path(folder), address=f"{HOST}:{PORT}", say=say)
                 seconds = time.perf_counter() - started
             found.append(results_of(Path(folder)))
         print(

@@ -244,14 +244,14 @@ MUTANTS = (
     Mutant(
         "the network is fitted to the validation blocks",
         PACKAGE + "train/fit.py",
-        "order = train[order_of(len(train), config.seed, epoch).to(device)]",
-        "order = validation[order_of(len(validation), config.seed, epoch).to(device)]",
+        "return self.train[torch.randperm(len(self.train), ",
+        "return self.validation[torch.randperm(len(self.validation), ",
         ("tests/test_fit.py", "tests/test_batched.py", "tests/test_pipeline.py"),
     ),
     Mutant(
         "the last network is kept, not the best",
         PACKAGE + "train/epochs.py",
-        "best = loss < progress.best_loss",
+        "best = loss < self.best_loss",
         "best = True",
         ("tests/test_fit.py", "tests/test_batched.py", "tests/test_pipeline.py"),
     ),
@@ -433,8 +433,8 @@ MUTANTS = (
     Mutant(
         "a full disk ends a training",
         PACKAGE + "train/epochs.py",
-        "except OSError as error:\n        if not progress",
-        "except ZeroDivisionError as error:\n        if not progress",
+        "except OSError as error:  # of a full disk",
+        "except ZeroDivisionError as error:  # of a full disk",
         ("tests/test_fit.py",),
     ),
     Mutant(

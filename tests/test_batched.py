@@ -12,8 +12,8 @@ import pytest
 import torch
 from torch import nn
 
-from foten.experiments.experiment import Experiment, Method, Run
-from foten.experiments.run import execute, recording_of
+from foten.experiments.experiment import Experiment, Method, Run, recording_of
+from foten.experiments.run import execute
 from foten.experiments.sweep import _groups, _guarded
 from foten.families import FAMILIES, TenSizes
 from foten.networks import build

@@ -13,37 +13,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import false_discovery_control
 
+from conftest import TINY, experiment
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
-from foten.experiments.comparison import Row, compared, holm, rows_of
-from foten.experiments.experiment_file import experiment_path, read_experiment
+from foten.experiments.comparison import rows_of
+from foten.experiments.experiment import read_experiment
 from foten.experiments.figures import figures
-from foten.experiments.findings import findings
-from foten.experiments.paper import PAPER
-from foten.experiments.results import read_results, title_of
+from foten.experiments.results import PAPER, read_results, title_of
 from foten.experiments.sweep import _kept, sweep
-from foten.experiments.tables import each_run, table, written
-
-TINY = """
-title = "Two methods"
-seconds = 8
-textures = ["linear-cloth", "linear-twin"]
-methods = [{model = "fnn", name = "FNN [13]"}, {model = "fnn", name = "excited", sizes = {excitation = true}}]
-[train]
-epochs = 1
-[preprocess]
-trim_ms = 0
-block_ms = 1000
-"""
-
-
-def experiment(folder: Path, text: str = TINY) -> Path:
-    path = folder / "experiment.toml"
-    path.write_text(text)
-    return path
+from foten.experiments.tables import each_run, findings, table, written
 
 
 @pytest.fixture(scope="module")
@@ -313,11 +293,6 @@ def test_special_characters_are_latexs() -> None:
     assert written([["a_b & 5 %", "1.0 ± 0.1"], ["–", ""]], "tex").splitlines()[2] == r"a\_b \& 5 \% & 1.0 $\pm$ 0.1 \\"
 
 
-def test_ar_is_run_once_whatever_the_grid(tmp_path: Path) -> None:
-    text = TINY.replace("[train]", '[grid]\nloss = ["mse", "mae"]\n[train]').replace("methods = [", 'methods = ["ar", ')
-    assert [run.method for run in read_experiment(experiment(tmp_path, text)).runs()].count("ar") == 2
-
-
 def test_results_that_a_table_would_mix_are_refused(swept: Path, tmp_path: Path) -> None:
     first, *_ = sorted(swept.glob("*.json"))
     for name in ("a.json", "b.json"):
@@ -371,110 +346,6 @@ def test_versions_that_differ_are_said_and_packages_that_lack_are_not(swept: Pat
     assert not any("several versions" in line for line in findings(without))
     without[1]["versions"]["numpy"] = "0.1"
     assert any("several versions, of numpy 0.1, " in line for line in findings(without))
-
-
-def test_holm_is_at_least_as_strict_as_the_false_discovery_rate_and_never_above_bonferroni() -> None:
-    """By hand for three; beside SciPy's Benjamini–Hochberg, which is always more lenient."""
-    assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
-    p = np.random.default_rng(0).uniform(size=9).tolist()
-    corrected = np.array(holm(p))
-    assert (corrected >= false_discovery_control(p) - 1e-12).all()
-    assert (corrected <= np.minimum(1, 9 * np.array(p)) + 1e-12).all()
-
-
-def test_what_is_never_better_differs_and_what_is_the_same_does_not() -> None:
-    textures = [f"T{i}" for i in range(12)]
-    rng = np.random.default_rng(1)
-    base = rng.uniform(0.2, 0.6, 12)
-    values = {"best": base, "same": base + rng.normal(0, 0.01, 12) + 0.001, "worse": base + 0.1}
-    rows = [Row(name, "m", dict(zip(textures, v[:, None], strict=True))) for name, v in values.items()]
-    best, p = compared(rows, textures, -1)
-    assert best == "best"
-    assert p["worse"] < 0.01
-    assert p["same"] > 0.05
-    assert compared(rows, textures[:5], -1)[1] == {}
-
-
-@pytest.mark.parametrize("name", ["table-1", "table-1-small", "table-2", "figure-5", "figure-5-delta"])
-def test_ours_are_read_and_are_as_large_as_the_papers(name: str) -> None:
-    n = {"table-1": 12 * 7 * 3, "table-1-small": 12 * 8, "table-2": 12 * 5 * 3, "figure-5": 216}
-    n |= {"figure-5-delta": 12 * 6}
-    runs = read_experiment(experiment_path(name)).runs()
-    assert len(runs) == n[name]
-    paper = [run for run in runs if run.model == "foten" and name in ("table-1", "table-2")]
-    assert all(
-        (run.train["batch"], run.train["epochs"], run.train["learning_rate"]) == (16, 100, 1e-3) for run in paper
-    )
-    windows = {run.sizes["window"] for run in runs if run.model == "foten"}
-    assert windows == ({5, 10, 15, 20, 25, 30} if name == "figure-5" else {20})
-
-
-def test_a_grid_crosses_sizes_and_training(tmp_path: Path) -> None:
-    text = TINY.replace("[train]", '[grid]\nwindow = [120, 144]\nloss = ["mse", "mae"]\n[train]')
-    runs = read_experiment(experiment(tmp_path, text)).runs()
-    assert len(runs) == 16
-    assert {(run.sizes["window"], run.train["loss"]) for run in runs} == {
-        (m, loss) for m in (120, 144) for loss in ("mse", "mae")
-    }
-    assert (runs[0].method, runs[0].label) == ("FNN [13]", "FNN [13] window 120, loss mse")
-
-
-def test_what_means_nothing_to_a_method_is_no_grid(tmp_path: Path) -> None:
-    text = TINY.replace("[train]", '[grid]\nloss = ["mse", "mae"]\n[train]')
-    gan = text.replace('{model = "fnn", name = "FNN [13]"}', '"gan"').replace("block_ms = 1000", "")
-    with pytest.raises(ValueError, match="method 'gan': loss means nothing to gan"):
-        read_experiment(experiment(tmp_path, gan)).runs()
-    ar = 'title = "x"\nmethods = ["ar"]\ntextures = ["towel"]\n'
-    for more, match in (("[train]\nepoch = 1", "unknown key 'epoch'"), ("[grid]\nepochs = [1]", "a grid is of netw")):
-        with pytest.raises(ValueError, match=match):
-            read_experiment(experiment(tmp_path, ar + more))
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "match"),
-    [
-        ("seconds = 8", "seconds = ", "this is not TOML"),
-        ("seconds = 8", "second = 8", "unknown key 'second' in the file, expected 'seconds'?"),
-        ("seconds = 8", "seconds = 0", "seconds is 0, expected 1 to 3600"),
-        ('"linear-twin"', '"silk"', "unknown texture 'silk'"),
-        ('"linear-twin"', '"silk.h5"', "there is no recording silk.h5 beside the file"),
-        ('name = "excited"', 'name = "FNN [13]"', "two methods have the same name"),
-        ('"fnn", name = "e', '"fn", name = "e', "unknown model 'fn'"),
-        ("excitation = true", "excited = true", "method 'excited': fnn has no size 'excited'"),
-        ("epochs = 1", "epoch = 1", "unknown key 'epoch' in [train], expected 'epochs'?"),
-        ("epochs = 1", "epochs = -1", "epochs is -1, expected 0 or more"),
-        ("block_ms = 1000", "block = 1000", "unknown key 'block' in [preprocess], expected 'block_ms'?"),
-        ("[train]", "split_seeds = [1.5]\n[train]", "split_seeds is"),
-        ("[train]", "split_seeds = [1, 1]\n[train]", "split_seeds is [1, 1], expected each once"),
-        ("[train]", "[grid]\nepoch = [1]\n[train]", "unknown key 'epoch' in [grid], expected 'epochs'?"),
-        ('"FNN [13]"}', '"FNN [13]", train = {epoch = 1}}', "unknown key 'epoch' in 'train' of a method"),
-        ("epochs = 1", 'recipe = "paper"', "'recipe' stands beside [train]"),
-        ("epochs = 1", "batch = 2.5", "batch is 2.5, expected a whole number"),
-        ('"FNN [13]"}', '"FNN [13]"}, {model = "fnn", name = "again"}', "'FNN [13]' and 'again' are the same run"),
-        ('"FNN [13]"}', '"FNN [13]"}, {model = "ar", train = {epochs = 3}}', "'ar' is fitted without a recipe"),
-        ('{model = "fnn", name = "FNN [13]"}', "5", "a method is 5, expected a model's name or a table"),
-        ("sizes = {excitation = true}", "sizes = 5", "'sizes' of a method is 5, expected a table"),
-        ('"linear-twin"', '"linear-cloth"', "two textures have the same name"),
-        ("[train]", "[grid]\nloss = 'mse'\n[train]", "'loss' in the grid is 'mse', expected a list"),
-    ],
-)
-def test_what_is_wrong_in_a_file_is_said_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, match: str
-) -> None:
-    assert old in TINY
-    path = experiment(tmp_path, TINY.replace(old, new, 1))
-    assert _status(["sweep", str(path), "-o", str(tmp_path / "results"), "--dry-run"]) == 2
-    message = capsys.readouterr().err.strip()
-    assert match in message
-    assert "\n" not in message
-    assert not (tmp_path / "results").exists()
-
-
-def test_runs_are_listed_without_running(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert _status(["sweep", str(experiment(tmp_path)), "-o", str(tmp_path / "results"), "--dry-run"]) == 0
-    assert capsys.readouterr().out.splitlines()[0] == "FNN [13], linear-cloth, split 1"
-    assert _status(["sweep", "no-such", "-o", str(tmp_path / "results")]) == 2
-    assert "table-1-small" in capsys.readouterr().err
 
 
 def test_a_folder_without_results_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

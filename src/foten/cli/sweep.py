@@ -47,7 +47,7 @@ def sweep(
     as_json: JsonOption = False,
 ) -> None:
     """Train and judge every method of an experiment on every texture and split; goes on where it stopped."""
-    from foten.experiments.experiment_file import experiment_path, read_experiment
+    from foten.experiments.experiment import experiment_path, read_experiment
 
     experiment = read_experiment(experiment_path(experiment_file))
     runs = experiment.runs()
@@ -63,13 +63,7 @@ def sweep(
         raise ValueError(f"-o {output} is a file, expected a folder")
     from foten.experiments import sweep as sweeping
 
-    def on_progress(progress: sweeping.Progress) -> None:
-        run, n = progress.last, progress.n_done + progress.n_failed
-        ended = f"failed: {progress.why}" if progress.why else f"{progress.seconds:.0f} s"
-        left = f", about {progress.left_s / 60:.0f} min left" if progress.n_left else ""
-        say(f"{n}/{n + progress.n_left} {run.label}, {run.texture}, split {run.split_seed}: {ended}{left}")
-
-    n_done, n_failed = sweeping.sweep(experiment, output, workers, address, gpus_per_run, on_progress, say, batched)
+    n_done, n_failed = sweeping.sweep(experiment, output, workers, address, gpus_per_run, say, batched)
     if as_json:
         print_json({"output": str(output), "n_runs": len(runs), "n_done": n_done, "n_failed": n_failed})
     else:
@@ -92,9 +86,8 @@ def tables(
     as_json: JsonOption = False,
 ) -> None:
     """Set the results of a sweep beside references and beside the paper's figures."""
-    from foten.experiments.findings import findings
     from foten.experiments.results import read_results, title_of
-    from foten.experiments.tables import FIGURES, FORMATS, each_run, table, written
+    from foten.experiments.tables import FIGURES, FORMATS, each_run, findings, table, written
 
     if not results.is_dir():
         raise ValueError(f"there is no folder {results}")

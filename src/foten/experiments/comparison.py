@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.experiments.paper import PAPER
-from foten.experiments.results import FIGURES, Results, label_of, name_of
+from foten.experiments.results import FIGURES, PAPER, Results, label_of, name_of
 
 Array = NDArray[np.float64]
 
@@ -29,21 +28,14 @@ FREE_RUN_REFERENCES = {"AR(20) with white noise": "free_run_ar", "ceiling": "cei
 
 @dataclass(frozen=True)
 class Row:
-    """One method or reference over textures.
+    """One method or reference over textures."""
 
-    Attributes:
-        name: in tables.
-        model: key, "" for a reference.
-        values: by texture, one for each split that has one, shape (n_splits,).
-        intervals: by texture, 95 % over test blocks, of its first split.
-        excited: whether it has the random excitation, on which no one-step figure depends.
-    """
-
-    name: str
-    model: str
-    values: Mapping[str, Array]
+    name: str  # in tables
+    model: str  # key, "" for a reference
+    values: Mapping[str, Array]  # by texture, one for each split that has one, shape (n_splits,)
+    # By texture, 95 % over test blocks, of its first split.
     intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    excited: bool = False
+    excited: bool = False  # whether it has the random excitation, on which no one-step figure depends
 
     def means(self, textures: Sequence[str]) -> Array:
         """Return the mean over splits for each texture, NaN where there is none, shape (n_textures,)."""
@@ -56,19 +48,18 @@ def rows_of(results: Results, figure: str) -> tuple[list[str], list[Row]]:
     head, _, key = FIGURES[figure].path.rpartition(".")
     factor = FIGURES[figure].factor
 
-    def row(name: str, model: str, where: str, of: Results, excited: bool = False) -> Row:
-        by_texture: dict[str, list[float]] = {}
+    def row(name: str, model: str, where: str, of: Iterable[Mapping[str, Any]], excited: bool = False) -> Row:
+        values: dict[str, list[float]] = {}
         intervals: dict[str, tuple[float, float]] = {}
         for one in of:
             texture = name_of(one["run"]["texture"])
             value = _at(one["evaluation"], f"{where}.{key}")
             interval = _at(one["evaluation"], f"{where}.intervals.{key}")
             if value is not None:
-                by_texture.setdefault(texture, []).append(factor * value)
+                values.setdefault(texture, []).append(factor * value)
             if interval is not None:
                 intervals.setdefault(texture, (factor * interval[0], factor * interval[1]))
-        values = {texture: np.array(splits) for texture, splits in by_texture.items()}
-        return Row(name, model, values, intervals, excited)
+        return Row(name, model, {texture: np.array(of) for texture, of in values.items()}, intervals, excited)
 
     # A reference is the same whatever was trained beside it: once for each recording, split and preprocessing.
     distinct = {
@@ -76,35 +67,31 @@ def rows_of(results: Results, figure: str) -> tuple[list[str], list[Row]]:
         for one in results
     }
     references = FREE_RUN_REFERENCES if head == "free_run" else REFERENCES
-    rows = [row(name, "", where, list(distinct.values())) for name, where in references.items()]
-    by_method: dict[str, list[Mapping[str, Any]]] = {}
-    for one in results:
-        by_method.setdefault(label_of(one), []).append(one)
-    for name, of in by_method.items():
+    rows = [row(name, "", where, distinct.values()) for name, where in references.items()]
+    rows = [one for one in rows if one.values]
+    for name in dict.fromkeys(map(label_of, results)):
+        of = [one for one in results if label_of(one) == name]
         model, excited = of[-1]["run"]["model"], of[0]["run"]["sizes"].get("excitation", False)
         method = row(name, model, head, of, excited)
         if not method.values and head == "free_run":
             method = row(f"{name}, without excitation", model, "free_run_deterministic", of)
         rows.append(method)
-    return textures, [one for one in rows if one.values or one.model]
+    return textures, rows
 
 
-def _at(document: Mapping[str, Any], path: str) -> Any:
+def _at(document: Any, path: str) -> Any:
     """Return the value at a path of keys, None where there is none."""
-    value: Any = document
     for key in path.split("."):
-        value = value.get(key) if isinstance(value, Mapping) else None
-    return value
+        document = document.get(key) if isinstance(document, Mapping) else None
+    return document
 
 
 def holm(p: Sequence[float]) -> list[float]:
     """Return p-values corrected for multiple comparisons, after Holm (1979), in the order given."""
     order = np.argsort(p, kind="stable")
-    corrected, worst = [0.0] * len(p), 0.0
-    for rank, i in enumerate(order):
-        worst = max(worst, min(1.0, (len(p) - rank) * p[i]))
-        corrected[i] = worst
-    return corrected
+    corrected = np.empty(len(p))
+    corrected[order] = np.maximum.accumulate(np.arange(len(p), 0, -1) * np.asarray(p)[order]).clip(max=1.0)
+    return corrected.tolist()
 
 
 def complete(rows: Sequence[Row], textures: Sequence[str]) -> list[Row]:
@@ -143,8 +130,8 @@ def as_in_paper(rows: Sequence[Row]) -> set[str]:
     """
     names = set()
     for model in PAPER:
-        of = [row.name for row in rows if row.model == model]
-        plain = [row.name for row in rows if row.model == model and not row.excited]
+        of = [row for row in rows if row.model == model]
+        plain = [row for row in of if not row.excited]
         if len(of) == 1 or len(plain) == 1:
-            names.add((plain or of)[0])
+            names.add((plain or of)[0].name)
     return names

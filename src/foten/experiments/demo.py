@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from foten.atomic_write import atomic_write
@@ -28,11 +28,7 @@ from foten.train.pipeline import train
 def run_demo(
     directory: Path, key: str, seconds: float, epochs: int, seed: int, threads: int, say: Callable[[str], None]
 ) -> dict[str, Path]:
-    """Simulate a recording, train on it, evaluate the texture and render it.
-
-    Returns:
-        Paths of the files to open and listen to, by name.
-    """
+    """Simulate a recording, train on it, evaluate and render the texture, and return the files to open and listen to, by name."""
     if directory.exists() and not directory.is_dir():
         raise ValueError(f"{directory} is a file, expected a folder")
     directory.mkdir(parents=True, exist_ok=True)
@@ -44,30 +40,29 @@ def run_demo(
     (directory / "inspect").mkdir(exist_ok=True)
     write_pictures(recording, inspect_recording(recording), directory / "inspect")
     say(f"3/5 training foten-plus, at most {epochs} epochs")
-    config = dataclasses.replace(RECIPES["default"], epochs=epochs, seed=seed, threads=threads)
+    config = replace(RECIPES["default"], epochs=epochs, seed=seed, threads=threads)
 
     def on_epoch(line: Epoch) -> None:
         say(f"    epoch {line.epoch}: one-step validation error {line.validation_mae:.4f} sd, {line.seconds:.1f} s")
 
     job = TrainingJob(recording, "foten-plus", FotenPlusSizes(), config, texture_name=key)
-    trained = train(job, on_epoch, on_stage=lambda stage: say(f"    {stage}"))
-    write_texture(trained.texture, paths["texture"])
+    texture = train(job, on_epoch, on_stage=lambda stage: say(f"    {stage}")).texture
+    write_texture(texture, paths["texture"])
     say("4/5 judging it on its test blocks")
-    judgement = evaluate(trained.texture, recording, truth_for(recording, trained.texture), seed)
+    judgement = evaluate(texture, recording, truth_for(recording, texture), seed)
     report = directory / "report"
     report.mkdir(exist_ok=True)
     with atomic_write(report / "evaluation.json") as part:
         part.write_text(json.dumps(judgement.document, indent=1, allow_nan=False) + "\n")
-    paths["report"] = write_report(judgement, trained.texture, report)
+    paths["report"] = write_report(judgement, texture, report)
     say("5/5 rendering ten seconds of a fresh hand")
-    hand = recorded_stroke(simulate(key, 10.0, seed + 1), trained.texture.rate_hz)
-    speed, force = hand.conditioned(float(trained.texture.card["lowpass_hz"]))
-    acceleration = Renderer(trained.texture, seed=seed).render(speed, force).astype(float)
-    about = {"texture": key, "texture_sha256": trained.texture.sha256(), "seed": seed}
-    for name, suffix in (("vibration", "wav"), ("picture", "png")):
-        paths[name] = directory / f"rendered.{suffix}"
-        write_rendered(paths[name], acceleration, speed, force, trained.texture.rate_hz, about)
-    paths["sound"] = directory / "rendered-48k.wav"
-    write_audible(paths["sound"], acceleration, trained.texture.rate_hz)
-    paths["pictures"] = directory / "inspect"
+    hand = recorded_stroke(simulate(key, 10.0, seed + 1), texture.rate_hz)
+    speed, force = hand.conditioned(float(texture.card["lowpass_hz"]))
+    acceleration = Renderer(texture, seed=seed).render(speed, force).astype(float)
+    about = {"texture": key, "texture_sha256": texture.sha256(), "seed": seed}
+    paths |= {"vibration": directory / "rendered.wav", "picture": directory / "rendered.png"}
+    for name in ("vibration", "picture"):
+        write_rendered(paths[name], acceleration, speed, force, texture.rate_hz, about)
+    paths |= {"sound": directory / "rendered-48k.wav", "pictures": directory / "inspect"}
+    write_audible(paths["sound"], acceleration, texture.rate_hz)
     return paths

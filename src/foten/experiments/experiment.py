@@ -1,16 +1,22 @@
-"""An experiment: which methods learn which textures with which settings, and the runs that result."""
+"""An experiment: which methods learn which textures with which settings, read from a TOML file, and the runs that result."""
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import itertools
 import json
-from collections.abc import Mapping
+import tomllib
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
 from typing import Any
 
-from foten.families import sizes_of
+from foten.datasets.hdf5 import load_recording
+from foten.datasets.simulate import LINEAR_FAMILY, TEXTURES, simulate
+from foten.families import FAMILIES, sizes_of
 from foten.recording.preprocess import PreprocessConfig
+from foten.recording.recording import Recording
 from foten.train.config import OWN_RECIPES, RECIPES, TrainConfig, check_used
 
 RECORDED = (".h5", ".hdf5")
@@ -19,26 +25,17 @@ OF_TRAINING = {one.name for one in fields(TrainConfig)} - {"recipe"}
 
 @dataclass(frozen=True)
 class Run:
-    """One method on one texture and split, everything resolved: equal runs have equal results.
+    """One method on one texture and split, everything resolved: equal runs have equal results."""
 
-    Attributes:
-        method: its name in tables, on which the result does not depend.
-        texture: key of the simulator, or the path of a recording.
-        seconds: simulated [s]; None for a recording.
-        model, sizes, train, preprocess: of the texture, all sizes and settings.
-        split_seed: of the split, and of the simulated recording.
-        cell: of the grid, the settings in which it differs from the method's other runs; a name, as `method`.
-    """
-
-    method: str
-    texture: str
-    seconds: float | None
+    method: str  # its name in tables, on which the result does not depend
+    texture: str  # key of the simulator, or the path of a recording
+    seconds: float | None  # simulated [s]; None for a recording
     model: str
-    sizes: Mapping[str, Any]
+    sizes: Mapping[str, Any]  # all of them, as all settings of `train` and `preprocess`
     train: Mapping[str, Any]
     preprocess: Mapping[str, Any]
-    split_seed: int
-    cell: Mapping[str, Any] = field(default_factory=dict)
+    split_seed: int  # of the split, and of the simulated recording
+    cell: Mapping[str, Any] = field(default_factory=dict)  # of the grid: its own settings; a name, as `method`
 
     @property
     def label(self) -> str:
@@ -59,48 +56,38 @@ class Run:
         return hashlib.sha256(json.dumps(resolved, sort_keys=True).encode()).hexdigest()[:16]
 
 
+def recording_of(run: Run) -> Recording:
+    """Return what a run learns from."""
+    if run.seconds is None:
+        return load_recording(Path(run.texture))
+    return simulate(run.texture, run.seconds, seed=run.split_seed)
+
+
 @dataclass(frozen=True)
 class Method:
-    """A row of a table: a model, what it changes of the experiment's settings, and what it is called.
-
-    Attributes:
-        name: in tables; the model's key by default.
-        recipe: of training; None for the experiment's.
-        train, sizes: changes of the recipe and of the model's sizes.
-    """
+    """A row of a table: a model, what it changes of the experiment's settings, and what it is called."""
 
     model: str
-    name: str = ""
-    recipe: str | None = None
-    train: Mapping[str, Any] = field(default_factory=dict)
-    sizes: Mapping[str, Any] = field(default_factory=dict)
+    name: str = ""  # in tables; the model's key by default
+    recipe: str | None = None  # of training; None for the experiment's
+    train: Mapping[str, Any] = field(default_factory=dict)  # changes of the recipe
+    sizes: Mapping[str, Any] = field(default_factory=dict)  # changes of the model's
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """Methods × textures × splits × a grid of settings.
+    """Methods × textures × splits × a grid of settings."""
 
-    Attributes:
-        title: of its tables.
-        textures: keys of the simulator, or recordings (.h5), looked for beside the file.
-        methods: rows.
-        note: what tables say below, of what was reduced for one.
-        seconds: that textures are simulated for [s].
-        split_seeds: of the splits; of simulated textures other strokes too.
-        recipe: of training.
-        train, preprocess: changes of the recipe and of `PreprocessConfig`.
-        grid: settings by name, each a list: of training, or sizes where a model has them. Every combination is run.
-    """
-
-    title: str
-    textures: tuple[str, ...]
-    methods: tuple[Method, ...]
-    note: str = ""
-    seconds: float = 60.0
-    split_seeds: tuple[int, ...] = (1,)
-    recipe: str = "default"
-    train: Mapping[str, Any] = field(default_factory=dict)
-    preprocess: Mapping[str, Any] = field(default_factory=dict)
+    title: str  # of its tables
+    textures: tuple[str, ...]  # keys of the simulator, or recordings (.h5), looked for beside the file
+    methods: tuple[Method, ...]  # rows
+    note: str = ""  # what tables say below, of what was reduced for one
+    seconds: float = 60.0  # that textures are simulated for
+    split_seeds: tuple[int, ...] = (1,)  # of the splits; of simulated textures other strokes too
+    recipe: str = "default"  # of training
+    train: Mapping[str, Any] = field(default_factory=dict)  # changes of the recipe
+    preprocess: Mapping[str, Any] = field(default_factory=dict)  # changes of `PreprocessConfig`
+    # Lists of settings of training, or of sizes where a model has them, by name: every combination is run.
     grid: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
 
     def runs(self) -> list[Run]:
@@ -116,43 +103,148 @@ class Experiment:
             for method in self.methods
             for values in (itertools.product(*self.grid.values()) if method.model != "ar" else [()])
         ]
-        labels: dict[str, str] = {}
+        labels: dict[Any, str] = {}
         for run in runs:
-            resolved = {k: v for k, v in asdict(run).items() if k not in ("method", "cell")}
-            key = json.dumps(resolved, sort_keys=True)
+            key = run.source, run.name("", "")
             if key in labels:
                 raise ValueError(f"{labels[key]!r} and {run.label!r} are the same run: leave one of them out")
             labels[key] = run.label
         return runs
 
     def _resolved(self, texture: str, method: Method, split_seed: int, cell: Mapping[str, Any]) -> Run:
-        name = method.name or method.model
-        changed = {k: v for k, v in cell.items() if k in OF_TRAINING}
-        own_sizes = {**method.sizes, **{k: v for k, v in cell.items() if k not in OF_TRAINING}}
+        name, model = method.name or method.model, method.model
+        changed = {**method.train, **{k: v for k, v in cell.items() if k in OF_TRAINING}}
+        sizes = {**method.sizes, **{k: v for k, v in cell.items() if k not in OF_TRAINING}}
+        train: dict[str, Any] = {}
         try:
-            preprocess = PreprocessConfig(**self.preprocess)
-            if method.model == "ar":
-                if method.sizes or method.train or method.recipe:
-                    raise ValueError("'ar' is fitted without a recipe and finds its sizes: leave them out")
-                sizes, train = {}, {}
-            else:
-                sizes = sizes_of(method.model, own_sizes).to_card()
-                check_used(method.model, {**method.train, **changed})
-                given = {**self.train, **method.train, **changed}
-                own = OWN_RECIPES.get(method.model, {})
-                recipe = RECIPES[method.recipe or self.recipe]
-                config = replace(recipe, **{"threads": 1, "seed": split_seed, **own, **given})
-                train = asdict(config)
+            preprocess = asdict(PreprocessConfig(**self.preprocess))
+            if model != "ar":
+                sizes = sizes_of(model, sizes).to_card()
+                check_used(model, changed)
+                own = {"threads": 1, "seed": split_seed, **OWN_RECIPES.get(model, {}), **self.train, **changed}
+                train = asdict(replace(RECIPES[method.recipe or self.recipe], **own))
+            elif sizes or changed or method.recipe:
+                raise ValueError("'ar' is fitted without a recipe and finds its sizes: leave them out")
         except (TypeError, ValueError) as error:
             raise ValueError(f"method {name!r}: {error}") from error
-        return Run(
-            name,
-            texture,
-            None if texture.endswith(RECORDED) else self.seconds,
-            method.model,
-            sizes,
-            train,
-            asdict(preprocess),
-            split_seed,
-            cell,
-        )
+        seconds = None if texture.endswith(RECORDED) else self.seconds
+        return Run(name, texture, seconds, model, sizes, train, preprocess, split_seed, cell)
+
+
+def experiment_path(name: str) -> Path:
+    """Return the path of an experiment: a file, or by its name one that comes with foten.
+
+    Raises:
+        FileNotFoundError: there is neither.
+    """
+    ours = Path(__file__).parent
+    if Path(name).suffix == ".toml":
+        return Path(name)
+    if (ours / f"{name}.toml").exists():
+        return ours / f"{name}.toml"
+    known = ", ".join(sorted(path.stem for path in ours.glob("*.toml")))
+    raise FileNotFoundError(f"no experiment {name!r}, expected a .toml file or one of {known}")
+
+
+def read_experiment(path: Path) -> Experiment:
+    """Return the experiment in a TOML file.
+
+    Raises:
+        FileNotFoundError: there is none.
+        ValueError: it is no TOML, has an unknown key, or a value does not fit; one line says which.
+    """
+    if not path.exists():
+        raise FileNotFoundError(f"no such file: {path}")
+    if path.is_dir():
+        raise ValueError(f"{path} is a folder, expected a .toml file")
+    try:
+        return _experiment(tomllib.loads(path.read_text(encoding="utf-8")), path.parent)
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path.name}: this is not TOML ({error})") from error
+    except ValueError as error:
+        raise ValueError(f"{path.name}: {error}") from error
+
+
+def _experiment(content: dict[str, Any], folder: Path) -> Experiment:
+    _check_keys(content, {one.name for one in fields(Experiment)}, "the file")
+    for name in ("title", "textures", "methods"):
+        if not content.get(name):
+            raise ValueError(f"there is no {name!r}, expected title, textures and methods")
+    _check_types(content, ("title", "note", "recipe"), str, "a text")
+    _check_types(content, ("textures", "methods"), list, "a list")
+    for name in ("train", "grid", "preprocess"):
+        _check_types(content, (name,), dict, f"a table, [{name}]")
+    methods = tuple(map(_method, content["methods"]))
+    if len({method.name or method.model for method in methods}) < len(methods):
+        raise ValueError("two methods have the same name: give them a 'name' each")
+    _check_recipe(content)
+    textures = tuple(_texture(one, folder) for one in content["textures"])
+    if len({Path(one).stem for one in textures}) < len(textures):
+        raise ValueError("two textures have the same name, which tables could not tell apart")
+    grid, train = content.get("grid", {}), content.get("train", {})
+    if "recipe" in train:
+        raise ValueError("'recipe' stands beside [train], not in it")
+    _check_keys(train, OF_TRAINING, "[train]")
+    _check_keys(content.get("preprocess", {}), {one.name for one in fields(PreprocessConfig)}, "[preprocess]")
+    networks = [method.model for method in methods if method.model != "ar"]
+    if grid and not networks:
+        raise ValueError("a grid is of networks, and 'ar' finds its sizes: leave it out")
+    for name, values in grid.items():
+        if not isinstance(values, list) or not values:
+            raise ValueError(f"{name!r} in the grid is {values!r}, expected a list")
+    _check_keys(grid, OF_TRAINING | {one.name for model in networks for one in fields(FAMILIES[model])}, "[grid]")
+    seeds = content.get("split_seeds", [1])
+    if not isinstance(seeds, list) or not all(type(seed) is int and seed >= 0 for seed in seeds) or not seeds:
+        raise ValueError(f"split_seeds is {seeds!r}, expected a list of whole numbers")
+    if len(set(seeds)) < len(seeds):
+        raise ValueError(f"split_seeds is {seeds!r}, expected each once")
+    seconds = content.get("seconds", 60.0)
+    if type(seconds) not in (int, float) or not 1 <= seconds <= 3600:
+        raise ValueError(f"seconds is {seconds!r}, expected 1 to 3600")
+    resolved = {"textures": textures, "methods": methods, "split_seeds": tuple(seeds), "seconds": float(seconds)}
+    return Experiment(**{**content, **resolved, "grid": {name: tuple(values) for name, values in grid.items()}})
+
+
+def _method(content: object) -> Method:
+    if isinstance(content, str):
+        content = {"model": content}
+    if not isinstance(content, dict):
+        raise ValueError(f"a method is {content!r}, expected a model's name or a table")
+    _check_keys(content, {one.name for one in fields(Method)}, "a method")
+    _check_types(content, ("model", "name", "recipe"), str, "a text", " of a method")
+    _check_types(content, ("train", "sizes"), dict, "a table", " of a method")
+    _check_keys(content.get("train", {}), OF_TRAINING, "'train' of a method")
+    if content.get("model") not in FAMILIES:
+        raise ValueError(f"unknown model {content.get('model')!r}, expected one of {', '.join(FAMILIES)}")
+    _check_recipe(content)
+    return Method(**content)
+
+
+def _texture(content: object, folder: Path) -> str:
+    if isinstance(content, str) and content.endswith(RECORDED):
+        if not (folder / content).exists():
+            raise ValueError(f"there is no recording {content} beside the file")
+        return str(folder / content)
+    known = [*TEXTURES, *LINEAR_FAMILY]
+    if content not in known:
+        raise ValueError(f"unknown texture {content!r}, expected a recording, .h5, or one of {', '.join(known)}")
+    return str(content)
+
+
+def _check_recipe(content: Mapping[str, Any]) -> None:
+    if content.get("recipe", "default") not in RECIPES:
+        raise ValueError(f"unknown recipe {content['recipe']!r}, expected one of {', '.join(RECIPES)}")
+
+
+def _check_types(content: Mapping[str, Any], names: Collection[str], kind: type, expected: str, of: str = "") -> None:
+    for name in names:
+        if name in content and not isinstance(content[name], kind):
+            raise ValueError(f"{name!r}{of} is {content[name]!r}, expected {expected}")
+
+
+def _check_keys(content: Mapping[str, Any], known: Collection[str], where: str) -> None:
+    unknown = sorted(set(content) - set(known))
+    if unknown:
+        near = difflib.get_close_matches(unknown[0], known, 1)
+        expected = f"{near[0]!r}?" if near else f"one of {', '.join(sorted(known))}"
+        raise ValueError(f"unknown key {unknown[0]!r} in {where}, expected {expected}")

@@ -2,37 +2,37 @@
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
 
-from foten.experiments.experiment import Run
+from foten.experiments.experiment import Run, recording_of
 from foten.experiments.results import Results, label_of, name_of
-from foten.experiments.run import recording_of
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.split import split_blocks
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 # Distinct with any colour vision.
 COLOURS = ("#2b83cf", "#e08a1e", "#1a9c72", "#b77ab0", "#c2452d", "#7a6a10", "#4f4fb5", "#12b5cb")
+RECORDED = "#222222"
 PARTS = {"train": "#8fd3e8", "validation": "#f3e28a", "test": "#f0a3a0"}
 
 
 def figures(
     results: Results, recordings: Path | None = None, say: Callable[[str], None] = lambda text: None
 ) -> Iterator[tuple[str, Figure]]:
-    """Return each figure that the results have the numbers for, and its name.
+    """Return each figure that the results have the numbers for, and its name; say which are left out, and why.
 
     Args:
-        results: of `read_results`.
         recordings: folder of the recordings that were learned from; by default their paths in the results are used.
-        say: called with the figures that are left out, and why.
     """
     try:
         yield "figure-4", split(results[0], recordings)
@@ -41,12 +41,12 @@ def figures(
     # One method at a time: between methods more differs than the window.
     methods = list(dict.fromkeys((one["run"]["method"], one["run"]["model"]) for one in results))
     for method, model in methods:
-        own = [one for one in results if one["run"]["method"] == method and _of_grid(one) is not None]
+        own = [one for one in results if one["run"]["method"] == method and _has_one_step(one)]
         name = model if [other for _, other in methods].count(model) == 1 else _file_name(method)
         alike = [_file_name(other) for other, _ in methods].count(_file_name(method)) > 1
         name += f"-{methods.index((method, model)) + 1}" if alike else ""
         for others, some in _by_other_settings(own, ("window", "loss")):
-            if len({_of_grid(one) for one in some}) > 1:
+            if len({(one["run"]["sizes"]["window"], one["run"]["train"]["loss"]) for one in some}) > 1:
                 yield f"figure-5-{name}{others}", windows_and_losses(some)
         huber = [one for one in own if one["run"]["train"]["loss"] == "huber"]
         for others, some in _by_other_settings(huber, ("delta",)):
@@ -58,17 +58,32 @@ def figures(
         yield "figure-7", spectra(with_signals)
 
 
-def _by_other_settings(results: Results, drawn: Sequence[str]) -> list[tuple[str, list[Mapping[str, Any]]]]:
+def _by_other_settings(results: Results, drawn: Sequence[str]) -> list[tuple[str, Results]]:
     """Return the results grouped by the settings of their grid that are not drawn, each with a suffix for the file's name."""
-    groups: dict[str, list[Mapping[str, Any]]] = {}
+    groups = defaultdict(list)
     for one in results:
         others = " ".join(f"{k} {v}" for k, v in one["run"].get("cell", {}).items() if k not in drawn)
-        groups.setdefault(others, []).append(one)
+        groups[others].append(one)
     return [("-" + _file_name(others) if others else "", some) for others, some in groups.items()]
 
 
 def _file_name(method: str) -> str:
     return re.sub(r"[^A-Za-z0-9]+", "-", method).strip("-").lower()
+
+
+def _has_one_step(result: Mapping[str, Any]) -> bool:
+    """Return whether a result is of a network with windows and a loss, and with a one-step error."""
+    sizes, train, one_step = result["run"]["sizes"], result["run"]["train"], result["evaluation"]["one_step"]
+    return "window" in sizes and "loss" in train and one_step["mae_scaled"] is not None
+
+
+def _mean_errors(results: Results, *settings: tuple[str, str]) -> dict[tuple[Any, ...], NDArray[np.float64]]:
+    """Return mean one-step errors on the test and on the validation blocks, (2,), by texture and settings of a run."""
+    errors = defaultdict(list)
+    for one in results:
+        key = (one["run"]["texture"], *(one["run"][part][name] for part, name in settings))
+        errors[key].append((one["evaluation"]["one_step"]["mae_scaled"], one["validation_mae_scaled"]))
+    return {key: np.mean(of, axis=0) for key, of in errors.items()}
 
 
 def split(result: Mapping[str, Any], recordings: Path | None = None) -> Figure:
@@ -87,58 +102,33 @@ def split(result: Mapping[str, Any], recordings: Path | None = None) -> Figure:
     trace = preprocess(recording, PreprocessConfig(**run.preprocess))
     parts = split_blocks(trace, seed=run.split_seed)
     figure, panels = _figure(10.0, 5.0, nrows=3, sharex=True)
+    length = trace.block / trace.rate_hz
     times = np.arange(trace.n_blocks * trace.block) / trace.rate_hz
     rows = (("acceleration [m/s²]", trace.acceleration), ("speed [mm/s]", trace.speed), ("force [N]", trace.force))
-    length = trace.block / trace.rate_hz
     for axes, (label, values) in zip(panels, rows, strict=True):
         for name, colour in PARTS.items():
             for block in getattr(parts, name):
                 axes.axvspan(block * length, (block + 1) * length, color=colour, linewidth=0)
-        axes.plot(times, values, color="#222222", linewidth=0.4)
+        axes.plot(times, values, color=RECORDED, linewidth=0.4)
         axes.set_ylabel(label)
     panels[-1].set(xlabel="time [s]", xlim=(0, times[-1]))
-    from matplotlib.patches import Patch
-
-    panels[0].legend(
-        handles=[Patch(color=colour, label=name) for name, colour in PARTS.items()],
-        loc="lower right",
-        bbox_to_anchor=(1, 1),
-        ncols=3,
-        frameon=False,
-    )
+    handles = [Patch(color=colour, label=name) for name, colour in PARTS.items()]
+    panels[0].legend(handles=handles, loc="lower right", bbox_to_anchor=(1, 1), ncols=3, frameon=False)
     panels[0].set_title(f"{name_of(run.texture)}, split {run.split_seed}", loc="left")
     return figure
 
 
-def _of_grid(result: Mapping[str, Any]) -> tuple[int, str] | None:
-    """Return the window and the loss of a network's run; None of a model without them or without a one-step error."""
-    sizes, train = result["run"]["sizes"], result["run"]["train"]
-    if "window" not in sizes or "loss" not in train or result["evaluation"]["one_step"]["mae_scaled"] is None:
-        return None
-    return int(sizes["window"]), str(train["loss"])
-
-
 def windows_and_losses(results: Results) -> Figure:
-    """Return one-step errors by window and loss, a panel for each texture, as Fig. 5.
-
-    Solid on the test blocks, hollow on the validation blocks, by which settings are chosen.
-    """
-    textures = list(dict.fromkeys(one["run"]["texture"] for one in results))
-    losses = sorted({cell[1] for cell in map(_of_grid, results) if cell is not None})
-    figure, panels = _grid_of(len(textures), 2.6, 2.1)
+    """Return one-step errors by window and loss, a panel for each texture, as Fig. 5: test solid, validation hollow."""
+    errors = _mean_errors(results, ("train", "loss"), ("sizes", "window"))
+    textures, losses = list(dict.fromkeys(key[0] for key in errors)), sorted({key[1] for key in errors})
+    figure, panels = _panels(textures, 2.6, 2.1)
     for axes, texture in zip(panels, textures, strict=True):
         for loss, colour in zip(losses, COLOURS, strict=False):
-            points: dict[int, list[tuple[float, float]]] = {}
-            for one in results:
-                cell = _of_grid(one)
-                if one["run"]["texture"] == texture and cell is not None and cell[1] == loss:
-                    test = one["evaluation"]["one_step"]["mae_scaled"]
-                    points.setdefault(cell[0], []).append((test, one["validation_mae_scaled"]))
-            windows = sorted(points)
-            means = np.array([np.mean(points[window], axis=0) for window in windows])
-            axes.plot(windows, means[:, 0], "o-", ms=3, lw=1, color=colour, label=loss)
-            axes.plot(windows, means[:, 1], "o", ms=4, mfc="none", color=colour)
-        axes.set_title(name_of(texture), fontsize=9, loc="left")
+            windows = sorted(window for *of, window in errors if of == [texture, loss])
+            tested, validated = np.array([errors[texture, loss, window] for window in windows]).reshape(-1, 2).T
+            axes.plot(windows, tested, "o-", ms=3, lw=1, color=colour, label=loss)
+            axes.plot(windows, validated, "o", ms=4, mfc="none", color=colour)
     panels[0].legend(fontsize=8, frameon=False)
     figure.supxlabel("window [samples]", fontsize=9)
     figure.supylabel("one-step MAE [sd]: test ●, validation ○", fontsize=9)
@@ -146,30 +136,15 @@ def windows_and_losses(results: Results) -> Figure:
 
 
 def thresholds(results: Results) -> Figure:
-    """Return one-step errors by the threshold of the Huber loss, relative to each texture's mean, and the mean of the textures.
-
-    Above on the test blocks, below on the validation blocks, by which settings are chosen.
-    """
+    """Return one-step errors by the threshold of the Huber loss, relative to each texture's mean, and their mean."""
+    errors = _mean_errors(results, ("train", "delta"))
+    textures, deltas = list(dict.fromkeys(key[0] for key in errors)), sorted({key[1] for key in errors})
+    lines = np.array([[errors.get((texture, delta), [np.nan] * 2) for delta in deltas] for texture in textures])
+    lines /= np.nanmean(lines, axis=1, keepdims=True)
     figure, panels = _figure(6.5, 5.5, nrows=2, sharex=True)
-    textures = list(dict.fromkeys(one["run"]["texture"] for one in results))
-    deltas = sorted({one["run"]["train"]["delta"] for one in results})
-    for axes, name, error in (
-        (panels[0], "test", lambda one: one["evaluation"]["one_step"]["mae_scaled"]),
-        (panels[1], "validation", lambda one: one["validation_mae_scaled"]),
-    ):
-        lines = np.full((len(textures), len(deltas)), np.nan)
-        for i, texture in enumerate(textures):
-            for k, delta in enumerate(deltas):
-                of = [
-                    error(one)
-                    for one in results
-                    if (one["run"]["texture"], one["run"]["train"]["delta"]) == (texture, delta)
-                ]
-                lines[i, k] = np.mean(of) if of else np.nan
-        lines /= np.nanmean(lines, axis=1, keepdims=True)
-        for line in lines:
-            axes.plot(deltas, line, "-", lw=0.7, color="#9a9a9a")
-        axes.plot(deltas, np.nanmean(lines, axis=0), "o-", lw=1.6, ms=4, color=COLOURS[0], label="mean of the textures")
+    for axes, name, of in zip(panels, ("test", "validation"), np.moveaxis(lines, 2, 0), strict=True):
+        axes.plot(deltas, of.T, "-", lw=0.7, color="#9a9a9a")
+        axes.plot(deltas, np.nanmean(of, axis=0), "o-", lw=1.6, ms=4, color=COLOURS[0], label="mean of the textures")
         axes.set_ylabel(f"{name}: MAE ÷ the texture's mean", fontsize=9)
     panels[0].legend(fontsize=8, frameon=False)
     panels[1].set_xlabel("δ of the Huber loss [sd]", fontsize=9)
@@ -181,18 +156,18 @@ def waveforms(results: Results) -> Figure:
 
     The waveforms are independent realisations: compare level and character, not samples.
     """
-    textures, methods = _first_split(results)
-    figure, panels = _grid_of(len(textures), 3.4, 1.1 + 0.45 * len(methods))
-    for axes, (texture, by_method) in zip(panels, textures.items(), strict=True):
-        recorded = np.array(next(iter(by_method.values()))["signals"]["recorded"])
+    textures, colours = _first_split(results)
+    figure, panels = _panels(textures, 3.4, 1.1 + 0.45 * len(colours))
+    for axes, by_method in zip(panels, textures.values(), strict=True):
+        first = next(iter(by_method.values()))
+        recorded = np.array(first["signals"]["recorded"])
         step = 2.2 * float(np.abs(recorded).max())
-        times = 1000 * np.arange(len(recorded)) / next(iter(by_method.values()))["evaluation"]["rate_hz"]
-        axes.plot(times, recorded, color="#222222", lw=0.7)
+        times = 1000 * np.arange(len(recorded)) / first["evaluation"]["rate_hz"]
+        axes.plot(times, recorded, color=RECORDED, lw=0.7)
         for k, (method, one) in enumerate(by_method.items()):
-            run = np.clip(np.array(one["signals"]["free_run"]), -0.5 * step, 0.5 * step)
-            axes.plot(times, run - (k + 1) * step, color=COLOURS[methods.index(method) % len(COLOURS)], lw=0.7)
+            run = np.clip(one["signals"]["free_run"], -0.5 * step, 0.5 * step)
+            axes.plot(times, run - (k + 1) * step, color=colours[method], lw=0.7)
         axes.set_yticks([-k * step for k in range(len(by_method) + 1)], ["recorded", *by_method], fontsize=7)
-        axes.set_title(name_of(texture), fontsize=9, loc="left")
     figure.supxlabel("time [ms]", fontsize=9)
     return figure
 
@@ -202,48 +177,38 @@ def spectra(results: Results) -> Figure:
 
     Densities below the axis, as of a free run that falls silent, are drawn along its lower edge.
     """
-    textures, methods = _first_split(results)
-    figure, panels = _grid_of(len(textures), 3.0, 2.2)
-    for axes, (texture, by_method) in zip(panels, textures.items(), strict=True):
+    textures, colours = _first_split(results)
+    figure, panels = _panels(textures, 3.0, 2.2)
+    for axes, by_method in zip(panels, textures.values(), strict=True):
         first = next(iter(by_method.values()))["signals"]
         recorded = 10 * np.log10(np.maximum(first["density"]["recorded"], 1e-30))
         low, high = recorded.min() - 15, recorded.max() + 8
         for method, one in by_method.items():
-            signals = one["signals"]
-            density = np.maximum(10 * np.log10(np.maximum(signals["density"]["free_run"], 1e-30)), low + 0.3)
-            axes.plot(
-                signals["frequencies_hz"],
-                density,
-                color=COLOURS[methods.index(method) % len(COLOURS)],
-                lw=1,
-                label=method,
-            )
-        axes.plot(first["frequencies_hz"], recorded, color="#222222", lw=1.2, label="recorded")
+            frequencies, density = one["signals"]["frequencies_hz"], one["signals"]["density"]["free_run"]
+            shown = np.maximum(10 * np.log10(np.maximum(density, 1e-30)), low + 0.3)
+            axes.plot(frequencies, shown, color=colours[method], lw=1, label=method)
+        axes.plot(first["frequencies_hz"], recorded, color=RECORDED, lw=1.2, label="recorded")
         axes.set_ylim(low, high)
-        axes.set_title(name_of(texture), fontsize=9, loc="left")
     named = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    figure.legend(
-        named.values(), named.keys(), loc="outside upper center", ncols=min(4, len(named)), frameon=False, fontsize=8
-    )
+    columns = min(4, len(named))
+    figure.legend(named.values(), named, loc="outside upper center", ncols=columns, frameon=False, fontsize=8)
     figure.supxlabel("frequency [Hz]", fontsize=9)
     figure.supylabel("power density [dB re 1 (m/s²)²/Hz]", fontsize=9)
     return figure
 
 
-def _first_split(results: Results) -> tuple[dict[str, dict[str, Mapping[str, Any]]], list[str]]:
-    """Return the results of each texture's first split by method, and all methods; another split is another recording."""
+def _first_split(results: Results) -> tuple[dict[str, dict[str, Mapping[str, Any]]], dict[str, str]]:
+    """Return the results of each texture's first split by method, and all colours; another split is another recording."""
     textures: dict[str, dict[str, Mapping[str, Any]]] = {}
     splits: dict[str, int] = {}
     for one in results:
         run = one["run"]
         if splits.setdefault(run["texture"], run["split_seed"]) == run["split_seed"]:
             textures.setdefault(run["texture"], {})[label_of(one)] = one
-    return textures, list(dict.fromkeys(map(label_of, results)))
+    return textures, dict(zip(dict.fromkeys(map(label_of, results)), itertools.cycle(COLOURS), strict=False))
 
 
 def _figure(width: float, height: float, **options: Any) -> tuple[Figure, Any]:
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(width, height), layout="constrained")
     panels = figure.subplots(**options)
     for axes in np.ravel(panels):
@@ -252,13 +217,15 @@ def _figure(width: float, height: float, **options: Any) -> tuple[Figure, Any]:
     return figure, panels
 
 
-def _grid_of(n: int, width: float, height: float) -> tuple[Figure, list[Any]]:
-    """Return a figure of n panels, three or four beside each other."""
+def _panels(textures: Collection[str], width: float, height: float) -> tuple[Figure, list[Any]]:
+    """Return a figure and a panel of each texture, three or four beside each other."""
+    n = len(textures)
     columns = min(n, 3 if n <= 9 else 4)
     rows = -(-n // columns)
     width = max(width, 6.0 / columns)
     figure, panels = _figure(width * columns, height * rows + 0.6, nrows=rows, ncols=columns, squeeze=False)
-    flat = list(panels.ravel())
-    for axes in flat[n:]:
+    for axes, texture in zip(panels.flat, textures, strict=False):
+        axes.set_title(name_of(texture), fontsize=9, loc="left")
+    for axes in panels.flat[n:]:
         axes.set_visible(False)
-    return figure, flat[:n]
+    return figure, list(panels.flat[:n])

@@ -1,4 +1,4 @@
-"""The result files of a sweep: reading them, and the figures in them."""
+"""The result files of a sweep: reading them, the figures in them, and the paper's to print beside these."""
 
 from __future__ import annotations
 
@@ -13,35 +13,49 @@ from foten.experiments.experiment import Run
 Results = Sequence[Mapping[str, Any]]
 
 _OF_A_RESULT = {
-    "evaluation",
-    "foten",
-    "versions",
-    "recording_sha256",
-    "seconds",
-    "signals",
-    "n_epochs",
-    "validation_mae_scaled",
+    *("evaluation", "foten", "versions", "recording_sha256"),
+    *("seconds", "signals", "n_epochs", "validation_mae_scaled"),
 }
 _OF_AN_EVALUATION = {"one_step", "free_run", "references", "ceiling", "n_blocks", "split_sha256", "rate_hz"}
 
 
 @dataclass(frozen=True)
-class Figure:
-    """A number in the result files.
+class Reported:
+    """One method's figures as the paper prints them; None where it prints none.
 
-    Attributes:
-        name: in headings, with its unit.
-        path: of keys in `evaluation`.
-        reported: the attribute of `paper.Reported` to print beside it, and its digits; None for none.
-        better: 1 where more is better, −1 where less is.
-        factor: from the number in the file to the one in tables.
+    Source: Tables I to III; no unit is stated for its errors.
     """
 
-    name: str
-    path: str
-    reported: tuple[str, int] | None
-    better: int
-    factor: float = 1.0
+    mae: float  # mean over its twelve textures
+    gfc: float  # the same, in %
+    gpu_ms: float | None = None  # of one inference
+    cpu_ms: float | None = None
+    epoch_s: float | None = None  # of one epoch of training
+
+
+PAPER = {
+    "ar": Reported(0.400, 86.28),
+    "fnn": Reported(0.378, 87.83),
+    "dstn": Reported(0.201, 90.33, 1.38, 1.89, 44.35),
+    "ldhtd": Reported(0.178, 91.02, 1.13, 1.26, 27.45),
+    "gan": Reported(0.298, 88.65, 1.72, 2.37, 85.71),
+    "foten": Reported(0.149, 92.15, 0.96, 1.11, 10.26),
+    "ten": Reported(0.318, 86.77, 0.87, 1.07, 8.92),
+    "ten-mfcc": Reported(0.281, 90.28),
+    "ten-wavelet": Reported(0.284, 86.18),
+    "foten-d": Reported(0.193, 90.64, 1.16, 1.39, 14.81),
+}
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A number in the result files."""
+
+    name: str  # in headings, with its unit
+    path: str  # of keys in `evaluation`
+    reported: tuple[str, int] | None  # the attribute of `Reported` to print beside it, and its digits
+    better: int  # 1 where more is better, −1 where less is
+    factor: float = 1.0  # from the number in the file to the one in tables
 
 
 FIGURES = {
@@ -63,43 +77,35 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
     seen: dict[tuple[str, str, int], str] = {}
     digests: dict[str, str] = {}
     for path in sorted(folder.glob("*.json")):
-        result, run = _read(path)
-        cell = (run.label, name_of(run.texture), run.split_seed)
+        result = read_result(path)
+        if result is None:
+            raise ValueError(f"{path.name} is no result of foten sweep, or damaged")
+        run = Run(**result["run"])
+        texture, digest = name_of(run.texture), result["recording_sha256"]
+        cell = run.label, texture, run.split_seed
         if cell in seen:
             raise ValueError(
-                f"{seen[cell]} and {path.name} are both of {cell[0]} on {cell[1]}, split {cell[2]}: are results of other "
-                "settings or of an earlier version left in the folder? Move one away"
+                f"{seen[cell]} and {path.name} are both of {run.label} on {texture}, split {run.split_seed}: are results of "
+                "other settings or of an earlier version left in the folder? Move one away"
             )
         seen[cell] = path.name
-        recorded = run.seconds is None
-        if recorded and digests.setdefault(cell[1], result["recording_sha256"]) != result["recording_sha256"]:
-            raise ValueError(f"two recordings are called {cell[1]}, which a table cannot tell apart")
+        if run.seconds is None and digests.setdefault(texture, digest) != digest:
+            raise ValueError(f"two recordings are called {texture}, which a table cannot tell apart")
         results.append(result)
     if not results:
         raise ValueError(f"there is no result of foten sweep in {folder}")
     return sorted(results, key=lambda result: result.get("index", 0))
 
 
-def is_result(content: Any) -> bool:
-    """Return whether the content of a JSON file is a result with all that tables and figures need."""
-    return (
-        isinstance(content, dict)
-        and set(content) >= _OF_A_RESULT
-        and isinstance(content["evaluation"], dict)
-        and set(content["evaluation"]) >= _OF_AN_EVALUATION
-    )
-
-
-def _read(path: Path) -> tuple[dict[str, Any], Run]:
+def read_result(path: Path) -> dict[str, Any] | None:
+    """Return the result in a file, with all that tables and figures need; None where there is none, or it is damaged."""
     try:
         result = json.loads(path.read_bytes())
-        run = Run(**result["run"])
-        complete = isinstance(run.texture, str) and is_result(result)
+        complete = isinstance(Run(**result["run"]).texture, str) and isinstance(result["evaluation"], dict)
     except (ValueError, KeyError, TypeError, OSError):
-        complete = False
-    if not complete:
-        raise ValueError(f"{path.name} is no result of foten sweep, or damaged")
-    return result, run
+        return None
+    complete = complete and set(result) >= _OF_A_RESULT and set(result["evaluation"]) >= _OF_AN_EVALUATION
+    return result if complete else None
 
 
 def label_of(result: Mapping[str, Any]) -> str:

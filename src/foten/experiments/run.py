@@ -5,12 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import foten
-from foten.datasets.hdf5 import load_recording
-from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import Judgement, evaluate
 from foten.evaluate.free_run import scored
 from foten.evaluate.report.signals import N_WAVEFORM, densities, scored_channels, shown_run, typical_block
@@ -21,23 +18,17 @@ from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.train.config import TrainConfig
-
-if TYPE_CHECKING:
-    from foten.train.job import TrainingJob
-
-
-def recording_of(run: Run) -> Recording:
-    """Return what a run learns from."""
-    if run.seconds is None:
-        return load_recording(Path(run.texture))
-    return simulate(run.texture, run.seconds, seed=run.split_seed)
+from foten.train.job import TrainingJob
+from foten.train.pipeline import train, train_batched
 
 
 def execute(run: Run, recording: Recording) -> dict[str, Any]:
     """Return the result of one run: its settings, its figures on the test blocks, and the seconds of both stages."""
     started = time.perf_counter()
-    texture = _trained(run, recording)
-    return _judged(run, recording, texture, time.perf_counter() - started)
+    trained = train(_job(run, recording))
+    if trained.progress.interrupted:
+        raise KeyboardInterrupt
+    return _judged(run, recording, trained.texture, time.perf_counter() - started)
 
 
 def execute_batched(runs: Sequence[Run], recordings: Sequence[Recording]) -> list[dict[str, Any]]:
@@ -45,8 +36,6 @@ def execute_batched(runs: Sequence[Run], recordings: Sequence[Recording]) -> lis
 
     A run that failed has the reason under `failed` instead.
     """
-    from foten.train.pipeline import train_batched
-
     started = time.perf_counter()
     trained = train_batched([_job(*one) for one in zip(runs, recordings, strict=True)])
     seconds = (time.perf_counter() - started) / len(runs)
@@ -68,25 +57,8 @@ def failure(error: Exception) -> dict[str, Any]:
 
 
 def _job(run: Run, recording: Recording) -> TrainingJob:
-    from foten.train.job import TrainingJob
-
-    return TrainingJob(
-        recording,
-        run.model,
-        sizes_of(run.model, run.sizes),
-        TrainConfig(**run.train),
-        PreprocessConfig(**run.preprocess),
-        split_seed=run.split_seed,
-    )
-
-
-def _trained(run: Run, recording: Recording) -> Texture:
-    from foten.train.pipeline import train
-
-    trained = train(_job(run, recording))
-    if trained.progress.interrupted:
-        raise KeyboardInterrupt
-    return trained.texture
+    sizes, preprocess = sizes_of(run.model, run.sizes), PreprocessConfig(**run.preprocess)
+    return TrainingJob(recording, run.model, sizes, TrainConfig(**run.train), preprocess, split_seed=run.split_seed)
 
 
 def _judged(run: Run, recording: Recording, texture: Texture, seconds: float, n_batched: int = 1) -> dict[str, Any]:

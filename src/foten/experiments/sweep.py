@@ -12,43 +12,28 @@ import os
 import socket
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import ray
+
 import foten
 from foten.atomic_write import atomic_write
-from foten.experiments.experiment import Experiment, Run
-from foten.experiments.results import is_result
-from foten.experiments.run import execute, execute_batched, failure, recording_of
+from foten.experiments.experiment import Experiment, Run, recording_of
+from foten.experiments.results import read_result
+from foten.experiments.run import execute, execute_batched, failure
 from foten.recording.recording import Recording
+from foten.train.batched import BATCHED
 
 Waiting = tuple[int, Run, Path]
 """A run without a result: its place in the experiment, and the path that its result will have."""
 RETRIES = 3  # of a run whose worker or node is lost
 ANSWER_S = 5.0  # in which a cluster has to answer
+NO_CLUSTER = (
+    "no Ray cluster answers at {}: was it started with 'ray start --head', and is RAY_AUTH_TOKEN its token? ({})"
+)
 THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-
-
-@dataclass(frozen=True)
-class Progress:
-    """The progress of a sweep.
-
-    Attributes:
-        n_done, n_failed, n_left: runs; those of earlier sweeps are not counted.
-        last: the run that ended.
-        seconds: that it took.
-        why: the reason if it failed, else empty.
-        left_s: estimated time for the remaining runs [s].
-    """
-
-    n_done: int
-    n_failed: int
-    n_left: int
-    last: Run
-    seconds: float
-    why: str
-    left_s: float
 
 
 def sweep(
@@ -57,30 +42,21 @@ def sweep(
     workers: int | None = None,
     address: str | None = None,
     gpus_per_run: float = 0.0,
-    on_progress: Callable[[Progress], None] = lambda progress: None,
     say: Callable[[str], None] = lambda text: None,
     n_batched: int = 1,
 ) -> tuple[int, int]:
-    """Execute the runs of an experiment that have no result yet, and keep one file each.
+    """Execute the runs of an experiment that have no result yet, keep one file each, and return how many were done and failed.
 
     Args:
-        experiment: what to run.
-        results: folder of the result files.
         workers: runs at a time on this machine; one for each core by default. Each has one thread.
         address: of a Ray cluster, "auto" for the one that this machine is part of; None starts Ray here.
         gpus_per_run: share of a GPU that each run takes.
-        on_progress: called after each run.
-        say: called with messages for the user.
+        say: called with messages for the user, and a line after each run.
         n_batched: largest number of textures that are trained as one batched model, of the models in `BATCHED`.
-
-    Returns:
-        How many runs were done, and how many failed.
 
     Raises:
         ValueError: a setting does not fit, or there is no such cluster.
     """
-    import ray
-
     if address is not None and workers is not None:
         raise ValueError("--workers is of this machine: a cluster at --address has as many as its nodes have cores")
     runs = experiment.runs()
@@ -104,15 +80,14 @@ def sweep(
     try:
         if gpus_per_run > ray.cluster_resources().get("GPU", 0):
             raise ValueError(f"--gpus-per-run is {gpus_per_run:g}, and Ray finds no such GPU")
-        needed = {run.source for _, run, _ in waiting}
-        kept = {source: ray.put(recordings[source][1]) for source in needed}
-        recordings.clear()
+        kept = {source: ray.put(recordings[source][1]) for source in {run.source for _, run, _ in waiting}}
+        recordings.clear()  # held by Ray's object store from here on
         task = ray.remote(num_cpus=1, num_gpus=gpus_per_run, max_retries=RETRIES)(_guarded)
         pending = {
             task.remote([asdict(run) for _, run, _ in some], *(kept[run.source] for _, run, _ in some)): some
             for some in _groups(waiting, n_batched)
         }
-        return _collected(experiment, pending, on_progress)
+        return _collected(experiment, pending, say)
     finally:
         ray.shutdown()
 
@@ -126,11 +101,8 @@ def _kept(path: Path, about: Mapping[str, Any], say: Callable[[str], None]) -> b
     """Return whether a run has a result, and update the names in it to those of the experiment."""
     if not path.exists():
         return False
-    try:
-        result = json.loads(path.read_bytes())
-    except ValueError:
-        result = None
-    if not is_result(result):
+    result = read_result(path)
+    if result is None:
         say(f"{path.name} is damaged, and is made again")
         return False
     if any(result.get(key) != value for key, value in json.loads(json.dumps(about)).items()):
@@ -144,60 +116,46 @@ def _write(path: Path, result: Mapping[str, Any]) -> None:
 
 
 def _start_ray(workers: int | None, address: str | None, gpus_per_run: float) -> None:
-    import ray
-
-    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "error"}
     # Runs that ask for no GPU see none; otherwise all workers would use the first one at once.
     unseen = {} if gpus_per_run > 0 else {"CUDA_VISIBLE_DEVICES": ""}
-    environment = {"env_vars": {**THREADS, **unseen}}
+    options: dict[str, Any] = {"address": "local", "num_cpus": workers or os.cpu_count(), "include_dashboard": False}
     if address is not None:
         _check_answered(address)
-    local: dict[str, Any] = {"num_cpus": workers or os.cpu_count(), "include_dashboard": False}
+        options = {"address": address}
+    environment = {"env_vars": {**THREADS, **unseen}}
     try:
-        ray.init(address=address or "local", runtime_env=environment, **quiet, **(local if address is None else {}))
+        ray.init(**options, runtime_env=environment, log_to_driver=False, logging_level="error")
     except (ConnectionError, RuntimeError) as error:
+        why = str(error).splitlines()[0]
         if address is None:
-            raise ValueError(f"Ray does not start here: {str(error).splitlines()[0]}") from error
-        raise ValueError(f"{_no_cluster(address)} ({str(error).splitlines()[0]})") from error
-
-
-def _no_cluster(address: str) -> str:
-    return (
-        f"no Ray cluster answers at {address}: was it started with 'ray start --head', and is RAY_AUTH_TOKEN its token?"
-    )
+            raise ValueError(f"Ray does not start here: {why}") from error
+        raise ValueError(NO_CLUSTER.format(address, why)) from error
 
 
 def _check_answered(address: str) -> None:
-    """Check that HOST:PORT accepts connections: Ray itself would try for ten minutes and ignore Ctrl-C.
-
-    Raises:
-        ValueError: it does not.
-    """
+    """Check that HOST:PORT accepts connections: Ray itself would try for ten minutes and ignore Ctrl-C."""
     host, _, port = address.rpartition(":")
     if "://" in address or not port.isdecimal():
         return
     try:
         socket.create_connection((host.strip("[]"), int(port)), timeout=ANSWER_S).close()
     except (OSError, OverflowError) as error:
-        raise ValueError(f"{_no_cluster(address)} ({error})") from error
+        raise ValueError(NO_CLUSTER.format(address, error)) from error
 
 
 def _groups(waiting: Sequence[Waiting], n_batched: int) -> list[list[Waiting]]:
     """Return the runs in groups for one worker each, in their order: one run, or up to `n_batched` that can be batched."""
-    from foten.train.batched import BATCHED
-
     groups: list[list[Waiting]] = []
-    open_groups: dict[str, list[Waiting]] = {}
+    last: dict[str, list[Waiting]] = {}
     for one in waiting:
         run = one[1]
-        alike = {"sizes": run.sizes, "train": {**run.train, "seed": 0}, "preprocess": run.preprocess}
-        key = json.dumps({"model": run.model, **alike}, sort_keys=True)
-        can = run.model in BATCHED and run.train["threads"] == 1
-        if can and len(open_groups.get(key, ())) % n_batched:
-            open_groups[key].append(one)
+        key = json.dumps([run.model, run.sizes, {**run.train, "seed": 0}, run.preprocess], sort_keys=True)
+        group = last.get(key, [])
+        if run.model in BATCHED and run.train["threads"] == 1 and len(group) % n_batched:
+            group.append(one)
         else:
             groups.append([one])
-            open_groups[key] = groups[-1]
+            last[key] = groups[-1]
     return groups
 
 
@@ -211,29 +169,28 @@ def _guarded(runs: Sequence[Mapping[str, Any]], *recordings: Recording) -> list[
 
 
 def _collected(
-    experiment: Experiment, pending: dict[Any, list[Waiting]], on_progress: Callable[[Progress], None]
+    experiment: Experiment, pending: dict[Any, list[Waiting]], say: Callable[[str], None]
 ) -> tuple[int, int]:
-    import ray
-
     started = time.perf_counter()
     n_done = n_failed = 0
+    n_runs = sum(map(len, pending.values()))
     while pending:
         (ready, *_), _ = ray.wait(list(pending), num_returns=1)
         some = pending.pop(ready)
-        n_left = sum(map(len, pending.values())) + len(some)
         try:
             results = ray.get(ready)
         except ray.exceptions.RayError as error:
             results = [{"failed": f"lost {RETRIES + 1} times: {str(error).splitlines()[0]}"}] * len(some)
         for (index, run, path), result in zip(some, results, strict=True):
-            why = str(result.get("failed", ""))
-            if why:
+            if "failed" in result:
                 n_failed += 1
+                ended = f"failed: {result['failed']}"
             else:
-                _write(path, {**result, **_about(experiment, index, run)})
                 n_done += 1
-            n_left -= 1
-            seconds = sum(result["seconds"].values()) if "seconds" in result else 0.0
-            pace = (time.perf_counter() - started) / (n_done + n_failed)
-            on_progress(Progress(n_done, n_failed, n_left, run, seconds, why, pace * n_left))
+                ended = f"{sum(result['seconds'].values()):.0f} s"
+                _write(path, {**result, **_about(experiment, index, run)})
+            n = n_done + n_failed
+            minutes = (time.perf_counter() - started) / n * (n_runs - n) / 60
+            left = f", about {minutes:.0f} min left" if n < n_runs else ""
+            say(f"{n}/{n_runs} {run.label}, {run.texture}, split {run.split_seed}: {ended}{left}")
     return n_done, n_failed

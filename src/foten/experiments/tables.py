@@ -1,18 +1,24 @@
-"""Tables of results: methods by textures, beside the references and the paper's figures."""
+"""Tables of results, methods by textures beside the references and the paper's figures, and what they say in sentences."""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from foten.experiments.comparison import Row, as_in_paper, compared, rows_of
-from foten.experiments.paper import PAPER
-from foten.experiments.results import FIGURES, Results, label_of, name_of
+from foten.experiments.comparison import Row, as_in_paper, compared, complete, rows_of
+from foten.experiments.results import FIGURES, PAPER, Results, experiments_of, label_of, name_of
 
 FORMATS = ("md", "csv", "tex")
+_LATEX = str.maketrans(
+    {
+        **{character: "\\" + character for character in "&%_#${}"},
+        **{"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}"},
+        **{"±": r"$\pm$", "–": "--", "÷": r"$\div$"},
+    }
+)
 
 
 def table(results: Results, figure: str) -> list[list[str]]:
@@ -21,31 +27,31 @@ def table(results: Results, figure: str) -> list[list[str]]:
     textures, rows = rows_of(results, figure)
     _, p = compared(rows, textures, of.better)
     n_splits = max((len(values) for row in rows for values in row.values.values()), default=1)
-    within = any(row.intervals for row in rows)
     spread = f"mean ± sd of {n_splits} splits" if n_splits > 1 else "one split"
-    spread += " [95 % over its blocks]" if n_splits == 1 and within else ""
-    known = as_in_paper(rows) if of.reported is not None else set()
-    heading = [f"{of.name}, {spread}", *textures, "mean"]
-    heading += ["p"] if p else []
-    heading += ["paper's mean"] if known else []
-    cells = [heading]
+    if n_splits == 1 and any(row.intervals for row in rows):
+        spread += " [95 % over its blocks]"
+    reported: dict[str, str] = {}
+    if of.reported is not None:
+        attribute, digits = of.reported
+        models = {row.name: row.model for row in rows}
+        reported = {name: f"{getattr(PAPER[models[name]], attribute):.{digits}f}" for name in as_in_paper(rows)}
+    heading = [f"{of.name}, {spread}", *textures, "mean", *(["p"] if p else [])]
+    cells = [heading + (["paper's mean"] if reported else [])]
     for row in rows:
         means = row.means(textures)
         mean = f"{means.mean():.3f}" if np.isfinite(means).all() else "–"
         line = [row.name, *(_cell(row, texture, n_splits) for texture in textures), mean]
         if p:
             line.append(f"{p[row.name]:.3f}" if row.name in p else "")
-        if known and of.reported is not None:
-            attribute, digits = of.reported
-            value = getattr(PAPER[row.model], attribute) if row.name in known else None
-            line.append("" if value is None else f"{value:.{digits}f}")
+        if reported:
+            line.append(reported.get(row.name, ""))
         cells.append(line)
     return cells
 
 
 def _cell(row: Row, texture: str, n_splits: int) -> str:
     values, interval = row.values.get(texture), row.intervals.get(texture)
-    if values is None or not len(values):
+    if values is None:
         return "–"
     if n_splits == 1 and interval is not None:
         return f"{values[0]:.3f} [{interval[0]:.3f}, {interval[1]:.3f}]"
@@ -89,25 +95,73 @@ def written(cells: Sequence[Sequence[str]], form: str) -> str:
         csv.writer(out, lineterminator="\n").writerows(cells)
         return out.getvalue()
     if form == "md":
-        lines = [f"| {' | '.join(cell.replace('|', _BAR) for cell in row)} |" for row in cells]
+        lines = ["| " + " | ".join(cell.replace("|", r"\|") for cell in row) + " |" for row in cells]
         return "\n".join([lines[0], "|" + "---|" * len(cells[0]), *lines[1:]]) + "\n"
-    rows = [" & ".join(_escaped(cell) for cell in row) + r" \\" for row in cells]
+    rows = [" & ".join(cell.translate(_LATEX) for cell in row) + r" \\" for row in cells]
     columns = "l" + "r" * (len(cells[0]) - 1)
     body = "\n".join([rows[0], r"\midrule", *rows[1:]])
     return f"\\begin{{tabular}}{{{columns}}}\n\\toprule\n{body}\n\\bottomrule\n\\end{{tabular}}\n"
 
 
-_BAR = r"\|"  # within a cell of Markdown
-_LATEX = {
-    **{character: "\\" + character for character in "&%_#${}"},
-    "\\": r"\textbackslash{}",
-    "^": r"\textasciicircum{}",
-    "~": r"\textasciitilde{}",
-    "±": r"$\pm$",
-    "–": "--",
-    "÷": r"$\div$",
-}
+def findings(results: Results) -> Iterator[str]:
+    """Yield what was reduced, which method is best in each figure, and whether the order is the paper's."""
+    yield from dict.fromkeys(about["note"] for about in experiments_of(results) if about["note"])
+    yield from _several_versions(results)
+    yield from _same_blocks(results)
+    for figure in FIGURES:
+        yield from _best_method(results, figure)
+    yield from _order(results)
 
 
-def _escaped(cell: str) -> str:
-    return "".join(_LATEX.get(character, character) for character in cell)
+def _several_versions(results: Results) -> Iterator[str]:
+    versions: dict[str, set[str]] = {}
+    for one in results:
+        for package, version in {"foten": one["foten"], **one["versions"]}.items():
+            versions.setdefault(package, set()).add(version)
+    several = [f"{package} {', '.join(sorted(of))}" for package, of in versions.items() if len(of) > 1]
+    if several:
+        yield f"The results were made with several versions, of {'; '.join(several)}: run them again with one."
+
+
+def _same_blocks(results: Results) -> Iterator[str]:
+    """Yield which splits of a recording have the same test blocks: they differ only by training."""
+    seeds: dict[tuple[str, str, str], set[int]] = {}
+    for one in results:
+        key = (name_of(one["run"]["texture"]), one["recording_sha256"], one["evaluation"]["split_sha256"])
+        seeds.setdefault(key, set()).add(one["run"]["split_seed"])
+    for (texture, *_), same in seeds.items():
+        numbers = ", ".join(map(str, sorted(same)))
+        if len(same) > 1:
+            yield f"{texture} is short: splits {numbers} are the same blocks, and differ by training alone."
+
+
+def _best_method(results: Results, figure: str) -> Iterator[str]:
+    of = FIGURES[figure]
+    textures, rows = rows_of(results, figure)
+    methods = [row for row in rows if row.model]
+    without = [row.name for row in methods if not row.values]
+    if without:
+        yield f"{of.name}: there is none of {', '.join(without)}."
+    lacking = [row.name for row in methods if row.values and row not in complete(rows, textures)]
+    if lacking:
+        yield f"{of.name}: not compared, for want of textures or splits: {', '.join(lacking)}."
+    best, p = compared(rows, textures, of.better)
+    if best:
+        chance = ", ".join(other for other, value in p.items() if value >= 0.05)
+        differ = (
+            f"; the difference may be chance for {chance}" if chance else "; all others differ (p < 0.05)" if p else ""
+        )
+        yield f"{of.name}: {best} is best on the mean{differ}."
+
+
+def _order(results: Results) -> Iterator[str]:
+    textures, rows = rows_of(results, "mae")
+    known = as_in_paper(rows)
+    ours = {row.model: float(row.means(textures).mean()) for row in complete(rows, textures) if row.name in known}
+    if len(ours) > 1:
+        here, there = sorted(ours, key=ours.__getitem__), sorted(ours, key=lambda model: PAPER[model].mae)
+        same = "the same order" if here == there else "another order"
+        yield (
+            f"By one-step error, best first: {', '.join(here)} here; {', '.join(there)} in the paper, whose regime and unit "
+            f"are not stated: {same}."
+        )

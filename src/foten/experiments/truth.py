@@ -52,13 +52,9 @@ def truth_for(
 
 
 def linear_bounds(recording: Recording, trace: Trace, highpass_hz: float, window: int) -> tuple[Array, Array]:
-    """Return the least expected absolute one-step errors [m/s²] from the infinite past and from a window, shape (n,) each.
+    """Return the least expected absolute one-step errors [m/s²] from the infinite past and from a window of m, shape (n,) each.
 
-    Args:
-        recording: of the linear family.
-        trace: of it, causally high-passed with order 2.
-        highpass_hz: cut-off of that high-pass.
-        window: m, samples.
+    Of a recording of the linear family and its trace, causally high-passed with order 2.
     """
     (b0, b1, b2, a1, a2), *_ = butterworth("highpass", highpass_hz, trace.rate_hz)
     numerator, denominator = np.array([b0, b1, b2]), np.array([1.0, a1, a2])

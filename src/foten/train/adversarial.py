@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.optim import Adam
 
 from foten.networks.gan import Discriminator, Gan
@@ -16,26 +15,13 @@ from foten.networks.noise_filter import log_magnitudes
 from foten.train.blocks import ScaledBlocks
 from foten.train.config import TrainConfig
 from foten.train.epochs import Epoch, Progress, Stateful, run_epochs
+from foten.train.fit import epoch_seed
 
 FRAMES = 56  # of a spectrogram; Table III
 STEPS = 50  # in an epoch
 MEAN_WEIGHT = 10.0  # of how far mean spectra are apart, beside what the discriminator says
 _LEAST_FRAMES = 8
 _N_DRAWS = 4  # draws of noise for each validation spectrogram
-
-
-class _Both:
-    """Two optimisers as one, for a checkpoint."""
-
-    def __init__(self, generator: nn.Module, discriminator: nn.Module, rate: float) -> None:
-        self.of = [Adam(network.parameters(), lr=rate, betas=(0.5, 0.9)) for network in (generator, discriminator)]
-
-    def state_dict(self) -> dict[str, Any]:
-        return {"of": [one.state_dict() for one in self.of]}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        for one, saved in zip(self.of, state["of"], strict=True):
-            one.load_state_dict(saved)
 
 
 class _Crops:
@@ -60,12 +46,12 @@ class _Crops:
 
     def spectrograms(self, block: Tensor, begin: Tensor) -> Tensor:
         """Return log |X| of crops, (b, frames, bins)."""
-        frames = begin[:, None] + self.stride * torch.arange(self.n_frames)
-        return self._logs[block[:, None], frames]
+        return self._logs[block[:, None], begin[:, None] + self.stride * torch.arange(self.n_frames)]
 
-    def windows(self, block: Tensor, begin: Tensor, noise: Tensor) -> Tensor:
-        """Return noise (b, m + length) with the hand of crops, (b, m + length, 3)."""
+    def windows(self, block: Tensor, begin: Tensor, generator: torch.Generator) -> Tensor:
+        """Return noise with the hand of crops, (b, m + length, 3)."""
         samples = begin[:, None] + torch.arange(self.m + self.length)
+        noise = torch.randn(samples.shape, generator=generator)
         return torch.cat([noise[:, :, None], self._hand[block[:, None], samples]], dim=2)
 
     def hands(self, block: Tensor, begin: Tensor) -> Tensor:
@@ -81,8 +67,7 @@ class _Crops:
 
 def made(network: Gan, windows: Tensor, n_frames: int) -> Tensor:
     """Return log |X| of what a generator plays, (b, frames, bins), under windows (b, m + length, 3)."""
-    played = network.played(windows)
-    return log_magnitudes(played.unfold(1, network.frame, network.stride)[:, :n_frames])
+    return log_magnitudes(network.played(windows).unfold(1, network.frame, network.stride)[:, :n_frames])
 
 
 def fit_adversarial(
@@ -105,56 +90,48 @@ def fit_adversarial(
     """
     train, validation = (_Crops(network, m, blocks, some) for some in (blocks.split.train, blocks.split.validation))
     judge = Discriminator()
-    tiles = train.tiles()
-    recorded = train.spectrograms(*tiles).flatten(0, 1)
+    recorded = train.spectrograms(*train.tiles()).flatten(0, 1)
     middle, spread = recorded.mean(0), recorded.std(0).clamp(min=1e-3)
     with torch.no_grad():
         network.out.weight *= 0.1
         network.out.bias.copy_(middle)
-    both = _Both(network, judge, config.learning_rate)
-    parts: dict[str, Stateful] = {"network": network, "discriminator": judge, "optimiser": both}
-
-    def drawn(crops: _Crops, n: int, generator: torch.Generator) -> Tensor:
-        return torch.randn(n, m + crops.length, generator=generator)
-
-    def apart(a: Tensor, b: Tensor) -> Tensor:
-        return (a.mean(1) - b.mean(1)).abs().mean()
+    generating = list(network.parameters())
+    adam = Adam([*generating, *judge.parameters()], lr=config.learning_rate, betas=(0.5, 0.9))
 
     def step(generator: torch.Generator) -> float:
-        n = config.batch
-        block = torch.randint(train.n_blocks, (n,), generator=generator)
-        begin = torch.randint(train.last + 1, (n,), generator=generator)
+        block = torch.randint(train.n_blocks, (config.batch,), generator=generator)
+        begin = torch.randint(train.last + 1, (config.batch,), generator=generator)
         real, hands = train.spectrograms(block, begin), train.hands(block, begin)
-        fake = made(network, train.windows(block, begin, drawn(train, n, generator)), train.n_frames)
+        fake = made(network, train.windows(block, begin, generator), train.n_frames)
 
         def judged(spectrograms: Tensor) -> Tensor:
             return judge((spectrograms - middle) / spread, hands)
 
-        of_network, of_judge = both.of
         loss = torch.relu(1 - judged(real)).mean() + torch.relu(1 + judged(fake.detach())).mean()
-        of_judge.zero_grad()
+        adam.zero_grad()
         loss.backward()
-        of_judge.step()
-        distance = apart(fake, real)
-        of_network.zero_grad()
-        (MEAN_WEIGHT * distance - judged(fake).mean()).backward()
-        of_network.step()
+        adam.step()  # of what has gradients, which here the discriminator alone has, and then the generator alone
+        distance = (fake.mean(1) - real.mean(1)).abs().mean()
+        adam.zero_grad()
+        (MEAN_WEIGHT * distance - judged(fake).mean()).backward(inputs=generating)
+        adam.step()
         return float(distance.detach())
 
     def one_epoch(epoch: int) -> float:
         # Seeded by the epoch, so that a resumed run sees the same crops and noise.
-        generator = torch.Generator().manual_seed(config.seed * 100_003 + epoch)
+        generator = torch.Generator().manual_seed(epoch_seed(config.seed, epoch))
         return float(np.mean([step(generator) for _ in range(STEPS)]))
 
     def validate() -> tuple[float, float]:
         block, begin = (index.repeat(_N_DRAWS) for index in validation.tiles())
-        noise = drawn(validation, len(block), torch.Generator().manual_seed(config.seed))
+        generator = torch.Generator().manual_seed(config.seed)
         with torch.no_grad():
-            fake = made(network, validation.windows(block, begin, noise), validation.n_frames)
+            fake = made(network, validation.windows(block, begin, generator), validation.n_frames)
             real = validation.spectrograms(block, begin)
             # Over the draws of noise, whose scatter is none of the generator's.
             means = [s.mean(1).reshape(_N_DRAWS, -1, s.shape[2]).mean(0) for s in (fake, real)]
             distance = float((means[0] - means[1]).abs().mean())
         return distance, distance
 
+    parts: dict[str, Stateful] = {"network": network, "discriminator": judge, "adam": adam}
     return run_epochs(network, config, parts, one_epoch, validate, on_epoch, checkpoint, resume)

@@ -6,21 +6,20 @@ another order, so the weights differ by rounding. Worth its while for small batc
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call, grad_and_value, stack_module_state, vmap
 
 from foten.networks.dropout import mask, mask_shapes, masks_given, set_dropout
-from foten.recording.windows import window_indices
 from foten.train.config import TrainConfig
-from foten.train.epochs import Epoch, Progress, goes_on
-from foten.train.fit import TrainingWindows, epoch_seed, loss_of, mask_seed, masks_of, order_of, schedule_of, validated
+from foten.train.epochs import Progress, goes_on
+from foten.train.fit import DeviceWindows, TrainingWindows, epoch_seed, loss_of, mask_seed, masks_of, rate_of, validated
 from foten.train.optimiser import Optimiser
 
 BATCHED = ("foten", "foten-plus", "ten", "ten-mfcc", "ten-wavelet", "foten-d", "fnn")
@@ -29,15 +28,11 @@ BATCHED = ("foten", "foten-plus", "ten", "ten-mfcc", "ten-wavelet", "foten-d", "
 
 @dataclass
 class _Texture:
-    """One of the networks, and what it is fitted to, on its device."""
+    """One of the networks, and what it is fitted to."""
 
     network: nn.Module
     config: TrainConfig
-    samples: Tensor
-    goal: Tensor
-    unit: Tensor
-    train: Tensor
-    validation: Tensor
+    data: DeviceWindows
     progress: Progress
     error: ValueError | None = None
 
@@ -45,63 +40,48 @@ class _Texture:
 def fit_batched(
     networks: Sequence[nn.Module], data: Sequence[TrainingWindows], configs: Sequence[TrainConfig]
 ) -> list[Progress | ValueError]:
-    """Train networks in place and leave each at its best validation loss, as `fit` does one by one.
+    """Train networks in place, each to its best validation loss, as `fit` does; return each log, or why it could not be fitted.
 
     Args:
         networks: of one architecture, windows (b, m, c) → (b,), on one device.
         data: what each is fitted to, with as many training windows as the others.
         configs: alike but for their seeds; of one thread.
 
-    Returns:
-        The log of each, or why it could not be fitted.
-
     Raises:
         ValueError: they do not fit together.
     """
-    config, n_train = configs[0], len(data[0].train)
+    config = configs[0]
     alike = {(repr({**vars(one), "seed": 0}), len(of.train)) for one, of in zip(configs, data, strict=True)}
     if len(alike) > 1 or config.threads > 1:
         raise ValueError("networks are fitted as one model by one recipe, one thread and as many windows each")
-    device, m = next(networks[0].parameters()).device, data[0].window
-    offsets = torch.from_numpy(window_indices(np.zeros(1, dtype=np.int64), m)).to(device)
-    textures = [_of_device(network, of, one, device) for network, of, one in zip(networks, data, configs, strict=True)]
+    textures = [
+        _Texture(network, one, DeviceWindows(of, network), Progress())
+        for network, of, one in zip(networks, data, configs, strict=True)
+    ]
     criterion = loss_of(config)
-    steps = max(1, math.ceil(n_train / config.batch))
-    rate = schedule_of(config, steps * max(1, config.epochs))
 
     def validate(texture: _Texture, epoch: int, train_loss: float, seconds: float) -> None:
-        def windows(n: Tensor) -> Tensor:
-            return texture.samples[n[:, None] + offsets]
-
         started = time.perf_counter()
-        loss, error = validated(texture.network, windows, texture.goal, texture.unit, texture.validation, criterion)
-        progress = texture.progress
-        best = loss < progress.best_loss
-        if best:
-            progress.best_loss = loss
-            state = texture.network.state_dict().items()
-            progress.best_state = {name: tensor.detach().clone() for name, tensor in state}
+        loss, error = validated(texture.network, texture.data, criterion)
         seconds += time.perf_counter() - started
-        progress.epochs.append(Epoch(epoch, train_loss, loss, error, seconds, best))
-        if (epoch and not math.isfinite(train_loss)) or not progress.best_state:
+        texture.progress.add(texture.network, epoch, train_loss, loss, error, seconds)
+        if (epoch and not math.isfinite(train_loss)) or not texture.progress.best_state:
             texture.error = ValueError("a loss is not finite; is the acceleration full of outliers?")
 
     for texture in textures:
         set_dropout(texture.network, config.dropout)
         validate(texture, 0, math.nan, 0.0)
-    live = [texture for texture in textures if texture.error is None]
-    stack = _Stack(live, config, rate, criterion, offsets) if live else None
+    stack = _Stack(textures, config, criterion)
     for epoch in range(1, config.epochs + 1):
-        going = [k for k, texture in enumerate(live) if texture.error is None and goes_on(texture.progress, config)]
-        if not going or stack is None:
+        live = [texture.error is None and goes_on(texture.progress, config) for texture in stack.textures]
+        if not any(live):
             break
-        if len(going) < len(live):
-            live = [live[k] for k in going]
-            stack.leave(going, live)
+        if not all(live):
+            stack.keep(live)
         started = time.perf_counter()
         losses = stack.epoch(epoch)
-        each = (time.perf_counter() - started) / len(live)
-        for texture, loss in zip(live, losses, strict=True):
+        each = (time.perf_counter() - started) / len(losses)
+        for texture, loss in zip(stack.textures, losses, strict=True):
             validate(texture, epoch, loss, each)
     for texture in textures:
         if texture.error is None:
@@ -110,82 +90,61 @@ def fit_batched(
     return [texture.error or texture.progress for texture in textures]
 
 
-def _of_device(network: nn.Module, data: TrainingWindows, config: TrainConfig, device: torch.device) -> _Texture:
-    samples = torch.from_numpy(data.samples).to(device, torch.float32)
-    goal = samples[:, 0] if data.target is None else torch.from_numpy(data.target).to(device, torch.float32)
-    unit = torch.ones(len(samples)) if data.unit is None else torch.from_numpy(data.unit)
-    train, validation = (torch.from_numpy(n).to(device) for n in (data.train, data.validation))
-    unit = unit.to(device, torch.float32)
-    return _Texture(network, config, samples, goal, unit, train, validation, Progress())
-
-
 class _Stack:
     """The weights of several networks in one tensor a parameter, of which each network's own are views, and their optimiser."""
 
     def __init__(
-        self,
-        textures: Sequence[_Texture],
-        config: TrainConfig,
-        rate: Callable[[int], float],
-        criterion: Callable[[Tensor, Tensor], Tensor],
-        offsets: Tensor,
+        self, textures: list[_Texture], config: TrainConfig, criterion: Callable[[Tensor, Tensor], Tensor]
     ) -> None:
-        self._textures, self._config, self._rate, self._offsets = textures, config, rate, offsets
-        self._device = offsets.device
-        self._n_steps = 0
+        self.textures, self._config, self._device = textures, config, textures[0].data.device
         self._shapes: dict[int, list[torch.Size]] = {}
-        self._generators: list[torch.Generator] = []
-        weights, self._fixed = stack_module_state([texture.network for texture in textures])
-        self._weights = {name: nn.Parameter(weight.detach()) for name, weight in weights.items()}
         self._share()
         self._optimiser = Optimiser(self._weights, config, stacked=True)
 
         def loss(
-            weights: dict[str, Tensor], fixed: dict[str, Tensor], windows: Tensor, goal: Tensor, masks: list[Tensor]
+            weights: dict[str, Tensor], fixed: dict[str, Tensor], windows: Tensor, target: Tensor, masks: list[Tensor]
         ) -> Tensor:
             with masks_given(masks):
-                return criterion(functional_call(self._textures[0].network, (weights, fixed), (windows,)), goal)
+                return criterion(functional_call(self.textures[0].network, (weights, fixed), (windows,)), target)
 
         self._gradients = vmap(grad_and_value(loss))
 
     def _share(self) -> None:
-        for k, texture in enumerate(self._textures):
+        weights, self._fixed = stack_module_state([texture.network for texture in self.textures])
+        self._weights = {name: nn.Parameter(weight.detach()) for name, weight in weights.items()}
+        for k, texture in enumerate(self.textures):
             for name, parameter in texture.network.named_parameters():
                 parameter.data = self._weights[name].data[k]
 
-    def leave(self, kept: Sequence[int], textures: Sequence[_Texture]) -> None:
-        """Go on with those networks alone; the others have what weights they have."""
-        remaining = torch.tensor(kept, device=self._device)
-        self._textures = textures
-        self._fixed = {name: fixed[remaining] for name, fixed in self._fixed.items()}
-        self._weights = {name: nn.Parameter(weight.data[remaining]) for name, weight in self._weights.items()}
+    def keep(self, kept: Sequence[bool]) -> None:
+        """Go on with some of the networks alone; the others have what weights they have."""
+        self.textures = list(itertools.compress(self.textures, kept))
         self._share()
-        self._optimiser = self._optimiser.keep(self._weights, remaining)
+        self._optimiser = self._optimiser.keep(self._weights, torch.tensor(kept, device=self._device))
 
     def epoch(self, epoch: int) -> list[float]:
         """Train all for an epoch, and return the mean loss of each."""
-        for texture in self._textures:
+        seeds = [texture.config.seed for texture in self.textures]
+        for texture in self.textures:
             texture.network.train()
-        orders = torch.stack(
-            [one.train[order_of(len(one.train), one.config.seed, epoch).to(self._device)] for one in self._textures]
-        )
+        orders = torch.stack([one.data.shuffled(seed, epoch) for one, seed in zip(self.textures, seeds, strict=True)])
         # Of masks on a GPU, where one generator draws a whole epoch's, as `fit` has it there.
-        self._generators = [
-            torch.Generator(self._device).manual_seed(epoch_seed(one.config.seed, epoch)) for one in self._textures
-        ]
-        total = torch.zeros(len(self._textures), device=self._device)
+        of_epoch = [torch.Generator(self._device).manual_seed(epoch_seed(seed, epoch)) for seed in seeds]
+        total = torch.zeros(len(seeds), device=self._device)
         for number, batch in enumerate(orders.split(self._config.batch, dim=1)):
-            total += self._step(batch, epoch, number) * batch.shape[1]
+            of_step = [masks_of(mask_seed(seed, epoch, number), self._device) for seed in seeds]
+            generators = [one or common for one, common in zip(of_step, of_epoch, strict=True)]
+            rate = rate_of(self._config, orders.shape[1], epoch, number)
+            total += self._step(batch, generators, rate) * batch.shape[1]
         return [float(one) / orders.shape[1] for one in total]
 
-    def _step(self, batch: Tensor, epoch: int, number: int) -> Tensor:
+    def _step(self, batch: Tensor, generators: list[torch.Generator], rate: float) -> Tensor:
         """Take a step of all networks on a batch of each, (n, b) sample numbers, and return their losses."""
-        of = list(zip(self._textures, batch, strict=True))
-        windows = torch.stack([one.samples[n[:, None] + self._offsets] for one, n in of])
-        goals = torch.stack([one.goal[n] for one, n in of])
-        seeds = [mask_seed(one.config.seed, epoch, number) for one in self._textures]
+        of = [(texture.data, n) for texture, n in zip(self.textures, batch, strict=True)]
+        windows = torch.stack([data.windows(n) for data, n in of])
+        targets = torch.stack([data.target[n] for data, n in of])
         weights = {name: weight.detach() for name, weight in self._weights.items()}
-        gradients, losses = self._gradients(weights, self._fixed, windows, goals, self._masks(windows, seeds))
+        gradients, losses = self._gradients(weights, self._fixed, windows, targets, self._masks(windows, generators))
         limit = self._config.clip_norm
         if limit > 0:  # each network's own, as `torch.nn.utils.clip_grad_norm_`
             squares = torch.stack([one.flatten(1).square().sum(1) for one in gradients.values()])
@@ -193,21 +152,17 @@ class _Stack:
             gradients = {name: one * scale.view(-1, *[1] * (one.ndim - 1)) for name, one in gradients.items()}
         for name, weight in self._weights.items():
             weight.grad = gradients[name]
-        self._optimiser.step(self._rate(self._n_steps))
-        self._n_steps += 1
+        self._optimiser.step(rate)
         return losses.detach()
 
-    def _masks(self, windows: Tensor, seeds: Sequence[int]) -> list[Tensor]:
+    def _masks(self, windows: Tensor, generators: list[torch.Generator]) -> list[Tensor]:
         """Return the masks of dropout, (n, …) each, drawn for each network as if it were alone."""
         p, b = self._config.dropout, windows.shape[1]
         if p == 0:
             return []
         if b not in self._shapes:
             with mask_shapes() as shapes, torch.no_grad():
-                self._textures[0].network(windows[0])
+                self.textures[0].network(windows[0])
             self._shapes[b] = list(shapes)
-        drawn = []
-        for seed, of_epoch in zip(seeds, self._generators, strict=True):
-            generator = masks_of(seed, self._device) or of_epoch
-            drawn.append([mask(shape, p, generator, self._device) for shape in self._shapes[b]])
+        drawn = [[mask(shape, p, one, self._device) for shape in self._shapes[b]] for one in generators]
         return [torch.stack(masks) for masks in zip(*drawn, strict=True)]

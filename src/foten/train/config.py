@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
-LOSSES = ("huber", "mse", "mae")
 WARM_START = (45.0, 0.8)  # mm/s, N: mean of early contacts; Sec. V-a
 
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """One run of training.
-
-    The defaults are our recipe; `RECIPES["paper"]` is Sec. IV-e.
-    """
+    """One run of training: the defaults are our recipe; `RECIPES["paper"]` is Sec. IV-e."""
 
     recipe: str = "default"
     epochs: int = 12  # at most
@@ -45,35 +41,25 @@ class TrainConfig:
     threads: int = 2  # each takes a share of every batch; part of what makes a file reproducible
 
     def __post_init__(self) -> None:
-        if self.loss not in LOSSES:
-            raise ValueError(f"loss is {self.loss!r}, expected one of {', '.join(LOSSES)}")
+        if self.loss not in ("huber", "mse", "mae"):
+            raise ValueError(f"loss is {self.loss!r}, expected one of huber, mse, mae")
         if self.schedule not in ("one_cycle", "constant"):
             raise ValueError(f"schedule is {self.schedule!r}, expected 'one_cycle' or 'constant'")
-        for name in ("epochs", "batch", "patience", "probation", "threads", "max_order", "seed"):
-            if type(getattr(self, name)) is not int:
-                raise ValueError(f"{name} is {getattr(self, name)!r}, expected a whole number")
-        for name in (
-            "learning_rate",
-            "matrix_learning_rate",
-            "weight_decay",
-            "clip_norm",
-            "dropout",
-            "delta",
-            "least_gain",
-        ):
-            value = getattr(self, name)
-            if type(value) not in (int, float) or not math.isfinite(value):
-                raise ValueError(f"{name} is {value!r}, expected a finite number")
-        for name in ("batch", "patience", "probation", "threads", "max_order"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected 1 or more")
-        if self.epochs < 0:
-            raise ValueError(f"epochs is {self.epochs}, expected 0 or more")
-        if not 0 <= self.dropout <= 0.9:
-            raise ValueError(f"dropout is {self.dropout}, expected from 0 to 0.9")
         if self.optimiser not in ("muon", "adamw"):
             raise ValueError(f"optimiser is {self.optimiser!r}, expected 'muon' or 'adamw'")
-        if not self.learning_rate > 0 or not self.matrix_learning_rate > 0 or not self.delta > 0:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.type == "int" and type(value) is not int:
+                raise ValueError(f"{field.name} is {value!r}, expected a whole number")
+            if field.type == "float" and (type(value) not in (int, float) or not math.isfinite(value)):
+                raise ValueError(f"{field.name} is {value!r}, expected a finite number")
+        for name in ("epochs", "batch", "patience", "probation", "threads", "max_order"):
+            least = 0 if name == "epochs" else 1
+            if getattr(self, name) < least:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected {least} or more")
+        if not 0 <= self.dropout <= 0.9:
+            raise ValueError(f"dropout is {self.dropout}, expected from 0 to 0.9")
+        if min(self.learning_rate, self.matrix_learning_rate, self.delta) <= 0:
             raise ValueError("learning rates and delta must be positive")
         if self.weight_decay < 0:
             raise ValueError(f"weight decay is {self.weight_decay}, expected 0 or more")
@@ -106,27 +92,15 @@ There dense layers begin with Glorot's uniform weights and zero biases, here wit
 OWN_RECIPES: dict[str, dict[str, Any]] = {
     "ten": {"delta": 2.0},
     "ten-wavelet": {"loss": "mse"},
-    **{
-        model: {"loss": "mse", "optimiser": "adamw"}
-        for model in ("fnn", "dstn", "hapinf", "ldhtd", "ldhtd-hop", "dftnet")
-    },
+    **{key: {"loss": "mse", "optimiser": "adamw"} for key in ("fnn", "dstn", "hapinf", "ldhtd", "ldhtd-hop", "dftnet")},
     # Its epochs are of 50 steps, not of all windows.
     "gan": {"epochs": 60, "patience": 60, "batch": 64, "learning_rate": 2e-4},
 }
 """What a model changes of a recipe: losses of Sec. VI-d for TEN's variants, and for the others, where nothing is stated, ours."""
 UNUSED: dict[str, tuple[str, ...]] = {
     "gan": (
-        "loss",
-        "delta",
-        "dropout",
-        "threads",
-        "weight_decay",
-        "schedule",
-        "clip_norm",
-        "optimiser",
-        "matrix_learning_rate",
-        "probation",
-        "least_gain",
+        *("loss", "delta", "dropout", "threads", "weight_decay", "schedule", "clip_norm"),
+        *("optimiser", "matrix_learning_rate", "probation", "least_gain"),
     )
 }
 """Settings that are nothing to a model: the GAN's loss is what judges it."""
@@ -138,8 +112,7 @@ def check_used(model: str, given: Iterable[str]) -> None:
     Raises:
         ValueError: one means nothing to it.
     """
-    unused = [name for name in given if name in UNUSED.get(model, ())]
-    if unused:
-        raise ValueError(
-            f"{unused[0].replace('_', '-')} means nothing to {model}, whose loss is a discriminator: leave it out"
-        )
+    for name in given:
+        if name in UNUSED.get(model, ()):
+            option = name.replace("_", "-")
+            raise ValueError(f"{option} means nothing to {model}, whose loss is a discriminator: leave it out")

@@ -38,22 +38,26 @@ class Epoch:
 
 @dataclass
 class Progress:
-    """Everything that a run needs to go on where it stopped.
-
-    Attributes:
-        notes: what is to be said of the training beside its log, a line each.
-    """
+    """Everything that a run needs to go on where it stopped."""
 
     epochs: list[Epoch] = field(default_factory=list)
     best_loss: float = math.inf
     best_state: dict[str, Tensor] = field(default_factory=dict)
     interrupted: bool = False
-    notes: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # what is to be said of the training beside its log, a line each
 
     @property
     def best(self) -> Epoch:
         """Return the epoch whose weights are kept."""
-        return max((line for line in self.epochs if line.best), key=lambda line: line.epoch)
+        return next(line for line in reversed(self.epochs) if line.best)
+
+    def add(self, network: nn.Module, epoch: int, train_loss: float, loss: float, error: float, seconds: float) -> None:
+        """Add an epoch to the log, and keep the network's weights where its validation loss is the lowest yet."""
+        best = loss < self.best_loss
+        if best:
+            self.best_loss = loss
+            self.best_state = {name: tensor.detach().clone() for name, tensor in network.state_dict().items()}
+        self.epochs.append(Epoch(epoch, train_loss, loss, error, seconds, best))
 
 
 class Stateful(Protocol):
@@ -96,11 +100,9 @@ def run_epochs(
     """Run epochs until there are enough, none gains, or Ctrl-C; leave a network at its best validation loss.
 
     Args:
-        network: whose weights are kept.
         parts: what a checkpoint holds.
         one_epoch: trains for the epoch of that number, and returns its loss.
         validate: returns the validation loss and the error of the log [`Epoch.validation_mae`].
-        on_epoch, checkpoint, resume: as `fit` has them.
 
     Raises:
         ValueError: a loss is not finite, or the checkpoint is another run's.
@@ -115,20 +117,15 @@ def run_epochs(
     def finish(epoch: int, train_loss: float, started: float) -> None:
         network.eval()
         loss, error = validate()
-        best = loss < progress.best_loss
-        if best:
-            progress.best_loss = loss
-            progress.best_state = {name: t.detach().clone() for name, t in network.state_dict().items()}
-        progress.epochs.append(Epoch(epoch, train_loss, loss, error, time.perf_counter() - started, best))
+        progress.add(network, epoch, train_loss, loss, error, time.perf_counter() - started)
         on_epoch(progress.epochs[-1])
 
     try:
         if not progress.epochs:
             finish(0, math.nan, time.perf_counter())
         for epoch in range(len(progress.epochs), config.epochs + 1):
-            if not progress.best_state:  # of a validation that is not finite, nothing that follows is
-                break
-            if not goes_on(progress, config):
+            # Of a validation that is not finite, nothing that follows is.
+            if not progress.best_state or not goes_on(progress, config):
                 break
             started = time.perf_counter()
             network.train()
@@ -136,12 +133,16 @@ def run_epochs(
             if not math.isfinite(progress.epochs[-1].train_loss):
                 raise ValueError("the training loss is not finite; is the acceleration full of outliers?")
             if checkpoint is not None:
-                _keep(checkpoint, config, parts, progress)
+                try:
+                    save_progress(checkpoint, config, parts, progress)
+                except OSError as error:  # of a full disk, say: the training is worth more, and one note enough
+                    if not progress.notes:
+                        progress.notes.append(f"{reason(error)}; the training went on without its checkpoint")
     except KeyboardInterrupt:
+        if not progress.best_state:
+            raise
         progress.interrupted = True
     if not progress.best_state:
-        if progress.interrupted:
-            raise KeyboardInterrupt
         raise ValueError("the validation loss is not finite; is the acceleration full of outliers?")
     network.load_state_dict(progress.best_state)
     network.eval()
@@ -156,21 +157,8 @@ def write_log(path: Path, epochs: list[Epoch]) -> None:
         writer.writerows(asdict(epoch) for epoch in epochs)
 
 
-def _keep(path: Path, config: TrainConfig, parts: Mapping[str, Stateful], progress: Progress) -> None:
-    """Write a checkpoint; on a full disk, say, note once that there is none of this epoch: the training is worth more."""
-    try:
-        save_progress(path, config, parts, progress)
-    except OSError as error:
-        if not progress.notes:
-            progress.notes.append(f"{reason(error)}; the training went on without its checkpoint")
-
-
 def save_progress(path: Path, config: TrainConfig, parts: Mapping[str, Stateful], progress: Progress) -> None:
-    """Write a checkpoint: the state of every part, and the log.
-
-    Raises:
-        OSError: it cannot be written.
-    """
+    """Write a checkpoint: the state of every part, and the log."""
     saved = io.BytesIO()  # PyTorch's own writer says of a full disk only that its archive is inconsistent
     torch.save(
         {
@@ -202,5 +190,4 @@ def load_progress(path: Path, config: TrainConfig, parts: Mapping[str, Stateful]
         raise ValueError(f"{path.name} is of another version of foten; delete it and start again")
     for name, one in parts.items():
         one.load_state_dict(saved["parts"][name])
-    epochs = [Epoch(**line) for line in saved["epochs"]]
-    return Progress(epochs, saved["best_loss"], saved["best_state"])
+    return Progress([Epoch(**line) for line in saved["epochs"]], saved["best_loss"], saved["best_state"])

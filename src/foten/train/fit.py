@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 from collections.abc import Callable, Iterator
@@ -24,22 +25,39 @@ from foten.train.optimiser import Optimiser
 
 @dataclass(frozen=True)
 class TrainingWindows:
-    """What a network is fitted to.
+    """What a network is fitted to."""
 
-    Attributes:
-        samples: what windows are cut from: scaled acceleration, speed, force, shape (n, 3), and what else a network sees.
-        train, validation: indices to predict.
-        window: m.
-        target: what is to be predicted, shape (n,), or (n, k) of a network that gives k numbers; None for the acceleration.
-        unit: what one of the target is worth in scaled acceleration, shape (n,); None for one.
-    """
-
-    samples: NDArray[np.float64]
-    train: NDArray[np.int64]
+    samples: NDArray[np.float64]  # scaled acceleration, speed, force, shape (n, 3), and what else a network sees
+    train: NDArray[np.int64]  # indices to predict
     validation: NDArray[np.int64]
-    window: int
-    target: NDArray[np.floating] | None = None
-    unit: NDArray[np.float64] | None = None
+    window: int  # m
+    target: NDArray[np.floating] | None = None  # to predict, (n,), or (n, k) for k numbers; None for the acceleration
+    unit: NDArray[np.float64] | None = None  # what one of the target is in scaled acceleration, (n,); None for one
+
+
+class DeviceWindows:
+    """Training windows on the device of a network, in float32."""
+
+    def __init__(self, data: TrainingWindows, network: nn.Module) -> None:
+        self.device = next(network.parameters()).device
+        unit = np.ones(len(data.samples)) if data.unit is None else data.unit
+        target = data.samples[:, 0] if data.target is None else data.target
+        self.samples, self.target, self.unit = (
+            torch.from_numpy(values).to(self.device, torch.float32) for values in (data.samples, target, unit)
+        )
+        offsets = window_indices(np.zeros(1, dtype=np.int64), data.window)
+        self.train, self.validation, self._offsets = (
+            torch.from_numpy(n).to(self.device) for n in (data.train, data.validation, offsets)
+        )
+
+    def windows(self, n: Tensor) -> Tensor:
+        """Return the windows of samples: (b,) → (b, m, 3 or more)."""
+        return self.samples[n[:, None] + self._offsets]
+
+    def shuffled(self, seed: int, epoch: int) -> Tensor:
+        """Return the training indices in the order of an epoch."""
+        generator = torch.Generator().manual_seed(epoch_seed(seed, epoch))
+        return self.train[torch.randperm(len(self.train), generator=generator).to(self.device)]
 
 
 def pick_device() -> torch.device:
@@ -55,7 +73,7 @@ def reproducible() -> Iterator[None]:
     another program kept one of them busy. `fit` shares out the batch instead.
     """
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # else sums on a GPU come in any order
-    before = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
+    n_threads, deterministic = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
     torch.set_num_threads(1)
     # On the CPU one thread adds up in one order anyway, and the call takes a second, for it loads a compiler.
     on_gpu = torch.cuda.is_available()
@@ -64,9 +82,9 @@ def reproducible() -> Iterator[None]:
     try:
         yield
     finally:
-        torch.set_num_threads(before[0])
+        torch.set_num_threads(n_threads)
         if on_gpu:
-            torch.use_deterministic_algorithms(before[1])
+            torch.use_deterministic_algorithms(deterministic)
 
 
 def loss_of(config: TrainConfig) -> Callable[[Tensor, Tensor], Tensor]:
@@ -91,79 +109,47 @@ def fit(
 
     Args:
         network: windows (b, m, 3) → (b,) or (b, k), on the CPU or a GPU.
-        data: what to fit.
-        config: how.
-        on_epoch: called after each epoch.
-        checkpoint: file that is written after each epoch.
-        resume: go on from the checkpoint.
-
-    Returns:
-        The log, and whether it was interrupted.
+        checkpoint: file that is written after each epoch, and that `resume` goes on from.
     """
-    device = next(network.parameters()).device
-    samples = torch.from_numpy(data.samples).to(device, torch.float32)
-    goal = samples[:, 0] if data.target is None else torch.from_numpy(data.target).to(device, torch.float32)
-    unit = torch.ones(len(samples)) if data.unit is None else torch.from_numpy(data.unit)
-    unit = unit.to(device, torch.float32)
-    train, validation = (torch.from_numpy(n).to(device) for n in (data.train, data.validation))
-    offsets = torch.from_numpy(window_indices(np.zeros(1, dtype=np.int64), data.window)).to(device)
+    of = DeviceWindows(data, network)
     set_dropout(network, config.dropout)
-    n_threads = config.threads if device.type == "cpu" else 1
-    pool = ThreadPoolExecutor(n_threads)
+    n_threads = config.threads if of.device.type == "cpu" else 1
     trained = list(network.parameters())
     optimiser = Optimiser(dict(network.named_parameters()), config)
-    steps = max(1, math.ceil(len(train) / config.batch))
-    rate = schedule_of(config, steps * max(1, config.epochs))
     criterion = loss_of(config)
-    parts: dict[str, Stateful] = {"network": network, "optimiser": optimiser}
-
-    def windows(n: Tensor) -> Tensor:
-        return samples[n[:, None] + offsets]
 
     def gradients(share: Tensor, n: int, seed: int) -> tuple[Tensor, tuple[Tensor, ...]]:
         """Return the loss and gradients of one thread's share of a batch of n."""
-        with masks_from(masks_of(seed, device)):
-            loss = criterion(network(windows(share)), goal[share]) * (len(share) / n)
+        with masks_from(masks_of(seed, of.device)):
+            loss = criterion(network(of.windows(share)), of.target[share]) * (len(share) / n)
         return loss.detach(), torch.autograd.grad(loss, trained)
 
-    def step(batch: Tensor, seed: int, number: int) -> Tensor:
-        shares = batch.chunk(n_threads)
-        seeds = [seed * n_threads + i for i in range(len(shares))]
-        losses, parts = zip(*pool.map(gradients, shares, [len(batch)] * len(shares), seeds), strict=True)
-        # Added in the order of the shares, whichever thread was first.
-        for parameter, *pieces in zip(trained, *parts, strict=True):
-            parameter.grad = sum(pieces[1:], start=pieces[0])
-        if config.clip_norm > 0:
-            nn.utils.clip_grad_norm_(trained, config.clip_norm)
-        optimiser.step(rate(number))
-        return torch.stack(losses).sum()
-
     def one_epoch(epoch: int) -> float:
-        order = train[order_of(len(train), config.seed, epoch).to(device)]
         torch.manual_seed(epoch_seed(config.seed, epoch))
-        total = torch.zeros((), device=device)
-        for number, batch in enumerate(order.split(config.batch)):
-            n_steps = (epoch - 1) * steps + number
-            total += step(batch, mask_seed(config.seed, epoch, number), n_steps) * len(batch)
-        return float(total) / len(train)
+        total = torch.zeros((), device=of.device)
+        for number, batch in enumerate(of.shuffled(config.seed, epoch).split(config.batch)):
+            seeds = itertools.count(mask_seed(config.seed, epoch, number) * n_threads)
+            shares = pool.map(gradients, batch.chunk(n_threads), itertools.repeat(len(batch)), seeds)
+            losses, pieces = zip(*shares, strict=True)
+            # Added in the order of the shares, whichever thread was first.
+            for parameter, first, *others in zip(trained, *pieces, strict=True):
+                parameter.grad = sum(others, start=first)
+            if config.clip_norm > 0:
+                nn.utils.clip_grad_norm_(trained, config.clip_norm)
+            optimiser.step(rate_of(config, len(of.train), epoch, number))
+            total += torch.stack(losses).sum() * len(batch)
+        return float(total) / len(of.train)
 
-    def validate() -> tuple[float, float]:
-        return validated(network, windows, goal, unit, validation, criterion)
-
-    try:
-        return run_epochs(network, config, parts, one_epoch, validate, on_epoch, checkpoint, resume)
-    finally:
-        pool.shutdown()
+    parts: dict[str, Stateful] = {"network": network, "optimiser": optimiser}
+    with ThreadPoolExecutor(n_threads) as pool:
+        return run_epochs(
+            network, config, parts, one_epoch, lambda: validated(network, of, criterion), on_epoch, checkpoint, resume
+        )
 
 
 def epoch_seed(seed: int, epoch: int) -> int:
     """Return the seed of what an epoch draws, so that a resumed run draws the same."""
     return seed * 100_003 + epoch
-
-
-def order_of(n: int, seed: int, epoch: int) -> Tensor:
-    """Return the order of n windows in an epoch."""
-    return torch.randperm(n, generator=torch.Generator().manual_seed(epoch_seed(seed, epoch)))
 
 
 def mask_seed(seed: int, epoch: int, number: int) -> int:
@@ -176,46 +162,36 @@ def masks_of(seed: int, device: torch.device) -> torch.Generator | None:
     return torch.Generator().manual_seed(seed % 2**63) if device.type == "cpu" else None
 
 
-def predict(network: nn.Module, data: TrainingWindows, n: NDArray[np.int64], batch: int = 4096) -> NDArray[np.float64]:
-    """Return a network's predictions of the samples n, shape (k,), scaled: of several at once the first."""
-    device = next(network.parameters()).device
-    network.eval()
-    samples = torch.from_numpy(data.samples).to(device, torch.float32)
-    with torch.no_grad():
-        pieces = [
-            network(samples[torch.from_numpy(window_indices(piece, data.window)).to(device)]).cpu()
-            for piece in np.array_split(n, max(1, math.ceil(len(n) / batch)))
-        ]
-    return torch.cat(pieces).double().reshape(len(n), -1)[:, 0].numpy()
-
-
-def schedule_of(config: TrainConfig, n_steps: int) -> Callable[[int], float]:
-    """Return the learning rate over its highest, by step: a linear rise over the first tenth, then half a cosine."""
+def rate_of(config: TrainConfig, n_windows: int, epoch: int, number: int) -> float:
+    """Return a step's learning rate over its highest: a linear rise over the first tenth of all steps, then half a cosine."""
     if config.schedule == "constant":
-        return lambda step: 1.0
+        return 1.0
+    of_epoch = math.ceil(n_windows / config.batch)
+    n_steps, step = of_epoch * config.epochs, of_epoch * (epoch - 1) + number
     rise = max(1, n_steps // 10)
-    return lambda step: (
-        (step + 1) / rise
-        if step < rise
-        else 0.5 * (1 + math.cos(math.pi * min(1.0, (step - rise) / max(1, n_steps - rise))))
-    )
+    return (step + 1) / rise if step < rise else 0.5 * (1 + math.cos(math.pi * ((step - rise) / (n_steps - rise))))
+
+
+def predict(network: nn.Module, data: TrainingWindows, n: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return a network's predictions of the samples n, shape (k,), scaled: of several at once the first."""
+    of = DeviceWindows(data, network)
+    network.eval()
+    pieces = np.array_split(n, max(1, math.ceil(len(n) / 4096)))
+    with torch.no_grad():
+        predicted = [network(of.windows(torch.from_numpy(piece).to(of.device))).cpu() for piece in pieces]
+    return torch.cat(predicted).double().reshape(len(n), -1)[:, 0].numpy()
 
 
 def validated(
-    network: nn.Module,
-    windows: Callable[[Tensor], Tensor],
-    goal: Tensor,
-    unit: Tensor,
-    validation: Tensor,
-    criterion: Callable[[Tensor, Tensor], Tensor],
+    network: nn.Module, of: DeviceWindows, criterion: Callable[[Tensor, Tensor], Tensor]
 ) -> tuple[float, float]:
     """Return a network's loss and mean absolute error on the validation windows, the latter scaled."""
     network.eval()
     loss = mae = 0.0
     with torch.no_grad():
-        for batch in validation.split(2048):
-            predicted = network(windows(batch))
-            loss += float(criterion(predicted, goal[batch])) * len(batch)
-            missed = (predicted - goal[batch]).abs().reshape(len(batch), -1).mean(1)
-            mae += float((unit[batch].abs() * missed).sum())
-    return loss / len(validation), mae / len(validation)
+        for batch in of.validation.split(2048):
+            predicted, target = network(of.windows(batch)), of.target[batch]
+            loss += float(criterion(predicted, target)) * len(batch)
+            missed = (predicted - target).abs().reshape(len(batch), -1).mean(1)
+            mae += float((of.unit[batch].abs() * missed).sum())
+    return loss / len(of.validation), mae / len(of.validation)

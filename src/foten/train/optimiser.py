@@ -12,8 +12,6 @@ from foten.train.config import TrainConfig
 
 MOMENTUM = 0.95
 LEAST_SIDE = 4  # a matrix is wider and taller than that: of what is narrower little is left by orthogonalisation
-_COEFFICIENTS = 3.4445, -4.7750, 2.0315  # of the quintic that pushes singular values towards 1
-_STEPS = 5
 
 
 class Optimiser:
@@ -44,12 +42,10 @@ class Optimiser:
     def step(self, rate: float) -> None:
         """Take a step with the gradients that there are, at a share of the highest learning rates."""
         config = self._config
-        for group in self._adam.param_groups:
-            group["lr"] = config.learning_rate * rate
+        self._adam.param_groups[0]["lr"] = config.learning_rate * rate
         self._adam.step()
         directions = []
         for name, matrix in self._matrices.items():
-            assert matrix.grad is not None
             momentum = self._momentum[name].mul_(MOMENTUM).add_(matrix.grad)
             directions.append(matrix.grad.add(momentum, alpha=MOMENTUM))
         with torch.no_grad():
@@ -59,16 +55,13 @@ class Optimiser:
                 matrix.sub_(direction, alpha=config.matrix_learning_rate * rate * tall)
 
     def keep(self, parameters: Mapping[str, nn.Parameter], kept: Tensor) -> Optimiser:
-        """Return the optimiser of some of the networks of a stack: their new parameters, and their numbers."""
+        """Return the optimiser of some of the networks of a stack: their new parameters, and which of the old they are."""
         other = Optimiser(parameters, self._config, stacked=True)
-        for name, momentum in self._momentum.items():
-            other._momentum[name] = momentum[kept]
-        old = [one for group in self._adam.param_groups for one in group["params"]]
-        new = [one for group in other._adam.param_groups for one in group["params"]]
+        other._momentum = {name: momentum[kept] for name, momentum in self._momentum.items()}
+        old, new = (one._adam.param_groups[0]["params"] for one in (self, other))
         for before, after in zip(old, new, strict=True):
-            other._adam.state[after] = {
-                key: value if key == "step" else value[kept] for key, value in self._adam.state[before].items()
-            }
+            moments = self._adam.state[before].items()
+            other._adam.state[after] = {key: value if key == "step" else value[kept] for key, value in moments}
         return other
 
     def state_dict(self) -> dict[str, Any]:
@@ -89,14 +82,14 @@ def orthogonalised(matrices: Sequence[Tensor]) -> list[Tensor]:
     A quintic in odd powers, five times over, which is Newton and Schulz's iteration with a steeper start. Matrices of one shape
     are one batched product.
     """
-    a, b, c = _COEFFICIENTS
+    a, b, c = 3.4445, -4.7750, 2.0315  # pushes singular values towards 1
     wide = [x.mT if x.shape[-2] > x.shape[-1] else x for x in matrices]
     out = [torch.empty(0)] * len(wide)
     for shape in {x.shape[-2:] for x in wide}:
         alike = [i for i, x in enumerate(wide) if x.shape[-2:] == shape]
         x = torch.cat([wide[i].reshape(-1, *shape) for i in alike])
         x = x / (x.norm(dim=(-2, -1), keepdim=True) + 1e-7)
-        for _ in range(_STEPS):
+        for _ in range(5):
             gram = x @ x.mT
             x = torch.baddbmm(x, torch.baddbmm(gram, gram, gram, beta=b, alpha=c), x, beta=a)
         for i, one in zip(alike, x.split([wide[i].numel() // shape.numel() for i in alike]), strict=True):

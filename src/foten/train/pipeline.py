@@ -7,12 +7,11 @@ from pathlib import Path
 
 from foten.families.texture_file import Texture
 from foten.train.batched import fit_batched
+from foten.train.end_to_end import prepare_dftnet, prepare_gan, prepare_one_step
 from foten.train.epochs import Epoch, Progress
 from foten.train.fit import reproducible
 from foten.train.foten_plus import prepare_foten_plus
 from foten.train.job import Trained, TrainingJob
-from foten.train.noise_model import prepare_dftnet, prepare_gan
-from foten.train.one_step import prepare_one_step
 from foten.train.piecewise_ar import prepare_piecewise_ar
 from foten.train.task import NetworkTask, Stage, Task
 

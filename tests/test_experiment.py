@@ -8,7 +8,7 @@ import pytest
 
 from conftest import TINY, experiment
 from foten.cli.command_line import _status
-from foten.experiments.experiment_file import experiment_path, read_experiment
+from foten.experiments.experiment import experiment_path, read_experiment
 
 
 def test_ar_is_run_once_whatever_the_grid(tmp_path: Path) -> None:

@@ -1,0 +1,143 @@
+"""Networks that are fitted as they are, without a linear part: the paper's, its variants, and those it is compared with.
+
+Most predict samples from windows; dftnet and gan are models of spectra, whose samples are filtered noise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from foten.families.excitation import WithExcitation
+from foten.families.texture_file import Texture
+from foten.networks import build
+from foten.networks.scale import Excitation
+from foten.runtime.native import NativeTexture
+from foten.runtime.onnx_predictor import GRAPH
+from foten.train.adversarial import fit_adversarial
+from foten.train.blocks import ScaledBlocks
+from foten.train.closed_loop import ClosedLoop, free_run_distance
+from foten.train.epochs import Epoch, Progress
+from foten.train.excitation import fit_excitation
+from foten.train.export import N_GOLDEN, Draft, Tensors, graph_of, in_float64, multiply_adds, tensors_of
+from foten.train.fit import TrainingWindows, pick_device, predict
+from foten.train.foten_plus import check_block
+from foten.train.job import TrainingJob
+from foten.train.targets import distilled, log_spectra, multi_step
+from foten.train.task import NetworkTask, Stage
+
+
+@dataclass(kw_only=True)
+class EndToEndTask(NetworkTask):
+    """A network that is fitted to recorded samples, or to their spectra."""
+
+    renderer: nn.Module  # what makes samples: the network, which in a model of spectra is a part of it
+
+    def finish(self, progress: Progress, on_stage: Stage) -> Texture:
+        """Return the texture, with an excitation where one was asked for."""
+        job, sizes, best = self.job, self.job.sizes, progress.best
+        card = job.card(self.blocks, next(self.network.parameters()).device.type)
+        metrics: dict[str, Any] = {
+            "validation_loss": best.validation_loss,
+            "validation_mae_scaled": best.validation_mae,
+            "recorded_peak_sd": self.blocks.peak_sd,
+            "best_epoch": best.epoch,
+            "n_epochs": progress.epochs[-1].epoch,
+        }
+        draft, tensors = Draft(job.model, self.blocks, card), tensors_of(self.renderer)
+        if sizes.in_graph:  # the graph alone, which the network in float64 proves
+            draft = replace(draft, network=in_float64(self.renderer))
+            tensors = {GRAPH: graph_of(self.renderer, sizes.window)}
+            metrics["multiply_adds"] = multiply_adds(self.renderer, sizes.window) // sizes.n_ahead
+        windows = TrainingWindows(self.blocks.flat, *self.blocks.targets(sizes.window), sizes.window)
+        if sizes.from_noise:
+            spectrum_db = 20 / math.log(10) * best.validation_mae  # of nats
+            metrics |= {"validation_mae_scaled": None, "validation_spectrum_db": spectrum_db}
+        elif sizes.n_ahead > 1:
+            n = windows.validation
+            first = float(np.abs(predict(self.network, windows, n) - windows.samples[n, 0]).mean())
+            metrics |= {"validation_mae_scaled": first, "validation_mae_scaled_hop": best.validation_mae}
+        if sizes.excited:
+            on_stage("fitting the excitation and settling its level in the closed loop")
+            tensors |= self._excitation(draft, tensors, windows, metrics)
+        on_stage("proving the texture file")
+        return draft.texture(sizes, tensors, metrics, N_GOLDEN).texture
+
+    def _excitation(self, draft: Draft, tensors: Tensors, windows: TrainingWindows, metrics: dict[str, Any]) -> Tensors:
+        """Return the tensors of an excitation, that of foten-plus, and add to the metrics what came of it."""
+        sizes, config = self.job.sizes, self.job.config
+        assert isinstance(sizes, WithExcitation)
+
+        def kernel(excitation: Excitation) -> NativeTexture:
+            given = {**tensors, **tensors_of(excitation, "excitation.")}
+            return draft.texture(sizes, given, {**metrics, "validation_mae_scaled": 0.0}).kernel
+
+        def power(condition: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+            # What the network makes of the excitation is not known; where it is a filter, it is as loud in the same measure.
+            return np.ones(len(condition)), np.zeros(len(condition))
+
+        loop = ClosedLoop(self.blocks, sizes.history, kernel, power, limit=self.blocks.saturation)
+        both = np.concatenate([windows.train, windows.validation])
+        missed = windows.samples[both, 0] - predict(self.network, windows, both)
+        fitted = fit_excitation(sizes.excitation_width, missed, windows, loop, config)
+        assert fitted is not None
+        lsd_db, level_error_db = free_run_distance(loop, fitted.excitation, config.seed)
+        metrics |= {
+            "validation_nll": fitted.likelihood,
+            "validation_lsd_db": lsd_db,
+            "validation_level_error_db": level_error_db,
+            "tail_gain_nat": fitted.tail_gain,
+            "level_errors_db": fitted.level_errors_db,
+        }
+        return tensors_of(fitted.excitation, "excitation.")
+
+
+class AdversarialTask(EndToEndTask):
+    """A generator, which a discriminator fits."""
+
+    def fit(self, on_epoch: Callable[[Epoch], None], checkpoint: Path | None, resume: bool) -> Progress:
+        """Train the generator in place."""
+        m, config = self.job.sizes.window, self.job.config
+        return fit_adversarial(self.network, m, self.blocks, config, on_epoch, checkpoint, resume)
+
+
+def _prepared(job: TrainingJob) -> tuple[ScaledBlocks, TrainingWindows]:
+    """Return blocks and windows, checked, and seed what follows."""
+    blocks, m = job.blocks(), job.sizes.window
+    check_block(blocks, m)
+    torch.manual_seed(job.config.seed)
+    return blocks, TrainingWindows(blocks.flat, *blocks.targets(m), m)
+
+
+def prepare_one_step(job: TrainingJob, on_stage: Stage) -> EndToEndTask:
+    """Return a network and the windows that it is to be fitted to."""
+    blocks, windows = _prepared(job)
+    if job.model == "ldhtd":
+        windows = distilled(windows, windows.window, job.config, on_stage)
+    network = build(job.model, job.sizes).to(pick_device())
+    if job.sizes.n_ahead > 1:
+        windows = multi_step(windows, blocks, job.sizes.n_ahead)
+    return EndToEndTask(job=job, blocks=blocks, network=network, windows=windows, renderer=network)
+
+
+def prepare_dftnet(job: TrainingJob, on_stage: Stage) -> EndToEndTask:
+    """Return the network of spectra and the frames that it is to be fitted to."""
+    blocks, windows = _prepared(job)
+    renderer = build(job.model, job.sizes).to(pick_device())
+    windows = log_spectra(windows, blocks)
+    return EndToEndTask(job=job, blocks=blocks, network=renderer.spectrum, windows=windows, renderer=renderer)
+
+
+def prepare_gan(job: TrainingJob, on_stage: Stage) -> AdversarialTask:
+    """Return the generator, on the CPU."""
+    blocks, windows = _prepared(job)
+    network = build(job.model, job.sizes)
+    return AdversarialTask(job=job, blocks=blocks, network=network, windows=windows, renderer=network)
