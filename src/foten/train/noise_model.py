@@ -20,10 +20,9 @@ from foten.train.epochs import Epoch, Progress
 from foten.train.export import N_GOLDEN, Draft, multiply_adds
 from foten.train.fit import TrainingWindows, pick_device
 from foten.train.foten_plus import check_block
-from foten.train.job import TrainingJob
+from foten.train.job import NetworkTask, Stage, TrainingJob
 from foten.train.one_step import network_tensors
 from foten.train.targets import log_spectra
-from foten.train.task import NetworkTask, Stage
 
 NAT_DB = 20 / math.log(10)
 

@@ -15,15 +15,14 @@ from foten.networks import build
 from foten.networks.scale import Excitation
 from foten.runtime.native import NativeTexture
 from foten.runtime.onnx_predictor import GRAPH
-from foten.train.closed_loop import ClosedLoop, free_run_distance
+from foten.train.closed_loop import ClosedLoop
 from foten.train.epochs import Progress
 from foten.train.excitation import fit_excitation
 from foten.train.export import N_GOLDEN, Draft, Tensors, graph_of, in_float64, multiply_adds, tensors_of
 from foten.train.fit import TrainingWindows, pick_device, predict
 from foten.train.foten_plus import check_block
-from foten.train.job import TrainingJob
+from foten.train.job import NetworkTask, Stage, TrainingJob
 from foten.train.targets import distilled, multi_step
-from foten.train.task import NetworkTask, Stage
 
 
 class OneStepTask(NetworkTask):
@@ -77,14 +76,7 @@ class OneStepTask(NetworkTask):
         missed = windows.samples[both, 0] - predict(self.network, windows, both)
         fitted = fit_excitation(sizes.excitation_width, missed, windows, loop, config)
         assert fitted is not None
-        distance = free_run_distance(loop, fitted.excitation, config.seed)
-        metrics |= {
-            "validation_nll": fitted.likelihood,
-            "validation_lsd_db": distance[0],
-            "validation_level_error_db": distance[1],
-            "tail_gain_nat": fitted.tail_gain,
-            "level_errors_db": fitted.level_errors_db,
-        }
+        metrics |= fitted.metrics()
         return tensors_of(fitted.excitation, "excitation.")
 
 

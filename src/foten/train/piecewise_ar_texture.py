@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter, lfiltic
 
 from foten.dsp.lattice import LEAK
 from foten.dsp.lsf import polynomial_of
 from foten.dsp.noise import gaussian
 from foten.families.piecewise_ar import PiecewiseArSizes
-from foten.families.texture_file import FORMAT_VERSION, MIN_GOLDEN, Texture, texture_from_bytes
+from foten.families.texture_file import MIN_GOLDEN
 from foten.recording.scaling import Scaling
-from foten.runtime.native import NativeTexture
 from foten.train.config import WARM_START
-from foten.train.export import ProvedTexture
+from foten.train.export import ProvedTexture, warm_start_entry, with_golden
 
 Array = NDArray[np.float64]
 
@@ -48,14 +48,19 @@ class LocalModels:
     ma_lsf: Array
     gain: Array
 
+    def of_mesh(self) -> LocalModels:
+        """Return those that a triangle has a corner at."""
+        used, numbered = np.unique(self.triangles, return_inverse=True)
+        per_model = {name: getattr(self, name)[used] for name in ("points", "lsf", "variance", "ma_lsf", "gain")}
+        return replace(self, triangles=numbered.reshape(self.triangles.shape), **per_model)
+
 
 def local_texture(models: LocalModels, scaling: Scaling, card: dict[str, Any]) -> ProvedTexture:
-    """Return local models as a texture.
+    """Return local models, in physical units, as a texture.
 
     The proof is each model's own difference equation in direct form, which the kernel, a lattice, has to reproduce.
 
     Args:
-        models: in physical units.
         scaling: of the trace that they were fitted to.
         card: what is known beyond model, sizes and scaling.
 
@@ -68,52 +73,42 @@ def local_texture(models: LocalModels, scaling: Scaling, card: dict[str, Any]) -
         raise ValueError(f"model {alone[0]} is a corner of no triangle, expected a mesh of all {n} models")
     window = max(p, _WITH_ZEROS if q else 0) + 1
     sizes = PiecewiseArSizes(window, p, q, n, len(models.triangles))
+    mean, sd = np.array(scaling.mean[1:]), np.array(scaling.sd[1:])
     tensors: dict[str, Array] = {
         "piecewise_ar.points": models.points,
         "piecewise_ar.lsf": models.lsf,
         "piecewise_ar.variance": models.variance / scaling.sd[0] ** 2,
         "piecewise_ar.triangles": models.triangles.astype(np.float64),
         "piecewise_ar.scale": models.scale,
-        "piecewise_ar.mean": np.array(scaling.mean[1:]),
-        "piecewise_ar.sd": np.array(scaling.sd[1:]),
+        "piecewise_ar.mean": mean,
+        "piecewise_ar.sd": sd,
     }
     if q:
         tensors |= {"piecewise_ar.ma_lsf": models.ma_lsf, "piecewise_ar.gain": models.gain}
-    filters = [_Filter.of(tensors, i) for i in range(n)]
-    hands = (models.points - tensors["piecewise_ar.mean"]) / tensors["piecewise_ar.sd"]
+    filters = [_Filter.of(models, i, scaling.sd[0]) for i in range(n)]
+    hands = (models.points - mean) / sd
     chosen = np.arange(max(n, MIN_GOLDEN)) % n
-    proved = [filters[i].played(sizes.window, stream) for stream, i in enumerate(chosen)]
+    golden = [filters[i].played(window, stream) for stream, i in enumerate(chosen)]
     spread = np.abs(models.points - WARM_START) / models.scale
     warm = int(np.where(models.variance > 0, spread.sum(axis=1), np.inf).argmin())
-    samples, _ = filters[warm].played(sizes.window, len(chosen))
-    noise = gaussian(0, 0, 0, 64)
+    start = filters[warm].played(window, len(chosen))
     tensors |= {
-        "golden.windows": np.stack(
-            [_window(samples, hands[i]) for (samples, _), i in zip(proved, chosen, strict=True)]
+        "golden.windows": np.stack([_window(samples, hands[i]) for samples, i in zip(golden, chosen, strict=True)]),
+        "golden.one_step": np.array(
+            [filters[i].after(samples, np.zeros(1))[0] for samples, i in zip(golden, chosen, strict=True)]
         ),
-        "golden.one_step": np.array([expected for _, expected in proved]),
-        "golden.sigma": np.array([filters[i].root * filters[i].gain for i in chosen]),
+        "golden.sigma": np.array([filters[i].root * filters[i].b[0] for i in chosen]),
         "golden.condition": np.tile(hands[warm], (64, 1)),
-        "golden.closed_loop": filters[warm].after(samples, noise),
-        "warm_start": _window(samples, hands[warm]),
+        "golden.closed_loop": filters[warm].after(start, gaussian(0, 0, 0, 64)),
+        "warm_start": _window(start, hands[warm]),
     }
     low, high = models.points.min(axis=0).tolist(), models.points.max(axis=0).tolist()
     own = {
-        "format_version": FORMAT_VERSION,
-        "model": "ar",
-        "sizes": sizes.to_card(),
-        "window": sizes.window,
-        "units": {"acceleration": "m/s^2", "speed": "mm/s", "force": "N"},
-        "scaling": {"mean": list(scaling.mean), "sd": list(scaling.sd)},
         "trained_range": {"speed": [low[0], high[0]], "force": [low[1], high[1]]},
         "beyond_exponents": {"speed": 0.0, "force": 0.0},
-        "warm_start": {
-            "asked": dict(zip(("speed", "force"), WARM_START, strict=True)),
-            "recorded": dict(zip(("speed", "force"), models.points[warm].tolist(), strict=True)),
-        },
+        "warm_start": warm_start_entry(models.points[warm]),
     }
-    data = Texture(card={**own, **card}, tensors=tensors).to_bytes()
-    return ProvedTexture(texture_from_bytes(data), NativeTexture(data))
+    return with_golden("ar", sizes, tensors, scaling, {**own, **card})
 
 
 def _window(samples: Array, hand: Array) -> Array:
@@ -122,55 +117,34 @@ def _window(samples: Array, hand: Array) -> Array:
 
 @dataclass(frozen=True)
 class _Filter:
-    """One model in direct form, scaled: y[n] = −Σ a_k y[n−k] + gain · Σ b_k e[n−k]."""
+    """One model in direct form, scaled: y[n] = −Σ a_k y[n−k] + Σ b_k root z[n−k], z of unit variance."""
 
     a: Array
     b: Array
     root: float
-    gain: float
 
     @staticmethod
-    def of(tensors: dict[str, Array], i: int) -> _Filter:
-        row = slice(i, i + 1)
-        a = polynomial_of(tensors["piecewise_ar.lsf"][row])[0]
+    def of(models: LocalModels, i: int, sd: float) -> _Filter:
+        a, b = (polynomial_of(lsf[i : i + 1])[0] for lsf in (models.lsf, models.ma_lsf))
         radius = float(np.abs(np.roots(a)).max())
         if not radius < LEAK:
             raise ValueError(
                 f"local model {i} has a pole {radius:.6f} from the middle, expected less than {LEAK}: it would ring for too long"
             )
-        zeros, gain = tensors.get("piecewise_ar.ma_lsf"), tensors.get("piecewise_ar.gain")
-        b = np.ones(1) if zeros is None else polynomial_of(zeros[row])[0]
-        root = float(np.sqrt(tensors["piecewise_ar.variance"][i]))
-        return _Filter(a, b, root, 1.0 if gain is None else float(gain[i]))
+        gain = models.gain[i] if b.size > 1 else 1.0
+        return _Filter(a, gain * b, float(np.sqrt(models.variance[i] / sd**2)))
 
-    def played(self, n: int, stream: int) -> tuple[Array, float]:
-        """Return n samples, and what the model expects after the last n − 1 of them, the first of which begin from rest."""
-        from scipy.signal import lfilter
-
-        e = self.root * gaussian(1, stream, 0, _SETTLED + n)
-        samples = lfilter(self.gain * self.b, self.a, e)[-n:]
-        expected, _ = self._known(samples)
-        return samples, expected
-
-    def _known(self, samples: Array) -> tuple[float, Array]:
-        """Return what is expected after samples of which the first is not samples, and their innovations."""
-        from scipy.signal import lfilter
-
-        past = samples[1:]
-        if self.gain * self.root == 0:
-            return float(-self.a[1:] @ past[: -self.a.size : -1]), np.zeros(past.size)
-        driven = lfilter(self.a, self.gain, past)
-        driven[: self.a.size - 1] = 0.0
-        innovations = lfilter([1.0], self.b, driven)
-        recent = innovations[: -self.b.size : -1] if self.b.size > 1 else np.empty(0)
-        return float(-self.a[1:] @ past[: -self.a.size : -1] + self.gain * self.b[1:] @ recent), innovations
+    def played(self, n: int, stream: int) -> Array:
+        """Return n samples of it under a stream of noise."""
+        return np.asarray(lfilter(self.b, self.a, self.root * gaussian(1, stream, 0, _SETTLED + n))[-n:])
 
     def after(self, samples: Array, noise: Array) -> Array:
-        """Return the samples that follow others under noise."""
-        _, innovations = self._known(samples)
-        y, e = list(samples[1:]), list(innovations)
-        for z in noise:
-            e.append(self.root * z)
-            driven = sum(b * value for b, value in zip(self.b, reversed(e), strict=False))
-            y.append(self.gain * driven - sum(a * value for a, value in zip(self.a[1:], reversed(y), strict=False)))
-        return np.array(y[-noise.size :])
+        """Return what follows samples under noise; their first is not looked at, and before them was rest."""
+        if self.root * self.b[0] == 0:
+            return np.zeros(noise.size)
+        past = samples[1:]
+        driven = lfilter(self.a, [1.0], past)
+        driven[: self.a.size - 1] = 0.0
+        innovations = lfilter([1.0], self.b, driven)
+        state = lfiltic(self.b, self.a, past[::-1], innovations[::-1])
+        return np.asarray(lfilter(self.b, self.a, self.root * noise, zi=state)[0])

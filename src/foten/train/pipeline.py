@@ -10,11 +10,10 @@ from foten.train.batched import fit_batched
 from foten.train.epochs import Epoch, Progress
 from foten.train.fit import reproducible
 from foten.train.foten_plus import prepare_foten_plus
-from foten.train.job import Trained, TrainingJob
+from foten.train.job import NetworkTask, Stage, Task, Trained, TrainingJob
 from foten.train.noise_model import prepare_dftnet, prepare_gan
 from foten.train.one_step import prepare_one_step
 from foten.train.piecewise_ar import prepare_piecewise_ar
-from foten.train.task import NetworkTask, Stage, Task
 
 PREPARE: Mapping[str, Callable[[TrainingJob, Stage], Task]] = {
     "foten-plus": prepare_foten_plus,
