@@ -229,8 +229,8 @@ def test_levels_vary_by_the_volatility_alone(sd: float) -> None:
 
 def test_the_jackknife_of_a_mean_is_its_standard_error() -> None:
     values = np.random.default_rng(0).standard_normal(30)
-    without = (values.sum() - values) / 29
-    assert _jackknifed(without) == pytest.approx(values.std(ddof=1) / math.sqrt(30), rel=1e-9)
+    result = _jackknifed(np.stack([values, np.ones(30)]), np.divide)
+    assert result == pytest.approx((values.mean(), values.std(ddof=1) / math.sqrt(30)), rel=1e-9)
 
 
 def test_a_still_hand_or_one_in_the_air_does_not_count() -> None:

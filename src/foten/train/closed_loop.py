@@ -150,17 +150,15 @@ def _filtered(power: Array, response: Array | None) -> Array:
 
 def _louder(rendered: Array, recorded: Array) -> tuple[float, float]:
     """Return by how much rendered blocks are louder than recorded ones [dB], and its standard error over blocks."""
-    ours, theirs = np.square(rendered).mean(axis=1), np.square(recorded).mean(axis=1)
-    louder = 10 * math.log10(ours.sum() / theirs.sum())
-    if len(ours) < 2:
-        return louder, math.inf
-    return louder, _jackknifed(10 * np.log10((ours.sum() - ours) / (theirs.sum() - theirs)))
+    powers = np.stack([np.square(blocks).mean(axis=1) for blocks in (rendered, recorded)])
+    return _jackknifed(powers, lambda ours, theirs: 10 * np.log10(ours / theirs))
 
 
-def _jackknifed(without: Array) -> float:
-    """Return the standard error of a figure over n blocks, given what it is without each block in turn, (n,)."""
-    n = len(without)
-    return float(np.sqrt((n - 1) / n * np.square(without - without.mean()).sum()))
+def _jackknifed(parts: Array, figure: Callable[..., Array]) -> tuple[float, float]:
+    """Return a figure of sums over blocks, of which each block has the parts (k, n), and its jackknifed standard error."""
+    total, n = parts.sum(axis=1, keepdims=True), parts.shape[1]
+    without = figure(*(total - parts))
+    return figure(*total).item(), float(np.sqrt((n - 1) / n * np.square(without - without.mean()).sum()))
 
 
 def fit_volatility(loop: ClosedLoop, excitation: Excitation, seed: int) -> None:
@@ -215,27 +213,20 @@ def _level_variance(recorded: Array, runs: Array, moving: NDArray[np.bool_], rat
     levels, ours = (0.5 * np.log(np.square(framed).mean(axis=-1) + least) for framed in (recorded, runs))
     beyond = np.square(levels - ours.mean(axis=0)) - ours.var(axis=0, ddof=1) * (1 + 1 / len(ours))
     counts = moving.all(axis=-1)
-    total, number = np.where(counts, beyond, 0.0).sum(axis=1), counts.sum(axis=1)
-    others = number.sum() - number
-    if len(recorded) < 3 or not (others > 0).all():
+    parts = np.stack([np.where(counts, beyond, 0.0).sum(axis=1), counts.sum(axis=1)])
+    if not (parts[1] < parts[1].sum()).all():
         return 0.0, math.inf
-    return float(total.sum() / number.sum()), _jackknifed((total.sum() - total) / others)
+    return _jackknifed(parts, np.divide)
 
 
 def _spikier(recorded: Array, rendered: Array) -> tuple[float, float]:
     """Return the log of the ratio of kurtoses over all blocks, (n_blocks, any) each, and its jackknifed standard error."""
+    moments = np.stack([np.power(blocks, k).mean(axis=1) for blocks in (recorded, rendered) for k in (2, 4)])
 
-    def log_kurtosis(blocks: Array) -> Array:
-        """Return log kurtosis of all, then without each block in turn."""
-        n, moments = len(blocks), np.stack([np.power(blocks, k).mean(axis=1) for k in (2, 4)])
-        total = moments.sum(axis=1, keepdims=True)
-        second, fourth = np.concatenate([total / n, (total - moments) / (n - 1)], axis=1)
-        return np.log(fourth / np.square(second))
+    def log_ratio(second: Array, fourth: Array, rendered_second: Array, rendered_fourth: Array) -> Array:
+        return np.log(fourth / second**2) - np.log(rendered_fourth / rendered_second**2)
 
-    if len(recorded) < 3:
-        return 0.0, math.inf
-    ratio = log_kurtosis(recorded) - log_kurtosis(rendered)
-    return float(ratio[0]), _jackknifed(ratio[1:])
+    return _jackknifed(moments, log_ratio)
 
 
 def _lasts_s(recorded: Array, rendered: Array, rate_hz: float) -> float:

@@ -23,7 +23,7 @@ from foten.train.excitation import fit_scale
 from foten.train.export import Tensors, tensors_of
 from foten.train.fit import TrainingWindows
 from foten.train.lattice import FittedReflections, LatticeData, fit_lattice
-from foten.train.tones import fit_tones, played, wavelength
+from foten.train.tones import fit_tones, wavelength
 
 Array = NDArray[np.float64]
 
@@ -49,11 +49,15 @@ class LinearPart:
     tried: dict[str, Any]
 
     @property
+    def _excited(self) -> tuple[str, bool]:
+        if self.phase is None:
+            return "lattice.", self.sizes.gain_before_filter
+        return "residual.", self.sizes.residual_gain_before_filter
+
+    @property
     def excited_lattice(self) -> Lattice:
         """Return the lattice that a rendering excites."""
-        if self.phase is None:
-            return Lattice(self.tensors, "lattice.", self.sizes.gain_before_filter)
-        return Lattice(self.tensors, "residual.", self.sizes.residual_gain_before_filter)
+        return Lattice(self.tensors, *self._excited)
 
     def innovations(self, blocks: ScaledBlocks, residual: bool = False) -> tuple[Array, Array, Array]:
         """Return x, the innovations, and what a unit of them is worth in scaled acceleration, (n_blocks, block) each.
@@ -96,12 +100,10 @@ class LinearPart:
 
         None with the gain after the filter, where a change of level shows at once.
         """
-        excited, before = "lattice", self.sizes.gain_before_filter
-        if self.phase is not None:
-            excited, before = "residual", self.sizes.residual_gain_before_filter
+        prefix, before = self._excited
         if not before:
             return None
-        k = self.tensors[f"{excited}.reflections"].mean(axis=0)
+        k = self.tensors[f"{prefix}reflections"].mean(axis=0)
         return np.square(lfilter([1.0], polynomial(k), np.eye(1, n)[0]))
 
 
@@ -131,7 +133,7 @@ def fit_linear_parts(
     on_stage(f"the surface seems to repeat every {length:.3g} mm: fitting its tones")
     tones = fit_tones(data, length, rate)
     # Of what the tones leave when the phase is known as well as it can be.
-    residual = acceleration - (played(data, tones.table, tones.phase) * data.unit).ravel()
+    residual = acceleration - (tones.played * data.unit).ravel()
     beside, _, own = _levelled_lattice("residual.", residual, sizes, blocks, config)
     order, n_speed, n_force = _counts(beside.table)
     n_coefficients, n_tone_speed, n_tone_force = _counts(tones.table)

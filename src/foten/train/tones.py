@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
+from scipy.special import gammainccinv
 
 from foten.dsp.lattice import polynomial
 from foten.dsp.speed_force_table import SpeedForceTable, spanning
@@ -40,12 +43,9 @@ def wavelength(data: LatticeData, rate_hz: float) -> float | None:
     path is a hum or a resonance, and a hand that kept its speed cannot tell it from a surface that repeats.
     """
     path = np.cumsum(data.speed, axis=1) / rate_hz
-    blocks = list(data.train)
     for span in (15.0, 5.0):
         stretches = [
-            (path[b, first:last] - path[b, first], np.arange(last - first) / rate_hz, data.x[b, first:last])
-            for b in blocks
-            for first, last in _stretches(path[b], span)
+            (path[b, n] - path[b, n.start], data.x[b, n]) for b in data.train for n in _stretches(path[b], span)
         ]
         if len(stretches) >= 20:
             break
@@ -54,24 +54,20 @@ def wavelength(data: LatticeData, rate_hz: float) -> float | None:
     if len(stretches) > 200:
         stretches = [stretches[i] for i in np.linspace(0, len(stretches) - 1, 200).astype(int)]
     cycles = np.arange(LEAST_PERIODS / span, 1 / SHORTEST_MM, 0.25 / span)
-    usual_speed = float(np.mean([travelled[-1] / elapsed[-1] for travelled, elapsed, _ in stretches]))
+    usual_step = float(np.mean([travelled[-1] / (len(travelled) - 1) for travelled, _ in stretches]))
     powers = np.zeros((2, len(cycles)))
-    for travelled, elapsed, x in stretches:
+    for travelled, x in stretches:
         windowed = x * np.sin(np.pi * travelled / span) ** 2
         total = float(np.square(windowed).sum())
         if total > 0:
-            for power, way in zip(powers, (travelled, usual_speed * elapsed), strict=True):
+            for power, way in zip(powers, (travelled, usual_step * np.arange(len(x))), strict=True):
                 power += np.abs(np.exp(-2j * np.pi * cycles[:, None] * way) @ windowed) ** 2 / total
     ratio, over_time = (
         power / np.array([np.median(power[max(0, i - 20) : i + 21]) for i in range(len(cycles))]) for power in powers
     )
-    # At either end all surroundings lie on one side, and a slope stands out.
-    power_over_path = powers[0]
-    line = (
-        np.flatnonzero((power_over_path[1:-1] > power_over_path[:-2]) & (power_over_path[1:-1] >= power_over_path[2:]))
-        + 1
-    )
-    ratio[np.setdiff1d(np.arange(len(ratio)), line)] = 0.0
+    # Peaks alone: at either end all surroundings lie on one side, and a slope stands out.
+    rises = np.diff(powers[0]) > 0
+    ratio[~np.array([False, *(rises[:-1] & ~rises[1:]), False])] = 0.0
     peak = int(np.argmax(ratio))
     enough = max(STANDS_OUT, TWICE_CHANCE * _largest_by_chance(len(stretches), len(cycles)))
     like_it = np.abs(cycles - cycles[peak]) <= 0.1 * cycles[peak]
@@ -91,22 +87,16 @@ def _largest_by_chance(n_stretches: int, n_bins: int) -> float:
     A mean over half-overlapping windowed stretches has about 1.2 degrees of freedom for each of them. Two seconds of real leather
     have some sixty stretches of 5 mm, and a fixed threshold gave tones in three splits of five.
     """
-    from scipy.stats import gamma
-
     half = 0.6 * n_stretches
-    return float(gamma.isf(0.05 / n_bins, half) / half)
+    return float(gammainccinv(half, 0.05 / n_bins) / half)  # of a gamma distribution
 
 
-def _stretches(path: Array, span: float) -> list[tuple[int, int]]:
-    """Return first and last sample of half-overlapping stretches of a path [mm], without those of fewer than 30 samples."""
-    stretches: list[tuple[int, int]] = []
+def _stretches(path: Array, span: float) -> Iterator[slice]:
+    """Return the samples of half-overlapping stretches of a path [mm], without those of fewer than 30 samples."""
     first = 0
-    while True:
-        last = int(np.searchsorted(path, path[first] + span))
-        if last >= len(path):
-            return stretches
+    while (last := int(np.searchsorted(path, path[first] + span))) < len(path):
         if last - first > 30:
-            stretches.append((first, last))
+            yield slice(first, last)
         first = int(np.searchsorted(path, path[first] + span / 2))
 
 
@@ -124,12 +114,14 @@ class FittedTones:
         wavelength_mm: as the phase says, finer than a spectrum does.
         table: coefficients over speed and force, in units of the vibration's level.
         phase: of the fundamental at every sample [rad], shape (n_blocks, block).
+        played: T at every sample, in units of the level, same shape.
         unevenness: standard deviation of a period's length, as a share of it.
     """
 
     wavelength_mm: float
     table: SpeedForceTable
     phase: Array
+    played: Array
     unevenness: float
 
 
@@ -140,12 +132,12 @@ def fit_tones(data: LatticeData, wavelength_mm: float, rate_hz: float) -> Fitted
     coefficients, which may deviate from the path by an even amount over about a wavelength. Errors are whitened: the tool's
     resonance would else drown the high multiples, which know the phase best.
     """
-    n = n_tones(wavelength_mm, data.speed[list(data.train)], rate_hz)
+    chosen = list(data.train)
+    speed, force = data.speed[chosen], data.force[chosen]
     path = np.cumsum(data.speed, axis=1) / rate_hz
     phase = _demodulated(data.x, path, wavelength_mm)
-    chosen = list(data.train)
-    table = spanning(data.speed[chosen], data.force[chosen], N_SPEED, N_FORCE)
-    table = replace(table, values=np.zeros((len(table.values), 2 * n)))
+    table = spanning(speed, force, N_SPEED, N_FORCE)
+    table = replace(table, values=np.zeros((len(table.values), 2 * n_tones(wavelength_mm, speed, rate_hz))))
     fastest = USABLE_BAND * rate_hz * wavelength_mm
     whitener = np.ones(1)
     for _ in range(ROUNDS):
@@ -153,15 +145,18 @@ def fit_tones(data: LatticeData, wavelength_mm: float, rate_hz: float) -> Fitted
         coefficients = _coefficients(data, table)
         x = data.x - tone(coefficients, phase)
         whitener = polynomial(fit_lattice_of(replace(data, x=x), WHITENING, 1, 1).values[0])
-        missed, turned = _filtered(whitener, x), _filtered(whitener, tone_slope(coefficients, phase))
+        missed, turned = (lfilter(whitener, [1.0], signal) for signal in (x, tone_slope(coefficients, phase)))
         noise = float(np.square(missed[chosen]).mean())
-        step = _along(path, turned * missed / noise, turned * turned / noise, wavelength_mm)
-        phase = phase + np.clip(step, -0.4, 0.4)
-    turned = (phase[chosen][:, -1] - phase[chosen][:, 0]).sum() / (2 * np.pi)
-    length = float((path[chosen][:, -1] - path[chosen][:, 0]).sum() / turned)
+        score, known = (
+            _smoothed(path, turned * signal / noise, wavelength_mm, SMOOTHING) for signal in (missed, turned)
+        )
+        phase = phase + np.clip(score / (known + TRUST), -0.4, 0.4)
+    periods = (phase[chosen, -1] - phase[chosen, 0]).sum() / (2 * np.pi)
+    length = float((path[chosen, -1] - path[chosen, 0]).sum() / periods)
     deviation = phase - 2 * np.pi * path / length
-    unevenness = _unevenness(path[chosen], deviation[chosen], data.speed[chosen], length)
-    return FittedTones(length, _fitted(data, table, phase, whitener, fastest), phase, unevenness)
+    unevenness = _unevenness(path[chosen], deviation[chosen], speed, length)
+    table = _fitted(data, table, phase, whitener, fastest)
+    return FittedTones(length, table, phase, tone(_coefficients(data, table), phase), unevenness)
 
 
 def _unevenness(path: Array, deviation: Array, speed: Array, wavelength_mm: float) -> float:
@@ -173,19 +168,14 @@ def _unevenness(path: Array, deviation: Array, speed: Array, wavelength_mm: floa
     """
 
     def variance(n_wavelengths: int) -> float:
-        moved: list[Array] = []
-        faster: list[Array] = []
-        for block, place in enumerate(path):
-            at = np.arange(place[0], place[-1] - n_wavelengths * wavelength_mm, wavelength_mm / 2)
-            for differences, row in ((moved, deviation[block]), (faster, speed[block])):
-                differences.append(
-                    np.interp(at + n_wavelengths * wavelength_mm, place, row) - np.interp(at, place, row)
-                )
-        difference = np.abs(np.concatenate(faster))
-        if not difference.size:
+        away, differences = n_wavelengths * wavelength_mm, []
+        for place, *rows in zip(path, deviation, speed, strict=True):
+            at = np.arange(place[0], place[-1] - away, wavelength_mm / 2)
+            differences.append([np.interp(at + away, place, row) - np.interp(at, place, row) for row in rows])
+        moved, faster = np.abs(np.concatenate(differences, axis=1))
+        if not faster.size:
             return 0.0
-        alike = difference <= np.quantile(difference, 0.25)
-        return float(np.square(np.concatenate(moved)[alike]).mean())
+        return float(np.square(moved[faster <= np.quantile(faster, 0.25)]).mean())
 
     near, far = 4, 12
     return math.sqrt(max(0.0, (variance(far) - variance(near)) / (far - near))) / (2 * math.pi)
@@ -194,16 +184,9 @@ def _unevenness(path: Array, deviation: Array, speed: Array, wavelength_mm: floa
 def _demodulated(x: Array, path: Array, wavelength_mm: float) -> Array:
     """Return the phase of the fundamental at every sample: the path's, and what is left once it is taken out, smoothed."""
     turned = 2 * np.pi * path / wavelength_mm
-    carried = x * np.exp(-1j * turned)
-    moved = np.diff(path, axis=1, prepend=0.0)
-    smooth = [_smoothed(path, moved * part, wavelength_mm, 1.0) for part in (carried.real, carried.imag)]
-    return turned + np.unwrap(np.angle(smooth[0] + 1j * smooth[1]), axis=1)
-
-
-def _along(path: Array, score: Array, information: Array, wavelength_mm: float) -> Array:
-    """Return the even deviation of the phase that explains errors best, at every sample."""
-    known = _smoothed(path, information, wavelength_mm, SMOOTHING)
-    return _smoothed(path, score, wavelength_mm, SMOOTHING) / (known + TRUST)
+    carried = x * np.exp(-1j * turned) * np.diff(path, axis=1, prepend=0.0)
+    real, imaginary = (_smoothed(path, part, wavelength_mm, 1.0) for part in (carried.real, carried.imag))
+    return turned + np.unwrap(np.angle(real + 1j * imaginary), axis=1)
 
 
 def _smoothed(path: Array, values: Array, wavelength_mm: float, width: float) -> Array:
@@ -219,19 +202,8 @@ def _smoothed(path: Array, values: Array, wavelength_mm: float, width: float) ->
     return out
 
 
-def played(data: LatticeData, table: SpeedForceTable, phase: Array) -> Array:
-    """Return T at every sample, in units of the level, shape (n_blocks, block)."""
-    return tone(_coefficients(data, table), phase)
-
-
 def _coefficients(data: LatticeData, table: SpeedForceTable) -> Array:
     return table.at(data.speed.ravel(), data.force.ravel()).reshape(*data.x.shape, -1)
-
-
-def _filtered(whitener: Array, x: Array) -> Array:
-    from scipy import signal
-
-    return np.asarray(signal.lfilter(whitener, [1.0], x, axis=-1))
 
 
 def _fitted(
@@ -250,15 +222,15 @@ def _fitted(
         weights = table.weights(data.speed[block], data.force[block])
         near = np.flatnonzero(weights.any(axis=0))  # a block does not come by every vertex
         design = (weights[:, near, None] * waves[:, None, :]).reshape(len(waves), -1)
-        design = _filtered(whitener, design.T)[:, whitener.size :]
-        target = _filtered(whitener, data.x[block])[whitener.size :]
+        design, target = (lfilter(whitener, [1.0], given)[..., whitener.size :] for given in (design.T, data.x[block]))
         columns = (near[:, None] * n_columns + np.arange(n_columns)).ravel()
         gram[np.ix_(columns, columns)] += design @ design.T
         moment[columns] += design @ target
     # What a vertex knows of each wave, on the mean, is the unit of what holds it to its neighbours.
     known = np.diag(gram).reshape(n_vertices, n_columns).mean(axis=0)
-    bonds = ROUGHNESS * _differences(len(table.speed_knots), len(table.force_knots))
-    gram += np.kron(bonds + 1e-5 * np.eye(n_vertices), np.diag(known))
+    over_speed, over_force = (np.eye(len(knots)) for knots in (table.speed_knots, table.force_knots))
+    bonds = np.kron(_chain(over_speed), over_force) + np.kron(over_speed, _chain(over_force))
+    gram += np.kron(ROUGHNESS * bonds + 1e-5 * np.eye(n_vertices), np.diag(known))
     vertex_speeds = np.repeat(table.speed_knots, len(table.force_knots))
     held = (vertex_speeds[:, None] * np.repeat(multiples, 2) <= fastest).ravel()
     values = np.zeros(n_vertices * n_columns)
@@ -266,11 +238,7 @@ def _fitted(
     return replace(table, values=values.reshape(n_vertices, n_columns))
 
 
-def _differences(n_speed: int, n_force: int) -> Array:
-    """Return the quadratic form of the differences between neighbouring vertices, shape (n_speed · n_force,) twice."""
-
-    def chain(n: int) -> Array:
-        steps = np.diff(np.eye(n), axis=0)
-        return np.asarray(steps.T @ steps)
-
-    return np.asarray(np.kron(chain(n_speed), np.eye(n_force)) + np.kron(np.eye(n_speed), chain(n_force)))
+def _chain(identity: Array) -> Array:
+    """Return the quadratic form of the differences between neighbours in a row, (n, n)."""
+    steps = np.diff(identity, axis=0)
+    return steps.T @ steps
