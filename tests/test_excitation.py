@@ -179,11 +179,11 @@ def test_the_same_seed_gives_the_same_excitation() -> None:
         assert torch.equal(tensor, states[1][name]), name
 
 
-def test_nothing_is_settled_where_the_caller_says_no(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_settled_where_the_free_run_is_too_far(monkeypatch: pytest.MonkeyPatch) -> None:
     loop, excitation = loop_of()
     innovations, windows = innovations_of(loop, excitation)
     monkeypatch.setattr(fitting, "settle_level", lambda *_: pytest.fail("settled"))
-    assert fit_excitation(16, innovations, windows, loop, TrainConfig(), lambda excitation: False) is None
+    assert fit_excitation(16, innovations, windows, loop, TrainConfig(), useless_from=0.0) is None
 
 
 def test_the_likelihood_is_that_of_the_validation_blocks_where_the_hand_moves() -> None:

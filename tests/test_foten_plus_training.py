@@ -21,7 +21,7 @@ from foten.recording.trace import Trace
 from foten.reference import model_of
 from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeTexture
-from foten.train import excitation, foten_plus
+from foten.train import excitation as fitting
 from foten.train.blocks import scaled_blocks
 from foten.train.closed_loop import ClosedLoop
 from foten.train.config import TrainConfig
@@ -96,8 +96,7 @@ def test_the_network_is_in_the_loop_where_it_brings_the_free_run_nearer(
         bias[True] = excitation.out.bias.numpy().copy()
         return 2.0, 0.97 if nearer else 0.99  # of 1, and at most 0.98 counts
 
-    for module in (foten_plus, excitation):
-        monkeypatch.setattr(module, "free_run_distance", distance)
+    monkeypatch.setattr(fitting, "free_run_distance", distance)
     task, progress = fitted(dataclasses.replace(prepared, plain=plain), 0.1)
     texture = task.finish(progress, silent)
     tried = texture.card["metrics"]["renderings"]
@@ -121,7 +120,7 @@ def test_the_network_is_in_the_loop_where_it_brings_the_free_run_nearer(
 def test_a_network_that_gains_next_to_nothing_is_not_rendered(
     prepared: FotenPlusTask, monkeypatch: pytest.MonkeyPatch, gained: float, tried: bool
 ) -> None:
-    monkeypatch.setattr(foten_plus, "free_run_distance", lambda *_: (9.0, 9.0))
+    monkeypatch.setattr(fitting, "free_run_distance", lambda *_: (9.0, 9.0))
     task, progress = fitted(prepared, gained)
     texture = task.finish(progress, silent)
     assert not texture.sizes.network_in_loop

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,6 +42,11 @@ class FittedExcitation:
     tail_gain: float
     likelihood: float | None
 
+    @property
+    def nearness(self) -> float:
+        """Return what decides between renderings: log-spectral distance times level error."""
+        return math.prod(self.distance)
+
     def metrics(self) -> dict[str, Any]:
         """Return what the card says of it."""
         return {
@@ -59,7 +64,7 @@ def fit_excitation(
     windows: TrainingWindows,
     loop: ClosedLoop,
     config: TrainConfig,
-    goes_on: Callable[[Excitation], bool] = lambda excitation: True,
+    useless_from: float = math.inf,
 ) -> FittedExcitation | None:
     """Return an excitation: scale, tails and bound, then level and volatility in the closed loop.
 
@@ -67,9 +72,7 @@ def fit_excitation(
         width: hidden units of its scale.
         innovations: what is left to the excitation at the training, then the validation indices, in its unit.
         windows: whose indices these are.
-        loop: the model's.
-        config: of the training.
-        goes_on: asked before anything is settled in the loop; where it says no, None is returned.
+        useless_from: None is returned for a free run so far away (`nearness`) before anything is settled in the loop.
     """
     torch.manual_seed(config.seed)
     excitation = Excitation(width).requires_grad_(False)
@@ -79,7 +82,7 @@ def fit_excitation(
     n, unit = len(windows.train), 1.0 if windows.unit is None else windows.unit[windows.train]
     left = innovations[:n] / _sigma(excitation, windows)[:n], innovations[:n] * unit
     excitation.largest.copy_(torch.tensor([float(np.abs(values).max()) for values in left]))
-    if not goes_on(excitation):
+    if useless_from < math.inf and not math.prod(free_run_distance(loop, excitation, config.seed)) < useless_from:
         return None
     errors = settle_level(loop, excitation, config.seed)
     if config.volatility:
@@ -142,19 +145,13 @@ def fit_scale(scale: Scale, windows: TrainingWindows, scaling: Scaling, residual
         scale.highest.fill_(1e6)
         scale.out.bias.copy_(0.5 * torch.log(squared[train].mean(dim=0, keepdim=True)))
     scale.double().requires_grad_(True)
-    optimiser = torch.optim.LBFGS(
-        scale.parameters(), max_iter=60, history_size=20, line_search_fn="strong_wolfe", tolerance_change=1e-7
-    )
 
-    def closure() -> Tensor:
-        optimiser.zero_grad()
-        loss = _likelihood(scale(condition[train]), squared[train])
-        # Keeps σ smooth where speed and force hardly went.
-        loss = loss + 1e-4 * (scale.hidden.weight.square().sum() + scale.out.weight.square().sum())
-        loss.backward()
-        return loss
+    def loss() -> Tensor:
+        # The weights' squares keep σ smooth where speed and force hardly went.
+        roughness = scale.hidden.weight.square().sum() + scale.out.weight.square().sum()
+        return _likelihood(scale(condition[train]), squared[train]) + 1e-4 * roughness
 
-    optimiser.step(closure)
+    _minimise(loss, scale.parameters(), max_iter=60, history_size=20)
     scale.requires_grad_(False)
     shape = torch.log(scale(condition)) - scale.out.bias
     candidates = []
@@ -172,6 +169,18 @@ def fit_scale(scale: Scale, windows: TrainingWindows, scaling: Scaling, residual
     return nll
 
 
+def _minimise(loss: Callable[[], Tensor], parameters: Iterable[Tensor], **limits: int) -> None:
+    optimiser = torch.optim.LBFGS(parameters, line_search_fn="strong_wolfe", tolerance_change=1e-7, **limits)
+
+    def closure() -> Tensor:
+        optimiser.zero_grad()
+        value = loss()
+        value.backward()
+        return value
+
+    optimiser.step(closure)
+
+
 def _likelihood(sigma: Tensor, squared: Tensor) -> Tensor:
     """Return the mean Gaussian negative log-likelihood [nat] of squared residuals."""
     return (torch.log(sigma) + squared / (2 * sigma**2)).mean() + 0.5 * math.log(2 * math.pi)
@@ -186,8 +195,7 @@ def fit_tail(excitation: Excitation, windows: TrainingWindows, residual: Array) 
 
     Args:
         excitation: changed in place.
-        windows: the conditions that go with each residual.
-        residual: at the training, then the validation indices, (n,).
+        windows, residual: as of `fit_scale`.
 
     Returns:
         What the tails gain in the mean negative log-likelihood of the validation blocks [nat]; 0 where they are not kept.
@@ -200,7 +208,6 @@ def fit_tail(excitation: Excitation, windows: TrainingWindows, residual: Array) 
     powers = torch.cat([powers, torch.ones_like(powers[:, :1])], dim=1)
     tail = torch.tensor([0.0, 0.0, 0.0, 0.0, 0.0, -2.0], dtype=torch.float64, requires_grad=True)
     factor = torch.zeros(6, dtype=torch.float64, requires_grad=True)
-    optimiser = torch.optim.LBFGS([tail, factor], max_iter=80, line_search_fn="strong_wolfe", tolerance_change=1e-7)
 
     def nll(part: slice) -> Tensor:
         h = HEAVIEST_TAIL * torch.sigmoid(powers[part] @ tail)
@@ -208,13 +215,10 @@ def fit_tail(excitation: Excitation, windows: TrainingWindows, residual: Array) 
         z2 = gaussianised(u[part] * torch.exp(-log_factor), h).square()
         return (0.5 * (1 + h) * z2 + torch.log1p(h * z2) + log_factor).mean()
 
-    def closure() -> Tensor:
-        optimiser.zero_grad()
-        loss = nll(train) + 1e-3 * (tail[:5].square().sum() + factor[:5].square().sum())
-        loss.backward()
-        return loss
+    def loss() -> Tensor:
+        return nll(train) + 1e-3 * (tail[:5].square().sum() + factor[:5].square().sum())
 
-    optimiser.step(closure)
+    _minimise(loss, [tail, factor], max_iter=80)
     with torch.no_grad():
         gained = float(0.5 * u[validation].square().mean() - nll(validation))
         if gained > 0:

@@ -19,7 +19,7 @@ from foten.networks.scale import Excitation
 from foten.reference.network import Network
 from foten.runtime.native import NativeTexture
 from foten.train.blocks import ScaledBlocks
-from foten.train.closed_loop import ClosedLoop, free_run_distance
+from foten.train.closed_loop import ClosedLoop
 from foten.train.config import TrainConfig
 from foten.train.epochs import Progress
 from foten.train.excitation import FittedExcitation, fit_excitation
@@ -43,21 +43,10 @@ class Rendering:
     part: LinearPart
     fitted: FittedExcitation
 
-    @property
-    def nearness(self) -> float:
-        """Return what decides between renderings: log-spectral distance times level error."""
-        return math.prod(self.fitted.distance)
-
 
 @dataclass(kw_only=True)
 class FotenPlusTask(NetworkTask):
-    """The network of a texture that is playable without it.
-
-    Attributes:
-        windows: of x, speed, force and e.
-        plain: the rendering without the network.
-        tried: of linear parts.
-    """
+    """The network of a texture that is playable without it: as `plain` is, one of the linear parts that were tried."""
 
     linear_mae: float
     network: Corrector
@@ -66,8 +55,7 @@ class FotenPlusTask(NetworkTask):
     tried: dict[str, Any]
 
     def __post_init__(self) -> None:
-        epochs = {"best_epoch": 0, "n_epochs": 0, "validation_loss": None}
-        self.playable = self._texture(self.plain, self.linear_mae, epochs, {})
+        self.playable = self._texture(self.plain, self.linear_mae, {}, best_epoch=0, n_epochs=0, validation_loss=None)
 
     def finish(self, progress: Progress, on_stage: Stage) -> Texture:
         """Return the texture with the network that was fitted, in the loop where the free run is nearer so."""
@@ -79,31 +67,23 @@ class FotenPlusTask(NetworkTask):
             rendering = self._with_network()
             if rendering is not None:
                 renderings["with network"] = list(rendering.fitted.distance)
-                if rendering.nearness < NETWORK_IS_NEARER * self.plain.nearness:
+                if rendering.fitted.nearness < NETWORK_IS_NEARER * self.plain.fitted.nearness:
                     chosen = rendering
-        epochs = {
-            "best_epoch": best.epoch,
-            "n_epochs": progress.epochs[-1].epoch,
-            "validation_loss": best.validation_loss,
-        }
         on_stage("proving the texture file")
-        return self._texture(chosen, best.validation_mae, epochs, renderings)
+        epochs = {"best_epoch": best.epoch, "n_epochs": progress.epochs[-1].epoch}
+        return self._texture(chosen, best.validation_mae, renderings, validation_loss=best.validation_loss, **epochs)
 
     def _with_network(self) -> Rendering | None:
         """Return a rendering with the network in the loop, or None where it is far from any use."""
         both = np.concatenate([self.windows.train, self.windows.validation])
         left = self.windows.samples[both, 3] - predict(self.network, self.windows, both)
         part = replace(self.plain.part, sizes=replace(self.plain.part.sizes, network_in_loop=True))
-        loop, config = _loop(part, self.draft, self.network), self.job.config
-
-        def may_be_nearer(excitation: Excitation) -> bool:
-            nearness = math.prod(free_run_distance(loop, excitation, config.seed))
-            return nearness < NETWORK_MAY_BE_NEARER * self.plain.nearness
-
-        fitted = fit_excitation(part.sizes.excitation_width, left, self.windows, loop, config, may_be_nearer)
+        useless_from = NETWORK_MAY_BE_NEARER * self.plain.fitted.nearness
+        loop, width = _loop(part, self.draft, self.network), part.sizes.excitation_width
+        fitted = fit_excitation(width, left, self.windows, loop, self.job.config, useless_from)
         return None if fitted is None else Rendering(part, fitted)
 
-    def _texture(self, chosen: Rendering, mae: float, epochs: dict[str, Any], renderings: dict[str, Any]) -> Texture:
+    def _texture(self, chosen: Rendering, mae: float, renderings: dict[str, Any], **epochs: float | None) -> Texture:
         network = self.network
         weights = tensors_of(network, "network.")
         _check_twin(network, chosen.part.sizes, weights, self.windows)
@@ -185,7 +165,7 @@ def _chosen(renderings: list[Rendering]) -> tuple[Rendering, dict[str, Any]]:
     allowed = TONES_MAY_DISTORT * renderings[0].fitted.distance[0]
     best = min(
         (one for one in renderings if one is renderings[0] or one.fitted.distance[0] <= allowed),
-        key=lambda one: one.nearness,
+        key=lambda one: one.fitted.nearness,
     )
     rejected = [report(one) for one in renderings if one is not best]
     return best, {**report(best), **({"rejected": rejected} if rejected else {})}
