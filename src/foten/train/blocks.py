@@ -18,17 +18,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ScaledBlocks:
-    """What every stage of training is given.
-
-    Attributes:
-        scaling: mean and standard deviation of the training blocks.
-        samples: acceleration, speed and force, scaled, shape (n_blocks, block, 3).
-    """
+    """What every stage of training is given."""
 
     trace: Trace
     split: Split
-    scaling: Scaling
-    samples: Array
+    scaling: Scaling  # of the training blocks
+    samples: Array  # acceleration, speed and force, scaled, shape (n_blocks, block, 3)
 
     @property
     def known(self) -> tuple[int, ...]:

@@ -38,20 +38,17 @@ class ClosedLoop:
     """A model whose excitation is being fitted.
 
     Attributes:
-        history: samples that a run begins from.
-        kernel: the model with an excitation, ready to render.
         power: mean squares under a steady condition (k, 2) scaled, (k,) each: of what a unit of σ adds, and of the tones.
         response: squares of the impulse response between excitation and output, shape (n,), of a lattice with the gain before
             the filter; None where a change of σ shows at once.
-        limit: that samples are cut to; infinite for what is bounded by itself.
     """
 
     blocks: ScaledBlocks
-    history: int
-    kernel: Callable[[Excitation], NativeTexture]
+    history: int  # samples that a run begins from
+    kernel: Callable[[Excitation], NativeTexture]  # the model with an excitation, ready to render
     power: Callable[[Array], tuple[Array, Array]]
     response: Array | None = None
-    limit: float = math.inf
+    limit: float = math.inf  # that samples are cut to; infinite for what is bounded by itself
 
     @property
     def settled(self) -> int:
@@ -91,10 +88,8 @@ def settle_level(loop: ClosedLoop, excitation: Excitation, seed: int) -> list[fl
     off the terms of log σ in log speed and log force, by a ridge regression on how each frame answers to each term; what the
     power of all misses, as far as that is beyond chance, off its constant; three times over.
 
-    Args:
-        loop: runs under the speed and force of the training and validation blocks, the first fifth not counted.
-        excitation: adjusted in place; σ stays within its range over the training blocks.
-        seed: of the noise.
+    The loop runs under the speed and force of the training and validation blocks, the first fifth not counted; σ, adjusted in
+    place, stays within its range over the training blocks; the seed is that of the noise.
 
     Returns:
         By how much the closed loop is louder than the recording before each adjustment [dB].
@@ -113,7 +108,8 @@ def settle_level(loop: ClosedLoop, excitation: Excitation, seed: int) -> list[fl
     for _ in range(N_SETTLING):
         rendered = loop.free_runs(excitation, blocks.known, seed, SETTLING_STREAM, 1)[1][0]
         error = (frame_levels(rendered, rate, reference) - level).ravel()
-        louder, doubt = _louder(rendered, recorded)
+        powers = np.stack([np.square(blocks).mean(axis=1) for blocks in (rendered, recorded)])
+        louder, doubt = _jackknifed(powers, lambda ours, theirs: 10 * np.log10(ours / theirs))
         errors.append(louder)
         # A frame's power is the mean of ℓ²σ² and the tones': it answers to a term of log σ by that term's mean under ℓ²σ².
         with torch.no_grad():
@@ -148,12 +144,6 @@ def _filtered(power: Array, response: Array | None) -> Array:
     return np.asarray(fftconvolve(held, response[None, :n, None] / response[:n].sum(), axes=1)[:, n : 2 * n])
 
 
-def _louder(rendered: Array, recorded: Array) -> tuple[float, float]:
-    """Return by how much rendered blocks are louder than recorded ones [dB], and its standard error over blocks."""
-    powers = np.stack([np.square(blocks).mean(axis=1) for blocks in (rendered, recorded)])
-    return _jackknifed(powers, lambda ours, theirs: 10 * np.log10(ours / theirs))
-
-
 def _jackknifed(parts: Array, figure: Callable[..., Array]) -> tuple[float, float]:
     """Return a figure of sums over blocks, of which each block has the parts (k, n), and its jackknifed standard error."""
     total, n = parts.sum(axis=1, keepdims=True), parts.shape[1]
@@ -174,10 +164,7 @@ def fit_volatility(loop: ClosedLoop, excitation: Excitation, seed: int) -> None:
     than those of the free run: short changes average out in long frames. Real wood was 1.6 times as uneven at all lengths, copper
     1.4 times in 2 ms and 1.1 in 40 ms.
 
-    Args:
-        loop: with the excitation's level settled.
-        excitation: changed in place.
-        seed: of the noise.
+    The excitation, whose level is settled, is changed in place; the seed is that of the noise.
     """
     rate = loop.blocks.trace.rate_hz
     recorded, runs = loop.free_runs(excitation, loop.blocks.known, seed, VOLATILITY_STREAM, N_RUNS)
@@ -231,7 +218,12 @@ def _spikier(recorded: Array, rendered: Array) -> tuple[float, float]:
 
 def _lasts_s(recorded: Array, rendered: Array, rate_hz: float) -> float:
     """Return how long the loudness stays up that recorded blocks have beyond rendered ones, (n_blocks, any) each [s]."""
-    more = np.array([_unevenness(recorded, ms, rate_hz) / _unevenness(rendered, ms, rate_hz) - 1 for ms in FRAMES_MS])
+
+    def unevenness(blocks: Array, frame_ms: float) -> float:
+        powers = np.square(_framed(blocks, frame_ms, rate_hz)).mean(axis=-1)
+        return float(np.square(powers).mean() / powers.mean() ** 2)
+
+    more = np.array([unevenness(recorded, ms) / unevenness(rendered, ms) - 1 for ms in FRAMES_MS])
 
     def missed(lasts_s: float) -> float:
         # What is left of the variance of an exponentially correlated loudness in the mean of a frame.
@@ -241,12 +233,6 @@ def _lasts_s(recorded: Array, rendered: Array, rate_hz: float) -> float:
         return float(np.square(more - size * left).sum())
 
     return min(LASTING_S, key=missed)
-
-
-def _unevenness(blocks: Array, frame_ms: float, rate_hz: float) -> float:
-    """Return the mean square of the powers of frames over the square of their mean: (n_blocks, n)."""
-    powers = np.square(_framed(blocks, frame_ms, rate_hz)).mean(axis=-1)
-    return float(np.square(powers).mean() / powers.mean() ** 2)
 
 
 def _framed(signal: NDArray[Any], frame_ms: float, rate_hz: float) -> NDArray[Any]:

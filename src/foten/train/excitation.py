@@ -27,20 +27,13 @@ KEPT = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the fitted shape of log σ
 
 @dataclass(frozen=True)
 class FittedExcitation:
-    """An excitation, and how it came about.
-
-    Attributes:
-        distance: log-spectral distance and level error of the free run on the validation blocks [dB].
-        level_errors_db: by how much the closed loop was louder than the recording before each adjustment.
-        tail_gain: what the tails gain in the negative log-likelihood of the validation blocks [nat].
-        likelihood: mean negative log-likelihood of the validation blocks where a rendering does not fade [nat]; None for none.
-    """
+    """An excitation, and how it came about."""
 
     excitation: Excitation
-    distance: tuple[float, float]
-    level_errors_db: list[float]
-    tail_gain: float
-    likelihood: float | None
+    distance: tuple[float, float]  # log-spectral distance and level error of the free run on the validation blocks [dB]
+    level_errors_db: list[float]  # by how much the closed loop was louder than the recording before each adjustment
+    tail_gain: float  # what the tails gain in the negative log-likelihood of the validation blocks [nat]
+    likelihood: float | None  # mean negative log-likelihood of those blocks, where a rendering does not fade [nat]
 
     @property
     def nearness(self) -> float:

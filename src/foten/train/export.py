@@ -45,26 +45,19 @@ class ProvedTexture:
 
 @dataclass(frozen=True)
 class Draft:
-    """All of a texture but its sizes, tensors and metrics.
-
-    Attributes:
-        card: entries beyond model, sizes and scaling.
-        network: of a graph in float64: windows (b, m, 3) scaled → (b, n_ahead) scaled.
-    """
+    """All of a texture but its sizes, tensors and metrics."""
 
     model: str
     blocks: ScaledBlocks
-    card: dict[str, Any]
-    network: Callable[[Array], Array] | None = None
+    card: dict[str, Any]  # entries beyond model, sizes and scaling
+    network: Callable[[Array], Array] | None = (
+        None  # of a graph, in float64: windows (b, m, 3) scaled → (b, n_ahead) scaled
+    )
 
     def texture(
         self, sizes: Sizes, tensors: Tensors, metrics: dict[str, Any], n_golden: int = MIN_GOLDEN
     ) -> ProvedTexture:
-        """Return a texture of tensors, proved.
-
-        Raises:
-            ValueError: the kernel does not reproduce the reference.
-        """
+        """Return a texture of tensors, as `proved` makes it."""
         m, blocks = sizes.history, self.blocks
         window, condition = pick_warm_start(blocks, m)
         _, ends = blocks.targets(m)
@@ -116,11 +109,7 @@ def proved(
 
 
 def with_golden(model: str, sizes: Sizes, tensors: Tensors, scaling: Scaling, card: dict[str, Any]) -> ProvedTexture:
-    """Return a texture of tensors, golden samples among them, once the kernel has replayed these; arguments as of `proved`.
-
-    Raises:
-        ValueError: the kernel does not reproduce them.
-    """
+    """Return a texture of tensors, golden samples among them, once the kernel has replayed these; otherwise as `proved`."""
     own = {
         "format_version": FORMAT_VERSION,
         "model": model,

@@ -190,11 +190,7 @@ def _check_twin(network: Corrector, sizes: FotenPlusSizes, weights: Tensors, win
 
 
 def check_block(blocks: ScaledBlocks, m: int) -> None:
-    """Check that a block holds enough windows.
-
-    Raises:
-        ValueError: it does not.
-    """
+    """Refuse blocks that are too short to hold enough windows."""
     block = blocks.trace.block
     if block < 5 * m:
         raise ValueError(
@@ -204,7 +200,7 @@ def check_block(blocks: ScaledBlocks, m: int) -> None:
 
 
 def _check_frame(blocks: ScaledBlocks, m: int, max_order: int) -> None:
-    """Check that a block holds a frame after its first fifth and after the longest history, for the level to be settled on."""
+    """Refuse blocks that hold no frame after their first fifth and the longest history, for the level to be settled on."""
     rate, block = blocks.trace.rate_hz, blocks.trace.block
     frame, history = FRAME_MS * rate / 1000, m + 1 + min(max_order, block // 8)
     if block - max(0.2 * block, history) >= frame:

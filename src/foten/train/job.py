@@ -28,23 +28,16 @@ Stage = Callable[[str], None]
 
 @dataclass(frozen=True)
 class TrainingJob:
-    """A recording, a model, and how the one is learned by the other.
-
-    Attributes:
-        model: key of `families.FAMILIES`.
-        sizes: of the model; what training chooses is filled in there.
-        split_method, split_seed: as `split_blocks` has them.
-        texture_name, licence: for the card.
-    """
+    """A recording, a model, and how the one is learned by the other."""
 
     recording: Recording
-    model: str
-    sizes: Sizes
+    model: str  # key of `families.FAMILIES`
+    sizes: Sizes  # what training chooses is filled in there
     config: TrainConfig
     preprocess: PreprocessConfig = field(default_factory=PreprocessConfig)
-    split_method: str = "regrouped"
+    split_method: str = "regrouped"  # as `split_blocks` has it, and the next
     split_seed: int = 0
-    texture_name: str = ""
+    texture_name: str = ""  # for the card, as the next
     licence: str = ""
 
     def blocks(self) -> ScaledBlocks:
@@ -89,17 +82,14 @@ def versions() -> dict[str, str]:
 
 @dataclass(kw_only=True)
 class Task:
-    """A job after its preparation; one that is done with it needs no more than a texture.
-
-    Attributes:
-        playable: a texture already, whose network adds nothing yet; None without one.
-        linear_mae: one-step validation error of what is playable, scaled; None without a network to compare it with.
-    """
+    """A job after its preparation; one that is done with it needs no more than a texture."""
 
     job: TrainingJob
     blocks: ScaledBlocks
-    playable: Texture | None = None
-    linear_mae: float | None = None
+    playable: Texture | None = None  # a texture already, whose network adds nothing yet
+    linear_mae: float | None = (
+        None  # one-step validation error of what is playable, scaled, where a network may lower it
+    )
 
     def fit(self, on_epoch: Callable[[Epoch], None], checkpoint: Path | None, resume: bool) -> Progress:
         """Fit what is to be fitted, in place; nothing here."""

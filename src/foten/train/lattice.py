@@ -31,23 +31,15 @@ WORTH = 1e-3  # a longer lattice, one with the gain before the filter or with a 
 
 @dataclass(frozen=True)
 class LatticeData:
-    """What a lattice is fitted to.
+    """What a lattice is fitted to; all arrays of shape (n_blocks, block)."""
 
-    Attributes:
-        x: what the lattice is of, in blocks: acceleration over its level, or acceleration, shape (n_blocks, block).
-        unit: what one of x is in the acceleration that is scored, same shape.
-        speed, force: that each prediction may know, those of the sample before [mm/s, N], same shape.
-        train, validation: numbers of blocks.
-        weight: of each sample's squared errors, same shape; None for all alike.
-    """
-
-    x: Array
-    unit: Array
-    speed: Array
-    force: Array
-    train: tuple[int, ...]
+    x: Array  # what the lattice is of: acceleration over its level, or acceleration
+    unit: Array  # what one of x is in the acceleration that is scored
+    speed: Array  # that each prediction may know: of the sample before [mm/s]
+    force: Array  # and [N]
+    train: tuple[int, ...]  # numbers of blocks
     validation: tuple[int, ...]
-    weight: Array | None = None
+    weight: Array | None = None  # of each sample's squared errors; None for all alike
 
     def with_gain_before_filter(self) -> LatticeData:
         """Return the same for a lattice of the acceleration itself.

@@ -33,20 +33,14 @@ _AT_ONCE = 8_000_000  # reflection coefficients held in memory
 
 @dataclass(frozen=True)
 class LinearPart:
-    """All of foten-plus but its network and excitation.
+    """All of foten-plus but its network and excitation."""
 
-    Attributes:
-        sizes: of lattices and tones; the network is not in the loop.
-        tensors: theirs, by the names in a texture file.
-        phase: of the fundamental at every sample, as well as the recording determines it [rad], shape (n_blocks, block);
-            None where the surface does not repeat.
-        tried: on the way.
-    """
-
-    sizes: FotenPlusSizes
-    tensors: Tensors
-    phase: Array | None
-    tried: dict[str, Any]
+    sizes: FotenPlusSizes  # of lattices and tones; the network is not in the loop
+    tensors: Tensors  # theirs, by the names in a texture file
+    phase: (
+        Array | None
+    )  # of the fundamental at every sample [rad], (n_blocks, block); None where the surface does not repeat
+    tried: dict[str, Any]  # on the way
 
     @property
     def _excited(self) -> tuple[str, bool]:

@@ -81,21 +81,20 @@ def fitted(pieces: list[Array], blocks: ScaledBlocks, order: int) -> LocalModels
     Labels are medians. Models nearer than `SAME` are merged. Around the trained range stand models as loud as the nearest, and
     silent ones at rest and without force, all with the angles of the nearest.
     """
-    points, angles, variances, weights = [], [], [], []
+    angles, variances = [], []
     for piece in pieces:
         reflections, variance = burg(piece[:, 0] - piece[:, 0].mean(), order)
         # Burg's poles may lie as near to the unit circle as a tone that never ends.
         taps = stabilised(-polynomial(reflections, leak=1.0)[:0:-1], MAX_POLE)
-        points.append(np.median(piece[:, 1:], axis=0))
         angles.append(spread_out(line_spectral_frequencies(np.append(1.0, -taps[::-1]))))
         variances.append(variance)
-        weights.append(len(piece))
-    scale = np.maximum(np.std(points, axis=0), 1e-3 * np.max(points, axis=0))
-    of = _merged(np.array(points), scale)
+    points = np.array([np.median(piece[:, 1:], axis=0) for piece in pieces])
+    scale = np.maximum(points.std(axis=0), 1e-3 * points.max(axis=0))
+    of = _merged(points, scale)
     share = np.zeros((of.max() + 1, len(of)))
-    share[of, np.arange(len(of))] = weights
+    share[of, np.arange(len(of))] = [len(piece) for piece in pieces]
     share /= share.sum(axis=1, keepdims=True)
-    own = share @ np.array(points)
+    own = share @ points
     # Of the training blocks, where a rendering does not fade.
     trained, fading = blocks.training_blocks()[..., 1:], [FADE_SPEED, FADE_FORCE]
     low, high = (np.maximum(end(trained, axis=(0, 1)), fading) for end in (np.min, np.max))
@@ -141,15 +140,13 @@ def _pieces(blocks: ScaledBlocks) -> Iterator[Array]:
 def _merged(points: Array, scale: Array) -> NDArray[np.int64]:
     """Return which model each piece belongs to: one that begins near enough, or one of its own."""
     seeds: list[Array] = []
-    of = np.empty(len(points), dtype=np.int64)
-    for i, point in enumerate(points / scale):
-        away = [float(np.hypot(*(point - seed))) for seed in seeds]
-        near = int(np.argmin(away)) if away else -1
-        if near < 0 or away[near] > SAME:
-            near = len(seeds)
+    of = []
+    for point in points / scale:
+        near = int(np.argmin([*(float(np.hypot(*(point - seed))) for seed in seeds), SAME]))
+        if near == len(seeds):
             seeds.append(point)
-        of[i] = near
-    return of
+        of.append(near)
+    return np.array(of)
 
 
 def _meshed(points: Array, lsf: Array, variance: Array, scale: Array) -> LocalModels:

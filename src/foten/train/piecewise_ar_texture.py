@@ -36,24 +36,15 @@ class LocalModels:
     """Linear models of one surface, each at a speed and a force.
 
     A model's vibration is y[n] = −Σ a_k y[n−k] + gain · (e[n] + Σ b_k e[n−k]), e white, Gaussian.
-
-    Attributes:
-        points: speed [mm/s] and force [N] of each, shape (n, 2).
-        lsf: line spectral frequencies of 1 + a₁z⁻¹ + … [rad], shape (n, p).
-        variance: of e [m²/s⁴], shape (n,); 0 is silence.
-        triangles: three models each, shape (t, 3).
-        scale: what speed and force are divided by before distances are compared, shape (2,).
-        ma_lsf: those of 1 + b₁z⁻¹ + …, shape (n, q).
-        gain: shape (n,).
     """
 
-    points: Array
-    lsf: Array
-    variance: Array
-    triangles: NDArray[np.int64]
-    scale: Array
-    ma_lsf: Array
-    gain: Array
+    points: Array  # speed [mm/s] and force [N] of each, shape (n, 2)
+    lsf: Array  # line spectral frequencies of 1 + a₁z⁻¹ + … [rad], shape (n, p)
+    variance: Array  # of e [m²/s⁴], shape (n,); 0 is silence
+    triangles: NDArray[np.int64]  # three models each, shape (t, 3)
+    scale: Array  # what speed and force are divided by before distances are compared, shape (2,)
+    ma_lsf: Array  # line spectral frequencies of 1 + b₁z⁻¹ + … [rad], shape (n, q)
+    gain: Array  # shape (n,)
 
     def of_mesh(self) -> LocalModels:
         """Return those that a triangle has a corner at."""
@@ -92,21 +83,19 @@ def local_texture(models: LocalModels, scaling: Scaling, card: dict[str, Any]) -
     }
     if q:
         tensors |= {"piecewise_ar.ma_lsf": models.ma_lsf, "piecewise_ar.gain": models.gain}
-    filters = [_Filter.of(models, i, scaling.sd[0]) for i in range(n)]
+    filters = [_direct_form(models, i, scaling.sd[0]) for i in range(n)]
     hands = (models.points - mean) / sd
     chosen = np.arange(max(n, MIN_GOLDEN)) % n
-    golden = [filters[i].played(window, stream) for stream, i in enumerate(chosen)]
+    golden = [(i, _played(filters[i], window, stream)) for stream, i in enumerate(chosen)]
     spread = np.abs(models.points - WARM_START) / models.scale
     warm = int(np.where(models.variance > 0, spread.sum(axis=1), np.inf).argmin())
-    start = filters[warm].played(window, len(chosen))
+    start = _played(filters[warm], window, len(chosen))
     tensors |= {
-        "golden.windows": np.stack([_window(samples, hands[i]) for samples, i in zip(golden, chosen, strict=True)]),
-        "golden.one_step": np.array(
-            [filters[i].after(samples, np.zeros(1))[0] for samples, i in zip(golden, chosen, strict=True)]
-        ),
-        "golden.sigma": np.array([filters[i].root * filters[i].b[0] for i in chosen]),
+        "golden.windows": np.stack([_window(samples, hands[i]) for i, samples in golden]),
+        "golden.one_step": np.array([_after(filters[i], samples, np.zeros(1))[0] for i, samples in golden]),
+        "golden.sigma": np.array([filters[i][0][0] for i in chosen]),
         "golden.condition": np.tile(hands[warm], (64, 1)),
-        "golden.closed_loop": filters[warm].after(start, gaussian(0, 0, 0, 64)),
+        "golden.closed_loop": _after(filters[warm], start, gaussian(0, 0, 0, 64)),
         "warm_start": _window(start, hands[warm]),
     }
     low, high = models.points.min(axis=0).tolist(), models.points.max(axis=0).tolist()
@@ -122,39 +111,33 @@ def _window(samples: Array, hand: Array) -> Array:
     return np.concatenate([samples[:, None], np.tile(hand, (len(samples), 1))], axis=1)
 
 
-@dataclass(frozen=True)
-class _Filter:
-    """One model in direct form, scaled: y[n] = −Σ a_k y[n−k] + Σ b_k root z[n−k], z of unit variance."""
+def _direct_form(models: LocalModels, i: int, sd: float) -> tuple[Array, Array]:
+    """Return b and a of a model in units of `sd` [m/s²]: y[n] = Σ b_k z[n−k] − Σ a_k y[n−k], z of unit variance."""
+    a, b = (polynomial_of(lsf[i : i + 1])[0] for lsf in (models.lsf, models.ma_lsf))
+    radius = float(np.abs(np.roots(a)).max())
+    if not radius < LEAK:
+        raise ValueError(
+            f"local model {i} has a pole {radius:.6f} from the middle, expected less than {LEAK}: it would ring for too long"
+        )
+    gain = models.gain[i] if b.size > 1 else 1.0
+    return gain * np.sqrt(models.variance[i] / sd**2) * b, a
 
-    a: Array
-    b: Array
-    root: float
 
-    @staticmethod
-    def of(models: LocalModels, i: int, sd: float) -> _Filter:
-        a, b = (polynomial_of(lsf[i : i + 1])[0] for lsf in (models.lsf, models.ma_lsf))
-        radius = float(np.abs(np.roots(a)).max())
-        if not radius < LEAK:
-            raise ValueError(
-                f"local model {i} has a pole {radius:.6f} from the middle, expected less than {LEAK}: it would ring for too long"
-            )
-        gain = models.gain[i] if b.size > 1 else 1.0
-        return _Filter(a, gain * b, float(np.sqrt(models.variance[i] / sd**2)))
+def _played(b_a: tuple[Array, Array], n: int, stream: int) -> Array:
+    """Return n samples of a filter under a stream of noise."""
+    return lfilter(*b_a, gaussian(1, stream, 0, _SETTLED + n))[-n:]
 
-    def played(self, n: int, stream: int) -> Array:
-        """Return n samples of it under a stream of noise."""
-        return np.asarray(lfilter(self.b, self.a, self.root * gaussian(1, stream, 0, _SETTLED + n))[-n:])
 
-    def after(self, samples: Array, noise: Array) -> Array:
-        """Return what follows samples under noise; their first is not looked at, and before them was rest."""
-        if self.root * self.b[0] == 0:
-            return np.zeros(noise.size)
-        past = samples[1:]
-        driven = lfilter(self.a, [1.0], past)
-        driven[: self.a.size - 1] = 0.0
-        innovations = lfilter([1.0], self.b, driven)
-        state = lfiltic(self.b, self.a, past[::-1], innovations[::-1])
-        return np.asarray(lfilter(self.b, self.a, self.root * noise, zi=state)[0])
+def _after(b_a: tuple[Array, Array], samples: Array, noise: Array) -> Array:
+    """Return what follows samples under noise; their first is not looked at, and before them was rest."""
+    b, a = b_a
+    if b[0] == 0:
+        return np.zeros(noise.size)
+    past = samples[1:]
+    driven = lfilter(a, [1.0], past)
+    driven[: a.size - 1] = 0.0
+    state = lfiltic(b, a, past[::-1], lfilter([1.0], b, driven)[::-1])
+    return lfilter(b, a, noise, zi=state)[0]
 
 
 def imported_texture(models: HattModels, digest: str, name: str = "", notes: str = "") -> tuple[Texture, list[str]]:
@@ -185,7 +168,9 @@ def imported_texture(models: HattModels, digest: str, name: str = "", notes: str
         n_moved = int((before != after).any(axis=1).sum())
         if n_moved:
             decisions.append(f"{n_moved} of {n} models had a {what} further than {MAX_POLE} from the middle: pulled in")
-    level = np.array([_level(*row) for row in zip(ar, ma, models.variance, gain, strict=True)])
+    impulse = np.eye(1, _SETTLING)[0]
+    ringing = np.array([np.linalg.norm(lfilter(b, a, impulse)) for a, b in zip(ar, ma, strict=True)])
+    level = gain * np.sqrt(models.variance) * ringing  # standard deviations of the vibrations [m/s²]
     if not (level > 0).any():
         raise ValueError("every model is silent, expected a variance and a gain above 0")
     sd = float(np.median(level[level > 0]))
@@ -205,14 +190,11 @@ def imported_texture(models: HattModels, digest: str, name: str = "", notes: str
         "lowpass_hz": preprocess.render_lowpass_hz,
         "delay_ms": preprocess.delay_ms,
         "texture": name or models.material,
-        "tool": "",
-        "sensors": "",
         "notes": "; ".join(part for part in (source + friction, *decisions, notes) if part),
         "licence": _LICENCE,
-        "recording_sha256": "",
+        **dict.fromkeys(("tool", "sensors", "recording_sha256", "split_sha256"), ""),
         "preprocess": asdict(preprocess),
         "split": None,
-        "split_sha256": "",
         "training": {"versions": versions()},
         "metrics": {"imported_sha256": digest},
     }
@@ -233,9 +215,3 @@ def _reflected(polynomial: Array) -> tuple[Array, float]:
 def _pulled_in(polynomial: Array) -> Array:
     """Return a polynomial, 1 first, with its zeros within `MAX_POLE`."""
     return np.append(1.0, -stabilised(-polynomial[:0:-1], MAX_POLE)[::-1])
-
-
-def _level(a: Array, b: Array, variance: float, gain: float) -> float:
-    """Return the standard deviation of a model's vibration [m/s²]."""
-    response = lfilter(b, a, np.eye(1, _SETTLING)[0])
-    return float(gain * np.sqrt(variance) * np.linalg.norm(response))

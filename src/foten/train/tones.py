@@ -69,7 +69,12 @@ def wavelength(data: LatticeData, rate_hz: float) -> float | None:
     rises = np.diff(powers[0]) > 0
     ratio[~np.array([False, *(rises[:-1] & ~rises[1:]), False])] = 0.0
     peak = int(np.argmax(ratio))
-    enough = max(STANDS_OUT, TWICE_CHANCE * _largest_by_chance(len(stretches), len(cycles)))
+    # What the largest of so many bins of noise, over their mean, exceeds once in twenty recordings: a mean over half-overlapping
+    # windowed stretches has about 1.2 degrees of freedom for each of them. Two seconds of real leather have some sixty stretches
+    # of 5 mm, and a fixed threshold gave tones in three splits of five.
+    half_freedom = 0.6 * len(stretches)
+    largest_by_chance = float(gammainccinv(half_freedom, 0.05 / len(cycles)) / half_freedom)
+    enough = max(STANDS_OUT, TWICE_CHANCE * largest_by_chance)
     like_it = np.abs(cycles - cycles[peak]) <= 0.1 * cycles[peak]
     if ratio[peak] < max(enough, OF_THE_PATH * over_time[like_it].max()):
         return None
@@ -79,16 +84,6 @@ def wavelength(data: LatticeData, rate_hz: float) -> float | None:
     if cycles[peak] / 2 >= cycles[0] and ratio[near].max() >= enough:
         peak = near.start + int(np.argmax(ratio[near]))
     return float(1 / cycles[peak])
-
-
-def _largest_by_chance(n_stretches: int, n_bins: int) -> float:
-    """Return what the largest of so many bins of noise, over their mean, exceeds once in twenty recordings.
-
-    A mean over half-overlapping windowed stretches has about 1.2 degrees of freedom for each of them. Two seconds of real leather
-    have some sixty stretches of 5 mm, and a fixed threshold gave tones in three splits of five.
-    """
-    half = 0.6 * n_stretches
-    return float(gammainccinv(half, 0.05 / n_bins) / half)  # of a gamma distribution
 
 
 def _stretches(path: Array, span: float) -> Iterator[slice]:
@@ -108,21 +103,13 @@ def n_tones(wavelength_mm: float, speed: Array, rate_hz: float) -> int:
 
 @dataclass(frozen=True)
 class FittedTones:
-    """What was fitted to a recording.
+    """What was fitted to a recording."""
 
-    Attributes:
-        wavelength_mm: as the phase says, finer than a spectrum does.
-        table: coefficients over speed and force, in units of the vibration's level.
-        phase: of the fundamental at every sample [rad], shape (n_blocks, block).
-        played: T at every sample, in units of the level, same shape.
-        unevenness: standard deviation of a period's length, as a share of it.
-    """
-
-    wavelength_mm: float
-    table: SpeedForceTable
-    phase: Array
-    played: Array
-    unevenness: float
+    wavelength_mm: float  # as the phase says, finer than a spectrum does
+    table: SpeedForceTable  # coefficients over speed and force, in units of the vibration's level
+    phase: Array  # of the fundamental at every sample [rad], shape (n_blocks, block)
+    played: Array  # T at every sample, in units of the level, same shape
+    unevenness: float  # standard deviation of a period's length, as a share of it
 
 
 def fit_tones(data: LatticeData, wavelength_mm: float, rate_hz: float) -> FittedTones:
@@ -229,16 +216,13 @@ def _fitted(
     # What a vertex knows of each wave, on the mean, is the unit of what holds it to its neighbours.
     known = np.diag(gram).reshape(n_vertices, n_columns).mean(axis=0)
     over_speed, over_force = (np.eye(len(knots)) for knots in (table.speed_knots, table.force_knots))
-    bonds = np.kron(_chain(over_speed), over_force) + np.kron(over_speed, _chain(over_force))
+    steps = np.concatenate(
+        [np.kron(np.diff(over_speed, axis=0), over_force), np.kron(over_speed, np.diff(over_force, axis=0))]
+    )  # from each vertex to its neighbours
+    bonds = steps.T @ steps
     gram += np.kron(ROUGHNESS * bonds + 1e-5 * np.eye(n_vertices), np.diag(known))
     vertex_speeds = np.repeat(table.speed_knots, len(table.force_knots))
     held = (vertex_speeds[:, None] * np.repeat(multiples, 2) <= fastest).ravel()
     values = np.zeros(n_vertices * n_columns)
     values[held] = np.linalg.solve(gram[np.ix_(held, held)], moment[held])
     return replace(table, values=values.reshape(n_vertices, n_columns))
-
-
-def _chain(identity: Array) -> Array:
-    """Return the quadratic form of the differences between neighbours in a row, (n, n)."""
-    steps = np.diff(identity, axis=0)
-    return steps.T @ steps
