@@ -44,10 +44,10 @@ from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.onnx_predictor import GRAPH, OnnxPredictor
 from foten.train.adversarial import STEPS, fit_adversarial
 from foten.train.blocks import ScaledBlocks, scaled_blocks
-from foten.train.card import card_of
 from foten.train.config import OWN_RECIPES, RECIPES
 from foten.train.export import graph_of, proved, tensors_of
 from foten.train.fit import TrainingWindows, fit, reproducible
+from foten.train.job import TrainingJob
 from foten.train.targets import log_spectra, multi_step
 from main_table import between
 
@@ -140,12 +140,8 @@ def _of_innovations(windows: TrainingWindows) -> TrainingWindows:
 def untrained(model: str, recording: Recording, blocks: ScaledBlocks, config: PreprocessConfig) -> Texture:
     """Return a texture that the kernel runs, its network untrained."""
     sizes = FAMILIES[model]()
-    card = card_of(recording, blocks, config, "towel", "") | {
-        "beyond_exponents": {"speed": 0.0, "force": 0.0},
-        "warm_start": {},
-        "training": {},
-        "metrics": {"validation_mae_scaled": 1.0},
-    }
+    card = TrainingJob(recording, model, sizes, RECIPES["default"], config, texture_name="towel").card(blocks, "cpu")
+    card |= {"warm_start": {}, "metrics": {"validation_mae_scaled": 1.0}}
     windows = np.random.default_rng(0).standard_normal((64, sizes.window, 3))
     torch.manual_seed(0)
     tensors = tensors_of(build(model, sizes))

@@ -156,16 +156,16 @@ class LinearParts:
         if self.of != (run.texture, run.rate_hz, run.seed):
             self.of, self.kept = (run.texture, run.rate_hz, run.seed), {}
 
-        def parts(sizes: Any, windows: Any, blocks: Any, config: TrainConfig, *more: Any) -> list[LinearPart]:
+        def parts(sizes: Any, blocks: Any, config: TrainConfig, *more: Any) -> list[LinearPart]:
             if config.epochs > 0:
-                return fit_linear_parts(sizes, windows, blocks, config, *more)
+                return fit_linear_parts(sizes, blocks, config, *more)
             fitted_with = (sizes, config.max_order, config.table, config.gain_before_filter)
             # The first is that without tones, whether there are some or not.
             if not config.tones and (*fitted_with, True) in self.kept:
                 return copy.deepcopy(self.kept[*fitted_with, True][:1])
             key = (*fitted_with, config.tones)
             if key not in self.kept:
-                self.kept[key] = fit_linear_parts(sizes, windows, blocks, config, *more)
+                self.kept[key] = fit_linear_parts(sizes, blocks, config, *more)
             return copy.deepcopy(self.kept[key])
 
         training.fit_linear_parts = parts

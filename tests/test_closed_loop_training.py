@@ -30,7 +30,6 @@ from foten.train.closed_loop import (
     _jackknifed,
     _lasts_s,
     _level_variance,
-    _moving,
     fit_volatility,
     free_run_distance,
     settle_level,
@@ -80,10 +79,6 @@ def loop_of(before: bool = False, louder: float = 1.0) -> tuple[ClosedLoop, Exci
     return ClosedLoop(blocks, m, kernel, part.power, part.response(BLOCK - m)), excitation
 
 
-def trained_indices(loop: ClosedLoop) -> np.ndarray:
-    return loop.blocks.targets(loop.history)[0]
-
-
 def test_free_runs_are_those_of_the_reference() -> None:
     """Oracle: the model in NumPy, under the same noise; float64 against float64 but for the lattice's float32 tensors."""
     loop, excitation = loop_of()
@@ -104,11 +99,10 @@ def test_free_runs_are_those_of_the_reference() -> None:
 def test_a_level_is_settled_in_the_closed_loop(before: bool) -> None:
     """An excitation twice too strong is 6 dB too loud, since the lattice is linear; two adjustments later it is not."""
     loop, excitation = loop_of(before)
-    n = trained_indices(loop)
     true = float(excitation.out.bias)
-    chance = settle_level(loop, excitation_of(model(before)[1]), n, 0)[0]
+    chance = settle_level(loop, excitation_of(model(before)[1]), 0)[0]
     excitation.out.bias += math.log(2)
-    errors = settle_level(loop, excitation, n, 0)
+    errors = settle_level(loop, excitation, 0)
     assert errors[0] - chance == pytest.approx(6.02, abs=0.05)
     # What is left is less than twenty seconds tell: half a dB.
     assert abs(errors[-1]) < 0.5
@@ -121,15 +115,15 @@ def test_a_slope_over_speed_is_settled_too() -> None:
     true = excitation.power_law.weight[0, 0].item()
     excitation.power_law.weight[0, 0] = 0.0
     before = free_run_distance(loop, excitation, 0)[1]
-    settle_level(loop, excitation, trained_indices(loop), 0)
+    settle_level(loop, excitation, 0)
     assert excitation.power_law.weight[0, 0].item() == pytest.approx(true, abs=0.25)
     assert free_run_distance(loop, excitation, 0)[1] < before - 0.5
 
 
 def test_the_scale_stays_within_that_of_the_trained_range() -> None:
     loop, excitation = loop_of()
-    n = trained_indices(loop)
-    settle_level(loop, excitation, n, 0)
+    settle_level(loop, excitation, 0)
+    n, _ = loop.blocks.targets(loop.history)
     within = torch.from_numpy(loop.blocks.flat[n - 1, 1:]).float()
     with torch.no_grad():
         free = excitation.highest.clone()
@@ -235,8 +229,8 @@ def test_levels_vary_by_the_volatility_alone(sd: float) -> None:
 
 def test_the_jackknife_of_a_mean_is_its_standard_error() -> None:
     values = np.random.default_rng(0).standard_normal(30)
-    without = (values.sum() - values) / 29
-    assert _jackknifed(without) == pytest.approx(values.std(ddof=1) / math.sqrt(30), rel=1e-9)
+    result = _jackknifed(np.stack([values, np.ones(30)]), np.divide)
+    assert result == pytest.approx((values.mean(), values.std(ddof=1) / math.sqrt(30)), rel=1e-9)
 
 
 def test_a_still_hand_or_one_in_the_air_does_not_count() -> None:
@@ -244,11 +238,11 @@ def test_a_still_hand_or_one_in_the_air_does_not_count() -> None:
     speed, force = 5.0 + 0 * n, 0.1 + 0 * n
     speed[1, 900:], force[3, 950:] = 4.9, 0.09
     trace = Trace(np.zeros(4000), speed.ravel(), force.ravel(), 1000.0, 1000)
-    moving = _moving(dataclasses.replace(KNOWN, trace=trace), 200)
-    assert moving.shape == (3, 200)
-    assert moving[0].all()
-    assert list(np.flatnonzero(~moving[1])) == list(range(100, 200))
-    assert list(np.flatnonzero(~moving[2])) == list(range(150, 200))
+    moving = dataclasses.replace(KNOWN, trace=trace).moving()
+    assert moving.shape == (4, 1000)
+    assert moving[[0, 2]].all()
+    assert list(np.flatnonzero(~moving[1])) == list(range(900, 1000))
+    assert list(np.flatnonzero(~moving[3])) == list(range(950, 1000))
 
 
 @pytest.mark.parametrize("before", [False, True])

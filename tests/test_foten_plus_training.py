@@ -21,7 +21,7 @@ from foten.recording.trace import Trace
 from foten.reference import model_of
 from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeTexture
-from foten.train import foten_plus
+from foten.train import excitation as fitting
 from foten.train.blocks import scaled_blocks
 from foten.train.closed_loop import ClosedLoop
 from foten.train.config import TrainConfig
@@ -65,7 +65,6 @@ def fitted(prepared: FotenPlusTask, gained: float) -> tuple[FotenPlusTask, Progr
     torch.manual_seed(0)
     with torch.no_grad():
         network.head_3.weight.normal_(std=0.05)
-    assert prepared.linear_mae is not None
     mae = prepared.linear_mae * (1 - gained)
     lines = [Epoch(0, np.nan, 1.0, prepared.linear_mae, 0.0, True), Epoch(1, 0.9, 0.9, mae, 0.0, True)]
     return dataclasses.replace(prepared, network=network), Progress(lines, 0.9)
@@ -90,14 +89,14 @@ def test_the_block_that_the_refusal_asks_for_is_long_enough(recording: Recording
 def test_the_network_is_in_the_loop_where_it_brings_the_free_run_nearer(
     prepared: FotenPlusTask, monkeypatch: pytest.MonkeyPatch, nearer: bool
 ) -> None:
-    plain = dataclasses.replace(prepared.plain, distance=(2.0, 1.0))
+    plain = Rendering(prepared.plain.part, dataclasses.replace(prepared.plain.fitted, distance=(2.0, 1.0)))
     bias: dict[bool, np.ndarray] = {False: plain.fitted.excitation.out.bias.numpy().copy()}
 
     def distance(loop: ClosedLoop, excitation: Excitation, seed: int) -> tuple[float, float]:
         bias[True] = excitation.out.bias.numpy().copy()
         return 2.0, 0.97 if nearer else 0.99  # of 1, and at most 0.98 counts
 
-    monkeypatch.setattr(foten_plus, "free_run_distance", distance)
+    monkeypatch.setattr(fitting, "free_run_distance", distance)
     task, progress = fitted(dataclasses.replace(prepared, plain=plain), 0.1)
     texture = task.finish(progress, silent)
     tried = texture.card["metrics"]["renderings"]
@@ -121,12 +120,12 @@ def test_the_network_is_in_the_loop_where_it_brings_the_free_run_nearer(
 def test_a_network_that_gains_next_to_nothing_is_not_rendered(
     prepared: FotenPlusTask, monkeypatch: pytest.MonkeyPatch, gained: float, tried: bool
 ) -> None:
-    monkeypatch.setattr(foten_plus, "free_run_distance", lambda *_: (9.0, 9.0))
+    monkeypatch.setattr(fitting, "free_run_distance", lambda *_: (9.0, 9.0))
     task, progress = fitted(prepared, gained)
     texture = task.finish(progress, silent)
     assert not texture.sizes.network_in_loop
     assert texture.card["metrics"]["validation_mae_scaled"] == progress.best.validation_mae
-    assert texture.card["metrics"]["renderings"] == {"without network": list(prepared.plain.distance)}
+    assert texture.card["metrics"]["renderings"] == {"without network": list(prepared.plain.fitted.distance)}
     stages: list[str] = []
     task.finish(progress, stages.append)
     assert ("rendering with the network in the loop" in stages) == tried
@@ -152,7 +151,7 @@ def test_a_playable_texture_leaves_the_network_on_its_device(
 
 def rendering(name: str, distance: tuple[float, float]) -> Rendering:
     part = LinearPart(FotenPlusSizes(), {}, None, {"lattices": name})
-    return Rendering(part, FittedExcitation(Excitation(1), [], 0.0, None), distance)
+    return Rendering(part, FittedExcitation(Excitation(1), distance, [], 0.0, None))
 
 
 @pytest.mark.parametrize(
@@ -169,7 +168,7 @@ def test_tones_are_kept_where_the_free_run_is_nearer_and_of_the_same_colour(
 ) -> None:
     best, report = _chosen([rendering("without", (2.0, 1.0)), rendering("with", tones)])
     assert best.part.tried["lattices"] == chosen
-    assert report["free_run"] == {"lsd_db": best.distance[0], "level_error_db": best.distance[1]}
+    assert report["free_run"] == dict(zip(("lsd_db", "level_error_db"), best.fitted.distance, strict=True))
     assert [one["lattices"] for one in report["rejected"]] == [{"with": "without", "without": "with"}[chosen]]
 
 

@@ -11,9 +11,8 @@ from foten.families import FotenPlusSizes
 from foten.recording.preprocess import PreprocessConfig
 from foten.runtime.renderer import Renderer
 from foten.train.config import TrainConfig
-from foten.train.job import TrainingJob
+from foten.train.job import NetworkTask, TrainingJob
 from foten.train.pipeline import prepare, train
-from foten.train.task import NetworkTask
 
 pytestmark = [pytest.mark.gpu, pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU that PyTorch can use")]
 

@@ -16,7 +16,7 @@ from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.families.texture_file import read_texture
 from foten.runtime.renderer import Renderer
-from foten.train.imported import texture_of
+from foten.train.piecewise_ar_texture import imported_texture
 
 CORNERS = [(0.0, 0.0), (200.0, 0.0), (0.0, 4.0), (200.0, 4.0), (90.0, 1.0)]
 TRIANGLES = [(1, 2, 5), (2, 4, 5), (4, 3, 5), (3, 1, 5)]
@@ -66,7 +66,7 @@ def written(path: Path, rate_hz: float = 1000.0, zeros: bool = True) -> Path:
 def test_it_plays_what_its_equation_plays(tmp_path: Path, rate_hz: float, zeros: bool) -> None:
     """Oracle: SciPy's direct form of the model at 90 mm/s and 1 N. Two seconds a segment keep the estimate within 1 dB."""
     models = read_models(written(tmp_path / "m.xml", rate_hz, zeros))
-    texture, decisions = texture_of(models, "0" * 64)
+    texture, decisions = imported_texture(models, "0" * 64)
     assert decisions == []
     n = int(60 * rate_hz)
     played = Renderer(texture, rate=rate_hz, seed=1).render(speed_mm_s=90.0, force_n=1.0, n=n)
@@ -146,7 +146,7 @@ def test_zeros_outside_the_circle_keep_their_spectrum(tmp_path: Path) -> None:
     """A zero at radius r outside and one at 1/r with r times the gain have one spectrum."""
     models = read_models(written(tmp_path / "m.xml"))
     models.ma[:] = np.convolve([1.0, 1.6], [1.0, 0.3])
-    texture, _ = texture_of(models, "0" * 64)
+    texture, _ = imported_texture(models, "0" * 64)
     e = np.sqrt(models.variance[4]) * np.random.default_rng(0).standard_normal(60_000)
     expected = lfilter(models.gain[4] * models.ma[4], models.ar[4], e)
     played = Renderer(texture, seed=1).render(speed_mm_s=90.0, force_n=1.0, n=60_000)
@@ -157,7 +157,7 @@ def test_zeros_outside_the_circle_keep_their_spectrum(tmp_path: Path) -> None:
 def test_a_filter_that_would_ring_for_ever_is_pulled_in_and_said(tmp_path: Path) -> None:
     models = read_models(written(tmp_path / "m.xml"))
     models.ar[4] = np.convolve(resonance(100.0, 1.001, 1000.0), resonance(300.0, 0.5, 1000.0))
-    texture, decisions = texture_of(models, "0" * 64)
+    texture, decisions = imported_texture(models, "0" * 64)
     assert decisions == ["1 of 5 models had a pole further than 0.9995 from the middle: pulled in"]
     assert "pulled in" in texture.card["notes"]
     assert np.isfinite(Renderer(texture, rate=1000).render(speed_mm_s=90.0, force_n=1.0, n=5000)).all()

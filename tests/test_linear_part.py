@@ -19,7 +19,6 @@ from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeTexture
 from foten.train.blocks import ScaledBlocks, scaled_blocks
 from foten.train.config import TrainConfig
-from foten.train.fit import TrainingWindows
 from foten.train.linear_part import LinearPart, fit_linear_parts
 
 
@@ -109,8 +108,7 @@ def test_a_surface_that_repeats_is_fitted_once_more_with_its_tones() -> None:
     for name in ("jeans", "linear-cloth"):
         trace = preprocess(simulate(name, 10.0, seed=1), PreprocessConfig(trim_ms=0, block_ms=1000))
         blocks = scaled_blocks(trace, split_blocks(trace, "regrouped", 0))
-        windows = TrainingWindows(blocks.flat, *blocks.targets(20), 20)
-        parts = fit_linear_parts(sizes, windows, blocks, config)
+        parts = fit_linear_parts(sizes, blocks, config)
         n_parts.append(len(parts))
         reports.append(parts[-1].tried)
         assert parts[0].phase is None

@@ -21,7 +21,7 @@ from foten.train.config import TrainConfig
 from foten.train.job import TrainingJob
 from foten.train.lattice import LatticeData
 from foten.train.pipeline import train
-from foten.train.tones import _unevenness, fit_tones, n_tones, played, wavelength
+from foten.train.tones import _unevenness, fit_tones, n_tones, wavelength
 
 RATE = 1000.0
 LENGTH = 1.7  # mm
@@ -96,13 +96,12 @@ def test_the_multiples_stay_below_the_rate() -> None:
 def test_tones_are_recovered_under_noise_and_jitter() -> None:
     data, true = periodic(15, 0.5, 3e-3)
     fitted = fit_tones(data, 1.01 * LENGTH, RATE)
-    recovered = played(data, fitted.table, fitted.phase)
     # A spectrum that says 1 % too much: the phases of twelve strokes of 150 mm put it right.
     assert fitted.wavelength_mm == pytest.approx(LENGTH, rel=1e-3)
     # The variance grows by 0.04 to 0.12 rad² on what is compared, and a few hundred such places scatter by a fifth.
     assert 4 * np.pi**2 * fitted.unevenness**2 / LENGTH == pytest.approx(3e-3, rel=0.5)
     held = list(data.validation)  # its phases are fitted, its amplitudes are not
-    missed = np.square(recovered - true)[held, 100:-100].mean() / np.square(true)[held, 100:-100].mean()
+    missed = np.square(fitted.played - true)[held, 100:-100].mean() / np.square(true)[held, 100:-100].mean()
     # Noise of a third of the tones' power, and a phase known from about a wavelength: 17 periods of 3 multiples a second.
     assert missed < 0.1
 

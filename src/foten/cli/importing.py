@@ -160,7 +160,7 @@ def _import_models(files: list[Path], output: Path, texture: str, notes: str, as
 
     from foten.datasets.hatt import read_models
     from foten.families.texture_file import write_texture
-    from foten.train.imported import texture_of
+    from foten.train.piecewise_ar_texture import imported_texture
 
     if len(files) != 1:
         raise ValueError(f"got {len(files)} files, expected one .xml of models by itself")
@@ -169,7 +169,7 @@ def _import_models(files: list[Path], output: Path, texture: str, notes: str, as
     check_folders([output])
     models = read_models(files[0])
     digest = hashlib.sha256(files[0].read_bytes()).hexdigest()
-    imported, decisions = texture_of(models, digest, texture, notes=notes)
+    imported, decisions = imported_texture(models, digest, texture, notes=notes)
     for decision in decisions:
         say(decision)
     write_texture(imported, output)

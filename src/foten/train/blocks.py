@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.families.conditions import FADE_FORCE, FADE_SPEED
 from foten.recording.scaling import Scaling, fit_scaling
 from foten.recording.split import Split
 from foten.recording.trace import Trace
@@ -17,19 +18,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ScaledBlocks:
-    """What every stage of training is given.
-
-    Attributes:
-        trace: as it was preprocessed.
-        split: its blocks for training, validation and test.
-        scaling: mean and standard deviation of the training blocks.
-        samples: acceleration, speed and force, scaled, shape (n_blocks, block, 3).
-    """
+    """What every stage of training is given."""
 
     trace: Trace
     split: Split
-    scaling: Scaling
-    samples: Array
+    scaling: Scaling  # of the training blocks
+    samples: Array  # acceleration, speed and force, scaled, shape (n_blocks, block, 3)
 
     @property
     def known(self) -> tuple[int, ...]:
@@ -51,20 +45,27 @@ class ScaledBlocks:
         """Return what samples are cut to, for safety only: well beyond what was recorded, in standard deviations."""
         return max(12.0, 1.5 * self.peak_sd)
 
+    def training_blocks(self) -> Array:
+        """Return the training blocks in m/s², mm/s and N: (n_train, block, 3)."""
+        return self.trace.stacked().reshape(self.samples.shape)[list(self.split.train)]
+
+    def moving(self) -> NDArray[np.bool_]:
+        """Return where a rendering does not fade, shape (n_blocks, block)."""
+        moving = (self.trace.speed >= FADE_SPEED) & (self.trace.force >= FADE_FORCE)
+        return moving.reshape(self.samples.shape[:2])
+
     def targets(self, m: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the indices of the training and the validation samples that m samples of their block lie before."""
-        train, validation = (
-            targets(blocks, self.trace.block, m) for blocks in (self.split.train, self.split.validation)
-        )
-        return train, validation
+        block = self.trace.block
+        return targets(self.split.train, block, m), targets(self.split.validation, block, m)
 
     def condition_before(self) -> tuple[Array, Array]:
         """Return the speed [mm/s] and force [N] of the sample before, which a prediction knows: (n_blocks, block) each.
 
         Of a block's first sample, which nothing in its block comes before and which is never predicted, its own.
         """
-        speed, force = (self.trace.blocks(channel) for channel in (self.trace.speed, self.trace.force))
-        return _before(speed), _before(force)
+        trace = self.trace
+        return _before(trace.blocks(trace.speed)), _before(trace.blocks(trace.force))
 
     def scaled_condition_before(self) -> Array:
         """Return the same scaled, one sample after the other, shape (n, 2)."""

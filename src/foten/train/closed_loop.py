@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.signal import fftconvolve
 
 from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length, welch
 from foten.dsp.level import frame_levels, frame_means
 from foten.dsp.noise import gaussian
-from foten.families.conditions import FADE_FORCE, FADE_SPEED
 from foten.networks.scale import Excitation
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeTexture
@@ -38,21 +38,17 @@ class ClosedLoop:
     """A model whose excitation is being fitted.
 
     Attributes:
-        blocks: that it is learned from.
-        history: samples that a run begins from.
-        kernel: the model with an excitation, ready to render.
         power: mean squares under a steady condition (k, 2) scaled, (k,) each: of what a unit of σ adds, and of the tones.
         response: squares of the impulse response between excitation and output, shape (n,), of a lattice with the gain before
             the filter; None where a change of σ shows at once.
-        limit: that samples are cut to; infinite for what is bounded by itself.
     """
 
     blocks: ScaledBlocks
-    history: int
-    kernel: Callable[[Excitation], NativeTexture]
+    history: int  # samples that a run begins from
+    kernel: Callable[[Excitation], NativeTexture]  # the model with an excitation, ready to render
     power: Callable[[Array], tuple[Array, Array]]
     response: Array | None = None
-    limit: float = math.inf
+    limit: float = math.inf  # that samples are cut to; infinite for what is bounded by itself
 
     @property
     def settled(self) -> int:
@@ -76,18 +72,15 @@ def free_run_distance(loop: ClosedLoop, excitation: Excitation, seed: int) -> tu
     """Return how far the free run is from the validation blocks: log-spectral distance and level error [dB]."""
     rate, block = loop.blocks.trace.rate_hz, loop.blocks.trace.block
     recorded, rendered = loop.free_runs(excitation, loop.blocks.split.validation, seed, DISTANCE_STREAM, N_RUNS)
-    n_segment = segment_length(block)
-    frequencies, p = welch(recorded, rate, n_segment)
-    _, q = welch(rendered, rate, n_segment)
+    (frequencies, p), (_, q) = (welch(signal, rate, segment_length(block)) for signal in (recorded, rendered))
     bins = scored_bins(frequencies, rate)
     reference = float(np.sqrt(np.square(recorded).mean()))
-    levels = [frame_levels(signal, rate, reference) for signal in (recorded, rendered)]
-    return float(log_spectral_distance(p[None, :, bins], q[..., bins]).mean()), float(
-        np.abs(levels[1] - levels[0]).mean()
-    )
+    theirs, ours = (frame_levels(signal, rate, reference) for signal in (recorded, rendered))
+    lsd_db = log_spectral_distance(p[None, :, bins], q[..., bins])
+    return float(lsd_db.mean()), float(np.abs(ours - theirs).mean())
 
 
-def settle_level(loop: ClosedLoop, excitation: Excitation, trained: NDArray[np.int64], seed: int) -> list[float]:
+def settle_level(loop: ClosedLoop, excitation: Excitation, seed: int) -> list[float]:
     """Adjust σ until the closed loop is as loud as the recording, at every speed and force.
 
     A likelihood measures the error of one step. In the closed loop the lattice filters the excitation, and small errors
@@ -95,11 +88,8 @@ def settle_level(loop: ClosedLoop, excitation: Excitation, trained: NDArray[np.i
     off the terms of log σ in log speed and log force, by a ridge regression on how each frame answers to each term; what the
     power of all misses, as far as that is beyond chance, off its constant; three times over.
 
-    Args:
-        loop: runs under the speed and force of the training and validation blocks, the first fifth not counted.
-        excitation: adjusted in place.
-        trained: indices of the trained samples, within whose range σ stays.
-        seed: of the excitation.
+    The loop runs under the speed and force of the training and validation blocks, the first fifth not counted; σ, adjusted in
+    place, stays within its range over the training blocks; the seed is that of the noise.
 
     Returns:
         By how much the closed loop is louder than the recording before each adjustment [dB].
@@ -113,23 +103,22 @@ def settle_level(loop: ClosedLoop, excitation: Excitation, trained: NDArray[np.i
     unit, tones = loop.power(condition)
     tones = tones.reshape(len(known), -1)[:, settled - m :]
     given = torch.from_numpy(condition).float()
-    within = torch.from_numpy(blocks.flat[trained - 1, 1:]).float()
+    within = torch.from_numpy(blocks.flat[blocks.targets(m)[0] - 1, 1:]).float()
     errors = []
     for _ in range(N_SETTLING):
         rendered = loop.free_runs(excitation, blocks.known, seed, SETTLING_STREAM, 1)[1][0]
         error = (frame_levels(rendered, rate, reference) - level).ravel()
-        louder, doubt = _louder(rendered, recorded)
+        powers = np.stack([np.square(blocks).mean(axis=1) for blocks in (rendered, recorded)])
+        louder, doubt = _jackknifed(powers, lambda ours, theirs: 10 * np.log10(ours / theirs))
         errors.append(louder)
         # A frame's power is the mean of ℓ²σ² and the tones': it answers to a term of log σ by that term's mean under ℓ²σ².
         with torch.no_grad():
             random = unit * excitation(given).double().square().numpy()
             terms = excitation.logarithms(given).double().numpy()
-        weighed = random[:, None] * np.concatenate([np.ones_like(random)[:, None], terms], axis=1)
-        weighed = _filtered(weighed.reshape(len(known), -1, weighed.shape[1]), loop.response)
-        weighed = weighed[:, settled - m :]
+        weighed = random[:, None] * np.insert(terms, 0, 1.0, axis=1)
+        weighed = _filtered(weighed.reshape(len(known), -1, 6), loop.response)[:, settled - m :]
         total = frame_means(weighed[..., 0] + tones, rate).reshape(-1, 1)
-        by_term = [frame_means(part, rate).ravel() for part in np.moveaxis(weighed, -1, 0)]
-        answers = np.stack(by_term, axis=1) / total
+        answers = np.stack([frame_means(weighed[..., k], rate).ravel() for k in range(6)], axis=1) / total
         # Ridge: a recording at one condition has no slopes to adjust, one that varies (log-variance 0.5 and more) has.
         ridge = 0.05 * len(error) * np.diag([0.0, 1.0, 1.0, 1.0, 1.0, 1.0])
         step = -np.linalg.solve(answers.T @ answers + ridge, answers.T @ error)
@@ -137,8 +126,7 @@ def settle_level(loop: ClosedLoop, excitation: Excitation, trained: NDArray[np.i
         # it is known to a dB, and settled on that the real copper's free run was 2 to 9 % further from the recording.
         loud = 10 ** (level.ravel() / 10)
         answer = (loud[:, None] * answers).sum(axis=0) / loud.sum()
-        beyond_chance = max(0.0, 1 - (doubt / louder) ** 2) if louder else 0.0
-        step[0] = -(louder * beyond_chance + float(answer[1:] @ step[1:])) / answer[0]
+        step[0] = -(_beyond_chance(louder, doubt) + float(answer[1:] @ step[1:])) / answer[0]
         step = np.clip(step * math.log(10) / 20, -1.0, 1.0)
         with torch.no_grad():
             excitation.out.bias += float(step[0])
@@ -151,26 +139,16 @@ def _filtered(power: Array, response: Array | None) -> Array:
     """Return the power that leaves a filter, for that which enters it at each sample, (n_blocks, n, any)."""
     if response is None:
         return power
-    from scipy.signal import fftconvolve
-
     n = power.shape[1]
     held = np.pad(power, ((0, 0), (n, 0), (0, 0)), mode="edge")  # before the first sample as at the first
     return np.asarray(fftconvolve(held, response[None, :n, None] / response[:n].sum(), axes=1)[:, n : 2 * n])
 
 
-def _louder(rendered: Array, recorded: Array) -> tuple[float, float]:
-    """Return by how much rendered blocks are louder than recorded ones [dB], and its standard error over blocks."""
-    ours, theirs = np.square(rendered).mean(axis=1), np.square(recorded).mean(axis=1)
-    louder = 10 * math.log10(ours.sum() / theirs.sum())
-    if len(ours) < 2:
-        return louder, math.inf
-    return louder, _jackknifed(10 * np.log10((ours.sum() - ours) / (theirs.sum() - theirs)))
-
-
-def _jackknifed(without: Array) -> float:
-    """Return the standard error of a figure over n blocks, given what it is without each block in turn, (n,)."""
-    n = len(without)
-    return float(np.sqrt((n - 1) / n * np.square(without - without.mean()).sum()))
+def _jackknifed(parts: Array, figure: Callable[..., Array]) -> tuple[float, float]:
+    """Return a figure of sums over blocks, of which each block has the parts (k, n), and its jackknifed standard error."""
+    total, n = parts.sum(axis=1, keepdims=True), parts.shape[1]
+    without = figure(*(total - parts))
+    return figure(*total).item(), float(np.sqrt((n - 1) / n * np.square(without - without.mean()).sum()))
 
 
 def fit_volatility(loop: ClosedLoop, excitation: Excitation, seed: int) -> None:
@@ -186,31 +164,22 @@ def fit_volatility(loop: ClosedLoop, excitation: Excitation, seed: int) -> None:
     than those of the free run: short changes average out in long frames. Real wood was 1.6 times as uneven at all lengths, copper
     1.4 times in 2 ms and 1.1 in 40 ms.
 
-    Args:
-        loop: with the excitation's level settled.
-        excitation: changed in place.
-        seed: of the noise.
+    The excitation, whose level is settled, is changed in place; the seed is that of the noise.
     """
     rate = loop.blocks.trace.rate_hz
     recorded, runs = loop.free_runs(excitation, loop.blocks.known, seed, VOLATILITY_STREAM, N_RUNS)
     rendered = np.concatenate(runs, axis=1)  # every run of a block beside it
+    moving = loop.blocks.moving()[list(loop.blocks.known), -recorded.shape[1] :]
     spikier = _beyond_chance(*_spikier(recorded, rendered))
-    varied = _beyond_chance(*_level_variance(recorded, runs, _moving(loop.blocks, recorded.shape[1]), rate))
-    sd = min(LARGEST_SD, math.sqrt(min(spikier / 4, 2 * max(0.0, varied - LEVEL_ERRORS))))
+    varied = _beyond_chance(*_level_variance(recorded, runs, moving, rate))
+    sd = min(LARGEST_SD, math.sqrt(max(0.0, min(spikier / 4, 2 * (varied - LEVEL_ERRORS)))))
     lasts = _lasts_s(recorded, rendered, rate)
     excitation.volatility.copy_(torch.tensor([math.exp(-1 / (lasts * rate)), sd]))
 
 
 def _beyond_chance(value: float, doubt: float) -> float:
-    """Return a positive value less the share of it that chance explains, 0 where that is all."""
-    return value * max(0.0, 1 - (doubt / value) ** 2) if value > 0 else 0.0
-
-
-def _moving(blocks: ScaledBlocks, n: int) -> NDArray[np.bool_]:
-    """Return where a rendering does not fade, in the last n samples of each known block."""
-    trace, known = blocks.trace, list(blocks.known)
-    speed, force = (trace.blocks(channel)[known, -n:] for channel in (trace.speed, trace.force))
-    return np.asarray((speed >= FADE_SPEED) & (force >= FADE_FORCE))
+    """Return a value less the share of it that chance explains, 0 where that is all."""
+    return value * max(0.0, 1 - (doubt / value) ** 2) if value else 0.0
 
 
 def _level_variance(recorded: Array, runs: Array, moving: NDArray[np.bool_], rate_hz: float) -> tuple[float, float]:
@@ -226,42 +195,35 @@ def _level_variance(recorded: Array, runs: Array, moving: NDArray[np.bool_], rat
         runs: shape (n_runs, n_blocks, n).
         moving: where frames count, shape (n_blocks, n).
     """
-    frame = max(1, round(LEVEL_FRAME_MS * rate_hz / 1000))
-    n = recorded.shape[1] // frame
     least = 1e-8 * float(np.square(recorded).mean())
-
-    def framed(signal: NDArray[Any]) -> NDArray[Any]:
-        return signal[..., : n * frame].reshape(*signal.shape[:-1], n, frame)
-
-    levels, ours = (0.5 * np.log(np.square(framed(signal)).mean(axis=-1) + least) for signal in (recorded, runs))
+    recorded, runs, moving = (_framed(signal, LEVEL_FRAME_MS, rate_hz) for signal in (recorded, runs, moving))
+    levels, ours = (0.5 * np.log(np.square(framed).mean(axis=-1) + least) for framed in (recorded, runs))
     beyond = np.square(levels - ours.mean(axis=0)) - ours.var(axis=0, ddof=1) * (1 + 1 / len(ours))
-    counts = framed(moving).all(axis=-1)
-    total, number = np.where(counts, beyond, 0.0).sum(axis=1), counts.sum(axis=1)
-    others = number.sum() - number
-    if len(recorded) < 3 or not (others > 0).all():
+    counts = moving.all(axis=-1)
+    parts = np.stack([np.where(counts, beyond, 0.0).sum(axis=1), counts.sum(axis=1)])
+    if not (parts[1] < parts[1].sum()).all():
         return 0.0, math.inf
-    return float(total.sum() / number.sum()), _jackknifed((total.sum() - total) / others)
+    return _jackknifed(parts, np.divide)
 
 
 def _spikier(recorded: Array, rendered: Array) -> tuple[float, float]:
     """Return the log of the ratio of kurtoses over all blocks, (n_blocks, any) each, and its jackknifed standard error."""
+    moments = np.stack([np.power(blocks, k).mean(axis=1) for blocks in (recorded, rendered) for k in (2, 4)])
 
-    def log_kurtosis(blocks: Array) -> Array:
-        """Return log kurtosis of all, then without each block in turn."""
-        second, fourth = (np.power(blocks, k).mean(axis=1) for k in (2, 4))
-        n = len(blocks)
-        sums = [np.concatenate([[part.sum() / n], (part.sum() - part) / max(1, n - 1)]) for part in (second, fourth)]
-        return np.log(sums[1] / np.square(sums[0]))
+    def log_ratio(second: Array, fourth: Array, rendered_second: Array, rendered_fourth: Array) -> Array:
+        return np.log(fourth / second**2) - np.log(rendered_fourth / rendered_second**2)
 
-    ratio = log_kurtosis(recorded) - log_kurtosis(rendered)
-    if len(recorded) < 3:
-        return 0.0, math.inf
-    return float(ratio[0]), _jackknifed(ratio[1:])
+    return _jackknifed(moments, log_ratio)
 
 
 def _lasts_s(recorded: Array, rendered: Array, rate_hz: float) -> float:
     """Return how long the loudness stays up that recorded blocks have beyond rendered ones, (n_blocks, any) each [s]."""
-    more = np.array([_unevenness(recorded, ms, rate_hz) / _unevenness(rendered, ms, rate_hz) - 1 for ms in FRAMES_MS])
+
+    def unevenness(blocks: Array, frame_ms: float) -> float:
+        powers = np.square(_framed(blocks, frame_ms, rate_hz)).mean(axis=-1)
+        return float(np.square(powers).mean() / powers.mean() ** 2)
+
+    more = np.array([unevenness(recorded, ms) / unevenness(rendered, ms) - 1 for ms in FRAMES_MS])
 
     def missed(lasts_s: float) -> float:
         # What is left of the variance of an exponentially correlated loudness in the mean of a frame.
@@ -273,9 +235,8 @@ def _lasts_s(recorded: Array, rendered: Array, rate_hz: float) -> float:
     return min(LASTING_S, key=missed)
 
 
-def _unevenness(blocks: Array, frame_ms: float, rate_hz: float) -> float:
-    """Return the mean square of the powers of frames over the square of their mean: (n_blocks, n)."""
+def _framed(signal: NDArray[Any], frame_ms: float, rate_hz: float) -> NDArray[Any]:
+    """Return a signal in frames, without what fills none: (…, n) → (…, n_frames, frame)."""
     frame = max(1, round(frame_ms * rate_hz / 1000))
-    n = blocks.shape[1] // frame
-    powers = np.square(blocks[:, : n * frame].reshape(len(blocks), n, frame)).mean(axis=2)
-    return float(np.square(powers).mean() / powers.mean() ** 2)
+    n = signal.shape[-1] // frame
+    return signal[..., : n * frame].reshape(*signal.shape[:-1], n, frame)

@@ -24,15 +24,14 @@ from foten.runtime.native import NativeTexture
 from foten.runtime.onnx_predictor import GRAPH
 from foten.train.adversarial import fit_adversarial
 from foten.train.blocks import ScaledBlocks
-from foten.train.closed_loop import ClosedLoop, free_run_distance
+from foten.train.closed_loop import ClosedLoop
 from foten.train.epochs import Epoch, Progress
 from foten.train.excitation import fit_excitation
 from foten.train.export import N_GOLDEN, Draft, Tensors, graph_of, in_float64, multiply_adds, tensors_of
 from foten.train.fit import TrainingWindows, pick_device, predict
 from foten.train.foten_plus import check_block
-from foten.train.job import TrainingJob
+from foten.train.job import NetworkTask, Stage, TrainingJob
 from foten.train.targets import distilled, log_spectra, multi_step
-from foten.train.task import NetworkTask, Stage
 
 
 @dataclass(kw_only=True)
@@ -89,14 +88,7 @@ class EndToEndTask(NetworkTask):
         missed = windows.samples[both, 0] - predict(self.network, windows, both)
         fitted = fit_excitation(sizes.excitation_width, missed, windows, loop, config)
         assert fitted is not None
-        lsd_db, level_error_db = free_run_distance(loop, fitted.excitation, config.seed)
-        metrics |= {
-            "validation_nll": fitted.likelihood,
-            "validation_lsd_db": lsd_db,
-            "validation_level_error_db": level_error_db,
-            "tail_gain_nat": fitted.tail_gain,
-            "level_errors_db": fitted.level_errors_db,
-        }
+        metrics |= fitted.metrics()
         return tensors_of(fitted.excitation, "excitation.")
 
 

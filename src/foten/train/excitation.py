@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from foten.dsp.noise import innovation_likelihood
-from foten.families.conditions import FADE_FORCE, FADE_SPEED
 from foten.families.excitation import HEAVIEST_TAIL
 from foten.networks.scale import Excitation, Scale
 from foten.recording.scaling import Scaling
-from foten.train.closed_loop import ClosedLoop, fit_volatility, settle_level
+from foten.train.closed_loop import ClosedLoop, fit_volatility, free_run_distance, settle_level
 from foten.train.config import TrainConfig
 from foten.train.fit import TrainingWindows
 
@@ -26,18 +27,28 @@ KEPT = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the fitted shape of log σ
 
 @dataclass(frozen=True)
 class FittedExcitation:
-    """An excitation, and how it came about.
-
-    Attributes:
-        level_errors_db: by how much the closed loop was louder than the recording before each adjustment.
-        tail_gain: what the tails gain in the negative log-likelihood of the validation blocks [nat].
-        likelihood: mean negative log-likelihood of the validation blocks where a rendering does not fade [nat]; None for none.
-    """
+    """An excitation, and how it came about."""
 
     excitation: Excitation
-    level_errors_db: list[float]
-    tail_gain: float
-    likelihood: float | None
+    distance: tuple[float, float]  # log-spectral distance and level error of the free run on the validation blocks [dB]
+    level_errors_db: list[float]  # by how much the closed loop was louder than the recording before each adjustment
+    tail_gain: float  # what the tails gain in the negative log-likelihood of the validation blocks [nat]
+    likelihood: float | None  # mean negative log-likelihood of those blocks, where a rendering does not fade [nat]
+
+    @property
+    def nearness(self) -> float:
+        """Return what decides between renderings: log-spectral distance times level error."""
+        return math.prod(self.distance)
+
+    def metrics(self) -> dict[str, Any]:
+        """Return what the card says of it."""
+        return {
+            "validation_nll": self.likelihood,
+            "validation_lsd_db": self.distance[0],
+            "validation_level_error_db": self.distance[1],
+            "tail_gain_nat": self.tail_gain,
+            "level_errors_db": self.level_errors_db,
+        }
 
 
 def fit_excitation(
@@ -46,50 +57,60 @@ def fit_excitation(
     windows: TrainingWindows,
     loop: ClosedLoop,
     config: TrainConfig,
-    goes_on: Callable[[Excitation], bool] = lambda excitation: True,
+    useless_from: float = math.inf,
 ) -> FittedExcitation | None:
-    """Return an excitation: scale and tails, then level and volatility in the closed loop.
+    """Return an excitation: scale, tails and bound, then level and volatility in the closed loop.
 
     Args:
         width: hidden units of its scale.
         innovations: what is left to the excitation at the training, then the validation indices, in its unit.
         windows: whose indices these are.
-        loop: the model's.
-        config: of the training.
-        goes_on: asked once scale and tails are there; where it says no, nothing is settled, and None is returned.
+        useless_from: None is returned for a free run so far away (`nearness`) before anything is settled in the loop.
     """
     torch.manual_seed(config.seed)
     excitation = Excitation(width).requires_grad_(False)
     fit_scale(excitation, windows, loop.blocks.scaling, innovations, config.seed)
-    tail_gain = 0.0
-    if config.tails:
-        tail_gain = fit_tail(excitation, windows, innovations, _sigma(excitation, windows))
-    _bound(excitation, windows, innovations[: len(windows.train)])
-    if not goes_on(excitation):
+    tail_gain = fit_tail(excitation, windows, innovations) if config.tails else 0.0
+    # None is larger than what was left to explain at the training indices, in σ and in acceleration.
+    n, unit = len(windows.train), 1.0 if windows.unit is None else windows.unit[windows.train]
+    left = innovations[:n] / _sigma(excitation, windows)[:n], innovations[:n] * unit
+    excitation.largest.copy_(torch.tensor([float(np.abs(values).max()) for values in left]))
+    if useless_from < math.inf and not math.prod(free_run_distance(loop, excitation, config.seed)) < useless_from:
         return None
-    errors = settle_level(loop, excitation, windows.train, config.seed)
+    errors = settle_level(loop, excitation, config.seed)
     if config.volatility:
         fit_volatility(loop, excitation, config.seed)
-    return FittedExcitation(excitation, errors, tail_gain, _likelihood_of(excitation, innovations, windows, loop))
+    likelihood = _likelihood_of(excitation, innovations, windows, loop)
+    distance = free_run_distance(loop, excitation, config.seed)
+    return FittedExcitation(excitation, distance, errors, tail_gain, likelihood)
 
 
 def _likelihood_of(
     excitation: Excitation, innovations: Array, windows: TrainingWindows, loop: ClosedLoop
 ) -> float | None:
     """Return the mean negative log-likelihood of the validation blocks [nat], as the judge counts it."""
-    n, trace = windows.validation, loop.blocks.trace
+    n = windows.validation
     unit = np.ones(len(n)) if windows.unit is None else windows.unit[n]
+    condition = _conditions(windows)[len(windows.train) :].float()
     with torch.no_grad():
-        condition = torch.from_numpy(windows.samples[n - 1, 1:3]).to(excitation.out.weight)
         scale, tail = (part(condition).double().numpy() for part in (excitation, excitation.tails))
     _, nats = innovation_likelihood(innovations[len(windows.train) :] * unit, scale * unit, tail)
-    counted = (trace.speed[n] >= FADE_SPEED) & (trace.force[n] >= FADE_FORCE)
+    counted = loop.blocks.moving().ravel()[n]
     return float(nats[counted].mean()) if counted.any() else None
 
 
-def fit_scale(
-    scale: Scale, windows: TrainingWindows, scaling: Scaling, residual: NDArray[np.float64], seed: int
-) -> float:
+def _conditions(windows: TrainingWindows) -> Tensor:
+    """Return speed and force, scaled, of the last samples of the training, then of the validation windows, (n, 2)."""
+    return torch.from_numpy(windows.samples[np.concatenate([windows.train, windows.validation]) - 1, 1:3]).double()
+
+
+def _sigma(excitation: Excitation, windows: TrainingWindows) -> Array:
+    """Return σ at the training, then the validation indices."""
+    with torch.no_grad():
+        return excitation(_conditions(windows).float()).double().numpy()
+
+
+def fit_scale(scale: Scale, windows: TrainingWindows, scaling: Scaling, residual: Array, seed: int) -> float:
     """Fit the scale over speed and force of a vibration or of residuals, by Gaussian maximum likelihood.
 
     The shape of log σ over speed and force is fitted on the training blocks, and how much of it is kept, from none to all, is
@@ -99,18 +120,13 @@ def fit_scale(
     Args:
         scale: fitted in place.
         windows: the speed and force that go with each residual are those of the last sample of its window.
-        scaling: of speed and force.
-        residual: what it is the scale of, at the training, then the validation indices, in the unit that the scale is to have,
-            shape (len(windows.train) + len(windows.validation),).
+        residual: what it is the scale of, in the unit that it is to have, at the training, then the validation indices, (n,).
         seed: of the initial weights.
 
     Returns:
         The mean negative log-likelihood of the validation blocks [nat].
     """
-    device = scale.out.weight.device
-    n = np.concatenate([windows.train, windows.validation])
-    condition = torch.from_numpy(windows.samples[n - 1, 1:3]).to(device, torch.float64)
-    squared = torch.from_numpy(residual**2).to(device, torch.float64) + 1e-12
+    condition, squared = _conditions(windows), torch.from_numpy(residual**2).double() + 1e-12
     train, validation = slice(0, len(windows.train)), slice(len(windows.train), None)
     torch.manual_seed(seed)
     scale.hidden.reset_parameters()
@@ -122,19 +138,13 @@ def fit_scale(
         scale.highest.fill_(1e6)
         scale.out.bias.copy_(0.5 * torch.log(squared[train].mean(dim=0, keepdim=True)))
     scale.double().requires_grad_(True)
-    optimiser = torch.optim.LBFGS(
-        scale.parameters(), max_iter=60, history_size=20, line_search_fn="strong_wolfe", tolerance_change=1e-7
-    )
 
-    def closure() -> torch.Tensor:
-        optimiser.zero_grad()
-        loss = _likelihood(scale(condition[train]), squared[train])
-        # Keeps σ smooth where the plane was hardly visited.
-        loss = loss + 1e-4 * (scale.hidden.weight.square().sum() + scale.out.weight.square().sum())
-        loss.backward()
-        return loss
+    def loss() -> Tensor:
+        # The weights' squares keep σ smooth where speed and force hardly went.
+        roughness = scale.hidden.weight.square().sum() + scale.out.weight.square().sum()
+        return _likelihood(scale(condition[train]), squared[train]) + 1e-4 * roughness
 
-    optimiser.step(closure)
+    _minimise(loss, scale.parameters(), max_iter=60, history_size=20)
     scale.requires_grad_(False)
     shape = torch.log(scale(condition)) - scale.out.bias
     candidates = []
@@ -152,14 +162,24 @@ def fit_scale(
     return nll
 
 
-def _likelihood(sigma: torch.Tensor, squared: torch.Tensor) -> torch.Tensor:
+def _minimise(loss: Callable[[], Tensor], parameters: Iterable[Tensor], **limits: int) -> None:
+    optimiser = torch.optim.LBFGS(parameters, line_search_fn="strong_wolfe", tolerance_change=1e-7, **limits)
+
+    def closure() -> Tensor:
+        optimiser.zero_grad()
+        value = loss()
+        value.backward()
+        return value
+
+    optimiser.step(closure)
+
+
+def _likelihood(sigma: Tensor, squared: Tensor) -> Tensor:
     """Return the mean Gaussian negative log-likelihood [nat] of squared residuals."""
     return (torch.log(sigma) + squared / (2 * sigma**2)).mean() + 0.5 * math.log(2 * math.pi)
 
 
-def fit_tail(
-    excitation: Excitation, windows: TrainingWindows, residual: NDArray[np.float64], sigma: NDArray[np.float64]
-) -> float:
+def fit_tail(excitation: Excitation, windows: TrainingWindows, residual: Array) -> float:
     """Give a fitted excitation the tails that its residuals have, where validation agrees.
 
     h(speed, force) and a factor on σ, a power law too, are fitted on the training blocks by the likelihood of z·exp(h z²/2),
@@ -168,39 +188,30 @@ def fit_tail(
 
     Args:
         excitation: changed in place.
-        windows: the conditions that go with each residual.
-        residual: at the training, then the validation indices.
-        sigma: of the excitation there.
+        windows, residual: as of `fit_scale`.
 
     Returns:
         What the tails gain in the mean negative log-likelihood of the validation blocks [nat]; 0 where they are not kept.
     """
-    n = np.concatenate([windows.train, windows.validation])
-    condition = torch.from_numpy(windows.samples[n - 1, 1:3]).double()
-    u = torch.from_numpy(residual / sigma).double()
+    condition, u = _conditions(windows), torch.from_numpy(residual / _sigma(excitation, windows)).double()
     train, validation = slice(0, len(windows.train)), slice(len(windows.train), None)
     with torch.no_grad():
         powers = excitation.double().logarithms(condition)
     excitation.float()
-    tail, factor = (torch.zeros(6, dtype=torch.float64, requires_grad=True) for _ in range(2))
-    with torch.no_grad():
-        tail[5] = -2.0
     powers = torch.cat([powers, torch.ones_like(powers[:, :1])], dim=1)
-    optimiser = torch.optim.LBFGS([tail, factor], max_iter=80, line_search_fn="strong_wolfe", tolerance_change=1e-7)
+    tail = torch.tensor([0.0, 0.0, 0.0, 0.0, 0.0, -2.0], dtype=torch.float64, requires_grad=True)
+    factor = torch.zeros(6, dtype=torch.float64, requires_grad=True)
 
-    def nll(part: slice) -> torch.Tensor:
+    def nll(part: slice) -> Tensor:
         h = HEAVIEST_TAIL * torch.sigmoid(powers[part] @ tail)
         log_factor = powers[part] @ factor
         z2 = gaussianised(u[part] * torch.exp(-log_factor), h).square()
         return (0.5 * (1 + h) * z2 + torch.log1p(h * z2) + log_factor).mean()
 
-    def closure() -> torch.Tensor:
-        optimiser.zero_grad()
-        loss = nll(train) + 1e-3 * (tail[:5].square().sum() + factor[:5].square().sum())
-        loss.backward()
-        return loss
+    def loss() -> Tensor:
+        return nll(train) + 1e-3 * (tail[:5].square().sum() + factor[:5].square().sum())
 
-    optimiser.step(closure)
+    _minimise(loss, [tail, factor], max_iter=80)
     with torch.no_grad():
         gained = float(0.5 * u[validation].square().mean() - nll(validation))
         if gained > 0:
@@ -212,31 +223,17 @@ def fit_tail(
     return max(0.0, gained)
 
 
-def gaussianised(u: torch.Tensor, h: torch.Tensor) -> torch.Tensor:
+def gaussianised(u: Tensor, h: Tensor) -> Tensor:
     """Return |z| with z·exp(h z²/2) = u, any equal shapes, differentiable: Newton's method on log |z|."""
     log_u = torch.log(u.abs() + 1e-12)
+
+    def step(q: Tensor) -> Tensor:
+        z2 = torch.exp(2 * q)
+        return q - (q + 0.5 * h * z2 - log_u) / (1 + h * z2)
+
     with torch.no_grad():
         # From above the root of a convex function every step stays above, and falls by a half until it is near.
         q = log_u
         for _ in range(20):
-            z2 = torch.exp(2 * q)
-            q = q - (q + 0.5 * h * z2 - log_u) / (1 + h * z2)
-    z2 = torch.exp(2 * q)
-    # One step more, for its derivative.
-    return torch.exp(q - (q + 0.5 * h * z2 - log_u) / (1 + h * z2))
-
-
-def _sigma(excitation: Excitation, windows: TrainingWindows) -> Array:
-    """Return σ at the training, then the validation indices."""
-    n = np.concatenate([windows.train, windows.validation])
-    with torch.no_grad():
-        condition = torch.from_numpy(windows.samples[n - 1, 1:3]).to(excitation.out.weight)
-        return excitation(condition).cpu().double().numpy()
-
-
-def _bound(excitation: Excitation, windows: TrainingWindows, residual: Array) -> None:
-    """Let no excitation be larger than what was left to explain at the training indices, (n,), in σ and in acceleration."""
-    scale = _sigma(excitation, windows)[: len(residual)]
-    unit = 1.0 if windows.unit is None else windows.unit[windows.train]
-    largest = [float(np.abs(values).max()) for values in (residual / scale, residual * unit)]
-    excitation.largest.copy_(torch.tensor(largest))
+            q = step(q)
+    return torch.exp(step(q))  # one step more, for its derivative

@@ -19,7 +19,7 @@ from foten.dsp.noise import gaussian
 from foten.families.sizes import Sizes
 from foten.families.texture_file import FORMAT_VERSION, MIN_GOLDEN, Texture, texture_from_bytes
 from foten.recording.scaling import Scaling
-from foten.recording.windows import targets, windows
+from foten.recording.windows import windows
 from foten.reference import model_of
 from foten.reference.stream import run
 from foten.runtime.native import NativeTexture
@@ -45,34 +45,24 @@ class ProvedTexture:
 
 @dataclass(frozen=True)
 class Draft:
-    """All of a texture but its sizes, tensors and metrics.
-
-    Attributes:
-        model: its key.
-        blocks: that it is learned from.
-        card: entries beyond model, sizes and scaling.
-        network: of a graph in float64: windows (b, m, 3) scaled → (b, n_ahead) scaled.
-    """
+    """All of a texture but its sizes, tensors and metrics."""
 
     model: str
     blocks: ScaledBlocks
-    card: dict[str, Any]
-    network: Callable[[Array], Array] | None = None
+    card: dict[str, Any]  # entries beyond model, sizes and scaling
+    network: Callable[[Array], Array] | None = (
+        None  # of a graph, in float64: windows (b, m, 3) scaled → (b, n_ahead) scaled
+    )
 
     def texture(
         self, sizes: Sizes, tensors: Tensors, metrics: dict[str, Any], n_golden: int = MIN_GOLDEN
     ) -> ProvedTexture:
-        """Return a texture of tensors, proved.
-
-        Raises:
-            ValueError: the kernel does not reproduce the reference.
-        """
+        """Return a texture of tensors, as `proved` makes it."""
         m, blocks = sizes.history, self.blocks
         window, condition = pick_warm_start(blocks, m)
-        ends = targets(blocks.split.validation, blocks.trace.block, m)
-        picked = ends[np.linspace(0, len(ends) - 1, n_golden - 2).astype(int)]
+        _, ends = blocks.targets(m)
+        some = windows(blocks.flat, ends[np.linspace(0, len(ends) - 1, n_golden - 2).astype(int)], m)
         card = {**self.card, "warm_start": condition, "metrics": metrics}
-        some = windows(blocks.flat, picked, m)
         return proved(self.model, sizes, tensors, blocks.scaling, some, window, card, self.network)
 
 
@@ -89,13 +79,10 @@ def proved(
     """Return a texture with golden samples, loaded into the kernel, which replays them.
 
     Args:
-        model: its key.
-        sizes, tensors: of the model, as `Sizes.tensor_shapes` names them; of a graph that.
-        scaling: of the trace.
+        tensors: as `Sizes.tensor_shapes` names them; of a graph that.
         golden: scaled windows, shape (b, m, 3); one at rest and one far outside the recording are added.
         warm_start: scaled, shape (m, 3).
-        card: entries beyond model, sizes and scaling.
-        network: as `Draft` has it.
+        card, network: as `Draft` has them.
 
     Raises:
         ValueError: the kernel does not reproduce the reference.
@@ -118,19 +105,20 @@ def proved(
     }
     if sizes.excited:
         made["golden.sigma"] = reference.start(golden).predict().scale
-    texture = Texture(
-        card={
-            "format_version": FORMAT_VERSION,
-            "model": model,
-            "sizes": sizes.to_card(),
-            "window": sizes.history,
-            "units": {"acceleration": "m/s^2", "speed": "mm/s", "force": "N"},
-            "scaling": {"mean": list(scaling.mean), "sd": list(scaling.sd)},
-            **card,
-        },
-        tensors={**tensors, **made},
-    )
-    data = texture.to_bytes()
+    return with_golden(model, sizes, {**tensors, **made}, scaling, card)
+
+
+def with_golden(model: str, sizes: Sizes, tensors: Tensors, scaling: Scaling, card: dict[str, Any]) -> ProvedTexture:
+    """Return a texture of tensors, golden samples among them, once the kernel has replayed these; otherwise as `proved`."""
+    own = {
+        "format_version": FORMAT_VERSION,
+        "model": model,
+        "sizes": sizes.to_card(),
+        "window": sizes.history,
+        "units": {"acceleration": "m/s^2", "speed": "mm/s", "force": "N"},
+        "scaling": {"mean": list(scaling.mean), "sd": list(scaling.sd)},
+    }
+    data = Texture(card={**own, **card}, tensors=tensors).to_bytes()
     return ProvedTexture(texture_from_bytes(data), NativeTexture(data))
 
 
@@ -144,22 +132,25 @@ def pick_warm_start(blocks: ScaledBlocks, m: int) -> tuple[Array, dict[str, Any]
     Source: Sec. V-a. Differs from the paper: it synthesises the window without saying from what; ours is recorded, and the
     card says under what condition.
     """
-    trace, scaling = blocks.trace, blocks.scaling
+    trace = blocks.trace
     ends, _ = blocks.targets(m)
-    distance = np.hypot(
-        (trace.speed[ends - 1] - WARM_START[0]) / scaling.sd[1], (trace.force[ends - 1] - WARM_START[1]) / scaling.sd[2]
-    )
-    near = ends[np.argsort(distance, kind="stable")[: max(1, len(ends) // WARM_START_NEAR)]]
-    candidates = windows(blocks.flat, near, m)
+    condition = np.stack([trace.speed, trace.force], axis=1)[ends - 1]
+    distance = np.hypot(*((condition - WARM_START) / blocks.scaling.sd[1:]).T)
+    near = np.argsort(distance, kind="stable")[: max(1, len(ends) // WARM_START_NEAR)]
+    candidates = windows(blocks.flat, ends[near], m)
     n_last = min(m, max(1, round(WARM_START_RINGS_MS * trace.rate_hz / 1000)))
     power = np.square(candidates[:, -n_last:, 0]).mean(axis=1)
     chosen = np.argsort(power, kind="stable")[(len(near) - 1) // 2]
-    window, end = candidates[chosen], near[chosen]
-    condition = {
-        "asked": {"speed": WARM_START[0], "force": WARM_START[1]},
-        "recorded": {"speed": float(trace.speed[end - 1]), "force": float(trace.force[end - 1])},
+    return candidates[chosen], warm_start_entry(condition[near[chosen]])
+
+
+def warm_start_entry(recorded: Array) -> dict[str, dict[str, float]]:
+    """Return what the card says of a warm start under a speed [mm/s] and a force [N], (2,)."""
+    channels = ("speed", "force")
+    return {
+        "asked": dict(zip(channels, WARM_START, strict=True)),
+        "recorded": dict(zip(channels, recorded.tolist(), strict=True)),
     }
-    return window, condition
 
 
 def tensors_of(module: nn.Module, prefix: str = "") -> Tensors:

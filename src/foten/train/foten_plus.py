@@ -19,14 +19,14 @@ from foten.networks.scale import Excitation
 from foten.reference.network import Network
 from foten.runtime.native import NativeTexture
 from foten.train.blocks import ScaledBlocks
-from foten.train.closed_loop import ClosedLoop, free_run_distance
+from foten.train.closed_loop import ClosedLoop
+from foten.train.config import TrainConfig
 from foten.train.epochs import Progress
 from foten.train.excitation import FittedExcitation, fit_excitation
 from foten.train.export import N_GOLDEN, Draft, Tensors, in_float64, tensors_of
 from foten.train.fit import TrainingWindows, pick_device, predict
-from foten.train.job import TrainingJob
+from foten.train.job import NetworkTask, Stage, TrainingJob
 from foten.train.linear_part import LinearPart, fit_linear_parts
-from foten.train.task import NetworkTask, Stage
 
 Array = NDArray[np.float64]
 
@@ -38,107 +38,66 @@ TONES_MAY_DISTORT = 1.05  # times the log-spectral distance without them, on the
 
 @dataclass(frozen=True)
 class Rendering:
-    """A linear part with an excitation, and how far its free run is from the validation blocks.
-
-    Attributes:
-        distance: log-spectral distance and level error [dB].
-        with_network: whether the excitation is that of what the network leaves: it is in the loop.
-    """
+    """A linear part with an excitation: that of what the network leaves, where the part has it in the loop."""
 
     part: LinearPart
     fitted: FittedExcitation
-    distance: tuple[float, float]
-    with_network: bool = False
-
-    @property
-    def nearness(self) -> float:
-        """Return what decides between renderings: log-spectral distance times level error."""
-        return self.distance[0] * self.distance[1]
 
 
 @dataclass(kw_only=True)
 class FotenPlusTask(NetworkTask):
-    """The network of a texture that is playable without it.
+    """The network of a texture that is playable without it: as `plain` is, one of the linear parts that were tried."""
 
-    Attributes:
-        draft: of the texture.
-        plain: the rendering without the network.
-        tried: of linear parts.
-    """
-
+    linear_mae: float
+    network: Corrector
     draft: Draft
     plain: Rendering
     tried: dict[str, Any]
 
     def __post_init__(self) -> None:
-        self.linear_mae = _linear_mae(self.windows)
-        epochs = {"best_epoch": 0, "n_epochs": 0, "validation_loss": None}
-        self.playable = self._texture(self.plain, self.linear_mae, epochs, {})
+        self.playable = self._texture(self.plain, self.linear_mae, {}, best_epoch=0, n_epochs=0, validation_loss=None)
 
     def finish(self, progress: Progress, on_stage: Stage) -> Texture:
         """Return the texture with the network that was fitted, in the loop where the free run is nearer so."""
-        best = progress.best
-        assert self.linear_mae is not None
-        renderings = {"without network": list(self.plain.distance)}
-        chosen = self.plain
+        best, chosen = progress.best, self.plain
+        renderings = {"without network": list(self.plain.fitted.distance)}
         gained = 1 - best.validation_mae / self.linear_mae
         if best.epoch and gained >= LEAST_GAIN and self.plain.part.phase is None:
             on_stage("rendering with the network in the loop")
             rendering = self._with_network()
             if rendering is not None:
-                renderings["with network"] = list(rendering.distance)
-                if rendering.nearness < NETWORK_IS_NEARER * self.plain.nearness:
+                renderings["with network"] = list(rendering.fitted.distance)
+                if rendering.fitted.nearness < NETWORK_IS_NEARER * self.plain.fitted.nearness:
                     chosen = rendering
-        epochs = {
-            "best_epoch": best.epoch,
-            "n_epochs": progress.epochs[-1].epoch,
-            "validation_loss": best.validation_loss,
-        }
         on_stage("proving the texture file")
-        return self._texture(chosen, best.validation_mae, epochs, renderings)
+        epochs = {"best_epoch": best.epoch, "n_epochs": progress.epochs[-1].epoch}
+        return self._texture(chosen, best.validation_mae, renderings, validation_loss=best.validation_loss, **epochs)
 
     def _with_network(self) -> Rendering | None:
         """Return a rendering with the network in the loop, or None where it is far from any use."""
         both = np.concatenate([self.windows.train, self.windows.validation])
-        assert self.windows.target is not None
-        left = self.windows.target[both] - predict(self.network, self.windows, both)
+        left = self.windows.samples[both, 3] - predict(self.network, self.windows, both)
         part = replace(self.plain.part, sizes=replace(self.plain.part.sizes, network_in_loop=True))
-        weights = tensors_of(self.network, "network.")
-        loop = _loop(part, self.draft, self.blocks, weights)
-        width, config = part.sizes.excitation_width, self.job.config
+        useless_from = NETWORK_MAY_BE_NEARER * self.plain.fitted.nearness
+        loop, width = _loop(part, self.draft, self.network), part.sizes.excitation_width
+        fitted = fit_excitation(width, left, self.windows, loop, self.job.config, useless_from)
+        return None if fitted is None else Rendering(part, fitted)
 
-        def may_be_nearer(excitation: Excitation) -> bool:
-            lsd_db, level_error_db = free_run_distance(loop, excitation, config.seed)
-            return lsd_db * level_error_db < NETWORK_MAY_BE_NEARER * self.plain.nearness
-
-        fitted = fit_excitation(width, left, self.windows, loop, config, may_be_nearer)
-        if fitted is None:
-            return None
-        distance = free_run_distance(loop, fitted.excitation, config.seed)
-        return Rendering(part, fitted, distance, with_network=True)
-
-    def _texture(self, chosen: Rendering, mae: float, epochs: dict[str, Any], renderings: dict[str, Any]) -> Texture:
+    def _texture(self, chosen: Rendering, mae: float, renderings: dict[str, Any], **epochs: float | None) -> Texture:
         network = self.network
-        assert isinstance(network, Corrector)
         weights = tensors_of(network, "network.")
         _check_twin(network, chosen.part.sizes, weights, self.windows)
-        fitted, metrics = chosen.fitted, self._metrics(chosen)
-        metrics |= {**epochs, "validation_mae_scaled": mae, "renderings": renderings}
-        tensors = {**chosen.part.tensors, **weights, **tensors_of(fitted.excitation, "excitation.")}
-        return self.draft.texture(chosen.part.sizes, tensors, metrics, N_GOLDEN).texture
-
-    def _metrics(self, chosen: Rendering) -> dict[str, Any]:
-        """Return what the card says of a rendering."""
-        return {
+        metrics = {
+            **epochs,
+            **chosen.fitted.metrics(),
+            "validation_mae_scaled": mae,
             "validation_mae_scaled_lattice": self.linear_mae,
             "linear_part": self.tried,
-            "validation_nll": chosen.fitted.likelihood,
-            "validation_lsd_db": chosen.distance[0],
-            "validation_level_error_db": chosen.distance[1],
-            "tail_gain_nat": chosen.fitted.tail_gain,
-            "level_errors_db": chosen.fitted.level_errors_db,
+            "renderings": renderings,
             "recorded_peak_sd": self.blocks.peak_sd,
         }
+        tensors = {**chosen.part.tensors, **weights, **tensors_of(chosen.fitted.excitation, "excitation.")}
+        return self.draft.texture(chosen.part.sizes, tensors, metrics, N_GOLDEN).texture
 
 
 def prepare_foten_plus(job: TrainingJob, on_stage: Stage) -> FotenPlusTask:
@@ -148,43 +107,50 @@ def prepare_foten_plus(job: TrainingJob, on_stage: Stage) -> FotenPlusTask:
         ValueError: the recording does not fit the configuration; the message names the option.
     """
     assert isinstance(job.sizes, FotenPlusSizes)
-    blocks, m = job.blocks(), job.sizes.window
-    check_block(blocks, m)
-    _check_frame(blocks, m, job.config.max_order)
+    blocks = job.blocks()
+    check_block(blocks, job.sizes.window)
+    _check_frame(blocks, job.sizes.window, job.config.max_order)
     torch.manual_seed(job.config.seed)
-    samples = TrainingWindows(blocks.flat, *blocks.targets(m), m)
-    parts = fit_linear_parts(job.sizes, samples, blocks, job.config, on_stage)
-    device = pick_device()
-    network = Corrector(job.sizes)
+    parts = fit_linear_parts(job.sizes, blocks, job.config, on_stage)
+    device, network = pick_device(), Corrector(job.sizes)
     card = {**job.card(blocks, device.type), "beyond_exponents": _beyond_exponents(blocks)}
     draft = Draft(job.model, blocks, card)
     on_stage("fitting the excitation and settling its level in the closed loop")
-    renderings = [_rendering(part, network, draft, blocks, job) for part in parts]
-    chosen, tried = _chosen(renderings)
-    windows = _innovations(chosen.part, blocks)
+    plain, tried = _chosen([_rendering(part, network, draft, job.config) for part in parts])
+    windows = _innovations(plain.part, blocks)
+    n, unit = windows.validation, windows.unit
+    assert unit is not None
     return FotenPlusTask(
-        job=job, blocks=blocks, network=network.to(device), windows=windows, draft=draft, plain=chosen, tried=tried
+        job=job,
+        blocks=blocks,
+        linear_mae=float(np.abs(windows.samples[n, 3] * unit[n]).mean()),
+        network=network.to(device),
+        windows=windows,
+        draft=draft,
+        plain=plain,
+        tried=tried,
     )
 
 
-def _rendering(part: LinearPart, network: Corrector, draft: Draft, blocks: ScaledBlocks, job: TrainingJob) -> Rendering:
+def _rendering(part: LinearPart, network: Corrector, draft: Draft, config: TrainConfig) -> Rendering:
     """Return a linear part with an excitation."""
-    windows = _innovations(part, blocks, residual=True)
-    assert windows.target is not None
-    loop = _loop(part, draft, blocks, tensors_of(network, "network."))
-    innovations = windows.target[np.concatenate([windows.train, windows.validation])]
-    fitted = fit_excitation(part.sizes.excitation_width, innovations, windows, loop, job.config)
+    windows = _innovations(part, draft.blocks, residual=True)
+    innovations = windows.samples[np.concatenate([windows.train, windows.validation]), 3]
+    loop = _loop(part, draft, network)
+    fitted = fit_excitation(part.sizes.excitation_width, innovations, windows, loop, config)
     assert fitted is not None
-    return Rendering(part, fitted, free_run_distance(loop, fitted.excitation, job.config.seed))
+    return Rendering(part, fitted)
 
 
-def _loop(part: LinearPart, draft: Draft, blocks: ScaledBlocks, weights: Tensors) -> ClosedLoop:
+def _loop(part: LinearPart, draft: Draft, network: Corrector) -> ClosedLoop:
+    given = {**part.tensors, **tensors_of(network, "network.")}
+
     def kernel(excitation: Excitation) -> NativeTexture:
-        tensors = {**part.tensors, **weights, **tensors_of(excitation, "excitation.")}
+        tensors = {**given, **tensors_of(excitation, "excitation.")}
         return draft.texture(part.sizes, tensors, {"validation_mae_scaled": 0.0}).kernel
 
-    history, block = part.sizes.history, blocks.trace.block
-    return ClosedLoop(blocks, history, kernel, part.power, part.response(block - history))
+    history, block = part.sizes.history, draft.blocks.trace.block
+    return ClosedLoop(draft.blocks, history, kernel, part.power, part.response(block - history))
 
 
 def _chosen(renderings: list[Rendering]) -> tuple[Rendering, dict[str, Any]]:
@@ -194,12 +160,12 @@ def _chosen(renderings: list[Rendering]) -> tuple[Rendering, dict[str, Any]]:
     """
 
     def report(one: Rendering) -> dict[str, Any]:
-        free_run = dict(zip(("lsd_db", "level_error_db"), one.distance, strict=True))
-        return {**one.part.tried, "free_run": free_run}
+        return {**one.part.tried, "free_run": dict(zip(("lsd_db", "level_error_db"), one.fitted.distance, strict=True))}
 
-    allowed = TONES_MAY_DISTORT * renderings[0].distance[0]
+    allowed = TONES_MAY_DISTORT * renderings[0].fitted.distance[0]
     best = min(
-        (one for one in renderings if one is renderings[0] or one.distance[0] <= allowed), key=lambda one: one.nearness
+        (one for one in renderings if one is renderings[0] or one.fitted.distance[0] <= allowed),
+        key=lambda one: one.fitted.nearness,
     )
     rejected = [report(one) for one in renderings if one is not best]
     return best, {**report(best), **({"rejected": rejected} if rejected else {})}
@@ -213,14 +179,6 @@ def _innovations(part: LinearPart, blocks: ScaledBlocks, residual: bool = False)
     return TrainingWindows(samples.reshape(-1, 4), *indices, part.sizes.window, e.ravel(), unit.ravel())
 
 
-def _linear_mae(windows: TrainingWindows) -> float:
-    """Return the mean absolute one-step error of the lattice alone on the validation blocks, scaled."""
-    assert windows.target is not None
-    assert windows.unit is not None
-    n = windows.validation
-    return float(np.abs(windows.target[n] * windows.unit[n]).mean())
-
-
 def _check_twin(network: Corrector, sizes: FotenPlusSizes, weights: Tensors, windows: TrainingWindows) -> None:
     """Check that the network in PyTorch and its reference give the same, in float64."""
     n = windows.validation[:: max(1, len(windows.validation) // 8)]
@@ -232,11 +190,7 @@ def _check_twin(network: Corrector, sizes: FotenPlusSizes, weights: Tensors, win
 
 
 def check_block(blocks: ScaledBlocks, m: int) -> None:
-    """Check that a block holds enough windows.
-
-    Raises:
-        ValueError: it does not.
-    """
+    """Refuse blocks that are too short to hold enough windows."""
     block = blocks.trace.block
     if block < 5 * m:
         raise ValueError(
@@ -246,7 +200,7 @@ def check_block(blocks: ScaledBlocks, m: int) -> None:
 
 
 def _check_frame(blocks: ScaledBlocks, m: int, max_order: int) -> None:
-    """Check that a block holds a frame after its first fifth and after the longest history, for the level to be settled on."""
+    """Refuse blocks that hold no frame after their first fifth and the longest history, for the level to be settled on."""
     rate, block = blocks.trace.rate_hz, blocks.trace.block
     frame, history = FRAME_MS * rate / 1000, m + 1 + min(max_order, block // 8)
     if block - max(0.2 * block, history) >= frame:
@@ -263,14 +217,12 @@ def _beyond_exponents(blocks: ScaledBlocks) -> dict[str, float]:
 
     Levels in frames, least squares over their logarithms; 0 where speed or force hardly varies.
     """
-    trace, chosen = blocks.trace, list(blocks.split.train)
-    if trace.block < FRAME_MS * trace.rate_hz / 1000:
+    rate = blocks.trace.rate_hz
+    if blocks.trace.block < FRAME_MS * rate / 1000:
         return {"speed": 0.0, "force": 0.0}
-    acceleration, speed, force = (
-        trace.blocks(channel)[chosen] for channel in (trace.acceleration, trace.speed, trace.force)
-    )
-    levels = frame_levels(acceleration, trace.rate_hz, float(np.sqrt(np.square(acceleration).mean()))).ravel()
-    speed, force = (frame_means(channel, trace.rate_hz).ravel() for channel in (speed, force))
+    acceleration, *condition = np.moveaxis(blocks.training_blocks(), 2, 0)
+    levels = frame_levels(acceleration, rate, float(np.sqrt(np.square(acceleration).mean()))).ravel()
+    speed, force = (frame_means(channel, rate).ravel() for channel in condition)
     logs = np.log10(np.maximum(np.stack([speed, force]), [[FADE_SPEED], [FADE_FORCE]]))
     exponents = {}
     for row, name in enumerate(("speed", "force")):

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 ORDERS = (10, 20, 40, 80, 160, 240)  # tried, as far as a block allows
 N_SPEED, N_FORCE = 12, 3  # vertices
 CORRELATION = 0.5  # of the range of speed, and of log force, over which reflections are alike beforehand
-SCALES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)  # standard deviations that a reflection may be given over the plane
+SCALES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)  # standard deviations that a reflection may be given over speed and force
 N_FOLDS = 8  # into which training and validation blocks are divided to choose a kind, or as many as there are blocks
 N_FOLDS_OF_MANY, MANY_BLOCKS = 4, 16  # of so many blocks fewer folds tell kinds apart as well
 WEIGHED = 241  # samples that a level is averaged over for the gain before the filter
@@ -31,23 +31,15 @@ WORTH = 1e-3  # a longer lattice, one with the gain before the filter or with a 
 
 @dataclass(frozen=True)
 class LatticeData:
-    """What a lattice is fitted to.
+    """What a lattice is fitted to; all arrays of shape (n_blocks, block)."""
 
-    Attributes:
-        x: what the lattice is of, in blocks: acceleration over its level, or acceleration, shape (n_blocks, block).
-        unit: what one of x is in the acceleration that is scored, same shape.
-        speed, force: that each prediction may know, those of the sample before [mm/s, N], same shape.
-        train, validation: numbers of blocks.
-        weight: of each sample's squared errors, same shape; None for all alike.
-    """
-
-    x: Array
-    unit: Array
-    speed: Array
-    force: Array
-    train: tuple[int, ...]
+    x: Array  # what the lattice is of: acceleration over its level, or acceleration
+    unit: Array  # what one of x is in the acceleration that is scored
+    speed: Array  # that each prediction may know: of the sample before [mm/s]
+    force: Array  # and [N]
+    train: tuple[int, ...]  # numbers of blocks
     validation: tuple[int, ...]
-    weight: Array | None = None
+    weight: Array | None = None  # of each sample's squared errors; None for all alike
 
     def with_gain_before_filter(self) -> LatticeData:
         """Return the same for a lattice of the acceleration itself.
@@ -63,21 +55,15 @@ class LatticeData:
 
 @dataclass(frozen=True)
 class FittedReflections:
-    """A lattice over speed and force.
-
-    Attributes:
-        table: of reflection coefficients.
-        gain_before_filter: whether it is a lattice of the acceleration, or of the acceleration over its level.
-    """
+    """A table of reflection coefficients; whether of the acceleration, or of the acceleration over its level; what was tried."""
 
     table: SpeedForceTable
     gain_before_filter: bool
+    tried: list[dict[str, float]]
 
 
-def fit_lattice(
-    data: LatticeData, max_order: int, tables: bool = True, both_gains: bool = True
-) -> tuple[FittedReflections, list[dict[str, float]]]:
-    """Return the lattice of the training blocks whose kind predicts best, in absolute one-step error, and what was tried.
+def fit_lattice(data: LatticeData, max_order: int, tables: bool = True, both_gains: bool = True) -> FittedReflections:
+    """Return the lattice of the training blocks whose kind predicts best, in absolute one-step error.
 
     Tried: every order up to `max_order`, with one set of reflections for all speeds and forces and, unless `tables` is
     False, with a table of them; of the acceleration over its level and, unless `both_gains` is False, of the acceleration itself.
@@ -88,40 +74,31 @@ def fit_lattice(
     Differs from the paper: it has no linear part.
     """
     orders = [order for order in ORDERS if order <= max_order] or [max_order]
-    tried = []
-    best: tuple[float, int, tuple[int, int], bool] | None = None
     sizes, gains = ((1, 1), (N_SPEED, N_FORCE))[: 1 + tables], (False, True)[: 1 + both_gains]
     of_gain = {gain: data.with_gain_before_filter() if gain else data for gain in gains}
     folds = {gain: _folds(of_gain[gain]) for gain in gains}
     weights = [len(fold.validation) for fold in folds[False]]
 
-    def errors_of(task: tuple[tuple[int, int], LatticeData]) -> tuple[int, list[float]]:
-        vertices, fold = task
-        fitted = fit_lattice_of(fold, orders[-1], *vertices)
-        return len(fitted.values), validation_errors(fitted, fold, orders)
+    def errors_of(vertices: tuple[int, int], fold: LatticeData) -> tuple[int, list[float]]:
+        table = fit_lattice_of(fold, orders[-1], *vertices)
+        return len(table.values), validation_errors(table, fold, orders)
 
     kinds = list(product(sizes, gains))
     tasks = [(vertices, fold) for vertices, gain in kinds for fold in folds[gain]]
     with ThreadPoolExecutor() as pool:  # NumPy's and SciPy's loops release the interpreter's lock
-        results = list(pool.map(errors_of, tasks))
-    for k, (vertices, gain_before_filter) in enumerate(kinds):
+        results = list(pool.map(errors_of, *zip(*tasks, strict=True)))
+    tried: list[dict[str, float]] = []
+    least, best = np.inf, (orders[0], *kinds[0])
+    for k, (vertices, gain) in enumerate(kinds):
         of_kind = results[k * len(weights) : (k + 1) * len(weights)]
         means = np.average([errors for _, errors in of_kind], axis=0, weights=weights)
         for order, error in zip(orders, means.tolist(), strict=True):
-            tried.append(
-                {
-                    "order": order,
-                    "vertices": of_kind[0][0],
-                    "gain_before_filter": gain_before_filter,
-                    "mae_scaled": error,
-                }
-            )
-            if best is None or error < best[0] * (1 - WORTH):
-                best = error, order, vertices, gain_before_filter
-    assert best is not None
-    _, order, vertices, gain_before_filter = best
-    fitted = fit_lattice_of(of_gain[gain_before_filter], order, *vertices)
-    return FittedReflections(fitted, gain_before_filter), tried
+            kind = {"order": order, "vertices": of_kind[0][0], "gain_before_filter": gain}
+            tried.append({**kind, "mae_scaled": error})
+            if error < least * (1 - WORTH):
+                least, best = error, (order, vertices, gain)
+    order, vertices, gain = best
+    return FittedReflections(fit_lattice_of(of_gain[gain], order, *vertices), gain, tried)
 
 
 def _folds(data: LatticeData) -> list[LatticeData]:
@@ -148,7 +125,7 @@ def validation_errors(reflections: SpeedForceTable, data: LatticeData, orders: S
             unit = unit * cosine
             if i + 1 in orders:
                 missed[orders.index(i + 1)] += np.abs(f * unit)[scored].mean()
-    return [float(error) for error in missed / len(data.validation)]
+    return (missed / len(data.validation)).tolist()
 
 
 def fit_lattice_of(data: LatticeData, order: int, n_speed: int, n_force: int) -> SpeedForceTable:
@@ -163,14 +140,14 @@ def fit_lattice_of(data: LatticeData, order: int, n_speed: int, n_force: int) ->
     Source: Burg's criterion; the time-varying extension after Grenier, IEEE Trans. ASSP 31 (1983); the prior is ours.
     """
     chosen = list(data.train)
-    speed, force = data.speed[chosen], data.force[chosen]
+    speed, force, x = data.speed[chosen], data.force[chosen], data.x[chosen]
     table = spanning(speed, force, n_speed, n_force)
     near = vertex_weights(table, speed, force)
     n_vertices = near.by_vertex.shape[0]
     parts = _covariances(len(table.speed_knots), len(table.force_knots))
     weight = np.ones_like(speed) if data.weight is None else data.weight[chosen]
-    kept = _kept_of_noise(data.x[chosen], weight, order)
-    f = b = data.x[chosen]
+    kept = _kept_of_noise(x, weight, order)
+    f = b = x
     reflections = np.zeros((n_vertices, order))
     for i in range(order):
         b = delayed(b)
@@ -244,28 +221,23 @@ def _kept_of_noise(x: Array, weight: Array, order: int) -> Array:
         common[i] = np.clip(k, -MAX_REFLECTION, MAX_REFLECTION)
         spread[i] = (share_of**2 * (each - k) ** 2).sum() * len(x) / max(1, len(x) - 1)
         f, b, _ = rotate_back(f, b, np.full_like(f, common[i]))
-    share = np.empty(order)
-    for i in range(order):
-        near = slice(max(0, i - NEIGHBOURS), i + NEIGHBOURS + 1)
+    share = np.ones(order)
+    for i in range(NEIGHBOURS, order):  # the first sections are the shape of the spectrum, and none of them chance
+        near = slice(i - NEIGHBOURS, i + NEIGHBOURS + 1)
         # The median of squares, since one strong reflection says nothing of its neighbours; 0.455 is that of χ² of one.
-        noise = float(spread[near].mean())
-        signal = max(0.0, float(np.median(np.square(common[near]))) / 0.455 - noise)
-        share[i] = signal / (signal + noise) if noise > 0 else 1.0
-    # The first sections are the shape of the spectrum, and none of them chance.
-    share[:NEIGHBOURS] = 1.0
+        noise = spread[near].mean()
+        if noise > 0:
+            signal = max(0.0, np.median(np.square(common[near])) / 0.455 - noise)
+            share[i] = signal / (signal + noise)
     return share
 
 
 def _covariances(n_speed: int, n_force: int) -> list[NDArray[Any]]:
     """Return the prior covariances, of unit variance, of what vertices differ by: over speed, over force, over both."""
-
-    def alike(n: int) -> Array:
-        at = np.arange(n) / max(1, n - 1)
-        return np.exp(-np.abs(at[:, None] - at[None, :]) / CORRELATION)
-
-    speed, force = alike(n_speed), alike(n_force)
     if n_speed * n_force == 1:
         return []
+    at = (np.arange(n) / max(1, n - 1) for n in (n_speed, n_force))
+    speed, force = (np.exp(-np.abs(np.subtract.outer(x, x)) / CORRELATION) for x in at)
     return [np.kron(speed, np.ones_like(force)), np.kron(np.ones_like(speed), force), np.kron(speed, force)]
 
 
@@ -285,11 +257,9 @@ def _shrunk(information: Array, score: Array, parts: list[NDArray[Any]]) -> NDAr
     best = solved(scales)
     for _ in range(2):
         before = scales
-        for number in range(len(parts)):
-            for scale in SCALES:
-                if scale == scales[number]:
-                    continue
-                tried = [*scales[:number], scale, *scales[number + 1 :]]
+        for number, scale in product(range(len(parts)), SCALES):
+            tried = [*scales[:number], scale, *scales[number + 1 :]]
+            if tried != scales:
                 candidate = solved(tried)
                 if candidate[0] > best[0] + 1e-9:
                     best, scales = candidate, tried

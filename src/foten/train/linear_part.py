@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from foten.dsp.lattice import analyse, polynomial
 from foten.dsp.speed_force_table import SpeedForceTable
@@ -22,7 +23,7 @@ from foten.train.excitation import fit_scale
 from foten.train.export import Tensors, tensors_of
 from foten.train.fit import TrainingWindows
 from foten.train.lattice import FittedReflections, LatticeData, fit_lattice
-from foten.train.tones import FittedTones, fit_tones, played, wavelength
+from foten.train.tones import fit_tones, wavelength
 
 Array = NDArray[np.float64]
 
@@ -32,27 +33,25 @@ _AT_ONCE = 8_000_000  # reflection coefficients held in memory
 
 @dataclass(frozen=True)
 class LinearPart:
-    """All of foten-plus but its network and excitation.
+    """All of foten-plus but its network and excitation."""
 
-    Attributes:
-        sizes: of lattices and tones; the network is not in the loop.
-        tensors: theirs, by the names in a texture file.
-        phase: of the fundamental at every sample, as well as the recording determines it [rad], shape (n_blocks, block);
-            None where the surface does not repeat.
-        tried: on the way.
-    """
+    sizes: FotenPlusSizes  # of lattices and tones; the network is not in the loop
+    tensors: Tensors  # theirs, by the names in a texture file
+    phase: (
+        Array | None
+    )  # of the fundamental at every sample [rad], (n_blocks, block); None where the surface does not repeat
+    tried: dict[str, Any]  # on the way
 
-    sizes: FotenPlusSizes
-    tensors: Tensors
-    phase: Array | None
-    tried: dict[str, Any]
+    @property
+    def _excited(self) -> tuple[str, bool]:
+        if self.phase is None:
+            return "lattice.", self.sizes.gain_before_filter
+        return "residual.", self.sizes.residual_gain_before_filter
 
     @property
     def excited_lattice(self) -> Lattice:
         """Return the lattice that a rendering excites."""
-        if self.phase is None:
-            return Lattice(self.tensors, "lattice.", self.sizes.gain_before_filter)
-        return Lattice(self.tensors, "residual.", self.sizes.residual_gain_before_filter)
+        return Lattice(self.tensors, *self._excited)
 
     def innovations(self, blocks: ScaledBlocks, residual: bool = False) -> tuple[Array, Array, Array]:
         """Return x, the innovations, and what a unit of them is worth in scaled acceleration, (n_blocks, block) each.
@@ -61,7 +60,6 @@ class LinearPart:
         those of the condition before it: a prediction knows no others (Eq. 1).
 
         Args:
-            blocks: recorded.
             residual: of what the tones leave, where there are tones, and not of the acceleration.
         """
         samples, before = blocks.samples[:, 1:, 0], blocks.path_conditions()[:, :-1]
@@ -76,8 +74,7 @@ class LinearPart:
             some, flat = samples[i : i + n_at_once], before[i : i + n_at_once, :, :2].reshape(-1, 2)
             level = lattice.level(flat).reshape(some.shape)
             gain, after = lattice.gains(level)
-            reflections = lattice.reflections(flat).T.reshape(*some.shape, -1)
-            e, cosines, _ = analyse(some / after, reflections)
+            e, cosines, _ = analyse(some / after, lattice.reflections(flat).T.reshape(*some.shape, -1))
             parts.append((some / level, e / gain, cosines * level))
         x, e, unit = (np.pad(np.concatenate(part), ((0, 0), (1, 0))) for part in zip(*parts, strict=True))
         return x, e, unit
@@ -97,60 +94,24 @@ class LinearPart:
 
         None with the gain after the filter, where a change of level shows at once.
         """
-        plain = self.phase is None
-        if not (self.sizes.gain_before_filter if plain else self.sizes.residual_gain_before_filter):
+        prefix, before = self._excited
+        if not before:
             return None
-        from scipy.signal import lfilter
-
-        k = self.tensors["lattice.reflections" if plain else "residual.reflections"].mean(axis=0)
+        k = self.tensors[f"{prefix}reflections"].mean(axis=0)
         return np.square(lfilter([1.0], polynomial(k), np.eye(1, n)[0]))
-
-
-@dataclass(frozen=True)
-class _FittedLattice:
-    """A level, and the reflection coefficients that go with it."""
-
-    level: Scale
-    fitted: FittedReflections
-
-    def tensors(self, prefix: str) -> Tensors:
-        table = _table_tensors(prefix, self.fitted.table, "reflections")
-        return table | tensors_of(self.level, f"{prefix}level.")
-
-    @property
-    def counts(self) -> tuple[int, int, int]:
-        """Return order and vertices over speed and force."""
-        table = self.fitted.table
-        return table.values.shape[1], len(table.speed_knots), len(table.force_knots)
 
 
 def fit_linear_parts(
     sizes: FotenPlusSizes,
-    windows: TrainingWindows,
     blocks: ScaledBlocks,
     config: TrainConfig,
     on_stage: Callable[[str], None] = lambda stage: None,
 ) -> list[LinearPart]:
     """Return foten-plus with all but its network and excitation; once more with tones where a wavelength stands out."""
     on_stage("fitting level and lattice")
-    trace, split = blocks.trace, blocks.split
-    max_order = max(1, min(trace.block // 8, config.max_order))
-    speed, force = blocks.condition_before()
-    acceleration = blocks.flat[:, 0]
-
-    def levelled(signal: Array) -> tuple[Scale, LatticeData]:
-        """Return the level of a signal, shape (n,), and what a lattice of it is fitted to."""
-        level = Scale(sizes.excitation_width).requires_grad_(False)
-        both = np.concatenate([windows.train, windows.validation])
-        fit_scale(level, windows, blocks.scaling, signal[both], config.seed)
-        scale = LevelOf(tensors_of(level), "")(blocks.scaled_condition_before())
-        x, unit = ((values).reshape(speed.shape) for values in (signal / scale, scale))
-        return level, LatticeData(x, unit, speed, force, split.train, split.validation)
-
-    level, data = levelled(acceleration)
-    fitted, tried = fit_lattice(data, max_order, config.table, config.gain_before_filter)
-    lattice = _FittedLattice(level, fitted)
-    order, n_speed, n_force = lattice.counts
+    rate, acceleration = blocks.trace.rate_hz, blocks.flat[:, 0]
+    fitted, data, tensors = _levelled_lattice("lattice.", acceleration, sizes, blocks, config)
+    order, n_speed, n_force = _counts(fitted.table)
     sizes = replace(
         sizes,
         order=order,
@@ -159,54 +120,63 @@ def fit_linear_parts(
         gain_before_filter=fitted.gain_before_filter,
         network_in_loop=False,
     )
-    report: dict[str, Any] = {"lattices": tried, "wavelength_mm": None}
-    plain = LinearPart(sizes, lattice.tensors("lattice."), None, report)
-    length = wavelength(data, trace.rate_hz) if config.tones else None
+    plain = LinearPart(sizes, tensors, None, {"lattices": fitted.tried, "wavelength_mm": None})
+    length = wavelength(data, rate) if config.tones else None
     if length is None:
         return [plain]
     on_stage(f"the surface seems to repeat every {length:.3g} mm: fitting its tones")
-    tones = fit_tones(data, length, trace.rate_hz)
+    tones = fit_tones(data, length, rate)
     # Of what the tones leave when the phase is known as well as it can be.
-    without = acceleration - (played(data, tones.table, tones.phase) * data.unit).ravel()
-    residual_level, residual_data = levelled(without)
-    fitted, tried_for_residual = fit_lattice(residual_data, max_order, config.table, config.gain_before_filter)
-    report = {
-        "lattices": tried,
-        "lattices_of_the_residual": tried_for_residual,
-        "wavelength_mm": tones.wavelength_mm,
-        "unevenness": tones.unevenness,
-    }
-    residual = _FittedLattice(residual_level, fitted)
-    return [plain, _with_tones(plain, tones, residual, trace.rate_hz, report)]
-
-
-def _with_tones(
-    plain: LinearPart, tones: FittedTones, residual: _FittedLattice, rate_hz: float, report: dict[str, Any]
-) -> LinearPart:
-    order, n_speed, n_force = residual.counts
+    residual = acceleration - (tones.played * data.unit).ravel()
+    beside, _, own = _levelled_lattice("residual.", residual, sizes, blocks, config)
+    order, n_speed, n_force = _counts(beside.table)
+    n_coefficients, n_tone_speed, n_tone_force = _counts(tones.table)
     sizes = replace(
-        plain.sizes,
-        n_tones=tones.table.values.shape[1] // 2,
-        n_tone_speed=len(tones.table.speed_knots),
-        n_tone_force=len(tones.table.force_knots),
+        sizes,
+        n_tones=n_coefficients // 2,
+        n_tone_speed=n_tone_speed,
+        n_tone_force=n_tone_force,
         residual_order=order,
         n_residual_speed=n_speed,
         n_residual_force=n_force,
-        residual_gain_before_filter=residual.fitted.gain_before_filter,
+        residual_gain_before_filter=beside.gain_before_filter,
     )
-    increment = 2 * np.pi / (tones.wavelength_mm * rate_hz)
-    tensors = {
-        **plain.tensors,
-        **_table_tensors("tones.", tones.table, "values"),
-        "tones.motion": np.array([increment, tones.unevenness, 1 / (DRAWN_BACK_S * rate_hz)]),
-        **residual.tensors("residual."),
+    motion = np.array([2 * np.pi / (tones.wavelength_mm * rate), tones.unevenness, 1 / (DRAWN_BACK_S * rate)])
+    tensors = {**tensors, **_table_tensors("tones.", tones.table, "values"), "tones.motion": motion, **own}
+    report = {
+        "lattices": fitted.tried,
+        "lattices_of_the_residual": beside.tried,
+        "wavelength_mm": tones.wavelength_mm,
+        "unevenness": tones.unevenness,
     }
-    return LinearPart(sizes, tensors, tones.phase, report)
+    return [plain, LinearPart(sizes, tensors, tones.phase, report)]
+
+
+def _levelled_lattice(
+    prefix: str, signal: Array, sizes: FotenPlusSizes, blocks: ScaledBlocks, config: TrainConfig
+) -> tuple[FittedReflections, LatticeData, Tensors]:
+    """Return the lattice of a signal, (n,), what it was fitted to, and its tensors with those of its level."""
+    windows = TrainingWindows(blocks.flat, *blocks.targets(sizes.window), sizes.window)
+    scale = Scale(sizes.excitation_width).requires_grad_(False)
+    both = np.concatenate([windows.train, windows.validation])
+    fit_scale(scale, windows, blocks.scaling, signal[both], config.seed)
+    of_level, (speed, force) = tensors_of(scale, f"{prefix}level."), blocks.condition_before()
+    level = LevelOf(of_level, f"{prefix}level.")(blocks.scaled_condition_before())
+    x, unit = (signal / level).reshape(speed.shape), level.reshape(speed.shape)
+    data = LatticeData(x, unit, speed, force, blocks.split.train, blocks.split.validation)
+    max_order = max(1, min(blocks.trace.block // 8, config.max_order))
+    fitted = fit_lattice(data, max_order, config.table, config.gain_before_filter)
+    return fitted, data, _table_tensors(prefix, fitted.table, "reflections") | of_level
+
+
+def _counts(table: SpeedForceTable) -> tuple[int, int, int]:
+    """Return how many values a vertex has, and how many vertices there are over speed and over force."""
+    return table.values.shape[1], len(table.speed_knots), len(table.force_knots)
 
 
 def _table_tensors(prefix: str, table: SpeedForceTable, values: str) -> Tensors:
     return {
-        f"{prefix}speed_knots": table.speed_knots.copy(),
-        f"{prefix}force_knots": table.force_knots.copy(),
-        f"{prefix}{values}": table.values.copy(),
+        f"{prefix}speed_knots": table.speed_knots,
+        f"{prefix}force_knots": table.force_knots,
+        f"{prefix}{values}": table.values,
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -17,11 +18,9 @@ from foten.families.conditions import FADE_FORCE, FADE_SPEED
 from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeTexture
 from foten.train.blocks import ScaledBlocks
-from foten.train.card import versions
 from foten.train.export import ProvedTexture
-from foten.train.job import TrainingJob
+from foten.train.job import Stage, Task, TrainingJob, versions
 from foten.train.piecewise_ar_texture import LocalModels, local_texture
-from foten.train.task import Stage, Task
 
 Array = NDArray[np.float64]
 
@@ -42,10 +41,9 @@ def prepare_piecewise_ar(job: TrainingJob, on_stage: Stage) -> Task:
         ValueError: the recording does not fit the configuration, or holds too little to fit models to.
     """
     blocks = job.blocks()
-    trace = blocks.trace
-    if trace.block < 2 * MAX_ORDER:
+    if blocks.trace.block < 2 * MAX_ORDER:
         raise ValueError(
-            f"a block of {trace.block} samples is too short for filters of order {MAX_ORDER}, expected twice as many: "
+            f"a block of {blocks.trace.block} samples is too short for filters of order {MAX_ORDER}, expected twice as many: "
             "use a longer --block"
         )
     on_stage("cutting the training blocks into pieces")
@@ -58,22 +56,23 @@ def prepare_piecewise_ar(job: TrainingJob, on_stage: Stage) -> Task:
         )
     card = {**job.card(blocks, "cpu"), "training": {"versions": versions()}}
     del card["beyond_exponents"]  # those of the mesh
+
+    def texture_of(order: int, metrics: dict[str, Any]) -> ProvedTexture:
+        return local_texture(fitted(pieces, blocks, order), blocks.scaling, {**card, "metrics": metrics})
+
     on_stage("choosing the order")
-    tried: dict[int, ProvedTexture] = {}
-    for order in ORDERS:
-        draft = {**card, "metrics": {"validation_mae_scaled": 0.0}}
-        tried[order] = local_texture(fitted(pieces, blocks, order), blocks.scaling, draft)
-    errors = {order: _validation_error(one.kernel, blocks) for order, one in tried.items()}
+    errors = {
+        order: _validation_error(texture_of(order, {"validation_mae_scaled": 0.0}).kernel, blocks) for order in ORDERS
+    }
     best = min(errors, key=lambda order: errors[order])
-    metrics: dict[str, Any] = {
+    metrics = {
         "validation_mae_scaled": errors[best],
         "validation_mae_scaled_by_order": {str(order): error for order, error in errors.items()},
         "n_pieces": len(pieces),
         "n_pieces_left_out": len(all_pieces) - len(pieces),
         "recorded_peak_sd": blocks.peak_sd,
     }
-    texture = local_texture(fitted(pieces, blocks, best), blocks.scaling, {**card, "metrics": metrics})
-    return Task(job=job, blocks=blocks, playable=texture.texture)
+    return Task(job=job, blocks=blocks, playable=texture_of(best, metrics).texture)
 
 
 def fitted(pieces: list[Array], blocks: ScaledBlocks, order: int) -> LocalModels:
@@ -82,25 +81,25 @@ def fitted(pieces: list[Array], blocks: ScaledBlocks, order: int) -> LocalModels
     Labels are medians. Models nearer than `SAME` are merged. Around the trained range stand models as loud as the nearest, and
     silent ones at rest and without force, all with the angles of the nearest.
     """
-    points, angles, variances, weights = [], [], [], []
+    angles, variances = [], []
     for piece in pieces:
         reflections, variance = burg(piece[:, 0] - piece[:, 0].mean(), order)
         # Burg's poles may lie as near to the unit circle as a tone that never ends.
         taps = stabilised(-polynomial(reflections, leak=1.0)[:0:-1], MAX_POLE)
-        points.append(np.median(piece[:, 1:], axis=0))
         angles.append(spread_out(line_spectral_frequencies(np.append(1.0, -taps[::-1]))))
         variances.append(variance)
-        weights.append(len(piece))
-    scale = np.maximum(np.std(points, axis=0), 1e-3 * np.max(points, axis=0))
-    of = _merged(np.array(points), scale)
+    points = np.array([np.median(piece[:, 1:], axis=0) for piece in pieces])
+    scale = np.maximum(points.std(axis=0), 1e-3 * points.max(axis=0))
+    of = _merged(points, scale)
     share = np.zeros((of.max() + 1, len(of)))
-    share[of, np.arange(len(of))] = weights
+    share[of, np.arange(len(of))] = [len(piece) for piece in pieces]
     share /= share.sum(axis=1, keepdims=True)
-    own = share @ np.array(points)
-    low, high = _trained_range(blocks)
-    loud = np.array(
-        [[low[0] + v * (high[0] - low[0]), low[1] + f * (high[1] - low[1])] for v in _SHARES for f in _SHARES]
-    )
+    own = share @ points
+    # Of the training blocks, where a rendering does not fade.
+    trained, fading = blocks.training_blocks()[..., 1:], [FADE_SPEED, FADE_FORCE]
+    low, high = (np.maximum(end(trained, axis=(0, 1)), fading) for end in (np.min, np.max))
+    high = np.maximum(high, 1.01 * low)
+    loud = np.array([low + (high - low) * shares for shares in product(_SHARES, _SHARES)])
     silent = np.array([[v * high[0], 0.0] for v in _SHARES] + [[0.0, f * high[1]] for f in _SHARES[1:]])
     edge = np.concatenate([loud[(loud == low).any(axis=1) | (loud == high).any(axis=1)], silent])
     nearest = np.square((edge[:, None] - own) / scale).sum(axis=2).argmin(axis=1)
@@ -111,15 +110,6 @@ def fitted(pieces: list[Array], blocks: ScaledBlocks, order: int) -> LocalModels
         np.concatenate([variance, np.where((edge > 0).all(axis=1), variance[nearest], 0.0)]),
         scale,
     )
-
-
-def _trained_range(blocks: ScaledBlocks) -> tuple[Array, Array]:
-    """Return the lowest and the highest speed and force of the training blocks, where a rendering does not fade."""
-    train, trace = list(blocks.split.train), blocks.trace
-    known = [trace.blocks(channel)[train] for channel in (trace.speed, trace.force)]
-    least = np.array([FADE_SPEED, FADE_FORCE])
-    low, high = (np.maximum([end(channel) for channel in known], least) for end in (np.min, np.max))
-    return low, np.maximum(high, 1.01 * low)
 
 
 def _is_of_a_texture(x: Array, sd: float) -> bool:
@@ -150,15 +140,13 @@ def _pieces(blocks: ScaledBlocks) -> Iterator[Array]:
 def _merged(points: Array, scale: Array) -> NDArray[np.int64]:
     """Return which model each piece belongs to: one that begins near enough, or one of its own."""
     seeds: list[Array] = []
-    of = np.empty(len(points), dtype=np.int64)
-    for i, point in enumerate(points / scale):
-        away = [float(np.hypot(*(point - seed))) for seed in seeds]
-        near = int(np.argmin(away)) if away else -1
-        if near < 0 or away[near] > SAME:
-            near = len(seeds)
+    of = []
+    for point in points / scale:
+        near = int(np.argmin([*(float(np.hypot(*(point - seed))) for seed in seeds), SAME]))
+        if near == len(seeds):
             seeds.append(point)
-        of[i] = near
-    return of
+        of.append(near)
+    return np.array(of)
 
 
 def _meshed(points: Array, lsf: Array, variance: Array, scale: Array) -> LocalModels:
@@ -169,16 +157,8 @@ def _meshed(points: Array, lsf: Array, variance: Array, scale: Array) -> LocalMo
     corners = (points / scale)[triangles]
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     triangles = triangles[np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) > 2 * LEAST_AREA]
-    used, numbered = np.unique(triangles, return_inverse=True)
-    return LocalModels(
-        points[used],
-        lsf[used],
-        variance[used],
-        numbered.reshape(triangles.shape),
-        scale,
-        np.empty((len(used), 0)),
-        np.ones(len(used)),
-    )
+    n = len(points)
+    return LocalModels(points, lsf, variance, triangles, scale, np.empty((n, 0)), np.ones(n)).of_mesh()
 
 
 def _validation_error(kernel: NativeTexture, blocks: ScaledBlocks) -> float:

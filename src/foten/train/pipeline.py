@@ -11,9 +11,8 @@ from foten.train.end_to_end import prepare_dftnet, prepare_gan, prepare_one_step
 from foten.train.epochs import Epoch, Progress
 from foten.train.fit import reproducible
 from foten.train.foten_plus import prepare_foten_plus
-from foten.train.job import Trained, TrainingJob
+from foten.train.job import NetworkTask, Stage, Task, Trained, TrainingJob
 from foten.train.piecewise_ar import prepare_piecewise_ar
-from foten.train.task import NetworkTask, Stage, Task
 
 PREPARE: Mapping[str, Callable[[TrainingJob, Stage], Task]] = {
     "foten-plus": prepare_foten_plus,
@@ -50,10 +49,7 @@ def train(
     """Return a texture learned from a recording.
 
     Args:
-        job: what is to be learned.
-        on_epoch: called after each epoch.
-        checkpoint: file that is written after each epoch.
-        resume: go on from the checkpoint.
+        on_epoch, checkpoint, resume: as `fit` has them.
         on_stage: called with what is being done beside epochs.
         on_playable: called with a valid texture as soon as there is one, long before the network is fitted.
 
@@ -84,25 +80,21 @@ def train_batched(jobs: Sequence[TrainingJob]) -> list[Trained | Exception]:
                 done[k] = error
         for n in sorted({len(task.windows.train) for task in tasks.values()}):
             alike = {k: task for k, task in tasks.items() if len(task.windows.train) == n}
+            given = [(task.network, task.windows, task.job.config) for task in alike.values()]
+            networks, windows, configs = zip(*given, strict=True)
             try:
-                fitted = fit_batched(
-                    [task.network for task in alike.values()],
-                    [task.windows for task in alike.values()],
-                    [task.job.config for task in alike.values()],
-                )
+                fitted = fit_batched(networks, windows, configs)
             except Exception as error:  # a GPU's memory, say: those of another length are done or to come
                 done |= dict.fromkeys(alike, error)
                 continue
             for (k, task), progress in zip(alike.items(), fitted, strict=True):
                 try:
-                    done[k] = (
-                        progress if isinstance(progress, ValueError) else _trained(task, progress, lambda stage: None)
-                    )
+                    done[k] = progress if isinstance(progress, ValueError) else _trained(task, progress)
                 except Exception as error:
                     done[k] = error
     return [done[k] for k in range(len(jobs))]
 
 
-def _trained(task: Task, progress: Progress, on_stage: Stage) -> Trained:
+def _trained(task: Task, progress: Progress, on_stage: Stage = lambda stage: None) -> Trained:
     texture = task.finish(progress, on_stage)
     return Trained(texture, task.blocks.trace, task.blocks.split, progress, task.linear_mae)

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from foten.families import HapinfSizes
 from foten.networks import build
@@ -44,23 +43,19 @@ def log_spectra(windows: TrainingWindows, blocks: ScaledBlocks) -> TrainingWindo
     m, block = windows.window, blocks.trace.block
     acceleration = torch.from_numpy(blocks.samples[..., 0]).float()
     target = np.zeros((len(windows.samples), m // 2 + 1), dtype=np.float32)
-
-    def framed(n: NDArray[np.int64]) -> NDArray[np.int64]:
+    framed = []
+    for n in (windows.train, windows.validation):
         within = n % block
-        return n[((within - m) % max(1, m // 25) == 0) & (within - m // 2 + m <= block)]
-
-    train, validation = framed(windows.train), framed(windows.validation)
-    for n in (train, validation):
-        for i in range(0, len(n), _AT_ONCE):
-            some = n[i : i + _AT_ONCE]
+        framed.append(n[((within - m) % max(1, m // 25) == 0) & (within - m // 2 + m <= block)])
+        for some in np.split(framed[-1], range(_AT_ONCE, len(framed[-1]), _AT_ONCE)):
             around = torch.from_numpy(some % block - m // 2)[:, None] + torch.arange(m)
             target[some] = log_magnitudes(acceleration[torch.from_numpy(some // block)[:, None], around]).numpy()
-    return replace(windows, train=train, validation=validation, target=target)
+    return replace(windows, train=framed[0], validation=framed[1], target=target)
 
 
 def multi_step(windows: TrainingWindows, blocks: ScaledBlocks, n_ahead: int) -> TrainingWindows:
     """Return windows whose targets are a sample and those after it, (n, n_ahead), of which none is of another block."""
     x, block = windows.samples[:, 0], blocks.trace.block
     target = np.lib.stride_tricks.sliding_window_view(np.append(x, np.zeros(n_ahead - 1)), n_ahead)
-    complete = [n[n % block + n_ahead <= block] for n in (windows.train, windows.validation)]
-    return replace(windows, train=complete[0], validation=complete[1], target=np.ascontiguousarray(target))
+    train, validation = (n[n % block + n_ahead <= block] for n in (windows.train, windows.validation))
+    return replace(windows, train=train, validation=validation, target=np.ascontiguousarray(target))

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
+from scipy.special import gammainccinv
 
 from foten.dsp.lattice import polynomial
 from foten.dsp.speed_force_table import SpeedForceTable, spanning
@@ -40,12 +43,9 @@ def wavelength(data: LatticeData, rate_hz: float) -> float | None:
     path is a hum or a resonance, and a hand that kept its speed cannot tell it from a surface that repeats.
     """
     path = np.cumsum(data.speed, axis=1) / rate_hz
-    blocks = list(data.train)
     for span in (15.0, 5.0):
         stretches = [
-            (path[b, first:last] - path[b, first], np.arange(last - first) / rate_hz, data.x[b, first:last])
-            for b in blocks
-            for first, last in _stretches(path[b], span)
+            (path[b, n] - path[b, n.start], data.x[b, n]) for b in data.train for n in _stretches(path[b], span)
         ]
         if len(stretches) >= 20:
             break
@@ -57,27 +57,28 @@ def wavelength(data: LatticeData, rate_hz: float) -> float | None:
     cycles = np.arange(LEAST_PERIODS / span, 1 / SHORTEST_MM, step)
     coarse = cycles[::16, None]  # e^(−2πi(c + d)w) is a product: exponentials of 16 + n/16 frequencies in place of n
     fine = step * np.arange(16)[:, None]
-    usual_speed = float(np.mean([travelled[-1] / elapsed[-1] for travelled, elapsed, _ in stretches]))
+    usual_step = float(np.mean([travelled[-1] / (len(travelled) - 1) for travelled, _ in stretches]))
     powers = np.zeros((2, len(cycles)))
-    for travelled, elapsed, x in stretches:
+    for travelled, x in stretches:
         windowed = x * np.sin(np.pi * travelled / span) ** 2
         total = float(np.square(windowed).sum())
         if total > 0:
-            for power, way in zip(powers, (travelled, usual_speed * elapsed), strict=True):
+            for power, way in zip(powers, (travelled, usual_step * np.arange(len(x))), strict=True):
                 sums = (np.exp(-2j * np.pi * coarse * way) * windowed) @ np.exp(-2j * np.pi * fine * way).T
                 power += np.abs(sums.ravel()[: len(cycles)]) ** 2 / total
     ratio, over_time = (
         power / np.array([np.median(power[max(0, i - 20) : i + 21]) for i in range(len(cycles))]) for power in powers
     )
-    # At either end all surroundings lie on one side, and a slope stands out.
-    power_over_path = powers[0]
-    line = (
-        np.flatnonzero((power_over_path[1:-1] > power_over_path[:-2]) & (power_over_path[1:-1] >= power_over_path[2:]))
-        + 1
-    )
-    ratio[np.setdiff1d(np.arange(len(ratio)), line)] = 0.0
+    # Peaks alone: at either end all surroundings lie on one side, and a slope stands out.
+    rises = np.diff(powers[0]) > 0
+    ratio[~np.array([False, *(rises[:-1] & ~rises[1:]), False])] = 0.0
     peak = int(np.argmax(ratio))
-    enough = max(STANDS_OUT, TWICE_CHANCE * _largest_by_chance(len(stretches), len(cycles)))
+    # What the largest of so many bins of noise, over their mean, exceeds once in twenty recordings: a mean over half-overlapping
+    # windowed stretches has about 1.2 degrees of freedom for each of them. Two seconds of real leather have some sixty stretches
+    # of 5 mm, and a fixed threshold gave tones in three splits of five.
+    half_freedom = 0.6 * len(stretches)
+    largest_by_chance = float(gammainccinv(half_freedom, 0.05 / len(cycles)) / half_freedom)
+    enough = max(STANDS_OUT, TWICE_CHANCE * largest_by_chance)
     like_it = np.abs(cycles - cycles[peak]) <= 0.1 * cycles[peak]
     if ratio[peak] < max(enough, OF_THE_PATH * over_time[like_it].max()):
         return None
@@ -89,28 +90,12 @@ def wavelength(data: LatticeData, rate_hz: float) -> float | None:
     return float(1 / cycles[peak])
 
 
-def _largest_by_chance(n_stretches: int, n_bins: int) -> float:
-    """Return what the largest of so many bins of noise, over their mean, exceeds once in twenty recordings.
-
-    A mean over half-overlapping windowed stretches has about 1.2 degrees of freedom for each of them. Two seconds of real leather
-    have some sixty stretches of 5 mm, and a fixed threshold gave tones in three splits of five.
-    """
-    from scipy.stats import gamma
-
-    half = 0.6 * n_stretches
-    return float(gamma.isf(0.05 / n_bins, half) / half)
-
-
-def _stretches(path: Array, span: float) -> list[tuple[int, int]]:
-    """Return first and last sample of half-overlapping stretches of a path [mm], without those of fewer than 30 samples."""
-    stretches: list[tuple[int, int]] = []
+def _stretches(path: Array, span: float) -> Iterator[slice]:
+    """Return the samples of half-overlapping stretches of a path [mm], without those of fewer than 30 samples."""
     first = 0
-    while True:
-        last = int(np.searchsorted(path, path[first] + span))
-        if last >= len(path):
-            return stretches
+    while (last := int(np.searchsorted(path, path[first] + span))) < len(path):
         if last - first > 30:
-            stretches.append((first, last))
+            yield slice(first, last)
         first = int(np.searchsorted(path, path[first] + span / 2))
 
 
@@ -122,19 +107,13 @@ def n_tones(wavelength_mm: float, speed: Array, rate_hz: float) -> int:
 
 @dataclass(frozen=True)
 class FittedTones:
-    """What was fitted to a recording.
+    """What was fitted to a recording."""
 
-    Attributes:
-        wavelength_mm: as the phase says, finer than a spectrum does.
-        table: coefficients over speed and force, in units of the vibration's level.
-        phase: of the fundamental at every sample [rad], shape (n_blocks, block).
-        unevenness: standard deviation of a period's length, as a share of it.
-    """
-
-    wavelength_mm: float
-    table: SpeedForceTable
-    phase: Array
-    unevenness: float
+    wavelength_mm: float  # as the phase says, finer than a spectrum does
+    table: SpeedForceTable  # coefficients over speed and force, in units of the vibration's level
+    phase: Array  # of the fundamental at every sample [rad], shape (n_blocks, block)
+    played: Array  # T at every sample, in units of the level, same shape
+    unevenness: float  # standard deviation of a period's length, as a share of it
 
 
 def fit_tones(data: LatticeData, wavelength_mm: float, rate_hz: float) -> FittedTones:
@@ -144,29 +123,32 @@ def fit_tones(data: LatticeData, wavelength_mm: float, rate_hz: float) -> Fitted
     coefficients, which may deviate from the path by an even amount over about a wavelength. Errors are whitened: the tool's
     resonance would else drown the high multiples, which know the phase best.
     """
-    n = n_tones(wavelength_mm, data.speed[list(data.train)], rate_hz)
+    chosen = list(data.train)
+    speed, force = data.speed[chosen], data.force[chosen]
     path = np.cumsum(data.speed, axis=1) / rate_hz
     phase = _demodulated(data.x, path, wavelength_mm)
-    chosen = list(data.train)
-    table = spanning(data.speed[chosen], data.force[chosen], N_SPEED, N_FORCE)
-    table = replace(table, values=np.zeros((len(table.values), 2 * n)))
+    table = spanning(speed, force, N_SPEED, N_FORCE)
+    table = replace(table, values=np.zeros((len(table.values), 2 * n_tones(wavelength_mm, speed, rate_hz))))
     fastest = USABLE_BAND * rate_hz * wavelength_mm
     whitener = np.ones(1)
-    near = vertex_weights(table, data.speed[chosen], data.force[chosen])
+    near = vertex_weights(table, speed, force)
     for _ in range(ROUNDS):
         table = _fitted(data, table, phase, whitener, fastest, near)
         coefficients = _coefficients(data, table)
         x = data.x - tone(coefficients, phase)
         whitener = polynomial(fit_lattice_of(replace(data, x=x), WHITENING, 1, 1).values[0])
-        missed, turned = _filtered(whitener, x), _filtered(whitener, tone_slope(coefficients, phase))
+        missed, turned = (lfilter(whitener, [1.0], signal) for signal in (x, tone_slope(coefficients, phase)))
         noise = float(np.square(missed[chosen]).mean())
-        step = _along(path, turned * missed / noise, turned * turned / noise, wavelength_mm)
-        phase = phase + np.clip(step, -0.4, 0.4)
-    turned = (phase[chosen][:, -1] - phase[chosen][:, 0]).sum() / (2 * np.pi)
-    length = float((path[chosen][:, -1] - path[chosen][:, 0]).sum() / turned)
+        score, known = (
+            _smoothed(path, turned * signal / noise, wavelength_mm, SMOOTHING) for signal in (missed, turned)
+        )
+        phase = phase + np.clip(score / (known + TRUST), -0.4, 0.4)
+    periods = (phase[chosen, -1] - phase[chosen, 0]).sum() / (2 * np.pi)
+    length = float((path[chosen, -1] - path[chosen, 0]).sum() / periods)
     deviation = phase - 2 * np.pi * path / length
-    unevenness = _unevenness(path[chosen], deviation[chosen], data.speed[chosen], length)
-    return FittedTones(length, _fitted(data, table, phase, whitener, fastest, near), phase, unevenness)
+    unevenness = _unevenness(path[chosen], deviation[chosen], speed, length)
+    table = _fitted(data, table, phase, whitener, fastest, near)
+    return FittedTones(length, table, phase, tone(_coefficients(data, table), phase), unevenness)
 
 
 def _unevenness(path: Array, deviation: Array, speed: Array, wavelength_mm: float) -> float:
@@ -178,19 +160,14 @@ def _unevenness(path: Array, deviation: Array, speed: Array, wavelength_mm: floa
     """
 
     def variance(n_wavelengths: int) -> float:
-        moved: list[Array] = []
-        faster: list[Array] = []
-        for block, place in enumerate(path):
-            at = np.arange(place[0], place[-1] - n_wavelengths * wavelength_mm, wavelength_mm / 2)
-            for differences, row in ((moved, deviation[block]), (faster, speed[block])):
-                differences.append(
-                    np.interp(at + n_wavelengths * wavelength_mm, place, row) - np.interp(at, place, row)
-                )
-        difference = np.abs(np.concatenate(faster))
-        if not difference.size:
+        away, differences = n_wavelengths * wavelength_mm, []
+        for place, *rows in zip(path, deviation, speed, strict=True):
+            at = np.arange(place[0], place[-1] - away, wavelength_mm / 2)
+            differences.append([np.interp(at + away, place, row) - np.interp(at, place, row) for row in rows])
+        moved, faster = np.abs(np.concatenate(differences, axis=1))
+        if not faster.size:
             return 0.0
-        alike = difference <= np.quantile(difference, 0.25)
-        return float(np.square(np.concatenate(moved)[alike]).mean())
+        return float(np.square(moved[faster <= np.quantile(faster, 0.25)]).mean())
 
     near, far = 4, 12
     return math.sqrt(max(0.0, (variance(far) - variance(near)) / (far - near))) / (2 * math.pi)
@@ -199,16 +176,9 @@ def _unevenness(path: Array, deviation: Array, speed: Array, wavelength_mm: floa
 def _demodulated(x: Array, path: Array, wavelength_mm: float) -> Array:
     """Return the phase of the fundamental at every sample: the path's, and what is left once it is taken out, smoothed."""
     turned = 2 * np.pi * path / wavelength_mm
-    carried = x * np.exp(-1j * turned)
-    moved = np.diff(path, axis=1, prepend=0.0)
-    smooth = [_smoothed(path, moved * part, wavelength_mm, 1.0) for part in (carried.real, carried.imag)]
-    return turned + np.unwrap(np.angle(smooth[0] + 1j * smooth[1]), axis=1)
-
-
-def _along(path: Array, score: Array, information: Array, wavelength_mm: float) -> Array:
-    """Return the even deviation of the phase that explains errors best, at every sample."""
-    known = _smoothed(path, information, wavelength_mm, SMOOTHING)
-    return _smoothed(path, score, wavelength_mm, SMOOTHING) / (known + TRUST)
+    carried = x * np.exp(-1j * turned) * np.diff(path, axis=1, prepend=0.0)
+    real, imaginary = (_smoothed(path, part, wavelength_mm, 1.0) for part in (carried.real, carried.imag))
+    return turned + np.unwrap(np.angle(real + 1j * imaginary), axis=1)
 
 
 def _smoothed(path: Array, values: Array, wavelength_mm: float, width: float) -> Array:
@@ -224,19 +194,8 @@ def _smoothed(path: Array, values: Array, wavelength_mm: float, width: float) ->
     return out
 
 
-def played(data: LatticeData, table: SpeedForceTable, phase: Array) -> Array:
-    """Return T at every sample, in units of the level, shape (n_blocks, block)."""
-    return tone(_coefficients(data, table), phase)
-
-
 def _coefficients(data: LatticeData, table: SpeedForceTable) -> Array:
     return table.at(data.speed.ravel(), data.force.ravel()).reshape(*data.x.shape, -1)
-
-
-def _filtered(whitener: Array, x: Array) -> Array:
-    from scipy import signal
-
-    return np.asarray(signal.lfilter(whitener, [1.0], x, axis=-1))
 
 
 def _fitted(
@@ -254,7 +213,7 @@ def _fitted(
     multiples = np.arange(1, n_columns // 2 + 1)
     angle = phase[chosen][:, None] * multiples[:, None]
     waves = np.stack([np.cos(angle), np.sin(angle)], axis=2).reshape(len(chosen), n_columns, -1)
-    waves, target = _filtered(whitener, waves), _filtered(whitener, data.x[chosen])
+    waves, target = (lfilter(whitener, [1.0], signal) for signal in (waves, data.x[chosen]))
     waves[..., : whitener.size] = 0.0
     waves = waves.transpose(1, 0, 2).reshape(n_columns, -1)
     row, column = np.triu_indices(n_columns)
@@ -267,20 +226,14 @@ def _fitted(
     moment = (near.by_vertex @ (waves * target.ravel()).T).ravel()
     # What a vertex knows of each wave, on the mean, is the unit of what holds it to its neighbours.
     known = np.diag(gram).reshape(n_vertices, n_columns).mean(axis=0)
-    bonds = ROUGHNESS * _differences(len(table.speed_knots), len(table.force_knots))
-    gram += np.kron(bonds + 1e-5 * np.eye(n_vertices), np.diag(known))
+    over_speed, over_force = (np.eye(len(knots)) for knots in (table.speed_knots, table.force_knots))
+    steps = np.concatenate(
+        [np.kron(np.diff(over_speed, axis=0), over_force), np.kron(over_speed, np.diff(over_force, axis=0))]
+    )  # from each vertex to its neighbours
+    bonds = steps.T @ steps
+    gram += np.kron(ROUGHNESS * bonds + 1e-5 * np.eye(n_vertices), np.diag(known))
     vertex_speeds = np.repeat(table.speed_knots, len(table.force_knots))
     held = (vertex_speeds[:, None] * np.repeat(multiples, 2) <= fastest).ravel()
     values = np.zeros(n_vertices * n_columns)
     values[held] = np.linalg.solve(gram[np.ix_(held, held)], moment[held])
     return replace(table, values=values.reshape(n_vertices, n_columns))
-
-
-def _differences(n_speed: int, n_force: int) -> Array:
-    """Return the quadratic form of the differences between neighbouring vertices, shape (n_speed · n_force,) twice."""
-
-    def chain(n: int) -> Array:
-        steps = np.diff(np.eye(n), axis=0)
-        return np.asarray(steps.T @ steps)
-
-    return np.asarray(np.kron(chain(n_speed), np.eye(n_force)) + np.kron(np.eye(n_speed), chain(n_force)))
