@@ -28,9 +28,8 @@ Source: Gray & Markel, "A normalized digital filter structure", IEEE Trans. ASSP
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from foten.dsp import Array
 
 # A state left alone falls by e in 3333 samples at most, whatever the reflections are. On the real four at 10 kHz it raises the
 # one-step error by 0.00 to 0.05 % over 0.9999, 0.999 by 0.2 to 0.5 %; two streams then meet thrice as fast.
@@ -40,16 +39,11 @@ MAX_REFLECTION = 0.99999  # of a vertex; 1 would be an undamped oscillation
 
 
 def check_reflections(reflections: Array) -> None:
-    """Check that reflections make a stable lattice.
-
-    Raises:
-        ValueError: one is 1 or more in size.
-    """
+    """Refuse reflections of which one is 1 or more in size."""
     largest = float(np.abs(reflections).max(initial=0.0))
     if not largest < 1:
-        raise ValueError(
-            f"a reflection is {largest:.6g} in size, expected less than 1: the lattice would not be stable"
-        )
+        message = f"a reflection is {largest:.6g} in size, expected less than 1: the lattice would not be stable"
+        raise ValueError(message)
 
 
 def analyse(x: Array, reflections: Array) -> tuple[Array, Array, Array]:

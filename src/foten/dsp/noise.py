@@ -21,6 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.dsp import Array
+
 _MULTIPLIER_0, _MULTIPLIER_1 = 0xD2511F53, 0xCD9E8D57
 _WEYL_0, _WEYL_1 = 0x9E3779B9, 0xBB67AE85
 _MASK = 0xFFFFFFFF
@@ -49,14 +51,10 @@ def philox(counter: NDArray[np.uint64], key: int) -> NDArray[np.uint64]:
     return np.stack([c0, c1, c2, c3], axis=1)
 
 
-def gaussian(key: int, stream: int, first: int, n: int) -> NDArray[np.float64]:
+def gaussian(key: int, stream: int, first: int, n: int) -> Array:
     """Return samples `first` … `first + n − 1` of one stream, shape (n,): zero mean, unit variance.
 
-    Args:
-        key: the seed, 0 … 2⁶⁴ − 1.
-        stream: 0 … 2⁶⁴ − 1; streams of one key are independent.
-        first: index of the first sample.
-        n: how many.
+    Key and stream from 0 to 2⁶⁴ − 1; streams of one key are independent.
     """
     index = np.arange(first, first + n, dtype=np.uint64)
     counter = np.empty((n, 4), dtype=np.uint64)
@@ -68,19 +66,15 @@ def gaussian(key: int, stream: int, first: int, n: int) -> NDArray[np.float64]:
     return x * (_LINEAR + _CUBIC * (x * x))
 
 
-def heavy_tailed(
-    noise: NDArray[np.float64], tail: NDArray[np.float64], limit: NDArray[np.float64] | float
-) -> NDArray[np.float64]:
+def heavy_tailed(noise: Array, tail: Array, limit: Array | float) -> Array:
     """Return z·exp(h z²/2), at most `limit` in size: Gaussian numbers z with tails as heavy as h says, any equal shapes.
-
-    h = 0 leaves them as they are; the share of small values stays, and large ones become larger.
 
     Source: the h-distribution of Tukey; Goerg, "Lambert W random variables", Annals of Applied Statistics 5 (2011).
     """
     return np.clip(noise * np.exp(0.5 * tail * noise * noise), -limit, limit)
 
 
-def gaussianised(values: NDArray[np.float64], tail: NDArray[np.float64]) -> NDArray[np.float64]:
+def gaussianised(values: Array, tail: Array) -> Array:
     """Return z with z·exp(h z²/2) = u, what `heavy_tailed` undoes but for its limit: u and h of equal shapes, h from 0 on."""
     log_u = np.log(np.maximum(np.abs(values), 1e-300))
     # Newton's method on log |z|: from above the root of a convex function every step stays above.
@@ -91,15 +85,12 @@ def gaussianised(values: NDArray[np.float64], tail: NDArray[np.float64]) -> NDAr
     return np.copysign(np.exp(q), values)
 
 
-def innovation_likelihood(
-    missed: NDArray[np.float64], scale: NDArray[np.float64], tail: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def innovation_likelihood(missed: Array, scale: Array, tail: Array) -> tuple[Array, Array]:
     """Return innovations taken back to what should be standard normal, and their negative log-likelihood [nat, scaled].
 
     Args:
-        missed: recorded minus predicted, scaled, any shape.
-        scale: σ of the excitation, scaled, the same shape.
-        tail: h, the same shape.
+        missed: recorded minus predicted, scaled.
+        scale, tail: σ of the excitation, scaled, and h, of the same shape.
     """
     z = gaussianised(missed / scale, tail)
     spread = tail * z * z
@@ -121,25 +112,21 @@ class Volatility:
 
     Source: the exponential GARCH of Nelson, Econometrica 59 (1991), fitted by the kurtosis rather than one step ahead.
 
-    Attributes:
-        kept: ρ, of g in a sample.
-        sd: s.
-        state: g of each stream, shape (s,).
     """
 
-    kept: float
-    sd: float
-    state: NDArray[np.float64]
+    kept: float  # ρ, of g in a sample
+    sd: float  # s
+    state: Array  # g of each stream, shape (s,)
 
-    def factor(self) -> NDArray[np.float64]:
+    def factor(self) -> Array:
         """Return by how much the next excitation is louder than usual, shape (s,)."""
         return np.exp(self.state - self.sd * self.sd)
 
-    def draw(self, noise: NDArray[np.float64]) -> None:
+    def draw(self, noise: Array) -> None:
         """Be as if the wander had always been going on, by a standard normal number for each stream, shape (s,)."""
         self.state = self.sd * np.clip(noise, -LARGEST_VOLATILITY, LARGEST_VOLATILITY)
 
-    def push(self, noise: NDArray[np.float64] | None) -> None:
+    def push(self, noise: Array | None) -> None:
         """Take in the standard normal numbers of a sample, shape (s,); None leaves all as it is."""
         if noise is None or self.sd == 0:
             return

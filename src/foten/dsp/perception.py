@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from foten.dsp import Array
+from foten.dsp.distance import HIGHEST_HZ, LOWEST_HZ
 
-LOWEST_HZ, HIGHEST_HZ = 20.0, 1000.0  # of texture vibration; of touch
 MOST_SENSITIVE_HZ = 250.0
 USABLE_BAND = 0.45  # of a rate
 RATES_HZ = (1000.0, 2500.0, 10_000.0)
-ENOUGH = 0.95
 
 
 def sensitivity(hertz: Array) -> Array:
@@ -25,10 +23,7 @@ def sensitivity(hertz: Array) -> Array:
     much of that band is the hand's own movement; it weighs 1.
 
     Args:
-        hertz: frequencies [Hz], shape (k,).
-
-    Returns:
-        Weights from 0 to 1, shape (k,); 0 outside 20 to 1000 Hz.
+        hertz: frequencies [Hz], shape (k,); 0 is the weight of those outside 20 to 1000 Hz.
 
     Source: Verrillo, J. Acoust. Soc. Am. 35 (1963), for large contactors; the slope above 250 Hz is our reading of a U.
     """
@@ -47,22 +42,17 @@ def carried(densities: Mapping[str, tuple[Array, Array]], rate_hz: float) -> dic
         Shares from 0 to 1; empty where no power is perceived.
     """
     weighted = [(hertz, density * sensitivity(hertz)) for hertz, density in densities.values()]
-    total = sum(float(np.trapezoid(power, hertz)) for hertz, power in weighted)
-    if not total > 0:
-        return {}
-    return {
-        rate: sum(
-            float(np.trapezoid(np.where(hertz <= USABLE_BAND * rate, power, 0.0), hertz)) for hertz, power in weighted
-        )
-        / total
-        for rate in sorted({*(rate for rate in RATES_HZ if rate <= rate_hz), rate_hz})
-    }
+
+    def power(highest_hz: float) -> float:
+        return sum(float(np.trapezoid(np.where(hertz <= highest_hz, one, 0.0), hertz)) for hertz, one in weighted)
+
+    total, rates = power(np.inf), {*(rate for rate in RATES_HZ if rate <= rate_hz), rate_hz}
+    return {rate: power(USABLE_BAND * rate) / total for rate in sorted(rates)} if total > 0 else {}
 
 
 def smallest_rate(shares: Mapping[float, float]) -> float:
     """Return the lowest rate that carries 95 % of what the highest carries [Hz]."""
-    most = max(shares.values())
-    return min(rate for rate, share in shares.items() if share >= ENOUGH * most)
+    return min(rate for rate, share in shares.items() if share >= 0.95 * max(shares.values()))
 
 
 def in_words(shares: Mapping[float, float]) -> str:

@@ -30,19 +30,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from foten.dsp import Array
 
 LARGEST_JITTER = 3.0  # standard deviations of an innovation that drives the stray
 N_CANDIDATES = 32  # phases that a window is compared with
 
 
 def tone(coefficients: Array, phase: Array) -> Array:
-    """Return T, in the unit of the coefficients.
-
-    Args:
-        coefficients: of cosine and sine of each multiple in turn, shape (…, 2 n_tones).
-        phase: [rad], shape (…).
-    """
+    """Return T, in the unit of the coefficients of cosine and sine in turn: (…, 2 n_tones), phase [rad] (…) → (…)."""
     cosine, sine, _ = _waves(coefficients, phase)
     return (coefficients[..., 0::2] * cosine + coefficients[..., 1::2] * sine).sum(axis=-1)
 
