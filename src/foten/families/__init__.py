@@ -1,6 +1,7 @@
 """The families of models, free of any framework, one file each: sizes, tensor shapes, cost, limits."""
 
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 from foten.families.foten import FotenSizes
@@ -18,7 +19,7 @@ from foten.families.graphs import (
     TenWaveletSizes,
 )
 from foten.families.piecewise_ar import PiecewiseArSizes
-from foten.families.sizes import Sizes, shortened, sizes_from_card
+from foten.families.sizes import Sizes, shortened
 from foten.families.ten import TenSizes
 
 FAMILIES: dict[str, type[Sizes]] = {
@@ -48,4 +49,8 @@ def sizes_of(model: str, card: Mapping[str, Any]) -> Sizes:
     """
     if model not in FAMILIES:
         raise ValueError(f"unknown model {shortened(model)}, expected one of {', '.join(FAMILIES)}")
-    return sizes_from_card(FAMILIES[model], model, card)
+    known = [field.name for field in fields(FAMILIES[model])]
+    unknown = set(card) - set(known)
+    if unknown:
+        raise ValueError(f"{model} has no size {min(unknown)!r}, expected one of {', '.join(known)}")
+    return FAMILIES[model](**card)
