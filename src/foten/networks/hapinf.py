@@ -7,9 +7,8 @@ from torch import Tensor, nn
 
 from foten.dsp.spectrum import position_encoding
 from foten.families import HapinfSizes
-from foten.networks.decoder import DecoderLayer
 from foten.networks.dropout import Dropout
-from foten.networks.encoder import EncoderLayer
+from foten.networks.transformer import DecoderLayer, EncoderLayer
 
 
 class Hapinf(nn.Module):

@@ -7,8 +7,8 @@ from torch import Tensor, nn
 
 from foten.dsp.spectrum import position_encoding
 from foten.families import LdhtdSizes
-from foten.networks.decoder import DecoderLayer
 from foten.networks.dropout import Dropout
+from foten.networks.transformer import DecoderLayer
 
 
 class Ldhtd(nn.Module):

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from foten.dsp.spectrum import position_encoding
 from foten.families import LdhtdHopSizes
 from foten.networks.dropout import Dropout
-from foten.networks.encoder import EncoderLayer
+from foten.networks.transformer import EncoderLayer
 
 
 class LdhtdHop(nn.Module):

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.func import functional_call, grad_and_value, stack_module_state, vmap
 
-from foten.networks.dropout import mask, mask_shapes, masks_given, set_dropout
+from foten.networks.dropout import mask, masks_from, set_dropout
 from foten.recording.windows import window_indices
 from foten.train.config import TrainConfig
 from foten.train.epochs import Epoch, Progress, goes_on
@@ -143,7 +143,8 @@ class _Stack:
         def loss(
             weights: dict[str, Tensor], fixed: dict[str, Tensor], windows: Tensor, goal: Tensor, masks: list[Tensor]
         ) -> Tensor:
-            with masks_given(masks):
+            in_turn = iter(masks)
+            with masks_from(lambda *_: next(in_turn)):
                 return criterion(functional_call(self._textures[0].network, (weights, fixed), (windows,)), goal)
 
         self._gradients = vmap(grad_and_value(loss))
@@ -203,11 +204,16 @@ class _Stack:
         if p == 0:
             return []
         if b not in self._shapes:
-            with mask_shapes() as shapes, torch.no_grad():
+            shapes = self._shapes[b] = []
+
+            def noted(shape: torch.Size, device: torch.device, p: float) -> Tensor:
+                shapes.append(shape)
+                return mask(shape, device, p)
+
+            with masks_from(noted), torch.no_grad():
                 self._textures[0].network(windows[0])
-            self._shapes[b] = list(shapes)
         drawn = []
         for seed, of_epoch in zip(seeds, self._generators, strict=True):
             generator = masks_of(seed, self._device) or of_epoch
-            drawn.append([mask(shape, p, generator, self._device) for shape in self._shapes[b]])
+            drawn.append([mask(shape, self._device, p, generator) for shape in self._shapes[b]])
         return [torch.stack(masks) for masks in zip(*drawn, strict=True)]
