@@ -31,19 +31,16 @@ def stabilised(taps: Array, radius: float) -> Array:
 
 
 def levinson(moments: Array) -> tuple[Array, Array]:
-    """Return the reflections of autoregressions and what every order leaves, by the recursion of Levinson and Durbin.
+    """Return the reflections of autoregressions, as `dsp.lattice` has them (p, b), and the variance that orders 0 … p leave.
+
+    The recursion of Levinson and Durbin.
 
     Args:
         moments: autocovariances at lags 0 … p, shape (p + 1, b); biased ones give stable autoregressions.
-
-    Returns:
-        Reflections, as `dsp.lattice` has them, shape (p, b); the innovations' variance of each order 0 … p, shape (p + 1, b).
     """
     p, b = moments.shape[0] - 1, moments.shape[1]
-    a = np.zeros((p + 1, b))
-    a[0] = 1.0
-    reflections, errors = np.zeros((p, b)), np.empty((p + 1, b))
-    errors[0] = moments[0]
+    a, reflections, errors = np.zeros((p + 1, b)), np.zeros((p, b)), np.empty((p + 1, b))
+    a[0], errors[0] = 1.0, moments[0]
     for i in range(1, p + 1):
         missed = (a[:i] * moments[i:0:-1]).sum(axis=0)
         k = np.divide(-missed, errors[i - 1], out=np.zeros(b), where=errors[i - 1] > 0).clip(-1.0, 1.0)
@@ -53,13 +50,10 @@ def levinson(moments: Array) -> tuple[Array, Array]:
 
 
 def burg(x: Array, p: int) -> tuple[Array, float]:
-    """Return the reflections of an autoregression of order p, shape (p,), and its innovations' variance.
+    """Return the reflections of an autoregression of order p, shape (p,), and its innovations' variance: x (n,) of mean zero.
 
     Both prediction errors are made small at once (Burg 1975): nothing is taken to be zero outside, so that of a short piece a
     sharp resonance stays sharp, and every reflection lies within 1.
-
-    Args:
-        x: shape (n,), of mean zero, n > p.
     """
     forward, backward = x[1:].copy(), x[:-1].copy()
     reflections, error = np.zeros(p), float(np.square(x).mean())

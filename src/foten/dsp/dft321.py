@@ -16,10 +16,7 @@ def dft321(axes: Array) -> Array:
     the borders between training and test.
 
     Args:
-        axes: acceleration [m/s²], shape (…, n_axes, n).
-
-    Returns:
-        Acceleration [m/s²], shape (…, n).
+        axes: acceleration [m/s²], shape (…, n_axes, n); the result has (…, n).
 
     Source: Landin, Romano, McMahan, Kuchenbecker 2010; Sec. III-c.
     Differs from the paper: where the axes cancel (|Σ A_k| ≈ 0), the phase is the largest axis's; the mean (0 Hz) and,

@@ -13,16 +13,10 @@ Sections = tuple[tuple[float, float, float, float, float], ...]
 
 
 def butterworth(kind: str, cutoff_hz: float, rate_hz: float, order: int = 2) -> Sections:
-    """Return a Butterworth low-pass or high-pass of even order.
+    """Return a Butterworth `lowpass` or `highpass` of even order, by its −3 dB frequency and samples a second.
 
     Bilinear transform with the cutoff prewarped, one biquad for each pair of poles at angle θ from the
     negative real axis, whose damping is 1/Q = 2 cos θ.
-
-    Args:
-        kind: `lowpass` or `highpass`.
-        cutoff_hz: the −3 dB frequency.
-        rate_hz: samples a second.
-        order: even.
 
     Raises:
         ValueError: the cutoff does not lie between 0 and half the rate, or the order is odd.

@@ -47,15 +47,11 @@ def check_reflections(reflections: Array) -> None:
 
 
 def analyse(x: Array, reflections: Array) -> tuple[Array, Array, Array]:
-    """Return the innovations of signals that begin from rest, their scale, and the state that they end in.
-
-    Args:
-        x: shape (s, n).
-        reflections: that go with each sample, shape (s, n, p).
+    """Return what signals x (s, n) that begin from rest are made of by reflections (s, n, p) that go with each sample.
 
     Returns:
-        e, shape (s, n), of unit variance where the reflections fit; Π c_i, shape (s, n), with which the prediction of each sample
-        from those before it is x − e · Π c_i; and b₀ … b_{p−1} after the last sample, shape (p, s).
+        Innovations e (s, n), of unit variance where the reflections fit; Π c_i (s, n), with which the prediction of each sample
+        from those before it is x − e · Π c_i; and b₀ … b_{p−1} after the last sample (p, s).
     """
     f, b, gain = x, x, np.ones_like(x)
     states = np.empty((reflections.shape[2], len(x)))
@@ -80,16 +76,12 @@ def rotate_back(f: Array, b: Array, k: Array) -> tuple[Array, Array, Array]:
 
 
 def predict(states: Array, reflections: Array) -> tuple[Array, Array]:
-    """Return the next sample without innovation, and by how much a unit of innovation moves it.
+    """Return the next sample without innovation, and by how much a unit of innovation moves it, (s,) each.
 
     All sections at once: with f_p = 0, f₀ = −Σ k_i β b_{i−1} Π_{j<i} c_j.
 
     Args:
-        states: b₀ … b_{p−1} after the last sample, shape (p, s).
-        reflections: of the next sample, shape (p, s).
-
-    Returns:
-        Both of shape (s,).
+        states, reflections: b₀ … b_{p−1} after the last sample, and k₁ … k_p of the next, shape (p, s).
     """
     cosines = np.sqrt(1 - reflections * reflections)
     gains = np.cumprod(cosines, axis=0)

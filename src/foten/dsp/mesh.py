@@ -16,17 +16,11 @@ _AT_ONCE = 500_000  # points times triangles held in memory
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles over speed and force; whoever stands outside of all is heard from the nearest edge.
+    """Triangles over speed and force; whoever stands outside of all is heard from the nearest edge."""
 
-    Attributes:
-        points: speed [mm/s] and force [N], shape (n, 2).
-        triangles: three points each, shape (t, 3).
-        scale: what a speed and a force are divided by before distances are told, shape (2,).
-    """
-
-    points: Array
-    triangles: NDArray[np.int64]
-    scale: Array
+    points: Array  # speed [mm/s] and force [N], shape (n, 2)
+    triangles: NDArray[np.int64]  # three points each, shape (t, 3)
+    scale: Array  # what a speed and a force are divided by before distances are told, shape (2,)
 
     def __post_init__(self) -> None:
         if not (self.scale > 0).all():

@@ -36,17 +36,11 @@ _MEAN_SIZE, _SIZE_SD = math.sqrt(2 / math.pi), math.sqrt(1 - 2 / math.pi)  # of 
 
 def philox(counter: NDArray[np.uint64], key: int) -> NDArray[np.uint64]:
     """Return ten rounds of Philox4x32: counters (n, 4) of 32-bit words → random 32-bit words (n, 4)."""
-    c0, c1, c2, c3 = (counter[:, i].astype(np.uint64) for i in range(4))
+    c0, c1, c2, c3 = counter.T
     k0, k1 = key & _MASK, (key >> 32) & _MASK
-    mask, shift = np.uint64(_MASK), np.uint64(32)
     for _ in range(10):
-        product_0, product_1 = c0 * np.uint64(_MULTIPLIER_0), c2 * np.uint64(_MULTIPLIER_1)
-        c0, c1, c2, c3 = (
-            (product_1 >> shift) ^ c1 ^ np.uint64(k0),
-            product_1 & mask,
-            (product_0 >> shift) ^ c3 ^ np.uint64(k1),
-            product_0 & mask,
-        )
+        first, second = c0 * _MULTIPLIER_0, c2 * _MULTIPLIER_1
+        c0, c1, c2, c3 = (second >> 32) ^ c1 ^ k0, second & _MASK, (first >> 32) ^ c3 ^ k1, first & _MASK
         k0, k1 = (k0 + _WEYL_0) & _MASK, (k1 + _WEYL_1) & _MASK
     return np.stack([c0, c1, c2, c3], axis=1)
 
@@ -58,10 +52,10 @@ def gaussian(key: int, stream: int, first: int, n: int) -> Array:
     """
     index = np.arange(first, first + n, dtype=np.uint64)
     counter = np.empty((n, 4), dtype=np.uint64)
-    counter[:, 0], counter[:, 1] = index & np.uint64(_MASK), index >> np.uint64(32)
+    counter[:, 0], counter[:, 1] = index & _MASK, index >> 32
     counter[:, 2], counter[:, 3] = stream & _MASK, (stream >> 32) & _MASK
     words = philox(counter, key)
-    total = ((words & np.uint64(0xFFFF)) + (words >> np.uint64(16))).sum(axis=1)
+    total = ((words & 0xFFFF) + (words >> 16)).sum(axis=1)
     x = (total.astype(np.float64) - 262140.0) / _SUM_SD
     return x * (_LINEAR + _CUBIC * (x * x))
 
@@ -88,9 +82,7 @@ def gaussianised(values: Array, tail: Array) -> Array:
 def innovation_likelihood(missed: Array, scale: Array, tail: Array) -> tuple[Array, Array]:
     """Return innovations taken back to what should be standard normal, and their negative log-likelihood [nat, scaled].
 
-    Args:
-        missed: recorded minus predicted, scaled.
-        scale, tail: σ of the excitation, scaled, and h, of the same shape.
+    From recorded minus predicted and σ of the excitation, scaled, and h of its tails, of equal shapes.
     """
     z = gaussianised(missed / scale, tail)
     spread = tail * z * z
@@ -111,7 +103,6 @@ class Volatility:
     whose mean square is near 1. With it the kurtosis of a Gaussian texture grows by about exp(4s²).
 
     Source: the exponential GARCH of Nelson, Econometrica 59 (1991), fitted by the kurtosis rather than one step ahead.
-
     """
 
     kept: float  # ρ, of g in a sample

@@ -15,15 +15,12 @@ RATES_HZ = (1000.0, 2500.0, 10_000.0)
 
 
 def sensitivity(hertz: Array) -> Array:
-    """Return the weight of acceleration power at each frequency: the inverse square of the threshold, 1 up to 250 Hz.
+    """Return the weight of acceleration power at frequencies [Hz] (k,): the inverse square of the threshold, 1 up to 250 Hz.
 
     The displacement threshold falls by 12 dB per octave from 40 Hz to its minimum near 250 Hz, so the acceleration threshold
     is flat there. Above the minimum the displacement threshold is taken to rise by the same 12 dB per octave, which makes
     24 dB per octave of acceleration. Below 40 Hz the displacement threshold is flat and acceleration would weigh more, but
-    much of that band is the hand's own movement; it weighs 1.
-
-    Args:
-        hertz: frequencies [Hz], shape (k,); 0 is the weight of those outside 20 to 1000 Hz.
+    much of that band is the hand's own movement; it weighs 1. Outside 20 to 1000 Hz the weight is 0.
 
     Source: Verrillo, J. Acoust. Soc. Am. 35 (1963), for large contactors; the slope above 250 Hz is our reading of a U.
     """
@@ -34,12 +31,8 @@ def sensitivity(hertz: Array) -> Array:
 def carried(densities: Mapping[str, tuple[Array, Array]], rate_hz: float) -> dict[float, float]:
     """Return the share of the perceived power that each rate [Hz] keeps: the `RATES_HZ` up to `rate_hz`, and `rate_hz`.
 
-    Args:
-        densities: of each axis of the acceleration, frequency [Hz] (k,) and power density (k,).
-        rate_hz: at which the acceleration was captured.
-
-    Returns:
-        Shares from 0 to 1; empty where no power is perceived.
+    Shares from 0 to 1, none where no power is perceived, from the frequencies [Hz] (k,) and power densities (k,) of each axis of
+    an acceleration captured at `rate_hz`.
     """
     weighted = [(hertz, density * sensitivity(hertz)) for hertz, density in densities.values()]
 

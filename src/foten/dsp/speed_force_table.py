@@ -14,17 +14,11 @@ LEAST_SPREAD = 0.02  # of the largest speed, and of force: what a hand has to va
 
 @dataclass(frozen=True)
 class SpeedForceTable:
-    """Values at the vertices of a grid: bilinear in speed and log force between them, constant outside.
+    """Values at the vertices of a grid: bilinear in speed and log force between them, constant outside."""
 
-    Attributes:
-        speed_knots: [mm/s], rising, shape (n_v,).
-        force_knots: log(force/N + 0.05), rising, shape (n_f,).
-        values: speed the slower index, shape (n_v · n_f, k).
-    """
-
-    speed_knots: Array
-    force_knots: Array
-    values: Array
+    speed_knots: Array  # [mm/s], rising, shape (n_v,)
+    force_knots: Array  # log(force/N + 0.05), rising, shape (n_f,)
+    values: Array  # speed the slower index, shape (n_v · n_f, k)
 
     def __post_init__(self) -> None:
         if not (np.diff(self.speed_knots) > 0).all() or not (np.diff(self.force_knots) > 0).all():

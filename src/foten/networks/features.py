@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from foten.dsp import Array
 from foten.dsp.spectrum import dft_matrices
-from foten.families import TenMfccSizes, TenWaveletSizes
+from foten.families.graphs import TenMfccSizes, TenWaveletSizes
 
 QUIETEST = 1e-3  # power of a band, scaled, below which its logarithm no longer falls: 40 dB below the vibration
 

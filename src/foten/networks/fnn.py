@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from foten.dsp import Array
 from foten.dsp.filters import Biquads, butterworth
-from foten.families import FnnSizes
+from foten.families.graphs import FnnSizes
 from foten.networks.dropout import Dropout
 
 EDGES = (0.06, 0.125, 0.25)  # between the bands, of the rate: 60, 125 and 250 Hz at 1 kHz

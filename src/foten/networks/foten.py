@@ -8,8 +8,8 @@ import torch
 from torch import Tensor, nn
 
 from foten.dsp.spectrum import WEAKEST_BIN, dft_matrices, last_sample_row, position_encoding
-from foten.families import FotenDSizes, TenMfccSizes, TenWaveletSizes
 from foten.families.foten import SpectralSizes
+from foten.families.graphs import FotenDSizes, TenMfccSizes, TenWaveletSizes
 from foten.families.ten import TransformerSizes
 from foten.networks.dropout import Dropout
 from foten.networks.features import MfccBranch, WaveletBranch

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from foten.dsp.spectrum import position_encoding
-from foten.families import HapinfSizes
+from foten.families.graphs import HapinfSizes
 from foten.networks.dropout import Dropout
 from foten.networks.transformer import DecoderLayer, EncoderLayer
 

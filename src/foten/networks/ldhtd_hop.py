@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from foten.dsp.spectrum import position_encoding
-from foten.families import LdhtdHopSizes
+from foten.families.graphs import LdhtdHopSizes
 from foten.networks.dropout import Dropout
 from foten.networks.transformer import EncoderLayer
 

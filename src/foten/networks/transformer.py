@@ -23,8 +23,7 @@ class EncoderLayer(nn.Module):
         self.attention_out = nn.Linear(width, width)
         self.feedforward_in = nn.Linear(width, d_feedforward)
         self.feedforward_out = nn.Linear(d_feedforward, width)
-        self.norm_1 = nn.LayerNorm(width)
-        self.norm_2 = nn.LayerNorm(width)
+        self.norm_1, self.norm_2 = nn.LayerNorm(width), nn.LayerNorm(width)
         self.dropout = Dropout()
 
     def forward(self, tokens: Tensor, last_only: bool = False) -> Tensor:
@@ -34,10 +33,8 @@ class EncoderLayer(nn.Module):
         """
         normed = self.norm_1(tokens) if self.pre_norm else tokens
         asked = slice(-1, None) if last_only else slice(None)
-        residual = tokens[:, asked]
-        hidden = residual + self.dropout(self._attend(normed, asked))
-        if not self.pre_norm:
-            hidden = self.norm_1(hidden)
+        hidden = tokens[:, asked] + self.dropout(self._attend(normed, asked))
+        hidden = hidden if self.pre_norm else self.norm_1(hidden)
         inner = self.norm_2(hidden) if self.pre_norm else hidden
         fed = self.dropout(self.feedforward_out(self.dropout(torch.relu(self.feedforward_in(inner)))))
         return hidden + fed if self.pre_norm else self.norm_2(hidden + fed)

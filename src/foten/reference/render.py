@@ -34,10 +34,8 @@ def render(
     grow.
 
     Args:
-        texture: with its tensors.
         speed, force: at the texture's rate [mm/s, N], shape (n,).
-        seed: of the noise; stream k of it is stream k here.
-        n_streams: of independent noise.
+        seed, n_streams: of the noise; stream k of it is stream k here.
         excitation: False runs the deterministic loop from the warm start.
         network: of a graph, as `model_of` has it.
     """

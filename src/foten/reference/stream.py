@@ -32,7 +32,10 @@ class Prediction(NamedTuple):
 
 
 class Stream(Protocol):
-    """Independent streams of one model, s of them."""
+    """Independent streams of one model, s of them.
+
+    A condition is speed and force, scaled, and the speed that tones go by [mm/s].
+    """
 
     @property
     def bounded(self) -> bool:
@@ -43,12 +46,7 @@ class Stream(Protocol):
         """Return how many numbers of noise a stream takes to `begin`."""
 
     def begin(self, condition: Array, noise: Array) -> None:
-        """Take a state as after a long time under one condition, whatever was before.
-
-        Args:
-            condition: speed and force, scaled, and the speed that tones go by [mm/s], shape (s, 3).
-            noise: standard normal, shape (s, n_initial).
-        """
+        """Take a state as after a long time under one condition (s, 3), whatever was before; standard normal (s, n_initial)."""
 
     def predict(self) -> Prediction:
         """Return the next samples, shape (s,)."""
@@ -76,7 +74,7 @@ def run(stream: Stream, condition: Array, noise: Array | None, limit: float = np
 
     Args:
         stream: changed.
-        condition: speed and force of each sample, scaled, and the speed that tones go by [mm/s], shape (s, n, 3).
+        condition: of each sample, shape (s, n, 3).
         noise: standard normal, shape (s, n); None for the deterministic loop.
         limit: of the saturator.
     """

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from foten.families import HapinfSizes
+from foten.families.graphs import HapinfSizes
 from foten.networks import build
 from foten.networks.noise_filter import log_magnitudes
 from foten.train.blocks import ScaledBlocks
