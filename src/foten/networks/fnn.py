@@ -33,8 +33,7 @@ class Fnn(nn.Module):
             for _ in SPACING
         ]
         self.bands = nn.ModuleList(nn.Sequential(*of_band) for of_band in layers)
-        lags = torch.from_numpy(lagged_bands(sizes.window, sizes.n_lags))
-        self.register_buffer("lags", lags, persistent=False)
+        self.register_buffer("lags", torch.from_numpy(lagged_bands(sizes.window, sizes.n_lags)), persistent=False)
 
     def forward(self, windows: Tensor) -> Tensor:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""

@@ -28,8 +28,7 @@ class TemporalBranch(nn.Module):
         )
         self.norm = nn.LayerNorm(d) if sizes.pre_norm else nn.Identity()
         self.dropout = Dropout()
-        positions = torch.from_numpy(position_encoding(sizes.window, d))
-        self.register_buffer("positions", positions, persistent=False)
+        self.register_buffer("positions", torch.from_numpy(position_encoding(sizes.window, d)), persistent=False)
 
     def forward(self, samples: Tensor, last_only: bool = True) -> Tensor:
         """Return E_t, or its last token alone: (b, m, n_inputs) scaled → (b, m or 1, d_model)."""

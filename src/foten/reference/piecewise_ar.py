@@ -47,7 +47,10 @@ class PiecewiseAr:
         self._table = np.concatenate([w["lsf"], zeros, before[:, None] ** 2], axis=1)
 
     def mixed(self, condition: Array) -> tuple[Array, Array, Array]:
-        """Return reflection coefficients (p, b), b₁ … b_q (q, b) and the gain before the lattice, scaled, (b,): from (b, 2)."""
+        """Return reflection coefficients (p, b), b₁ … b_q (q, b) and the scaled gain before the lattice (b,).
+
+        Of the model under a speed and force, scaled (b, 2).
+        """
         physical = np.maximum(condition * self._sd + self._mean, 0.0)
         chosen, weights = self._mesh.at(*physical.T)
         mixed = (self._table[chosen] * weights[:, :, None]).sum(axis=1)
