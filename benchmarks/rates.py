@@ -21,7 +21,8 @@ import numpy as np
 from scipy.signal import welch
 
 from foten.datasets.simulate import TEXTURES, simulate
-from foten.dsp.perception import HIGHEST_HZ, MOST_SENSITIVE_HZ, USABLE_BAND, carried, smallest_rate
+from foten.dsp.distance import HIGHEST_HZ
+from foten.dsp.perception import MOST_SENSITIVE_HZ, USABLE_BAND, carried, smallest_rate
 from foten.recording.recording import Recording
 from main_table import REAL, between, recording_of
 

@@ -265,8 +265,8 @@ MUTANTS = (
     Mutant(
         "matrices are not orthogonalised",
         PACKAGE + "train/optimiser.py",
-        "direction = orthogonalised(matrix.grad + MOMENTUM * momentum)",
-        "direction = matrix.grad + MOMENTUM * momentum",
+        "orthogonalised(directions), strict=True)",
+        "directions, strict=True)",
         ("tests/test_optimiser.py",),
     ),
     Mutant(

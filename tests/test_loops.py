@@ -112,17 +112,8 @@ def followed(
         m = model.sizes.history
         corrected = part == "model" or (part == "rendering" and model.sizes.renders_with_network)
         conditions = model.with_path(blocks[:, :, 1:])
-        s, order = len(blocks), model.lattice.order
-        empty = np.zeros((s, model.sizes.window, 4))
-        stream: Any = FotenPlusStream(
-            model,
-            model.lattice,
-            corrected,
-            np.zeros((order, s)),
-            empty,
-            Volatilities(),  # the usual volatility
-            conditions[:, 0],
-        )
+        stream: Any = FotenPlusStream(model, model.lattice, corrected, conditions[:, 0])
+        stream.volatility = Volatilities()  # the usual volatility
         predictions = []
         for t in range(1, n):
             predictions.append(stream.predict())

@@ -10,7 +10,8 @@ import torch
 from scipy.fft import dct
 from scipy.signal import welch
 
-from foten.families import FAMILIES, DftnetSizes, GanSizes, TenMfccSizes, TenWaveletSizes, sizes_of
+from foten.families import FAMILIES, sizes_of
+from foten.families.graphs import DftnetSizes, GanSizes, TenMfccSizes, TenWaveletSizes
 from foten.networks import build
 from foten.networks.features import MfccBranch, WaveletBranch, cosine_transform, mel_bands, wavelet_transform
 from foten.networks.fnn import EDGES, lagged_bands

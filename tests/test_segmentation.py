@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from foten.dsp.segmentation import _LEAST_SPANS, pieces_of
+from foten.dsp.segmentation import LEAST_SPANS, pieces_of
 
 THREE = ((512, (0.9,)), (256, (1.69, -0.81)), (256, (1.32, -0.81)))
 
@@ -31,7 +31,7 @@ def described(x: np.ndarray, cuts: tuple[int, ...], max_order: int) -> float:
         for p in range(max_order + 1):
             taps = np.linalg.solve(r[np.abs(np.subtract.outer(range(p), range(p)))], r[1 : p + 1]) if p else np.empty(0)
             error = r[0] - taps @ r[1 : p + 1]
-            if n >= _LEAST_SPANS[p]:
+            if n >= LEAST_SPANS[p]:
                 told.append(np.log(max(p, 1)) + (p + 2) / 2 * np.log(n) + n / 2 * np.log(2 * np.pi * error))
         total += min(told, default=np.inf)
     return total + (np.log(m) if m else 0.0) + (m + 1) * np.log(x.size)
@@ -39,8 +39,8 @@ def described(x: np.ndarray, cuts: tuple[int, ...], max_order: int) -> float:
 
 def test_the_three_pieces_of_davis_are_found() -> None:
     """50 series of the source's example: at least 85 % in three pieces, the cuts within ten samples at the median."""
-    found = [pieces_of(played(THREE, seed), grid=10) for seed in range(50)]
-    right = [np.abs(pieces.cuts - [512, 768]) for pieces in found if len(pieces.cuts) == 2]
+    found = [pieces_of(played(THREE, seed), grid=10)[0] for seed in range(50)]
+    right = [np.abs(cuts - [512, 768]) for cuts in found if len(cuts) == 2]
     assert len(right) >= 43
     assert np.median(right) <= 10
 
@@ -51,55 +51,39 @@ def test_nothing_on_the_grid_is_shorter(seed: int) -> None:
     x = played(((60, (0.9,)), (50, (1.5, -0.9)), (40, (-0.7,))), seed)
     places = range(10, x.size - 9, 10)
     best = min(described(x, cuts, 3) for m in range(4) for cuts in combinations(places, m))
-    found = pieces_of(x, max_order=3, grid=10)
-    assert found.nats <= best + 1e-9
-    assert described(x, tuple(found.cuts.tolist()), 3) == pytest.approx(found.nats, rel=1e-12)
+    cuts, nats = pieces_of(x, max_order=3, grid=10)
+    assert nats <= best + 1e-9
+    assert described(x, tuple(cuts.tolist()), 3) == pytest.approx(nats, rel=1e-12)
 
 
 def test_a_change_of_loudness_alone_is_found() -> None:
     rng = np.random.default_rng(0)
     x = lfilter([1.0], [1.0, -1.2, 0.8], np.concatenate([rng.standard_normal(700), 3 * rng.standard_normal(700)]))
-    assert np.abs(pieces_of(x).cuts - 700).max() < 20
+    assert np.abs(pieces_of(x)[0] - 700).max() < 20
 
 
 def test_one_process_is_one_piece() -> None:
-    whole = [len(pieces_of(played(((3000, (1.5, -0.9)),), seed)).cuts) for seed in range(10)]
+    whole = [len(pieces_of(played(((3000, (1.5, -0.9)),), seed))[0]) for seed in range(10)]
     assert sum(whole) <= 1
 
 
 def test_no_piece_is_longer_than_asked() -> None:
-    pieces = pieces_of(played(((3000, (1.5, -0.9)),), 1), longest=700)
-    edges = np.concatenate([[0], pieces.cuts, [3000]])
-    assert np.diff(edges).max() <= 700
-    assert len(pieces.orders) == len(edges) - 1
+    cuts, _ = pieces_of(played(((3000, (1.5, -0.9)),), 1), longest=700)
+    assert np.diff(np.concatenate([[0], cuts, [3000]])).max() <= 700
 
 
 def test_a_long_recording_takes_as_much_longer_as_it_is_long() -> None:
     """Pieces of a second at most: 240 s in 4800 steps of the grid, which a square of them would not fit in memory for."""
     rng = np.random.default_rng(0)
     x = rng.standard_normal(240_000) * np.repeat(rng.uniform(0.2, 5, 240), 1000)
-    pieces = pieces_of(x, max_order=2, longest=1000)
-    assert np.diff(np.concatenate([[0], pieces.cuts, [x.size]])).max() <= 1000
-    assert len(set(range(1000, 240_000, 1000)) - {round(cut, -2) for cut in pieces.cuts.tolist()}) < 12
+    cuts, _ = pieces_of(x, max_order=2, longest=1000)
+    assert np.diff(np.concatenate([[0], cuts, [x.size]])).max() <= 1000
+    assert len(set(range(1000, 240_000, 1000)) - {round(cut, -2) for cut in cuts.tolist()}) < 12
 
 
 def test_silence_is_told() -> None:
     x = np.concatenate([np.zeros(500), np.random.default_rng(0).standard_normal(500)])
-    pieces = pieces_of(x)
-    assert np.isfinite(pieces.nats)
-    assert np.abs(pieces.cuts - 500).min() <= 2
-    assert len(pieces_of(np.zeros(500)).cuts) == 0
-
-
-@pytest.mark.parametrize(
-    ("n", "asked", "message"),
-    [
-        (80, {}, "80 samples, expected at least two steps of the grid, 100"),
-        (500, {"max_order": 21}, "max_order is 21, expected 0 to 20"),
-        (500, {"grid": 5}, "a grid of 5"),
-        (500, {"longest": 60}, "pieces of 60 at most cannot be"),
-    ],
-)
-def test_what_cannot_be_cut_is_refused(n: int, asked: dict[str, int], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        pieces_of(np.ones(n), **asked)
+    cuts, nats = pieces_of(x)
+    assert np.isfinite(nats)
+    assert np.abs(cuts - 500).min() <= 2
+    assert len(pieces_of(np.zeros(500))[0]) == 0

@@ -3,28 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from foten.dsp import Array
 
 MAX_POLE = 0.9995  # a memory of 2000 samples, 0.2 s at 10 kHz; least squares on real textures gives up to 0.9999
 
 
-def least_squares(design: Array, target: Array, ridge: float = 1e-9) -> Array:
-    """Return the coefficients w that minimise |design @ w − target|², shape (k,).
-
-    Args:
-        design: shape (b, k).
-        target: shape (b,).
-        ridge: added to the diagonal, as a share of the mean diagonal; neighbouring samples at 10 kHz are nearly collinear.
-    """
-    return solved(design.T @ design, design.T @ target, ridge)
-
-
-def solved(gram: Array, moment: Array, ridge: float = 1e-9) -> Array:
-    """Return the same from the normal equations: (k, k), (k,) → (k,)."""
-    held = gram + ridge * np.trace(gram) / gram.shape[0] * np.eye(gram.shape[0])
-    return np.asarray(np.linalg.solve(held, moment), dtype=np.float64)
+def solved(gram: Array, moment: Array) -> Array:
+    """Return the coefficients w that minimise |X w − y|², shape (k,), from XᵀX (k, k) and Xᵀy (k,)."""
+    # Neighbouring samples at 10 kHz are nearly collinear.
+    ridge = 1e-9 * np.trace(gram) / gram.shape[0] * np.eye(gram.shape[0])
+    return np.asarray(np.linalg.solve(gram + ridge, moment), dtype=np.float64)
 
 
 def spectral_radius(taps: Array) -> float:
@@ -38,43 +27,33 @@ def stabilised(taps: Array, radius: float) -> Array:
     Scaling the tap of lag k by γ^k scales every pole by γ; resonances keep their frequency.
     """
     largest = spectral_radius(taps)
-    if largest <= radius:
-        return taps
-    lag = np.arange(taps.size, 0, -1)
-    return taps * (radius / largest) ** lag
+    return taps if largest <= radius else taps * (radius / largest) ** np.arange(taps.size, 0, -1)
 
 
 def levinson(moments: Array) -> tuple[Array, Array]:
-    """Return the reflections of autoregressions and what every order leaves, by the recursion of Levinson and Durbin.
+    """Return the reflections of autoregressions, as `dsp.lattice` has them (p, b), and the variance that orders 0 … p leave.
+
+    The recursion of Levinson and Durbin.
 
     Args:
         moments: autocovariances at lags 0 … p, shape (p + 1, b); biased ones give stable autoregressions.
-
-    Returns:
-        Reflections, as `dsp.lattice` has them, shape (p, b); the innovations' variance of each order 0 … p, shape (p + 1, b).
     """
     p, b = moments.shape[0] - 1, moments.shape[1]
-    a = np.zeros((p + 1, b))
-    a[0] = 1.0
-    reflections, errors = np.zeros((p, b)), np.empty((p + 1, b))
-    errors[0] = moments[0]
+    a, reflections, errors = np.zeros((p + 1, b)), np.zeros((p, b)), np.empty((p + 1, b))
+    a[0], errors[0] = 1.0, moments[0]
     for i in range(1, p + 1):
         missed = (a[:i] * moments[i:0:-1]).sum(axis=0)
-        k = np.divide(-missed, errors[i - 1], out=np.zeros(b), where=errors[i - 1] > 0)
-        k = np.clip(k, -1.0, 1.0)
+        k = np.divide(-missed, errors[i - 1], out=np.zeros(b), where=errors[i - 1] > 0).clip(-1.0, 1.0)
         a[1 : i + 1] = a[1 : i + 1] + k * a[i - 1 :: -1][:i]
         reflections[i - 1], errors[i] = k, errors[i - 1] * (1 - k * k)
     return reflections, errors
 
 
 def burg(x: Array, p: int) -> tuple[Array, float]:
-    """Return the reflections of an autoregression of order p, shape (p,), and its innovations' variance.
+    """Return the reflections of an autoregression of order p, shape (p,), and its innovations' variance: x (n,) of mean zero.
 
     Both prediction errors are made small at once (Burg 1975): nothing is taken to be zero outside, so that of a short piece a
     sharp resonance stays sharp, and every reflection lies within 1.
-
-    Args:
-        x: shape (n,), of mean zero, n > p.
     """
     forward, backward = x[1:].copy(), x[:-1].copy()
     reflections, error = np.zeros(p), float(np.square(x).mean())

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from foten.dsp import Array
 
 
-def dft321(axes: NDArray[np.float64]) -> NDArray[np.float64]:
+def dft321(axes: Array) -> Array:
     """Return one signal whose energy spectrum is the sum of the axes' and whose phase is that of their sum.
 
         |A_s(f)| = √Σ_k |A_k(f)|²,   arg A_s(f) = arg Σ_k A_k(f)
@@ -15,10 +16,7 @@ def dft321(axes: NDArray[np.float64]) -> NDArray[np.float64]:
     the borders between training and test.
 
     Args:
-        axes: acceleration [m/s²], shape (…, n_axes, n).
-
-    Returns:
-        Acceleration [m/s²], shape (…, n).
+        axes: acceleration [m/s²], shape (…, n_axes, n); the result has (…, n).
 
     Source: Landin, Romano, McMahan, Kuchenbecker 2010; Sec. III-c.
     Differs from the paper: where the axes cancel (|Σ A_k| ≈ 0), the phase is the largest axis's; the mean (0 Hz) and,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from foten.dsp import Array
 
 LOWEST_HZ = 20.0  # below it the high-pass rules
 HIGHEST_HZ = 1000.0  # above it a hand feels nothing
@@ -19,8 +19,7 @@ def welch(blocks: Array, rate_hz: float, n_segment: int) -> tuple[Array, Array]:
     """
     from scipy import signal
 
-    frequencies, density = signal.welch(blocks, rate_hz, nperseg=n_segment, axis=-1)
-    return frequencies, density
+    return signal.welch(blocks, rate_hz, nperseg=n_segment, axis=-1)
 
 
 def segment_length(block: int) -> int:

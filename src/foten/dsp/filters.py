@@ -5,23 +5,18 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+
+from foten.dsp import Array
 
 Sections = tuple[tuple[float, float, float, float, float], ...]
 """A cascade of biquads, each (b0, b1, b2, a1, a2) with a0 = 1."""
 
 
 def butterworth(kind: str, cutoff_hz: float, rate_hz: float, order: int = 2) -> Sections:
-    """Return a Butterworth low-pass or high-pass of even order.
+    """Return a Butterworth `lowpass` or `highpass` of even order, by its −3 dB frequency and samples a second.
 
     Bilinear transform with the cutoff prewarped, one biquad for each pair of poles at angle θ from the
     negative real axis, whose damping is 1/Q = 2 cos θ.
-
-    Args:
-        kind: `lowpass` or `highpass`.
-        cutoff_hz: the −3 dB frequency.
-        rate_hz: samples a second.
-        order: even, 2 or more.
 
     Raises:
         ValueError: the cutoff does not lie between 0 and half the rate, or the order is odd.
@@ -36,8 +31,8 @@ def butterworth(kind: str, cutoff_hz: float, rate_hz: float, order: int = 2) -> 
         damping = 2 * math.cos(math.pi * (2 * pair + 1) / (2 * order))
         norm = 1 + damping * warped + warped * warped
         a1, a2 = 2 * (warped * warped - 1) / norm, (1 - damping * warped + warped * warped) / norm
-        b = warped * warped / norm if kind == "lowpass" else 1 / norm
-        sections.append((b, 2 * b if kind == "lowpass" else -2 * b, b, a1, a2))
+        b0, b1 = (warped * warped / norm, 2.0) if kind == "lowpass" else (1 / norm, -2.0)
+        sections.append((b0, b1 * b0, b0, a1, a2))
     return tuple(sections)
 
 
@@ -68,7 +63,7 @@ class Biquads:
             self._state.append((b1 * value - a1 * settled + second, second))
             value = settled
 
-    def process(self, samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    def process(self, samples: Array) -> Array:
         """Return the filtered samples, shape (n,), and keep the state for the next piece."""
         values = np.asarray(samples, dtype=np.float64).tolist()
         for index, (b0, b1, b2, a1, a2) in enumerate(self._sections):
@@ -82,9 +77,7 @@ class Biquads:
         return np.array(values)
 
 
-def filter_recorded(
-    sections: Sections, samples: NDArray[np.float64], *, zero_phase: bool = False
-) -> NDArray[np.float64]:
+def filter_recorded(sections: Sections, samples: Array, *, zero_phase: bool = False) -> Array:
     """Return a whole recorded signal filtered, shape (n,), starting settled on its first value.
 
     The same numbers as `Biquads`, by SciPy; `zero_phase` runs it forwards and backwards, which looks into the future.

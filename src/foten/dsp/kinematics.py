@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from foten.dsp import Array
 
 
 def at_rate(values: Array, times_s: Array, rate_hz: float, n: int) -> Array:
     """Return a signal at `n` samples of a rate from time 0, linearly interpolated, ends held.
 
     Where the signal is denser than the rate, each sample is the mean over one period around it, so that its noise is
-    averaged and not picked up.
-
-    Args:
-        values: shape (k,).
-        times_s: increasing, shape (k,).
-        rate_hz: of the result.
-        n: samples of the result.
+    averaged and not picked up. Values and rising times are of shape (k,), the result is of (n,).
     """
     grid = np.arange(n) / rate_hz
     if times_s.size < 2 or np.median(np.diff(times_s)) >= 0.75 / rate_hz:
@@ -26,10 +19,8 @@ def at_rate(values: Array, times_s: Array, rate_hz: float, n: int) -> Array:
     # The mean of the piecewise linear signal over [a, b] is the difference of its integral, over b − a.
     integral = np.concatenate([[0.0], np.cumsum(np.diff(times_s) * (values[1:] + values[:-1]) / 2)])
     edges = np.clip(np.append(grid, n / rate_hz) - 0.5 / rate_hz, times_s[0], times_s[-1])
-    at_edges = np.interp(edges, times_s, integral)
-    width = np.diff(edges)
-    mean = np.divide(np.diff(at_edges), width, out=np.zeros(n), where=width > 0)
-    return np.where(width > 0, mean, np.interp(grid, times_s, values))
+    added, width = np.diff(np.interp(edges, times_s, integral)), np.diff(edges)
+    return np.divide(added, width, out=np.interp(grid, times_s, values), where=width > 0)
 
 
 def velocity(positions: Array, rate_hz: float) -> Array:

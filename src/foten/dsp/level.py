@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from foten.dsp import Array
 
 FRAME_MS = 40.0
 FLOOR_DB = -30.0  # re the reference; levels below it count as it: a texture at rest is not judged by its sensor's noise
@@ -16,15 +15,12 @@ def frame_levels(blocks: Array, rate_hz: float, reference: float) -> Array:
 
     Samples after the last whole frame are left out.
     """
-    frame = max(1, round(FRAME_MS * rate_hz / 1000))
-    n_frames = blocks.shape[-1] // frame
-    framed = blocks[..., : n_frames * frame].reshape(*blocks.shape[:-1], n_frames, frame)
-    power = np.square(framed).mean(axis=-1) / reference**2
+    power = frame_means(np.square(blocks), rate_hz) / reference**2
     return 10 * np.log10(np.maximum(power, 10 ** (FLOOR_DB / 10)))
 
 
 def frame_means(blocks: Array, rate_hz: float) -> Array:
-    """Return the mean in the same frames: a condition (…, n) → (…, frames)."""
+    """Return the mean in the same frames: blocks (…, n) → (…, frames)."""
     frame = max(1, round(FRAME_MS * rate_hz / 1000))
     n_frames = blocks.shape[-1] // frame
     return blocks[..., : n_frames * frame].reshape(*blocks.shape[:-1], n_frames, frame).mean(axis=-1)

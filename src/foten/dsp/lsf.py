@@ -15,10 +15,11 @@ IEEE Trans. Haptics 7 (2014).
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Sequence
 
-Array = NDArray[np.float64]
+import numpy as np
+
+from foten.dsp import Array
 
 LEAST_GAP = 0.005  # rad between neighbours, and from 0 and π: nearer ones ring for seconds at 1 kHz
 
@@ -36,29 +37,29 @@ def line_spectral_frequencies(a: Array) -> Array:
         raise ValueError("the polynomial has a zero outside the unit circle, expected a stable filter")
     padded = np.append(a, 0.0)
     both = [padded + padded[::-1], padded - padded[::-1]]
-    # What is known to be a zero goes first: at −1 and 1, or both of Q.
-    known = [[1.0, 1.0], [1.0, -1.0]] if p % 2 == 0 else [[1.0], [1.0, 0.0, -1.0]]
-    angles = [np.angle(np.roots(np.polydiv(one, root)[0])) for one, root in zip(both, known, strict=True)]
+    angles = [np.angle(np.roots(np.polydiv(one, known)[0])) for one, known in zip(both, _known(p), strict=True)]
     return np.sort(np.concatenate([angle[angle > 0] for angle in angles]))
+
+
+def _known(p: int) -> tuple[list[float], list[float]]:
+    """Return the factors of P and Q whose zeros no frequency stands for: at −1 and 1, or both of Q."""
+    return ([1.0], [1.0, 0.0, -1.0]) if p % 2 else ([1.0, 1.0], [1.0, -1.0])
 
 
 def polynomial_of(frequencies: Array) -> Array:
     """Return A of line spectral frequencies: (b, p) → (b, p + 1), 1 first."""
     b, p = frequencies.shape
-    cosines = np.cos(frequencies)
     both = [np.ones((b, 1)), np.ones((b, 1))]
     for i in range(p):
-        both[i % 2] = _times(both[i % 2], [np.ones(b), -2 * cosines[:, i], np.ones(b)])
-    even, odd = ([1.0, 1.0], [1.0, -1.0]), ([1.0], [1.0, 0.0, -1.0])
-    for k, known in enumerate(odd if p % 2 else even):
-        both[k] = _times(both[k], [np.full(b, value) for value in known])
-    return np.asarray((0.5 * (both[0] + both[1]))[:, : p + 1])
+        both[i % 2] = _times(both[i % 2], [1.0, -2 * np.cos(frequencies[:, i, None]), 1.0])
+    first, second = (_times(one, known) for one, known in zip(both, _known(p), strict=True))
+    return np.asarray((0.5 * (first + second))[:, : p + 1])
 
 
-def _times(polynomial: Array, factor: list[Array]) -> Array:
-    out = np.zeros((len(polynomial), polynomial.shape[1] + len(factor) - 1))
+def _times(polynomials: Array, factor: Sequence[float | Array]) -> Array:
+    out = np.zeros((len(polynomials), polynomials.shape[1] + len(factor) - 1))
     for lag, weight in enumerate(factor):
-        out[:, lag : lag + polynomial.shape[1]] += weight[:, None] * polynomial
+        out[:, lag : lag + polynomials.shape[1]] += weight * polynomials
     return out
 
 

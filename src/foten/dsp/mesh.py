@@ -7,33 +7,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from foten.dsp import Array
 
 LEAST_AREA = 1e-9  # of a triangle, scaled; a flatter one has no weights
 _INSIDE = -1e-12  # a weight above this is one of the triangle that a point lies in
-_AT_ONCE = 2_000_000  # points times triangles held in memory
+_AT_ONCE = 500_000  # points times triangles held in memory
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles over speed and force; whoever stands outside of all is heard from the nearest edge.
+    """Triangles over speed and force; whoever stands outside of all is heard from the nearest edge."""
 
-    Attributes:
-        points: speed [mm/s] and force [N], shape (n, 2).
-        triangles: three points each, shape (t, 3).
-        scale: what a speed and a force are divided by before distances are told, shape (2,).
-    """
-
-    points: Array
-    triangles: NDArray[np.int64]
-    scale: Array
+    points: Array  # speed [mm/s] and force [N], shape (n, 2)
+    triangles: NDArray[np.int64]  # three points each, shape (t, 3)
+    scale: Array  # what a speed and a force are divided by before distances are told, shape (2,)
 
     def __post_init__(self) -> None:
-        """Check that it is a mesh.
-
-        Raises:
-            ValueError: what is none.
-        """
         if not (self.scale > 0).all():
             raise ValueError(f"the mesh is scaled by {self.scale}, expected positive numbers")
         if not ((self.triangles >= 0) & (self.triangles < len(self.points))).all():
@@ -45,15 +34,12 @@ class Mesh:
     def at(self, speed: Array, force: Array) -> tuple[NDArray[np.int64], Array]:
         """Return which three models are heard at speeds [mm/s] and forces [N], and by what share: (b,) → (b, 3), (b, 3)."""
         asked = np.stack([speed, force], axis=1) / self.scale
-        chosen = np.empty((len(asked), 3), dtype=np.int64)
-        weights = np.empty((len(asked), 3))
-        step = max(1, _AT_ONCE // len(self.triangles))
-        for i in range(0, len(asked), step):
-            part = slice(i, i + step)
-            chosen[part], weights[part] = self._some(asked[part])
-        return chosen, weights
+        parts = np.array_split(asked, len(asked) * len(self.triangles) // _AT_ONCE + 1)
+        triangles, weights = zip(*(self._some(part) for part in parts), strict=True)
+        return self.triangles[np.concatenate(triangles)], np.concatenate(weights)
 
     def _some(self, asked: Array) -> tuple[NDArray[np.int64], Array]:
+        """Return the triangle that each point is in or nearest to, and the shares of its corners: (b, 2) → (b,), (b, 3)."""
         corners = (self.points / self.scale)[self.triangles]
         origin, first, second = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
         away = asked[:, None] - origin
@@ -63,30 +49,24 @@ class Mesh:
         inside = (shares > _INSIDE).all(axis=2)
         triangle = inside.argmax(axis=1)
         weights = shares[np.arange(len(asked)), triangle]
-        lost = np.flatnonzero(inside.sum(axis=1) == 0)
-        if lost.size:
+        lost = inside.sum(axis=1) == 0
+        if lost.any():
             triangle[lost], weights[lost] = _nearest(asked[lost], corners)
         weights = np.maximum(weights, 0.0)
-        return self.triangles[triangle], weights / weights.sum(axis=1, keepdims=True)
+        return triangle, weights / weights.sum(axis=1, keepdims=True)
 
 
 def _nearest(asked: Array, corners: Array) -> tuple[NDArray[np.int64], Array]:
     """Return the triangle whose edge is nearest to each point, and the shares of its corners at the nearest place."""
-    best = np.full(len(asked), np.inf)
-    triangle, weights = np.zeros(len(asked), dtype=np.int64), np.zeros((len(asked), 3))
-    for k in range(3):
-        begin, along = corners[:, k], corners[:, (k + 1) % 3] - corners[:, k]
-        share = ((asked[:, None] - begin) * along).sum(axis=2) / np.square(along).sum(axis=1)
-        share = np.clip(share, 0.0, 1.0)
-        distance = np.square(asked[:, None] - begin - share[..., None] * along).sum(axis=2)
-        nearest = distance.argmin(axis=1)
-        rows = np.arange(len(asked))
-        nearer = distance[rows, nearest] < best
-        best = np.where(nearer, distance[rows, nearest], best)
-        outside = np.zeros((len(asked), 3))
-        outside[:, (k + 1) % 3] = share[rows, nearest]
-        outside[:, k] = 1 - share[rows, nearest]
-        triangle, weights = np.where(nearer, nearest, triangle), np.where(nearer[:, None], outside, weights)
+    begin = corners.transpose(1, 0, 2)  # of the three edges of each triangle, (3, t, 2)
+    along = np.roll(begin, -1, axis=0) - begin
+    away = asked[:, None, None] - begin
+    share = np.clip((away * along).sum(axis=3) / np.square(along).sum(axis=2), 0.0, 1.0)
+    distance = np.square(away - share[..., None] * along).sum(axis=3)
+    edge, triangle = np.unravel_index(distance.reshape(len(asked), -1).argmin(axis=1), distance.shape[1:])
+    rows, weights = np.arange(len(asked)), np.zeros((len(asked), 3))
+    weights[rows, (edge + 1) % 3] = share[rows, edge, triangle]
+    weights[rows, edge] = 1 - share[rows, edge, triangle]
     return triangle, weights
 
 

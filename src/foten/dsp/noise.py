@@ -21,6 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.dsp import Array
+
 _MULTIPLIER_0, _MULTIPLIER_1 = 0xD2511F53, 0xCD9E8D57
 _WEYL_0, _WEYL_1 = 0x9E3779B9, 0xBB67AE85
 _MASK = 0xFFFFFFFF
@@ -34,53 +36,39 @@ _MEAN_SIZE, _SIZE_SD = math.sqrt(2 / math.pi), math.sqrt(1 - 2 / math.pi)  # of 
 
 def philox(counter: NDArray[np.uint64], key: int) -> NDArray[np.uint64]:
     """Return ten rounds of Philox4x32: counters (n, 4) of 32-bit words → random 32-bit words (n, 4)."""
-    c0, c1, c2, c3 = (counter[:, i].astype(np.uint64) for i in range(4))
+    c0, c1, c2, c3 = counter.T
     k0, k1 = key & _MASK, (key >> 32) & _MASK
-    mask, shift = np.uint64(_MASK), np.uint64(32)
     for _ in range(10):
-        product_0, product_1 = c0 * np.uint64(_MULTIPLIER_0), c2 * np.uint64(_MULTIPLIER_1)
-        c0, c1, c2, c3 = (
-            (product_1 >> shift) ^ c1 ^ np.uint64(k0),
-            product_1 & mask,
-            (product_0 >> shift) ^ c3 ^ np.uint64(k1),
-            product_0 & mask,
-        )
+        first, second = c0 * _MULTIPLIER_0, c2 * _MULTIPLIER_1
+        c0, c1, c2, c3 = (second >> 32) ^ c1 ^ k0, second & _MASK, (first >> 32) ^ c3 ^ k1, first & _MASK
         k0, k1 = (k0 + _WEYL_0) & _MASK, (k1 + _WEYL_1) & _MASK
     return np.stack([c0, c1, c2, c3], axis=1)
 
 
-def gaussian(key: int, stream: int, first: int, n: int) -> NDArray[np.float64]:
+def gaussian(key: int, stream: int, first: int, n: int) -> Array:
     """Return samples `first` … `first + n − 1` of one stream, shape (n,): zero mean, unit variance.
 
-    Args:
-        key: the seed, 0 … 2⁶⁴ − 1.
-        stream: 0 … 2⁶⁴ − 1; streams of one key are independent.
-        first: index of the first sample.
-        n: how many.
+    Key and stream from 0 to 2⁶⁴ − 1; streams of one key are independent.
     """
     index = np.arange(first, first + n, dtype=np.uint64)
     counter = np.empty((n, 4), dtype=np.uint64)
-    counter[:, 0], counter[:, 1] = index & np.uint64(_MASK), index >> np.uint64(32)
+    counter[:, 0], counter[:, 1] = index & _MASK, index >> 32
     counter[:, 2], counter[:, 3] = stream & _MASK, (stream >> 32) & _MASK
     words = philox(counter, key)
-    total = ((words & np.uint64(0xFFFF)) + (words >> np.uint64(16))).sum(axis=1)
+    total = ((words & 0xFFFF) + (words >> 16)).sum(axis=1)
     x = (total.astype(np.float64) - 262140.0) / _SUM_SD
     return x * (_LINEAR + _CUBIC * (x * x))
 
 
-def heavy_tailed(
-    noise: NDArray[np.float64], tail: NDArray[np.float64], limit: NDArray[np.float64] | float
-) -> NDArray[np.float64]:
+def heavy_tailed(noise: Array, tail: Array, limit: Array | float) -> Array:
     """Return z·exp(h z²/2), at most `limit` in size: Gaussian numbers z with tails as heavy as h says, any equal shapes.
-
-    h = 0 leaves them as they are; the share of small values stays, and large ones become larger.
 
     Source: the h-distribution of Tukey; Goerg, "Lambert W random variables", Annals of Applied Statistics 5 (2011).
     """
     return np.clip(noise * np.exp(0.5 * tail * noise * noise), -limit, limit)
 
 
-def gaussianised(values: NDArray[np.float64], tail: NDArray[np.float64]) -> NDArray[np.float64]:
+def gaussianised(values: Array, tail: Array) -> Array:
     """Return z with z·exp(h z²/2) = u, what `heavy_tailed` undoes but for its limit: u and h of equal shapes, h from 0 on."""
     log_u = np.log(np.maximum(np.abs(values), 1e-300))
     # Newton's method on log |z|: from above the root of a convex function every step stays above.
@@ -91,15 +79,10 @@ def gaussianised(values: NDArray[np.float64], tail: NDArray[np.float64]) -> NDAr
     return np.copysign(np.exp(q), values)
 
 
-def innovation_likelihood(
-    missed: NDArray[np.float64], scale: NDArray[np.float64], tail: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def innovation_likelihood(missed: Array, scale: Array, tail: Array) -> tuple[Array, Array]:
     """Return innovations taken back to what should be standard normal, and their negative log-likelihood [nat, scaled].
 
-    Args:
-        missed: recorded minus predicted, scaled, any shape.
-        scale: σ of the excitation, scaled, the same shape.
-        tail: h, the same shape.
+    From recorded minus predicted and σ of the excitation, scaled, and h of its tails, of equal shapes.
     """
     z = gaussianised(missed / scale, tail)
     spread = tail * z * z
@@ -120,26 +103,21 @@ class Volatility:
     whose mean square is near 1. With it the kurtosis of a Gaussian texture grows by about exp(4s²).
 
     Source: the exponential GARCH of Nelson, Econometrica 59 (1991), fitted by the kurtosis rather than one step ahead.
-
-    Attributes:
-        kept: ρ, of g in a sample.
-        sd: s.
-        state: g of each stream, shape (s,).
     """
 
-    kept: float
-    sd: float
-    state: NDArray[np.float64]
+    kept: float  # ρ, of g in a sample
+    sd: float  # s
+    state: Array  # g of each stream, shape (s,)
 
-    def factor(self) -> NDArray[np.float64]:
+    def factor(self) -> Array:
         """Return by how much the next excitation is louder than usual, shape (s,)."""
         return np.exp(self.state - self.sd * self.sd)
 
-    def draw(self, noise: NDArray[np.float64]) -> None:
+    def draw(self, noise: Array) -> None:
         """Be as if the wander had always been going on, by a standard normal number for each stream, shape (s,)."""
         self.state = self.sd * np.clip(noise, -LARGEST_VOLATILITY, LARGEST_VOLATILITY)
 
-    def push(self, noise: NDArray[np.float64] | None) -> None:
+    def push(self, noise: Array | None) -> None:
         """Take in the standard normal numbers of a sample, shape (s,); None leaves all as it is."""
         if noise is None or self.sd == 0:
             return

@@ -5,30 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from foten.dsp import Array
+from foten.dsp.distance import HIGHEST_HZ, LOWEST_HZ
 
-LOWEST_HZ, HIGHEST_HZ = 20.0, 1000.0  # of texture vibration; of touch
 MOST_SENSITIVE_HZ = 250.0
 USABLE_BAND = 0.45  # of a rate
 RATES_HZ = (1000.0, 2500.0, 10_000.0)
-ENOUGH = 0.95
 
 
 def sensitivity(hertz: Array) -> Array:
-    """Return the weight of acceleration power at each frequency: the inverse square of the threshold, 1 up to 250 Hz.
+    """Return the weight of acceleration power at frequencies [Hz] (k,): the inverse square of the threshold, 1 up to 250 Hz.
 
     The displacement threshold falls by 12 dB per octave from 40 Hz to its minimum near 250 Hz, so the acceleration threshold
     is flat there. Above the minimum the displacement threshold is taken to rise by the same 12 dB per octave, which makes
     24 dB per octave of acceleration. Below 40 Hz the displacement threshold is flat and acceleration would weigh more, but
-    much of that band is the hand's own movement; it weighs 1.
-
-    Args:
-        hertz: frequencies [Hz], shape (k,).
-
-    Returns:
-        Weights from 0 to 1, shape (k,); 0 outside 20 to 1000 Hz.
+    much of that band is the hand's own movement; it weighs 1. Outside 20 to 1000 Hz the weight is 0.
 
     Source: Verrillo, J. Acoust. Soc. Am. 35 (1963), for large contactors; the slope above 250 Hz is our reading of a U.
     """
@@ -39,30 +31,21 @@ def sensitivity(hertz: Array) -> Array:
 def carried(densities: Mapping[str, tuple[Array, Array]], rate_hz: float) -> dict[float, float]:
     """Return the share of the perceived power that each rate [Hz] keeps: the `RATES_HZ` up to `rate_hz`, and `rate_hz`.
 
-    Args:
-        densities: of each axis of the acceleration, frequency [Hz] (k,) and power density (k,).
-        rate_hz: at which the acceleration was captured.
-
-    Returns:
-        Shares from 0 to 1; empty where no power is perceived.
+    Shares from 0 to 1, none where no power is perceived, from the frequencies [Hz] (k,) and power densities (k,) of each axis of
+    an acceleration captured at `rate_hz`.
     """
     weighted = [(hertz, density * sensitivity(hertz)) for hertz, density in densities.values()]
-    total = sum(float(np.trapezoid(power, hertz)) for hertz, power in weighted)
-    if not total > 0:
-        return {}
-    return {
-        rate: sum(
-            float(np.trapezoid(np.where(hertz <= USABLE_BAND * rate, power, 0.0), hertz)) for hertz, power in weighted
-        )
-        / total
-        for rate in sorted({*(rate for rate in RATES_HZ if rate <= rate_hz), rate_hz})
-    }
+
+    def power(highest_hz: float) -> float:
+        return sum(float(np.trapezoid(np.where(hertz <= highest_hz, one, 0.0), hertz)) for hertz, one in weighted)
+
+    total, rates = power(np.inf), {*(rate for rate in RATES_HZ if rate <= rate_hz), rate_hz}
+    return {rate: power(USABLE_BAND * rate) / total for rate in sorted(rates)} if total > 0 else {}
 
 
 def smallest_rate(shares: Mapping[float, float]) -> float:
     """Return the lowest rate that carries 95 % of what the highest carries [Hz]."""
-    most = max(shares.values())
-    return min(rate for rate, share in shares.items() if share >= ENOUGH * most)
+    return min(rate for rate, share in shares.items() if share >= 0.95 * max(shares.values()))
 
 
 def in_words(shares: Mapping[float, float]) -> str:

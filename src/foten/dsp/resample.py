@@ -5,15 +5,14 @@ from __future__ import annotations
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
+
+from foten.dsp import Array
+
+HALF_WIDTH = 24  # samples on each side of one that is interpolated
 
 
 def rate_ratio(target_hz: float, source_hz: float, tolerance: float = 1e-9) -> Fraction:
-    """Return target over source rate as a small fraction.
-
-    Args:
-        target_hz, source_hz: the rates.
-        tolerance: relative error allowed; 1e-4 is inaudible.
+    """Return target over source rate as a small fraction, up to a relative error; 1e-4 is inaudible.
 
     Raises:
         ValueError: the rates are not in a ratio of integers up to 1000.
@@ -27,7 +26,7 @@ def rate_ratio(target_hz: float, source_hz: float, tolerance: float = 1e-9) -> F
     return ratio
 
 
-def decimate(samples: NDArray[np.float64], source_hz: float, target_hz: float) -> NDArray[np.float64]:
+def decimate(samples: Array, source_hz: float, target_hz: float) -> Array:
     """Return a signal at a lower rate, aligned with the input (linear phase, no delay), shape (n,).
 
     The low-pass is flat to 0.45 of the new rate and 80 dB down at 0.55, so that only frequencies above 0.45 of the
@@ -43,10 +42,9 @@ def decimate(samples: NDArray[np.float64], source_hz: float, target_hz: float) -
 
     if target_hz > source_hz * (1 + 1e-12):
         raise ValueError(f"asked for {target_hz:g} Hz from {source_hz:g} Hz: a recording is never upsampled")
-    ratio = rate_ratio(target_hz, source_hz)
-    if ratio == 1:
+    up, down = rate_ratio(target_hz, source_hz).as_integer_ratio()
+    if up == down:
         return samples.copy()
-    up, down = ratio.numerator, ratio.denominator
     intermediate_hz = source_hz * up
     n_taps, beta = signal.kaiserord(80.0, 0.1 * target_hz / (intermediate_hz / 2))
     taps = signal.firwin(n_taps | 1, target_hz / 2, window=("kaiser", beta), fs=intermediate_hz)
@@ -54,32 +52,25 @@ def decimate(samples: NDArray[np.float64], source_hz: float, target_hz: float) -
     return np.asarray(signal.resample_poly(samples, up, down, window=taps, padtype="line"))
 
 
-def interpolate(samples: NDArray[np.float64], factor: Fraction, half_width: int = 24) -> NDArray[np.float64]:
-    """Return a signal at a higher rate by a windowed sinc, shape (ceil(n × factor),).
-
-    Args:
-        samples: shape (n,).
-        factor: new rate over old rate, 1 or more.
-        half_width: input samples on each side that make one output sample.
+def interpolate(samples: Array, factor: Fraction) -> Array:
+    """Return a signal (n,) at `factor` times its rate, 1 or more, by a windowed sinc, shape (ceil(n × factor),).
 
     Polyphase: the output at time t takes the inputs around floor(t) with one of `factor.numerator` kernels, so a
     constant is kept exactly by normalising each kernel to sum 1.
     """
     if factor < 1:
         raise ValueError(f"interpolation by {float(factor):g}, expected 1 or more")
-    n_out = -(-samples.size * factor.numerator // factor.denominator)
-    position = np.arange(n_out) * factor.denominator
-    base, phase = np.divmod(position, factor.numerator)
-    taps = np.arange(-half_width + 1, half_width + 1)
-    fraction = np.arange(factor.numerator)[:, None] / factor.numerator
-    kernels = np.sinc(taps - fraction) * np.i0(
-        9.0 * np.sqrt(np.maximum(0.0, 1 - ((taps - fraction) / half_width) ** 2))
-    )
+    up, down = factor.as_integer_ratio()
+    n_out = -(-samples.size * up // down)
+    base, phase = np.divmod(np.arange(n_out) * down, up)
+    taps = np.arange(-HALF_WIDTH + 1, HALF_WIDTH + 1)
+    away = taps - np.arange(up)[:, None] / up
+    kernels = np.sinc(away) * np.i0(9.0 * np.sqrt(np.maximum(0.0, 1 - (away / HALF_WIDTH) ** 2)))
     kernels /= kernels.sum(axis=1, keepdims=True)
-    padded = np.concatenate([np.zeros(half_width), samples, np.zeros(half_width)])
+    padded = np.pad(samples, HALF_WIDTH)
     out = np.empty(n_out)
     for start in range(0, n_out, 65536):
         piece = slice(start, start + 65536)
-        gathered = padded[base[piece, None] + half_width + taps[None, :]]
+        gathered = padded[base[piece, None] + HALF_WIDTH + taps]
         out[piece] = np.einsum("ij,ij->i", gathered, kernels[phase[piece]])
     return out

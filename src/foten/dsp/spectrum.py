@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from foten.dsp import Array
 
 WEAKEST_BIN = 1e-10  # of a window's energy; float32 rounding leaves about 1e-13 in a bin that should be empty
 
 
-def dft_matrices(m: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def dft_matrices(m: int) -> tuple[Array, Array]:
     """Return the real and imaginary part of Eq. 6 as matrices: Z = a @ real + i · a @ imaginary, each (m, m).
 
     Entries that are zero in exact arithmetic are exactly zero, so that the phase of a real bin is 0 or π everywhere
@@ -22,21 +23,19 @@ def dft_matrices(m: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return real, imaginary
 
 
-def last_sample_row(m: int, half: bool = False) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def last_sample_row(m: int, half: bool = False) -> tuple[Array, Array]:
     """Return (c, s) with Re a_spec[m−1] = Σ_k M̂_k·(c_k·cos φ̂_k + s_k·sin φ̂_k), shapes (m,) or (m // 2 + 1,).
 
     Only this row of Eq. 9 reaches the output: the head reads the last token alone. With
     e^{i2πk(m−1)/m} = e^{−i2πk/m}, c_k = cos(2πk/m)/m and s_k = sin(2πk/m)/m. With half of the bins, those
     between 0 and m/2 stand for their mirror images too.
     """
-    angle = 2 * np.pi * np.arange(m // 2 + 1 if half else m) / m
-    weight = np.full(angle.size, 1 / m)
-    if half:
-        weight[1 : (m + 1) // 2] *= 2
-    return weight * np.cos(angle), weight * np.sin(angle)
+    k = np.arange(m // 2 + 1 if half else m)
+    weight = np.where(half & (k > 0) & (2 * k < m), 2 / m, 1 / m)
+    return weight * np.cos(2 * np.pi * k / m), weight * np.sin(2 * np.pi * k / m)
 
 
-def position_encoding(m: int, d_model: int) -> NDArray[np.float64]:
+def position_encoding(m: int, d_model: int) -> Array:
     """Return the sinusoidal positions, shape (m, d_model). Source: Eq. 2."""
     angle = np.arange(m)[:, None] / 10000 ** (np.arange(0, d_model, 2) / d_model)
     encoding = np.zeros((m, d_model))

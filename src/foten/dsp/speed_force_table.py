@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from foten.dsp import Array
 
 FORCE_FLOOR = 0.05  # N; what a logarithm of force starts from
 LEAST_SPREAD = 0.02  # of the largest speed, and of force: what a hand has to vary by for a second vertex
@@ -15,17 +14,11 @@ LEAST_SPREAD = 0.02  # of the largest speed, and of force: what a hand has to va
 
 @dataclass(frozen=True)
 class SpeedForceTable:
-    """Values at the vertices of a grid: bilinear in speed and log force between them, constant outside.
+    """Values at the vertices of a grid: bilinear in speed and log force between them, constant outside."""
 
-    Attributes:
-        speed_knots: [mm/s], rising, shape (n_v,).
-        force_knots: log(force/N + 0.05), rising, shape (n_f,).
-        values: speed the slower index, shape (n_v · n_f, k).
-    """
-
-    speed_knots: Array
-    force_knots: Array
-    values: Array
+    speed_knots: Array  # [mm/s], rising, shape (n_v,)
+    force_knots: Array  # log(force/N + 0.05), rising, shape (n_f,)
+    values: Array  # speed the slower index, shape (n_v · n_f, k)
 
     def __post_init__(self) -> None:
         if not (np.diff(self.speed_knots) > 0).all() or not (np.diff(self.force_knots) > 0).all():
@@ -51,16 +44,7 @@ def log_force(force: Array) -> Array:
 
 def hat_weights(values: Array, knots: Array) -> Array:
     """Return the weights of linear interpolation between knots, the end ones outside: (n,), (k,) → (n, k)."""
-    weights = np.zeros((len(values), len(knots)))
-    if len(knots) == 1:
-        weights[:] = 1.0
-        return weights
-    inside = np.clip(values, knots[0], knots[-1])
-    left = np.clip(np.searchsorted(knots, inside, side="right") - 1, 0, len(knots) - 2)
-    share = (inside - knots[left]) / (knots[left + 1] - knots[left])
-    rows = np.arange(len(values))
-    weights[rows, left], weights[rows, left + 1] = 1 - share, share
-    return weights
+    return np.stack([np.interp(values, knots, hat) for hat in np.eye(len(knots))], axis=1)
 
 
 def spanning(speed: Array, force: Array, n_speed: int, n_force: int) -> SpeedForceTable:
@@ -68,12 +52,11 @@ def spanning(speed: Array, force: Array, n_speed: int, n_force: int) -> SpeedFor
 
     One vertex stands for all where the hand did not vary by 2 %. The outermost hundredths of force are too rare for a vertex.
     """
-    speeds = np.array([speed.min(), speed.max()])
-    forces = np.quantile(log_force(force), [0.01, 0.99])
 
-    def knots(ends: Array, n: int, least: float) -> Array:
-        return np.linspace(ends[0], ends[1], n) if n > 1 and ends[1] - ends[0] > least else np.zeros(1)
+    def knots(low: float, high: float, n: int, least: float) -> Array:
+        return np.linspace(low, high, n) if n > 1 and high - low > least else np.zeros(1)
 
-    speed_knots = knots(speeds, n_speed, LEAST_SPREAD * float(speeds[1]))
-    force_knots = knots(forces, n_force, LEAST_SPREAD)
+    speed_knots = knots(speed.min(), speed.max(), n_speed, LEAST_SPREAD * speed.max())
+    low, high = np.quantile(log_force(force), [0.01, 0.99])
+    force_knots = knots(low, high, n_force, LEAST_SPREAD)
     return SpeedForceTable(speed_knots, force_knots, np.zeros((len(speed_knots) * len(force_knots), 0)))

@@ -30,19 +30,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from foten.dsp import Array
 
 LARGEST_JITTER = 3.0  # standard deviations of an innovation that drives the stray
 N_CANDIDATES = 32  # phases that a window is compared with
 
 
 def tone(coefficients: Array, phase: Array) -> Array:
-    """Return T, in the unit of the coefficients.
-
-    Args:
-        coefficients: of cosine and sine of each multiple in turn, shape (…, 2 n_tones).
-        phase: [rad], shape (…).
-    """
+    """Return T, in the unit of the coefficients of cosine and sine in turn: (…, 2 n_tones), phase [rad] (…) → (…)."""
     cosine, sine, _ = _waves(coefficients, phase)
     return (coefficients[..., 0::2] * cosine + coefficients[..., 1::2] * sine).sum(axis=-1)
 
@@ -69,15 +64,11 @@ def _waves(coefficients: Array, phase: Array) -> tuple[Array, Array, NDArray[np.
 
 
 def fitted_phase(samples: Array, coefficients: Array, travelled: Array) -> Array:
-    """Return the phase, of a few candidates, at which the tone is nearest a window.
+    """Return the phase [rad] (s,), of a few candidates, at which the tone is nearest a window, where `travelled` is zero.
 
     Args:
-        samples: acceleration, in any unit, shape (s, n).
-        coefficients: in the same, shape (s, n, 2 n_tones).
+        samples, coefficients: in the same unit, shapes (s, n) and (s, n, 2 n_tones).
         travelled: what the path alone adds to the phase up to each sample [rad], shape (s, n).
-
-    Returns:
-        Phase where `travelled` is zero [rad], shape (s,).
     """
     candidates = 2 * np.pi * np.arange(N_CANDIDATES) / N_CANDIDATES
     missed = [np.square(samples - tone(coefficients, travelled + phase)).sum(axis=1) for phase in candidates]

@@ -1,24 +1,14 @@
 """The families of models, free of any framework, one file each: sizes, tensor shapes, cost, limits."""
 
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
+from foten.families import graphs
 from foten.families.foten import FotenSizes
 from foten.families.foten_plus import FotenPlusSizes
-from foten.families.graphs import (
-    DftnetSizes,
-    DstnSizes,
-    FnnSizes,
-    FotenDSizes,
-    GanSizes,
-    HapinfSizes,
-    LdhtdHopSizes,
-    LdhtdSizes,
-    TenMfccSizes,
-    TenWaveletSizes,
-)
 from foten.families.piecewise_ar import PiecewiseArSizes
-from foten.families.sizes import Sizes, shortened, sizes_from_card
+from foten.families.sizes import Sizes, shortened
 from foten.families.ten import TenSizes
 
 FAMILIES: dict[str, type[Sizes]] = {
@@ -26,16 +16,16 @@ FAMILIES: dict[str, type[Sizes]] = {
     "foten": FotenSizes,
     "ten": TenSizes,
     "ar": PiecewiseArSizes,
-    "ten-mfcc": TenMfccSizes,
-    "ten-wavelet": TenWaveletSizes,
-    "foten-d": FotenDSizes,
-    "fnn": FnnSizes,
-    "dstn": DstnSizes,
-    "hapinf": HapinfSizes,
-    "ldhtd": LdhtdSizes,
-    "ldhtd-hop": LdhtdHopSizes,
-    "dftnet": DftnetSizes,
-    "gan": GanSizes,
+    "ten-mfcc": graphs.TenMfccSizes,
+    "ten-wavelet": graphs.TenWaveletSizes,
+    "foten-d": graphs.FotenDSizes,
+    "fnn": graphs.FnnSizes,
+    "dstn": graphs.DstnSizes,
+    "hapinf": graphs.HapinfSizes,
+    "ldhtd": graphs.LdhtdSizes,
+    "ldhtd-hop": graphs.LdhtdHopSizes,
+    "dftnet": graphs.DftnetSizes,
+    "gan": graphs.GanSizes,
 }
 """By the key that names a model on the command line and in a card."""
 
@@ -48,4 +38,8 @@ def sizes_of(model: str, card: Mapping[str, Any]) -> Sizes:
     """
     if model not in FAMILIES:
         raise ValueError(f"unknown model {shortened(model)}, expected one of {', '.join(FAMILIES)}")
-    return sizes_from_card(FAMILIES[model], model, card)
+    known = [field.name for field in fields(FAMILIES[model])]
+    unknown = set(card) - set(known)
+    if unknown:
+        raise ValueError(f"{model} has no size {min(unknown)!r}, expected one of {', '.join(known)}")
+    return FAMILIES[model](**card)

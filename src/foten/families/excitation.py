@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from foten.families.sizes import Shapes, Sizes, check_count, check_flag
+from foten.families.sizes import Shapes, Sizes
 
 HEAVIEST_TAIL = 0.25  # of h in z·exp(h z²/2); beyond it there is no fourth moment
 
@@ -19,11 +19,6 @@ class WithExcitation(Sizes):
 
     excitation: bool = False  # whether it has
     excitation_width: int = 16  # hidden units of log σ over speed and force
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_flag("excitation", self.excitation)
-        check_count("excitation_width", self.excitation_width, 1)
 
     @property
     def excited(self) -> bool:
@@ -36,8 +31,8 @@ class WithExcitation(Sizes):
 
     def to_card(self) -> dict[str, Any]:
         """Return the sizes as plain JSON values; nothing of an excitation where there is none."""
-        absent = () if self.excitation else ("excitation", "excitation_width")
-        return {name: size for name, size in super().to_card().items() if name not in absent}
+        kept = super().to_card().items()
+        return {name: size for name, size in kept if self.excitation or not name.startswith("excitation")}
 
 
 def excitation_shapes(width: int) -> Shapes:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from foten.families.excitation import linear_shapes
-from foten.families.sizes import Shapes, check_count, shortened
+from foten.families.sizes import Shapes, check_heads, shortened
 from foten.families.ten import TenSizes, TransformerSizes, encoder_cost, encoder_shapes
 
 
@@ -26,9 +26,8 @@ class SpectralSizes(TransformerSizes):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_count("spectral_width", self.spectral_width, 1)
-        if self.spectral_width > 1 and self.spectral_width % self.n_heads:
-            raise ValueError(f"width {self.spectral_width} does not divide into {self.n_heads} heads")
+        if self.spectral_width > 1:
+            check_heads(self.spectral_width, self.n_heads)
         if self.bins not in ("all", "half"):
             raise ValueError(f"bins is {shortened(self.bins)}, expected 'all' or 'half'")
 

@@ -28,7 +28,7 @@ from dataclasses import dataclass
 
 from foten.families.excitation import excitation_shapes, scale_cost, scale_shapes
 from foten.families.foten import SpectralSizes
-from foten.families.sizes import Shapes, check_count, check_flag, shortened
+from foten.families.sizes import Shapes, shortened
 
 
 @dataclass(frozen=True)
@@ -55,13 +55,6 @@ class FotenPlusSizes(SpectralSizes):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("excitation_width", "order", "n_speed", "n_force", "n_tone_speed", "n_tone_force"):
-            check_count(name, getattr(self, name), 1)
-        for name in ("residual_order", "n_residual_speed", "n_residual_force"):
-            check_count(name, getattr(self, name), 1)
-        check_count("n_tones", self.n_tones, 0)
-        for name in ("condition_in_tokens", "network_in_loop", "gain_before_filter", "residual_gain_before_filter"):
-            check_flag(name, getattr(self, name))
         limit = self.correction_limit
         if type(limit) not in (int, float) or not 0 < limit < 1e6:
             raise ValueError(f"correction_limit is {shortened(limit)}, expected a positive number")
@@ -95,9 +88,8 @@ class FotenPlusSizes(SpectralSizes):
         if self.n_tones:
             shapes |= table_shapes("tones", self.n_tone_speed, self.n_tone_force, "values", 2 * self.n_tones)
             shapes["tones.motion"] = (3,)
-            shapes |= lattice_shapes(
-                "residual", self.n_residual_speed, self.n_residual_force, self.residual_order, width
-            )
+            n_speed, n_force = self.n_residual_speed, self.n_residual_force
+            shapes |= lattice_shapes("residual", n_speed, n_force, self.residual_order, width)
         return shapes
 
     def multiply_adds(self) -> int:
@@ -109,14 +101,10 @@ class FotenPlusSizes(SpectralSizes):
 
 def lattice_shapes(name: str, n_speed: int, n_force: int, order: int, width: int) -> Shapes:
     """Return the tensors of a lattice and its level."""
-    shapes = table_shapes(name, n_speed, n_force, "reflections", order)
-    return shapes | scale_shapes(f"{name}.level", width)
+    return table_shapes(name, n_speed, n_force, "reflections", order) | scale_shapes(f"{name}.level", width)
 
 
 def table_shapes(name: str, n_speed: int, n_force: int, values: str, k: int) -> Shapes:
     """Return the tensors of a table of k numbers over speed and force."""
-    return {
-        f"{name}.speed_knots": (n_speed,),
-        f"{name}.force_knots": (n_force,),
-        f"{name}.{values}": (n_speed * n_force, k),
-    }
+    knots: Shapes = {f"{name}.speed_knots": (n_speed,), f"{name}.force_knots": (n_force,)}
+    return knots | {f"{name}.{values}": (n_speed * n_force, k)}

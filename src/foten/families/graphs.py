@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from foten.families.excitation import WithExcitation
-from foten.families.foten import FotenSizes
-from foten.families.sizes import Shapes, Sizes, check_count, check_counts, check_heads
-from foten.families.ten import TenSizes
+from foten.families.foten import SpectralSizes
+from foten.families.sizes import Sizes, check_heads
+from foten.families.ten import TransformerSizes
 
 
 @dataclass(frozen=True)
@@ -20,63 +20,43 @@ class GraphSizes(WithExcitation):
 
     in_graph: ClassVar[bool] = True
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_counts(self)
-
 
 @dataclass(frozen=True)
-class TenMfccSizes(TenSizes):
+class TenMfccSizes(TransformerSizes, GraphSizes):
     """TEN with cepstral coefficients of the window in place of the Fourier branch, Table II: our reading of "TEN-MFCC"."""
 
     window: int = 30  # m, samples; Table II
     n_bands: int = 12  # of the triangular filters, spaced as mel are; the paper is silent
     n_coefficients: int = 8  # kept of their cosine transform; the paper is silent
-    in_graph: ClassVar[bool] = True
     n_branches: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_count("n_bands", self.n_bands, 2)
-        check_count("n_coefficients", self.n_coefficients, 1)
         if self.n_coefficients > self.n_bands:
             raise ValueError(f"n_coefficients is {self.n_coefficients}, expected at most n_bands, {self.n_bands}")
 
-    tensor_shapes = WithExcitation.tensor_shapes
-    multiply_adds = Sizes.multiply_adds
-
 
 @dataclass(frozen=True)
-class TenWaveletSizes(TenSizes):
+class TenWaveletSizes(TransformerSizes, GraphSizes):
     """TEN with wavelet coefficients of the window in place of the Fourier branch, Table II: our reading of "TEN-Wavelet"."""
 
     window: int = 30  # m, samples; Table II
     n_levels: int = 3  # of Daubechies' wavelet with two vanishing moments; the paper is silent
-    in_graph: ClassVar[bool] = True
     n_branches: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_count("n_levels", self.n_levels, 1)
-        if self.n_levels > 12 or self.window < 2 ** (self.n_levels + 1):
-            raise ValueError(
-                f"window is {self.window}, expected 2^{self.n_levels + 1} or more for {self.n_levels} levels"
-            )
-
-    tensor_shapes = WithExcitation.tensor_shapes
-    multiply_adds = Sizes.multiply_adds
+        n = self.n_levels
+        if self.window < 2 ** (n + 1):
+            raise ValueError(f"window is {self.window}, expected 2^{n + 1} or more for {n} levels")
 
 
 @dataclass(frozen=True)
-class FotenDSizes(FotenSizes):
+class FotenDSizes(SpectralSizes, GraphSizes):
     """FoTEN with a decoder layer of one query token in place of the last token, FoTEN-D in Table II: our reading.
 
     The query attends to all temporal tokens and to the single one of the spectral branch.
     """
-
-    in_graph: ClassVar[bool] = True
-    tensor_shapes = WithExcitation.tensor_shapes
-    multiply_adds = Sizes.multiply_adds
 
 
 @dataclass(frozen=True)
@@ -90,10 +70,9 @@ class FnnSizes(GraphSizes):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.window < 8 * self.n_lags + 16:
-            raise ValueError(
-                f"window is {self.window}, expected {8 * self.n_lags + 16} or more for {self.n_lags} lags of 8 samples"
-            )
+        least = 8 * self.n_lags + 16
+        if self.window < least:
+            raise ValueError(f"window is {self.window}, expected {least} or more for {self.n_lags} lags of 8 samples")
 
 
 @dataclass(frozen=True)
@@ -172,14 +151,6 @@ class NoiseModelSizes(Sizes):
     in_graph: ClassVar[bool] = True
     from_noise: ClassVar[bool] = True
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_counts(self)
-
-    def tensor_shapes(self) -> Shapes:
-        """Return none: its weights are in the graph."""
-        return {}
-
 
 @dataclass(frozen=True)
 class DftnetSizes(NoiseModelSizes):
@@ -193,10 +164,9 @@ class DftnetSizes(NoiseModelSizes):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.window < max(8, self.n_conditions):
-            raise ValueError(
-                f"window is {self.window}, expected {max(8, self.n_conditions)} or more for {self.n_conditions} conditions"
-            )
+        n, least = self.n_conditions, max(8, self.n_conditions)
+        if self.window < least:
+            raise ValueError(f"window is {self.window}, expected {least} or more for {n} conditions")
 
 
 @dataclass(frozen=True)
@@ -214,8 +184,7 @@ class GanSizes(NoiseModelSizes):
             raise ValueError(f"frame is {self.frame}, expected 8 or more")
         if self.frame % self.stride:
             raise ValueError(f"frame is {self.frame}, expected a multiple of stride, {self.stride}")
-        if self.window != 26 * self.stride + self.frame:
-            raise ValueError(
-                f"window is {self.window}, expected {26 * self.stride + self.frame}: 27 frames of {self.frame} samples, "
-                f"{self.stride} apart"
-            )
+        n = 26 * self.stride + self.frame
+        if self.window != n:
+            frames = f"27 frames of {self.frame} samples, {self.stride} apart"
+            raise ValueError(f"window is {self.window}, expected {n}: {frames}")

@@ -13,22 +13,17 @@ HIGHEST_ORDER = 40  # beyond it line spectral frequencies no longer give the fil
 class PiecewiseArSizes(Sizes):
     """The sizes of local models. Where `ma` is 0 each is an autoregression; Penn's texture toolkit has zeros as well."""
 
-    window: int = (
-        21  # samples that a prediction is given; at least p + 1, and more to infer the innovations before zeros
-    )
+    window: int = 21  # samples that a prediction is given, p + 1 or more; more to infer the innovations before zeros
     order: int = 20  # p, of all models alike
     ma: int = 0  # q, of what the innovations go through before
     n_models: int = 3
     n_triangles: int = 1
 
     def __post_init__(self) -> None:
-        for name, least in {"order": 1, "ma": 0, "n_models": 3, "n_triangles": 1}.items():
-            check_count(name, getattr(self, name), least)
-        for name in ("order", "ma"):
-            if getattr(self, name) > HIGHEST_ORDER:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected {HIGHEST_ORDER} at most")
-        check_count("window", self.window, self.order + 1)
         super().__post_init__()
+        for name in ("order", "ma"):
+            check_count(name, getattr(self, name), 0, HIGHEST_ORDER)
+        check_count("window", self.window, self.order + 1)
 
     @property
     def excited(self) -> bool:

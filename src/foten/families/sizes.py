@@ -2,31 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any, ClassVar
 
 LONGEST_WINDOW = 512  # samples that the kernel's networks are given
 LONGEST_GRAPH_WINDOW = 4096  # and a graph
 LARGEST_COUNT = 65536  # bounds what a damaged file can make a program allocate
+LEAST_COUNT = {"window": 2, "ma": 0, "n_tones": 0, "n_bands": 2, "n_models": 3}
+"""Of those that may be 0, or not 1."""
 
 Shapes = dict[str, tuple[int, ...]]
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """The sizes of one model, as its texture file has them.
+    """The sizes of one model, as its texture file has them; each is of its default's type."""
 
-    Attributes:
-        window: m, samples that its network or filter is given.
-    """
-
-    window: int = 20
+    window: int = 20  # m, samples that its network or filter is given
     in_graph: ClassVar[bool] = False  # whether a file holds it as a graph for ONNX Runtime
     from_noise: ClassVar[bool] = False  # whether it makes samples from noise, and predicts none
 
     def __post_init__(self) -> None:
-        check_count("window", self.window, 2, LONGEST_GRAPH_WINDOW if self.in_graph else LONGEST_WINDOW)
+        longest = LONGEST_GRAPH_WINDOW if self.in_graph else LONGEST_WINDOW
+        for field in fields(self):
+            name, size = field.name, getattr(self, field.name)
+            if type(field.default) is int:
+                check_count(name, size, LEAST_COUNT.get(name, 1), longest if name == "window" else LARGEST_COUNT)
+            elif type(field.default) is bool and not isinstance(size, bool):
+                raise ValueError(f"{name} is {shortened(size)}, expected true or false")
 
     @property
     def history(self) -> int:
@@ -60,38 +63,12 @@ class Sizes:
         return {name: list(size) if isinstance(size, tuple) else size for name, size in asdict(self).items()}
 
 
-def sizes_from_card(kind: type[Sizes], model: str, card: Mapping[str, Any]) -> Sizes:
-    """Return a family's sizes from a card.
-
-    Raises:
-        ValueError: a size is unknown or out of range.
-    """
-    known = [field.name for field in fields(kind)]
-    unknown = sorted(set(card) - set(known))
-    if unknown:
-        raise ValueError(f"{model} has no size {unknown[0]!r}, expected one of {', '.join(known)}")
-    return kind(**card)
-
-
 def check_count(name: str, value: object, minimum: int, maximum: int = LARGEST_COUNT) -> None:
     """Refuse what is no whole number from `minimum` to `maximum`, by default the largest of any model."""
     if type(value) is not int or value < minimum:
         raise ValueError(f"{name} is {shortened(value)}, expected a whole number, {minimum} or more")
     if value > maximum:
         raise ValueError(f"{name} is {shortened(value)}, expected {maximum} at most")
-
-
-def check_counts(sizes: Sizes, minimum: int = 1) -> None:
-    """Refuse sizes of which one is no whole number from `minimum` on."""
-    for field in fields(sizes):
-        if field.type == "int" and field.name != "window":
-            check_count(field.name, getattr(sizes, field.name), minimum)
-
-
-def check_flag(name: str, value: object) -> None:
-    """Refuse what is neither true nor false."""
-    if not isinstance(value, bool):
-        raise ValueError(f"{name} is {shortened(value)}, expected true or false")
 
 
 def check_heads(width: int, n_heads: int) -> None:

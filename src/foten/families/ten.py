@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from foten.families.excitation import WithExcitation, linear_shapes, scale_cost
-from foten.families.sizes import Shapes, Sizes, check_count, check_flag, check_heads
+from foten.families.sizes import Shapes, Sizes, check_count, check_heads
 
 
 @dataclass(frozen=True)
@@ -27,14 +27,11 @@ class TransformerSizes(Sizes):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("d_model", "n_heads", "n_layers", "d_feedforward"):
-            check_count(name, getattr(self, name), 1)
         if not isinstance(self.head, list | tuple) or len(self.head) != 2:
             raise ValueError("head is not a pair, expected the widths of two layers, such as [256,64]")
         for width in self.head:
             check_count("head", width, 1)
         check_heads(self.d_model, self.n_heads)
-        check_flag("pre_norm", self.pre_norm)
         object.__setattr__(self, "head", tuple(self.head))
 
     @property

@@ -44,46 +44,22 @@ HIGHEST_HZ = 1e6
 LARGEST = 1e9  # of a number in a tensor; squares of it are finite in float32
 _MAX_HEADER = 100_000_000  # bytes; the safetensors limit
 
-_CARD: Mapping[str, type | tuple[type, ...]] = {
-    "format_version": int,
-    "model": str,
-    "sizes": dict,
-    "rate_hz": (int, float),
-    "window": int,
-    "units": dict,
-    "scaling": dict,
-    "trained_range": dict,
-    "beyond_exponents": dict,
-    "saturation": (int, float),
-    "lowpass_hz": (int, float),
-    "delay_ms": (int, float),
-    "warm_start": dict,
-    "texture": str,
-    "tool": str,
-    "sensors": str,
-    "notes": str,
-    "licence": str,
-    "recording_sha256": str,
-    "preprocess": dict,
-    "split": (dict, type(None)),
-    "split_sha256": str,
-    "training": dict,
-    "metrics": dict,
+_CARD: Mapping[type | tuple[type, ...], str] = {
+    int: "format_version window",
+    (int, float): "rate_hz saturation lowpass_hz delay_ms",
+    str: "model texture tool sensors notes licence recording_sha256 split_sha256",
+    dict: "sizes units scaling trained_range beyond_exponents warm_start preprocess training metrics",
+    (dict, type(None)): "split",
 }
-"""What a card must hold, and of which JSON type; a texture that was not trained here has no split."""
+"""What a card must hold, by JSON type; a texture that was not trained here has no split."""
 
 
 @dataclass(frozen=True)
 class Texture:
-    """A texture file in memory.
+    """A texture file in memory."""
 
-    Attributes:
-        card: as `_CARD` lists it; units m/s², mm/s, N.
-        tensors: by name, float32 or float64.
-    """
-
-    card: Mapping[str, Any]
-    tensors: Mapping[str, NDArray[Any]]
+    card: Mapping[str, Any]  # as `_CARD` lists it; units m/s², mm/s, N
+    tensors: Mapping[str, NDArray[Any]]  # float32 or float64
 
     @property
     def rate_hz(self) -> float:
@@ -144,8 +120,7 @@ def read_texture(path: Path | str) -> Texture:
     """Return the texture in a file.
 
     Raises:
-        FileNotFoundError: there is none.
-        OSError: the file cannot be read.
+        OSError: there is none, or it cannot be read.
         ValueError: it is not a texture file, is truncated, or its card or tensors do not fit.
     """
     path = Path(path)
@@ -165,10 +140,8 @@ def texture_from_bytes(data: bytes) -> Texture:
         raise ValueError(f"the file has {len(data)} bytes, expected a texture file; is it truncated?")
     # A header's length may begin with the very byte that a pickle begins with; the brace after it tells them apart.
     if data[8:9] != b"{" and (data[:1] == b"\x80" or data[:4] == b"PK\x03\x04"):
-        raise ValueError(
-            "this is a pickle or a PyTorch checkpoint, expected a texture file; "
-            "pickles can run code and are never opened: export with 'foten train'"
-        )
+        advice = "pickles can run code and are never opened: export with 'foten train'"
+        raise ValueError(f"this is a pickle or a PyTorch checkpoint, expected a texture file; {advice}")
     (length,) = struct.unpack("<Q", data[:8])
     if not 0 < length <= min(_MAX_HEADER, len(data) - 8):
         raise ValueError("this is not a texture file, or it is truncated")
@@ -191,11 +164,7 @@ def texture_from_bytes(data: bytes) -> Texture:
 
 
 def check_card(card: Any) -> None:
-    """Check that a card is complete and consistent.
-
-    Raises:
-        ValueError: what is missing or does not fit.
-    """
+    """Refuse what is no complete and consistent card."""
     if not isinstance(card, Mapping):
         raise ValueError("the card is not a JSON object")
     version = card.get("format_version")
@@ -203,12 +172,13 @@ def check_card(card: Any) -> None:
         older = type(version) is int and version < FORMAT_VERSION
         advice = "train it again with this foten" if older else "update foten"
         raise ValueError(f"the file has format version {shortened(version)}, expected {FORMAT_VERSION}: {advice}")
-    for key, kind in _CARD.items():
-        if key not in card:
-            raise ValueError(f"the card has no {key!r}")
-        if not isinstance(card[key], kind) or isinstance(card[key], bool):
-            expected = "a number" if kind == (int, float) else getattr(kind, "__name__", "dict or null")
-            raise ValueError(f"{key!r} in the card is {card[key]!r}, expected {expected}")
+    for kind, keys in _CARD.items():
+        expected = "a number" if kind == (int, float) else getattr(kind, "__name__", "dict or null")
+        for key in keys.split():
+            if key not in card:
+                raise ValueError(f"the card has no {key!r}")
+            if not isinstance(card[key], kind) or isinstance(card[key], bool):
+                raise ValueError(f"{key!r} in the card is {card[key]!r}, expected {expected}")
     try:
         sizes = sizes_of(card["model"], card["sizes"])
     except (TypeError, OverflowError) as error:  # a list where a number belongs
@@ -224,16 +194,14 @@ def check_card(card: Any) -> None:
             f"{HIGHEST_HZ:g} Hz, and from 0.001 Hz to half of that"
         )
     for channel in ("speed", "force"):
-        bounds = card["trained_range"].get(channel)
+        bounds, exponent = card["trained_range"].get(channel), card["beyond_exponents"].get(channel)
         if not (_are_numbers(bounds, 2) and 0 <= bounds[0] <= bounds[1]):
             raise ValueError(f"the trained range of {channel} is {bounds!r}, expected [low, high]")
-        exponent = card["beyond_exponents"].get(channel)
         if not (_are_numbers([exponent], 1) and 0 <= exponent <= 2):
             raise ValueError(f"the exponent of {channel} beyond its range is {exponent!r}, expected 0 to 2")
-    scaling = card["scaling"]
-    if not all(_are_numbers(scaling.get(key), 3) for key in ("mean", "sd")):
+    if not all(_are_numbers(card["scaling"].get(key), 3) for key in ("mean", "sd")):
         raise ValueError("the scaling in the card is not three means and three standard deviations")
-    Scaling(mean=tuple(scaling["mean"]), sd=tuple(scaling["sd"]))
+    Scaling(mean=tuple(card["scaling"]["mean"]), sd=tuple(card["scaling"]["sd"]))
     try:
         made = PreprocessConfig(**card["preprocess"])
         if card["split"] is not None:
@@ -248,7 +216,8 @@ def check_card(card: Any) -> None:
     if not _are_numbers([card["metrics"].get(needed)], 1):
         raise ValueError(f"the card has no {needed!r} among its metrics")
     for name in ("validation_mae_scaled", "validation_mae_scaled_lattice", "validation_mae_scaled_hop"):
-        if card["metrics"].get(name) is not None and not _are_numbers([card["metrics"][name]], 1):
+        value = card["metrics"].get(name)
+        if value is not None and not _are_numbers([value], 1):
             raise ValueError(f"{name!r} among the card's metrics is no number")
 
 
@@ -270,8 +239,7 @@ def _check_tensors(texture: Texture) -> None:
             raise ValueError(f"tensor {name!r} holds NaN or infinity")
         if tensor.size and np.abs(tensor).max() > LARGEST:
             raise ValueError(f"tensor {name!r} holds {np.abs(tensor).max():g}, expected {LARGEST:g} at most")
-    m = texture.window
-    n_golden = len(texture.tensors.get("golden.one_step", ()))
+    m, n_golden = texture.window, len(texture.tensors.get("golden.one_step", ()))
     if n_golden < MIN_GOLDEN:
         raise ValueError(f"the file holds {n_golden} golden windows, expected {MIN_GOLDEN} or more: it proves nothing")
     shapes = {
@@ -281,15 +249,13 @@ def _check_tensors(texture: Texture) -> None:
         "golden.one_step": (n_golden,),
         "golden.condition": (64, 2),
         "golden.closed_loop": (64,),
+        **({"golden.sigma": (n_golden,)} if sizes.excited else {}),
+        **({"graph": np.shape(texture.tensors.get("graph", ()))} if sizes.in_graph else {}),
     }
-    if sizes.excited:
-        shapes["golden.sigma"] = (n_golden,)
-    if sizes.in_graph:
-        shapes["graph"] = np.shape(texture.tensors.get("graph", ()))
     for name, shape in shapes.items():
         given = texture.tensors[name].shape if name in texture.tensors else None
         if given != shape:
             raise ValueError(f"tensor {name!r} has shape {given}, expected {shape}")
-    unknown = sorted(set(texture.tensors) - set(shapes))
+    unknown = set(texture.tensors) - set(shapes)
     if unknown:
-        raise ValueError(f"the file holds a tensor {unknown[0]!r} that {texture.card['model']!r} does not have")
+        raise ValueError(f"the file holds a tensor {min(unknown)!r} that {texture.card['model']!r} does not have")

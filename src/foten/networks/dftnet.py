@@ -7,7 +7,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-from foten.families import DftnetSizes
+from foten.families.graphs import DftnetSizes
 from foten.networks.dropout import Dropout
 from foten.networks.noise_filter import NoiseFilter
 

@@ -3,36 +3,26 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import torch
 from torch import Tensor, nn
 
-_MASKS = threading.local()
+_THREAD = threading.local()
 
 
 @contextmanager
-def masks_given(masks: Sequence[Tensor]) -> Iterator[None]:
-    """Take this thread's masks, as `mask` makes them, in the order in which the network asks for them."""
-    _MASKS.given = iter(masks)
+def masks_from(source: Callable[[torch.Size, torch.device, float], Tensor]) -> Iterator[None]:
+    """Take this thread's masks from a source in place of `mask`, in the order in which the network asks for them."""
+    _THREAD.source = source
     try:
         yield
     finally:
-        _MASKS.given = None
+        _THREAD.source = mask
 
 
-@contextmanager
-def mask_shapes() -> Iterator[list[torch.Size]]:
-    """Give the shapes of the masks that the network asks for meanwhile."""
-    _MASKS.shapes = []
-    try:
-        yield _MASKS.shapes
-    finally:
-        _MASKS.shapes = None
-
-
-def mask(shape: torch.Size, p: float, generator: torch.Generator | None, device: torch.device) -> Tensor:
+def mask(shape: torch.Size, device: torch.device, p: float, generator: torch.Generator | None = None) -> Tensor:
     """Return what values of a shape are multiplied by: 0 for a share p of them, and 1 ÷ (1 − p) for the others.
 
     Four from each 64 random bits: six times as fast as `bernoulli_`, which was a third of a training step.
@@ -43,16 +33,6 @@ def mask(shape: torch.Size, p: float, generator: torch.Generator | None, device:
     dropped = round(p * 2**16)
     kept = bits.view(torch.int16)[:n].view(shape) >= dropped - 2**15
     return kept.float().mul_(2**16 / (2**16 - dropped))
-
-
-@contextmanager
-def masks_from(generator: torch.Generator | None) -> Iterator[None]:
-    """Draw this thread's masks from a generator of its own; None stands for PyTorch's common one."""
-    _MASKS.generator = generator
-    try:
-        yield
-    finally:
-        _MASKS.generator = None
 
 
 class Dropout(nn.Module):
@@ -70,12 +50,7 @@ class Dropout(nn.Module):
         """Return the values with some of them zero: any shape → the same."""
         if not self.training or self.p == 0:
             return values
-        given, shapes = getattr(_MASKS, "given", None), getattr(_MASKS, "shapes", None)
-        if given is not None:
-            return values * next(given)
-        if shapes is not None:
-            shapes.append(values.shape)
-        return values * mask(values.shape, self.p, getattr(_MASKS, "generator", None), values.device)
+        return values * getattr(_THREAD, "source", mask)(values.shape, values.device, self.p)
 
 
 def set_dropout(network: nn.Module, p: float) -> None:

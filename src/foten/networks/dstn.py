@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from foten.families import DstnSizes
+from foten.families.graphs import DstnSizes
 from foten.networks.dropout import Dropout
 
 

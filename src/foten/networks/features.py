@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from foten.dsp import Array
 from foten.dsp.spectrum import dft_matrices
-from foten.families import TenMfccSizes, TenWaveletSizes
+from foten.families.graphs import TenMfccSizes, TenWaveletSizes
 
 QUIETEST = 1e-3  # power of a band, scaled, below which its logarithm no longer falls: 40 dB below the vibration
 
@@ -54,16 +54,15 @@ class WaveletBranch(nn.Module):
 
     def __init__(self, sizes: TenWaveletSizes) -> None:
         super().__init__()
-        self.register_buffer(
-            "transform", torch.from_numpy(wavelet_transform(sizes.window, sizes.n_levels)), persistent=False
-        )
+        transform = torch.from_numpy(wavelet_transform(sizes.window, sizes.n_levels))
+        self.register_buffer("transform", transform, persistent=False)
 
     def forward(self, acceleration: Tensor) -> Tensor:
         """Return the coefficients: (b, m) scaled → (b, k)."""
         return acceleration @ self.transform.to(acceleration.dtype)
 
 
-def mel_bands(n_bins: int, n_bands: int) -> NDArray[np.float64]:
+def mel_bands(n_bins: int, n_bands: int) -> Array:
     """Return triangular bands, evenly spaced in mel and at least a bin wide, shape (n_bins, n_bands), each adding up to 1."""
     hz = np.linspace(0.0, 8000.0, n_bins)
     edges = np.linspace(0.0, 2595 * math.log10(1 + 8000 / 700), n_bands + 2)
@@ -75,15 +74,14 @@ def mel_bands(n_bins: int, n_bands: int) -> NDArray[np.float64]:
     return np.asarray(bands / bands.sum(axis=0))
 
 
-def cosine_transform(n: int, k: int) -> NDArray[np.float64]:
+def cosine_transform(n: int, k: int) -> Array:
     """Return the first k rows of the orthonormal cosine transform (DCT-II) of n numbers, as columns (n, k)."""
-    rows = np.cos(np.pi / n * (np.arange(n)[:, None] + 0.5) * np.arange(k))
-    rows *= np.sqrt(2 / n)
-    rows[:, 0] *= math.sqrt(0.5)
-    return np.asarray(rows)
+    columns = np.sqrt(2 / n) * np.cos(np.pi / n * (np.arange(n)[:, None] + 0.5) * np.arange(k))
+    columns[:, 0] *= math.sqrt(0.5)
+    return np.asarray(columns)
 
 
-def wavelet_transform(m: int, n_levels: int) -> NDArray[np.float64]:
+def wavelet_transform(m: int, n_levels: int) -> Array:
     """Return the matrix that takes a window (m,) to its wavelet coefficients, shape (m, k)."""
     root = math.sqrt(3)
     low = np.array([1 + root, 3 + root, 3 - root, 1 - root]) / (4 * math.sqrt(2))

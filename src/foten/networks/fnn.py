@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from foten.dsp import Array
 from foten.dsp.filters import Biquads, butterworth
-from foten.families import FnnSizes
+from foten.families.graphs import FnnSizes
 from foten.networks.dropout import Dropout
 
 EDGES = (0.06, 0.125, 0.25)  # between the bands, of the rate: 60, 125 and 250 Hz at 1 kHz
@@ -27,37 +27,29 @@ class Fnn(nn.Module):
 
     def __init__(self, sizes: FnnSizes) -> None:
         super().__init__()
-        n_inputs = sizes.n_lags + 2
-        self.bands = nn.ModuleList(
-            nn.Sequential(
-                nn.Linear(n_inputs, sizes.first),
-                nn.Tanh(),
-                Dropout(),
-                nn.Linear(sizes.first, sizes.second),
-                nn.Tanh(),
-                nn.Linear(sizes.second, 1),
-            )
+        n, first, second = sizes.n_lags + 2, sizes.first, sizes.second
+        layers = [
+            (nn.Linear(n, first), nn.Tanh(), Dropout(), nn.Linear(first, second), nn.Tanh(), nn.Linear(second, 1))
             for _ in SPACING
-        )
-        lags = torch.from_numpy(lagged_bands(sizes.window, sizes.n_lags))
-        self.register_buffer("lags", lags, persistent=False)
+        ]
+        self.bands = nn.ModuleList(nn.Sequential(*of_band) for of_band in layers)
+        self.register_buffer("lags", torch.from_numpy(lagged_bands(sizes.window, sizes.n_lags)), persistent=False)
 
     def forward(self, windows: Tensor) -> Tensor:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
         lagged = torch.einsum("bm,klm->kbl", windows[:, :, 0], self.lags.to(windows.dtype))
-        hand = windows[:, -1, 1:]
-        pieces = [band(torch.cat([lagged[k], hand], dim=1))[:, 0] for k, band in enumerate(self.bands)]
+        pieces = [band(torch.cat([lagged[k], windows[:, -1, 1:]], dim=1))[:, 0] for k, band in enumerate(self.bands)]
         return torch.stack(pieces).sum(dim=0)
 
 
-def lagged_bands(m: int, n_lags: int) -> NDArray[np.float64]:
+def lagged_bands(m: int, n_lags: int) -> Array:
     """Return what a window of m samples is multiplied with to give the bands at their lags, shape (4, n_lags, m).
 
     Lag 1 of each band is the window's last sample; of the filters' responses as much is kept as the window holds.
     """
     impulse = np.eye(1, m)[0]
     low = [Biquads(butterworth("lowpass", edge, 1.0)).process(impulse) for edge in EDGES]
-    responses = [low[0], low[1] - low[0], low[2] - low[1], impulse - low[2]]
+    responses = np.diff([np.zeros(m), *low, impulse], axis=0)
     rows = np.zeros((len(SPACING), n_lags, m))
     for k, (response, spacing) in enumerate(zip(responses, SPACING, strict=True)):
         for i in range(n_lags):

@@ -8,13 +8,12 @@ import torch
 from torch import Tensor, nn
 
 from foten.dsp.spectrum import WEAKEST_BIN, dft_matrices, last_sample_row, position_encoding
-from foten.families import FotenDSizes, TenMfccSizes, TenWaveletSizes
 from foten.families.foten import SpectralSizes
+from foten.families.graphs import FotenDSizes, TenMfccSizes, TenWaveletSizes
 from foten.families.ten import TransformerSizes
-from foten.networks.decoder import DecoderLayer
 from foten.networks.dropout import Dropout
-from foten.networks.encoder import EncoderLayer
 from foten.networks.features import MfccBranch, WaveletBranch
+from foten.networks.transformer import DecoderLayer, EncoderLayer
 
 
 class TemporalBranch(nn.Module):
@@ -29,8 +28,7 @@ class TemporalBranch(nn.Module):
         )
         self.norm = nn.LayerNorm(d) if sizes.pre_norm else nn.Identity()
         self.dropout = Dropout()
-        positions = torch.from_numpy(position_encoding(sizes.window, d))
-        self.register_buffer("positions", positions, persistent=False)
+        self.register_buffer("positions", torch.from_numpy(position_encoding(sizes.window, d)), persistent=False)
 
     def forward(self, samples: Tensor, last_only: bool = True) -> Tensor:
         """Return E_t, or its last token alone: (b, m, n_inputs) scaled → (b, m or 1, d_model)."""
@@ -46,12 +44,12 @@ class SpectralBranch(nn.Module):
     def __init__(self, sizes: SpectralSizes) -> None:
         super().__init__()
         m, width = sizes.window, sizes.spectral_width
-        self.lifted = width > 1
+        lifted = width > 1
         for name in ("magnitude", "phase"):
-            self.add_module(f"{name}_in", nn.Linear(1, width) if self.lifted else nn.Identity())
+            self.add_module(f"{name}_in", nn.Linear(1, width) if lifted else nn.Identity())
             layer = EncoderLayer(width, sizes.n_heads, sizes.d_feedforward, sizes.pre_norm)
             self.add_module(f"{name}_layer", layer)
-            self.add_module(f"{name}_out", nn.Linear(width, 1) if self.lifted else nn.Identity())
+            self.add_module(f"{name}_out", nn.Linear(width, 1) if lifted else nn.Identity())
         real, imaginary = (matrix[:, : sizes.n_bins] for matrix in dft_matrices(m))
         cosine, sine = last_sample_row(m, half=sizes.bins == "half")
         for name, matrix in {"real": real, "imaginary": imaginary, "cosine": cosine, "sine": sine}.items():
@@ -98,16 +96,13 @@ class Foten(nn.Module):
     def __init__(self, sizes: TransformerSizes) -> None:
         super().__init__()
         self.sizes = sizes
-        first, second = sizes.head
+        d, (first, second) = sizes.d_model, sizes.head
         self.temporal = TemporalBranch(sizes)
-        d = sizes.d_model
         self.spectral = self.spectral_embedding = self.decoder = None
         if isinstance(sizes, SpectralSizes):
-            self.spectral = SpectralBranch(sizes)
-            self.spectral_embedding = nn.Linear(1, d)
+            self.spectral, self.spectral_embedding = SpectralBranch(sizes), nn.Linear(1, d)
         elif isinstance(sizes, TenMfccSizes):
-            self.spectral = MfccBranch(sizes)
-            self.spectral_embedding = nn.Linear(sizes.n_coefficients, d)
+            self.spectral, self.spectral_embedding = MfccBranch(sizes), nn.Linear(sizes.n_coefficients, d)
         elif isinstance(sizes, TenWaveletSizes):
             self.spectral = WaveletBranch(sizes)
             self.spectral_embedding = nn.Linear(self.spectral.transform.shape[1], d)

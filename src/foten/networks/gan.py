@@ -10,11 +10,10 @@ from torch import Tensor, nn
 from torch.nn.functional import conv1d, leaky_relu
 from torch.nn.utils.parametrizations import spectral_norm
 
-from foten.families import GanSizes
+from foten.families.graphs import GanSizes
 from foten.networks.noise_filter import NoiseFilter, hann
 
 LATENTS = 5  # numbers of noise that a frame is made from
-_SPREAD = (1, 3, 9)  # frames between what a layer looks at
 
 
 class Gan(nn.Module):
@@ -36,9 +35,8 @@ class Gan(nn.Module):
         self.out = nn.Conv1d(c, n // 2 + 1, 1)
         self.filter = NoiseFilter(n)
         turns = 2 * math.pi * torch.arange(n, dtype=torch.float64) / n
-        waves = [torch.ones(n, dtype=torch.float64)]
-        waves += [wave(k * turns) for k in (1, 2) for wave in (torch.cos, torch.sin)]
-        kernels = torch.stack(waves) * hann(n)
+        waves = [wave(k * turns) for k in (1, 2) for wave in (torch.cos, torch.sin)]
+        kernels = torch.stack([torch.ones_like(turns), *waves]) * hann(n)
         kernels = kernels / kernels.square().sum(1, keepdim=True).sqrt()
         self.register_buffer("kernels", kernels[:, None].float(), persistent=False)
 
@@ -53,7 +51,7 @@ class Gan(nn.Module):
     def spectra(self, windows: Tensor) -> Tensor:
         """Return log |X| for every stride of longer windows (b, n, 3): (b, frames − 26, bins), the first as `forward`'s of m."""
         features = self._frames(windows)
-        for layer, spread in zip(self.layers, _SPREAD, strict=True):
+        for layer, spread in zip(self.layers, (1, 3, 9), strict=True):  # frames between what a layer looks at
             features = torch.relu(conv1d(features, layer.weight, layer.bias, dilation=spread))
         return self.out(features).transpose(1, 2)
 

@@ -6,10 +6,9 @@ import torch
 from torch import Tensor, nn
 
 from foten.dsp.spectrum import position_encoding
-from foten.families import HapinfSizes
-from foten.networks.decoder import DecoderLayer
+from foten.families.graphs import HapinfSizes
 from foten.networks.dropout import Dropout
-from foten.networks.encoder import EncoderLayer
+from foten.networks.transformer import DecoderLayer, EncoderLayer
 
 
 class Hapinf(nn.Module):
@@ -31,8 +30,7 @@ class Hapinf(nn.Module):
         self.decoded = nn.LayerNorm(d)
         self.out = nn.Linear(d, 1)
         self.dropout = Dropout()
-        positions = torch.from_numpy(position_encoding(sizes.window + 1, d))
-        self.register_buffer("positions", positions, persistent=False)
+        self.register_buffer("positions", torch.from_numpy(position_encoding(sizes.window + 1, d)), persistent=False)
 
     def forward(self, windows: Tensor) -> Tensor:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""

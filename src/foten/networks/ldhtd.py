@@ -6,9 +6,9 @@ import torch
 from torch import Tensor, nn
 
 from foten.dsp.spectrum import position_encoding
-from foten.families import LdhtdSizes
-from foten.networks.decoder import DecoderLayer
+from foten.families.graphs import LdhtdSizes
 from foten.networks.dropout import Dropout
+from foten.networks.transformer import DecoderLayer
 
 
 class Ldhtd(nn.Module):
@@ -30,8 +30,7 @@ class Ldhtd(nn.Module):
         self.dense = nn.Linear(d, sizes.dense)
         self.out = nn.Linear(sizes.dense, 1)
         self.dropout = Dropout()
-        positions = torch.from_numpy(position_encoding(sizes.window, d))
-        self.register_buffer("positions", positions, persistent=False)
+        self.register_buffer("positions", torch.from_numpy(position_encoding(sizes.window, d)), persistent=False)
 
     def forward(self, windows: Tensor) -> Tensor:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""

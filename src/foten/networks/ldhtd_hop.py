@@ -6,9 +6,9 @@ import torch
 from torch import Tensor, nn
 
 from foten.dsp.spectrum import position_encoding
-from foten.families import LdhtdHopSizes
+from foten.families.graphs import LdhtdHopSizes
 from foten.networks.dropout import Dropout
-from foten.networks.encoder import EncoderLayer
+from foten.networks.transformer import EncoderLayer
 
 
 class LdhtdHop(nn.Module):

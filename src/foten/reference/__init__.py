@@ -6,30 +6,22 @@ Nothing that a user calls renders with it: that is the kernel's.
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.families import FotenPlusSizes, FotenSizes, PiecewiseArSizes, Sizes, TenSizes
 from foten.reference.excitation import Excitation
 from foten.reference.foten_plus import FotenPlus
 from foten.reference.network import Network
 from foten.reference.piecewise_ar import PiecewiseAr
 from foten.reference.stream import Model
-from foten.reference.window import NoiseModel, WindowModel
-
-Array = NDArray[np.float64]
+from foten.reference.window import WindowModel
 
 
 def model_of(
     sizes: Sizes, tensors: Mapping[str, NDArray[Any]], network: Callable[[Array], Array] | None = None
 ) -> Model:
-    """Return the model that a texture's tensors make.
-
-    Args:
-        sizes: of its family.
-        tensors: by name, as its file has them.
-        network: of a graph: windows (b, m, 3) scaled → (b, n_ahead) scaled.
-    """
+    """Return the model of a texture's tensors; a graph's has a network: windows (b, m, 3) scaled → (b, n_ahead) scaled."""
     if isinstance(sizes, FotenPlusSizes):
         return FotenPlus(sizes, tensors)
     if isinstance(sizes, PiecewiseArSizes):
@@ -37,6 +29,4 @@ def model_of(
     if network is None:
         assert isinstance(sizes, FotenSizes | TenSizes)
         network = Network(sizes, tensors)
-    if sizes.from_noise:
-        return NoiseModel(network, sizes.window)
-    return WindowModel(network, sizes.window, Excitation(tensors) if sizes.excited else None)
+    return WindowModel(network, sizes.window, Excitation(tensors) if sizes.excited else None, sizes.from_noise)

@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.dsp.noise import Volatility
 from foten.families.excitation import HEAVIEST_TAIL
+from foten.reference.network import Weights
 from foten.reference.stream import Prediction
-from foten.reference.weights import Weights
-
-Array = NDArray[np.float64]
 
 
 class Scale:

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.dsp.lattice import check_reflections, predict, push
-from foten.dsp.noise import Volatility
 from foten.dsp.speed_force_table import SpeedForceTable
 from foten.dsp.tones import LARGEST_JITTER, audible_share, fitted_phase, tone
 from foten.families.foten_plus import FotenPlusSizes
 from foten.reference.excitation import Excitation, Scale
-from foten.reference.network import Network
+from foten.reference.network import Network, Weights
 from foten.reference.stream import Prediction
-from foten.reference.weights import Weights
-
-Array = NDArray[np.float64]
 
 
 class Lattice:
@@ -77,7 +73,7 @@ class FotenPlus:
 
     def predict(self, windows: Array) -> Array:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled, by the lattice and the network."""
-        return self._analysed(windows, self.lattice, None, corrected=True).predict().sample
+        return self._analysed(windows, self.lattice, corrected=True).predict().sample
 
     def correction(self, network_window: Array) -> Array:
         """Return L · tanh(FoTEN / L), in units of the innovation: x, speed, force and e (s, m, 4) → (s,)."""
@@ -90,102 +86,70 @@ class FotenPlus:
         Their first sample is not what `predict` gives where the network is not in the loop, or where there are tones.
         """
         if self.tones is None:
-            return self._analysed(windows, self.lattice, None, self.sizes.network_in_loop)
+            return self._analysed(windows, self.lattice, self.sizes.network_in_loop)
         condition = self.with_path(windows[:, :-1, 1:])
-        shape = condition.shape[:2]
         flat = condition.reshape(-1, 3)
-        level = self.lattice.level(flat[:, :2]).reshape(shape)
-        coefficients = self.tones.coefficients(flat).reshape(*shape, -1) / level[..., None]
+        level = self.lattice.level(flat[:, :2]).reshape(condition.shape[:2])
+        coefficients = self.tones.coefficients(flat).reshape(*level.shape, -1) / level[..., None]
         travelled = np.cumsum(self.tones.increment(condition), axis=1)
         phase = fitted_phase(windows[:, 1:, 0] / level, coefficients, travelled)
         residual = windows.copy()
         residual[:, 1:, 0] -= level * tone(coefficients, travelled + phase[:, None])
-        return self._analysed(residual, self.excited_lattice, travelled[:, -1] + phase, corrected=False)
+        stream = self._analysed(residual, self.excited_lattice, corrected=False, tones=self.tones)
+        phase = travelled[:, -1] + phase + self.tones.increment(stream.condition)
+        phase = np.remainder(phase + np.pi, 2 * np.pi) - np.pi  # within half a turn
+        stream.begin_path(self.tones, phase, np.zeros_like(phase))
+        return stream
 
     def with_path(self, condition: Array) -> Array:
         """Return conditions (…, 2) scaled with the speed that they stand for [mm/s], (…, 3)."""
-        physical = self.lattice.level.physical(condition.reshape(-1, 2))[:, 0]
-        return np.concatenate([condition, physical.reshape(*condition.shape[:-1], 1)], axis=-1)
+        return np.concatenate([condition, self.lattice.level.physical(condition)[..., :1]], axis=-1)
 
-    def _analysed(self, windows: Array, lattice: Lattice, phase: Array | None, corrected: bool) -> FotenPlusStream:
-        """Return streams after windows of what a lattice is of, and, with tones, the phase at their last sample."""
-        s, m, _ = windows.shape
+    def _analysed(
+        self, windows: Array, lattice: Lattice, corrected: bool, tones: Tones | None = None
+    ) -> FotenPlusStream:
+        """Return streams after windows of what a lattice is of."""
         conditions = self.with_path(windows[:, :, 1:])
-        stream = FotenPlusStream(
-            self,
-            lattice,
-            corrected,
-            np.zeros((lattice.order, s)),
-            np.zeros((s, self.sizes.window, 4)),
-            self.excitation.volatility(s),
-            conditions[:, 0],
-        )
-        for n in range(1, m):
+        stream = FotenPlusStream(self, lattice, corrected, conditions[:, 0], tones)
+        for n in range(1, windows.shape[1]):
             stream.analyse(windows[:, n, 0])
             stream.set_condition(conditions[:, n])
-        if phase is not None:
-            stream.begin_path(phase)
         return stream
 
 
-@dataclass
 class FotenPlusStream:
-    """Streams of foten-plus.
+    """Streams of foten-plus: of a lattice, corrected where the network is in the loop, and of tones or none."""
 
-    Attributes:
-        lattice: that is excited.
-        corrected: whether the network is in the loop.
-        states: b₀ … b_{p−1} of the lattice, shape (p, s).
-        network_window: x, speed, force and e of the last m samples, shape (s, m, 4).
-        condition: speed and force of the last sample, scaled, and the speed that tones go by [mm/s], shape (s, 3).
-        phase: of the tones at the next sample [rad]; path: without jitter; rate: r of `dsp.tones`; shape (s,) each.
-        level, reflections: of the next sample.
-        tone: T of the next sample; 0 without tones.
-    """
-
-    model: FotenPlus
-    lattice: Lattice
-    corrected: bool
-    states: Array
-    network_window: Array
-    volatility: Volatility
-    condition: Array
-    phase: Array = field(init=False)
-    path: Array = field(init=False)
-    rate: Array = field(init=False)
-    level: Array = field(init=False)
-    reflections: Array = field(init=False)
-    tone: Array = field(init=False)
     bounded: ClassVar[bool] = True
 
-    def __post_init__(self) -> None:
-        self.phase = self.path = self.rate = self.tone = np.zeros(len(self.condition))
-        self.set_condition(self.condition)
+    def __init__(
+        self, model: FotenPlus, lattice: Lattice, corrected: bool, condition: Array, tones: Tones | None = None
+    ) -> None:
+        s = len(condition)
+        self.model, self.lattice, self.corrected, self.tones = model, lattice, corrected, tones
+        self.states = np.zeros((lattice.order, s))  # b₀ … b_{p−1} of the lattice
+        self.network_window = np.zeros((s, model.sizes.window, 4))  # x, speed, force and e of the last m samples
+        self.volatility = model.excitation.volatility(s)
+        # Phase of the tones at the next sample [rad], the same without jitter, r of `dsp.tones`, and T; 0 without tones.
+        self.phase = self.path = self.rate = self.tone = np.zeros(s)
+        self.set_condition(condition)
 
     def set_condition(self, condition: Array) -> None:
         """Make ready for the sample after one under a condition (s, 3), which goes into the network's window with it."""
-        self.condition = condition
+        self.condition = condition  # speed and force, scaled, and the speed that tones go by [mm/s]
         self.network_window[:, -1, 1:3] = condition[:, :2]
         self.level = self.lattice.level(condition[:, :2])
         self.reflections = self.lattice.reflections(condition[:, :2])
 
-    def begin_path(self, phase: Array) -> None:
-        """Begin the path of tones after a sample at a phase (s,), which is taken within half a turn."""
-        assert self.model.tones is not None
-        phase = phase + self.model.tones.increment(self.condition)
-        self.phase = np.remainder(phase + np.pi, 2 * np.pi) - np.pi
-        self.path = self.rate = np.zeros_like(phase)
-        self._set_tone()
-
-    def _set_tone(self) -> None:
-        assert self.model.tones is not None
-        self.tone = tone(self.model.tones.coefficients(self.condition), self.phase)
+    def begin_path(self, tones: Tones, phase: Array, path: Array) -> None:
+        """Begin the path of tones at a phase of the next sample, and that without jitter, (s,) each."""
+        self.phase, self.path, self.rate = phase, path, np.zeros_like(phase)
+        self.tone = tone(tones.coefficients(self.condition), phase)
 
     @property
     def n_initial(self) -> int:
         """Return a number for each state and the volatility; two for a phase; one for each sample of a network's window."""
-        more = 2 if self.model.tones is not None else self.corrected * self.network_window.shape[1]
-        return len(self.states) + 1 + more
+        return len(self.states) + 1 + (2 if self.tones else self.corrected * self.network_window.shape[1])
 
     def begin(self, condition: Array, noise: Array) -> None:
         """Draw the states, the volatility and where in its period a surface is touched; fill the network's window.
@@ -203,10 +167,9 @@ class FotenPlusStream:
         size = before * excitation.sigma(known) * (1 - 2 * excitation.tail(known)) ** -0.75
         self.states = size * noise[:, :p].T
         self.volatility.draw(noise[:, p])
-        if self.model.tones is not None:
-            self.phase = self.path = np.arctan2(noise[:, p + 1], noise[:, p + 2])
-            self.rate = np.zeros_like(self.phase)
-            self._set_tone()
+        if self.tones:
+            phase = np.arctan2(noise[:, p + 1], noise[:, p + 2])
+            self.begin_path(self.tones, phase, phase)
             return
         self.network_window = np.zeros_like(self.network_window)
         self.network_window[..., 1:3] = known[:, None]
@@ -241,9 +204,8 @@ class FotenPlusStream:
         """
         self.volatility.push(noise)
         e = self.analyse(sample - self.tone)
-        before = self.condition
+        before, tones = self.condition, self.tones
         self.set_condition(condition)
-        tones = self.model.tones
         if tones is None:
             return
         increment = tones.increment(before)
@@ -253,4 +215,4 @@ class FotenPlusStream:
         self.phase = self.phase - tones.drawn_back * (self.phase - self.path) + increment * self.rate
         self.phase = self.phase + tones.increment(condition)
         self.path = self.path + tones.increment(condition)
-        self._set_tone()
+        self.tone = tone(tones.coefficients(condition), self.phase)

@@ -15,20 +15,18 @@ both, by 18 dB from a recording in which a sensor dropped out.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.dsp.lattice import predict, push, reflections_of
 from foten.dsp.lsf import polynomial_of
 from foten.dsp.mesh import Mesh
 from foten.families.piecewise_ar import PiecewiseArSizes
+from foten.reference.network import Weights
 from foten.reference.stream import Prediction
-from foten.reference.weights import Weights
-
-Array = NDArray[np.float64]
 
 LARGEST_INNOVATION = 100.0  # standard deviations, of those inferred from a recorded window
 SETTLED_AFTER = 256  # samples that a stream begins with, where there are zeros
@@ -49,10 +47,9 @@ class PiecewiseAr:
         self._table = np.concatenate([w["lsf"], zeros, before[:, None] ** 2], axis=1)
 
     def mixed(self, condition: Array) -> tuple[Array, Array, Array]:
-        """Return the model under a speed and force, scaled (b, 2).
+        """Return reflection coefficients (p, b), b₁ … b_q (q, b) and the scaled gain before the lattice (b,).
 
-        Returns:
-            Reflection coefficients (p, b); b₁ … b_q (q, b); the gain before the lattice, scaled, (b,).
+        Of the model under a speed and force, scaled (b, 2).
         """
         physical = np.maximum(condition * self._sd + self._mean, 0.0)
         chosen, weights = self._mesh.at(*physical.T)
@@ -63,10 +60,9 @@ class PiecewiseAr:
 
     def start(self, windows: Array) -> PiecewiseArStream:
         """Return streams that go on from scaled windows, shape (s, m, 3); innovations are inferred once p samples are known."""
-        s, p = len(windows), self.sizes.order
-        stream = PiecewiseArStream(self, np.zeros((p, s)), np.zeros((self.sizes.ma, s)), windows[:, 0, 1:])
+        stream = PiecewiseArStream(self, windows[:, 0, 1:])
         for n in range(1, windows.shape[1]):
-            stream.infer(windows[:, n, 0], windows[:, n, 1:], known=n > p)
+            stream.infer(windows[:, n, 0], windows[:, n, 1:], known=n > self.sizes.order)
         return stream
 
     def predict(self, windows: Array) -> Array:
@@ -74,59 +70,44 @@ class PiecewiseAr:
         return self.start(windows).predict().sample
 
 
-@dataclass
 class PiecewiseArStream:
-    """Streams of local models.
+    """Streams of local models, after a sample under a condition (s, 2)."""
 
-    Attributes:
-        states: b₀ … b_{p−1} of the lattice, shape (p, s).
-        past: the last q innovations, the youngest first, of unit variance, shape (q, s).
-        condition: speed and force of the last sample, scaled, shape (s, 2).
-        reflections, zeros, gain: as `PiecewiseAr.mixed` gives them, for the next sample.
-    """
-
-    model: PiecewiseAr
-    states: Array
-    past: Array
-    condition: Array
-    reflections: Array = field(init=False)
-    zeros: Array = field(init=False)
-    gain: Array = field(init=False)
     bounded: ClassVar[bool] = True
 
-    def __post_init__(self) -> None:
-        self._set_condition(self.condition)
+    def __init__(self, model: PiecewiseAr, condition: Array) -> None:
+        self._model, s = model, len(condition)
+        self.states = np.zeros((model.sizes.order, s))  # b₀ … b_{p−1} of the lattice
+        self._past = np.zeros((model.sizes.ma, s))  # the last innovations, the youngest first, of unit variance
+        self._set_condition(condition)
 
     def _set_condition(self, condition: Array) -> None:
-        self.condition = condition[:, :2]
-        self.reflections, self.zeros, self.gain = self.model.mixed(self.condition)
+        self.reflections, self._zeros, self._gain = self._model.mixed(condition[:, :2])
 
     @property
     def n_initial(self) -> int:
         """Return a number for each state and, with zeros, for each past innovation and each sample until it has settled."""
-        q = len(self.past)
+        q = len(self._past)
         return len(self.states) + (q + SETTLED_AFTER if q else 0)
 
     def begin(self, condition: Array, noise: Array) -> None:
         """Draw states and innovations; with zeros, which colour what enters the lattice, run until it has settled."""
-        p, q = len(self.states), len(self.past)
+        p, q = len(self.states), len(self._past)
         self._set_condition(condition)
-        self.states = self.gain * np.sqrt(1 + np.square(self.zeros).sum(axis=0)) * noise[:, :p].T
-        self.past = noise[:, p : p + q].T.copy()
+        self.states = self._gain * np.sqrt(1 + np.square(self._zeros).sum(axis=0)) * noise[:, :p].T
+        self._past = noise[:, p : p + q].T.copy()
         for z in noise[:, p + q :].T:
             self.push(self.predict().excited(z), condition, z)
 
     def predict(self) -> Prediction:
         """Return what lattice and past innovations predict."""
         sample, cosines = predict(self.states, self.reflections)
-        unit = self.gain * cosines
-        return Prediction(sample + unit * (self.zeros * self.past).sum(axis=0), unit)
+        unit = self._gain * cosines
+        return Prediction(sample + unit * (self._zeros * self._past).sum(axis=0), unit)
 
     def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
         """Take in the next samples; their innovations are those of the noise."""
-        self.states, _ = push(self.states, self.reflections, sample)
-        self._remember(0 * sample if noise is None else noise)
-        self._set_condition(condition)
+        self._take_in(sample, condition, 0 * sample if noise is None else noise)
 
     def infer(self, sample: Array, condition: Array, known: bool) -> None:
         """Take in recorded samples (s,) and the innovations that they tell of, where all samples before are known."""
@@ -134,10 +115,9 @@ class PiecewiseArStream:
         assert expected.scale is not None
         missed = known * (sample - expected.sample)
         innovation = np.divide(missed, expected.scale, out=np.zeros_like(missed), where=expected.scale > 0)
-        self.states, _ = push(self.states, self.reflections, sample)
-        self._remember(np.clip(innovation, -LARGEST_INNOVATION, LARGEST_INNOVATION))
-        self._set_condition(condition)
+        self._take_in(sample, condition, np.clip(innovation, -LARGEST_INNOVATION, LARGEST_INNOVATION))
 
-    def _remember(self, innovation: Array) -> None:
-        if len(self.past):
-            self.past = np.concatenate([innovation[None], self.past[:-1]])
+    def _take_in(self, sample: Array, condition: Array, innovation: Array) -> None:
+        self.states, _ = push(self.states, self.reflections, sample)
+        self._past = np.concatenate([innovation[None], self._past])[: len(self._past)]
+        self._set_condition(condition)

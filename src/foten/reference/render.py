@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.dsp.noise import gaussian
 from foten.families.conditions import FADE_FORCE, FADE_SPEED, FURTHEST
 from foten.families.texture_file import Texture
 from foten.reference import model_of
 from foten.reference.stream import run
-
-Array = NDArray[np.float64]
 
 FIRST_INITIAL = 2**63  # the first of the noise numbers that streams begin with: no rendering lasts that long
 
@@ -36,15 +34,14 @@ def render(
     grow.
 
     Args:
-        texture: with its tensors.
         speed, force: at the texture's rate [mm/s, N], shape (n,).
-        seed: of the noise; stream k of it is stream k here.
-        n_streams: of independent noise.
+        seed, n_streams: of the noise; stream k of it is stream k here.
         excitation: False runs the deterministic loop from the warm start.
         network: of a graph, as `model_of` has it.
     """
-    low, high = np.array([texture.trained_range(name) for name in ("speed", "force")]).T
-    exponents = np.array([texture.beyond_exponent(name) for name in ("speed", "force")])
+    names = ("speed", "force")
+    low, high = np.array([texture.trained_range(name) for name in names]).T
+    exponents = np.array([texture.beyond_exponent(name) for name in names])
     scaling, sizes = texture.scaling, texture.sizes
     physical = np.stack([speed, force], axis=1)
     kept = np.minimum(physical, FURTHEST * high)

@@ -5,27 +5,21 @@ from __future__ import annotations
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.dsp.noise import heavy_tailed
-
-Array = NDArray[np.float64]
 
 
 class Prediction(NamedTuple):
-    """The next sample of each stream without excitation, and what an excitation adds; shapes (s,).
-
-    Attributes:
-        sample: expected.
-        scale: by how much a unit of excitation moves it; None for no excitation.
-        tail: h of z·exp(h z²/2); None for Gaussian noise.
-        largest: bounds of the excitation, in units of the scale and of scaled acceleration.
-    """
+    """The next sample of each stream without excitation, and what an excitation adds; shapes (s,)."""
 
     sample: Array
-    scale: Array | None = None
-    tail: Array | None = None
-    largest: tuple[float, float] = (np.inf, np.inf)
+    scale: Array | None = None  # by how much a unit of excitation moves it; None for no excitation
+    tail: Array | None = None  # h of z·exp(h z²/2); None for Gaussian noise
+    largest: tuple[float, float] = (
+        np.inf,
+        np.inf,
+    )  # of the excitation, in units of the scale and of scaled acceleration
 
     def excited(self, noise: Array) -> Array:
         """Return the sample with excitation from standard normal noise, shape (s,)."""
@@ -40,33 +34,25 @@ class Prediction(NamedTuple):
 class Stream(Protocol):
     """Independent streams of one model, s of them.
 
-    Attributes:
-        bounded: whether they stay within bounds on their own output, however speed and force move.
-        n_initial: how many numbers of noise a stream takes to `begin`.
+    A condition is speed and force, scaled, and the speed that tones go by [mm/s].
     """
 
     @property
-    def bounded(self) -> bool: ...
+    def bounded(self) -> bool:
+        """Return whether they stay within bounds on their own output, however speed and force move."""
 
     @property
-    def n_initial(self) -> int: ...
+    def n_initial(self) -> int:
+        """Return how many numbers of noise a stream takes to `begin`."""
 
     def begin(self, condition: Array, noise: Array) -> None:
-        """Take a state as after a long time under one condition, whatever was before.
-
-        Args:
-            condition: speed and force, scaled, and the speed that tones go by [mm/s], shape (s, 3).
-            noise: standard normal, shape (s, n_initial).
-        """
-        ...
+        """Take a state as after a long time under one condition (s, 3), whatever was before; standard normal (s, n_initial)."""
 
     def predict(self) -> Prediction:
         """Return the next samples, shape (s,)."""
-        ...
 
     def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
         """Take in the next samples (s,), the condition (s, 3) that goes with them, and the noise in them."""
-        ...
 
 
 class Model(Protocol):
@@ -74,11 +60,9 @@ class Model(Protocol):
 
     def predict(self, windows: Array) -> Array:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
-        ...
 
     def start(self, windows: Array) -> Stream:
         """Return streams that go on from scaled windows, shape (s, m, 3)."""
-        ...
 
 
 def run(stream: Stream, condition: Array, noise: Array | None, limit: float = np.inf) -> Array:
@@ -90,7 +74,7 @@ def run(stream: Stream, condition: Array, noise: Array | None, limit: float = np
 
     Args:
         stream: changed.
-        condition: speed and force of each sample, scaled, and the speed that tones go by [mm/s], shape (s, n, 3).
+        condition: of each sample, shape (s, n, 3).
         noise: standard normal, shape (s, n); None for the deterministic loop.
         limit: of the saturator.
     """

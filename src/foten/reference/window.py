@@ -7,24 +7,26 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.dsp.noise import Volatility
 from foten.reference.excitation import Excitation
-from foten.reference.stream import Prediction
-
-Array = NDArray[np.float64]
+from foten.reference.stream import Prediction, Stream
 
 LOUDEST_BEGINNING = 50.0  # standard deviations, of the samples that a stream begins with
 
 
 @dataclass(frozen=True)
 class WindowModel:
-    """A network: windows (b, m, 3) scaled → (b,) or, of several samples ahead, (b, n_ahead)."""
+    """A network: windows (b, m, 3) scaled → (b,) or, of several samples ahead, (b, n_ahead).
+
+    Where it turns noise into samples, its windows hold noise in the place of acceleration.
+    """
 
     network: Callable[[Array], Array]
     window: int
     excitation: Excitation | None = None
+    from_noise: bool = False
 
     def ahead(self, windows: Array) -> Array:
         """Return the samples to come: windows (b, m, 3) scaled → (b, n_ahead) scaled."""
@@ -34,8 +36,10 @@ class WindowModel:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
         return self.ahead(windows)[:, 0]
 
-    def start(self, windows: Array) -> WindowStream:
+    def start(self, windows: Array) -> Stream:
         """Return streams that go on from scaled windows, shape (s, m, 3)."""
+        if self.from_noise:
+            return NoiseStream(self, windows.copy())
         volatility = None if self.excitation is None else self.excitation.volatility(len(windows))
         return WindowStream(self, windows.copy(), volatility, np.empty((len(windows), 0)))
 
@@ -85,27 +89,11 @@ class WindowStream:
         self.windows[:, -1, 1:] = condition[:, :2]
 
 
-@dataclass(frozen=True)
-class NoiseModel:
-    """A network that turns noise into samples; its windows hold noise in the place of acceleration."""
-
-    network: Callable[[Array], Array]
-    window: int
-
-    def predict(self, windows: Array) -> Array:
-        """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
-        return self.network(windows).reshape(-1)
-
-    def start(self, windows: Array) -> NoiseStream:
-        """Return streams whose last noise is what the given windows hold, shape (s, m, 3)."""
-        return NoiseStream(self, windows.copy())
-
-
 @dataclass
 class NoiseStream:
     """Streams of a model of noise: noise and condition of the last m samples, shape (s, m, 3)."""
 
-    model: NoiseModel
+    model: WindowModel
     windows: Array
     bounded: ClassVar[bool] = True
 

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.func import functional_call, grad_and_value, stack_module_state, vmap
 
-from foten.networks.dropout import mask, mask_shapes, masks_given, set_dropout
+from foten.networks.dropout import mask, masks_from, set_dropout
 from foten.train.config import TrainConfig
 from foten.train.epochs import Progress, goes_on
 from foten.train.fit import DeviceWindows, TrainingWindows, epoch_seed, loss_of, mask_seed, masks_of, rate_of, validated
@@ -104,7 +104,8 @@ class _Stack:
         def loss(
             weights: dict[str, Tensor], fixed: dict[str, Tensor], windows: Tensor, target: Tensor, masks: list[Tensor]
         ) -> Tensor:
-            with masks_given(masks):
+            in_turn = iter(masks)
+            with masks_from(lambda *_: next(in_turn)):
                 return criterion(functional_call(self.textures[0].network, (weights, fixed), (windows,)), target)
 
         self._gradients = vmap(grad_and_value(loss))
@@ -161,8 +162,13 @@ class _Stack:
         if p == 0:
             return []
         if b not in self._shapes:
-            with mask_shapes() as shapes, torch.no_grad():
+            shapes = self._shapes[b] = []
+
+            def noted(shape: torch.Size, device: torch.device, p: float) -> Tensor:
+                shapes.append(shape)
+                return mask(shape, device, p)
+
+            with masks_from(noted), torch.no_grad():
                 self.textures[0].network(windows[0])
-            self._shapes[b] = list(shapes)
-        drawn = [[mask(shape, p, one, self._device) for shape in self._shapes[b]] for one in generators]
+        drawn = [[mask(shape, self._device, p, one) for shape in self._shapes[b]] for one in generators]
         return [torch.stack(masks) for masks in zip(*drawn, strict=True)]

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from foten.networks.dropout import masks_from, set_dropout
+from foten.networks.dropout import mask, masks_from, set_dropout
 from foten.recording.windows import window_indices
 from foten.train.config import TrainConfig
 from foten.train.epochs import Epoch, Progress, Stateful, run_epochs
@@ -120,7 +121,7 @@ def fit(
 
     def gradients(share: Tensor, n: int, seed: int) -> tuple[Tensor, tuple[Tensor, ...]]:
         """Return the loss and gradients of one thread's share of a batch of n."""
-        with masks_from(masks_of(seed, of.device)):
+        with masks_from(partial(mask, generator=masks_of(seed, of.device))):
             loss = criterion(network(of.windows(share)), of.target[share]) * (len(share) / n)
         return loss.detach(), torch.autograd.grad(loss, trained)
 

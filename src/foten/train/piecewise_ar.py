@@ -130,7 +130,7 @@ def _pieces(blocks: ScaledBlocks) -> Iterator[Array]:
     for run in np.split(train, np.flatnonzero(np.diff(train) > 1) + 1):
         samples = stacked[run[0] * trace.block : (run[-1] + 1) * trace.block]
         x = samples[:, 0] - blocks.scaling.mean[0]
-        cuts = pieces_of(x, MAX_ORDER, min(grid, len(x) // 2), longest).cuts
+        cuts = pieces_of(x, MAX_ORDER, min(grid, len(x) // 2), longest)[0]
         for piece in np.split(samples, cuts):
             speed, force = np.median(piece[:, 1:], axis=0)
             if len(piece) >= LEAST_SAMPLES and speed >= FADE_SPEED and force >= FADE_FORCE:

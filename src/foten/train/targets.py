@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from foten.families import HapinfSizes
+from foten.families.graphs import HapinfSizes
 from foten.networks import build
 from foten.networks.noise_filter import log_magnitudes
 from foten.train.blocks import ScaledBlocks
