@@ -144,7 +144,14 @@ def fit(
     parts: dict[str, Stateful] = {"network": network, "optimiser": optimiser}
     with ThreadPoolExecutor(n_threads) as pool:
         return run_epochs(
-            network, config, parts, one_epoch, lambda: validated(network, of, criterion), on_epoch, checkpoint, resume
+            network,
+            config,
+            parts,
+            one_epoch,
+            lambda: validated(network, of, criterion, pool.map),
+            on_epoch,
+            checkpoint,
+            resume,
         )
 
 
@@ -184,15 +191,23 @@ def predict(network: nn.Module, data: TrainingWindows, n: NDArray[np.int64]) -> 
 
 
 def validated(
-    network: nn.Module, of: DeviceWindows, criterion: Callable[[Tensor, Tensor], Tensor]
+    network: nn.Module,
+    of: DeviceWindows,
+    criterion: Callable[[Tensor, Tensor], Tensor],
+    over: Callable[..., Iterator[tuple[float, float]]] = map,
 ) -> tuple[float, float]:
-    """Return a network's loss and mean absolute error on the validation windows, the latter scaled."""
+    """Return a network's loss and mean absolute error on the validation windows, the latter scaled.
+
+    Args:
+        over: maps a function over batches, as `map` or that of a pool of threads.
+    """
     network.eval()
-    loss = mae = 0.0
-    with torch.no_grad():
-        for batch in of.validation.split(2048):
+
+    def sums(batch: Tensor) -> tuple[float, float]:
+        with torch.no_grad():
             predicted, target = network(of.windows(batch)), of.target[batch]
-            loss += float(criterion(predicted, target)) * len(batch)
             missed = (predicted - target).abs().reshape(len(batch), -1).mean(1)
-            mae += float((of.unit[batch].abs() * missed).sum())
-    return loss / len(of.validation), mae / len(of.validation)
+            return float(criterion(predicted, target)) * len(batch), float((of.unit[batch].abs() * missed).sum())
+
+    loss, mae = (sum(each) / len(of.validation) for each in zip(*over(sums, of.validation.split(1024)), strict=True))
+    return loss, mae
