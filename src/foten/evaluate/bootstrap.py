@@ -28,19 +28,12 @@ def intervals(
         return {}
     rng = np.random.default_rng(seed)
     drawn = [figures(rng.integers(0, n_blocks, n_blocks)) for _ in range(N_RESAMPLES)]
-    bounds: dict[str, Any] = {}
-    for name in drawn[0]:
-        values = [draw[name] for draw in drawn if draw[name] is not None]
-        if values and isinstance(values[0], float):
-            bounds[name] = _percentiles(values)
-        elif values and isinstance(values[0], list | tuple):
-            entries = zip(*values, strict=True)
-            bounds[name] = [_percentiles([v for v in entry if v is not None]) for entry in entries]
-    return bounds
+    bounds = {name: _interval([draw[name] for draw in drawn]) for name in drawn[0]}
+    return {name: bound for name, bound in bounds.items() if bound is not None}
 
 
-def _percentiles(values: Sequence[float]) -> list[float] | None:
-    if not values:
-        return None
-    low, high = np.percentile(values, [2.5, 97.5])
-    return [float(low), float(high)]
+def _interval(values: Sequence[Any]) -> list[Any] | None:
+    known = [value for value in values if value is not None]
+    if known and isinstance(known[0], list | tuple):
+        return [_interval(entry) for entry in zip(*known, strict=True)]
+    return [float(bound) for bound in np.percentile(known, [2.5, 97.5])] if known else None

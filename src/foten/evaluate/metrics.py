@@ -8,52 +8,35 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.dsp.distance import (
-    HIGHEST_HZ,
-    LOWEST_HZ,
-    POWER_FLOOR,
-    log_spectral_distance,
-    scored_bins,
-    segment_length,
-    welch,
-)
-from foten.dsp.level import FLOOR_DB, FRAME_MS, frame_levels, frame_means
-
-# Re-exported: they are figures too.
-__all__ = ["FLOOR_DB", "FRAME_MS", "frame_levels", "frame_means"]
-__all__ += ["HIGHEST_HZ", "LOWEST_HZ", "log_spectral_distance", "scored_bins", "segment_length", "welch"]
+from foten.dsp.distance import HIGHEST_HZ, LOWEST_HZ, POWER_FLOOR
 
 Array = NDArray[np.float64]
 
 N_BANDS = 9
 
 
-def mean_absolute_error(recorded: Array, predicted: Array) -> float:
-    """Return mean |recorded − predicted|, in the unit of the arrays, any equal shape."""
-    return float(np.abs(recorded - predicted).mean())
-
-
-def goodness_of_fit(recorded: Array, synthesized: Array) -> float:
-    """Return the cosine similarity of two DFT amplitude spectra (GFC).
+def goodness_of_fit(recorded: Array, synthesized: Array) -> Array:
+    """Return the cosine similarity of DFT amplitude spectra (GFC).
 
     Blind to gain and phase: report it beside an absolute error. On raw bins two independent realisations of one noise
     reach π/4, not 1.
 
     Args:
-        recorded: acceleration [m/s²], shape (n,).
-        synthesized: acceleration [m/s²], shape (n,).
+        recorded: acceleration [m/s²], shape (…, n).
+        synthesized: acceleration [m/s²], shape (…, n).
 
     Returns:
-        Score in [0, 1]; 1 when the spectra are proportional, 0 when one is all zero.
+        Scores in [0, 1], shape (…); 1 when the spectra are proportional, 0 when one is all zero.
 
     Source: Eq. 13.
     """
-    return _cosine(np.abs(np.fft.rfft(recorded)), np.abs(np.fft.rfft(synthesized)))
+    return cosine(np.abs(np.fft.rfft(recorded)), np.abs(np.fft.rfft(synthesized)))
 
 
-def _cosine(a: Array, b: Array) -> float:
-    norm = math.sqrt(float(a @ a)) * math.sqrt(float(b @ b))
-    return float(a @ b) / norm if norm > 0 else 0.0
+def cosine(a: Array, b: Array) -> Array:
+    """Return the cosine similarity of amplitudes (…, k) → (…), 0 where one is all zero."""
+    norm = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
+    return np.asarray((a * b).sum(axis=-1) / np.maximum(norm, np.finfo(np.float64).tiny))
 
 
 def level_slopes(levels: Array, speed: Array, force: Array) -> tuple[float, float] | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -57,6 +57,11 @@ class Trace:
     def blocks(self, channel: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return one channel as shape (n_blocks, block), a view."""
         return channel.reshape(self.n_blocks, self.block)
+
+    def picked(self, blocks: Sequence[int]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return acceleration, speed and force of some blocks, shape (len(blocks), block) each."""
+        which = list(blocks)
+        return self.blocks(self.acceleration)[which], self.blocks(self.speed)[which], self.blocks(self.force)[which]
 
     def stacked(self) -> NDArray[np.float64]:
         """Return acceleration, speed and force as columns, shape (n, 3)."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.evaluate import metrics
+from foten.dsp.distance import scored_bins, segment_length, welch
+from foten.dsp.level import frame_levels
 from foten.evaluate.evaluate import Judgement
 from foten.evaluate.free_run import scored
 
@@ -28,14 +29,18 @@ def shown_run(judgement: Judgement) -> str | None:
     return next((name for name in ("free_run", "free_run_deterministic") if name in judgement.synthesized), None)
 
 
-def scored_channels(judgement: Judgement) -> tuple[Array, Array, Array]:
-    """Return recorded acceleration [m/s²], speed [mm/s] and force [N] of the scored samples, each (n_blocks, n)."""
-    trace, part = judgement.trace, scored(judgement.trace.block)
-    acceleration, speed, force = (
-        trace.blocks(channel)[list(judgement.blocks), part]
-        for channel in (trace.acceleration, trace.speed, trace.force)
-    )
-    return acceleration, speed, force
+def scored_runs(judgement: Judgement) -> dict[str, Array]:
+    """Return the scored samples of `recorded` and of each run [m/s²], (n_seeds, n_blocks, n), in the order of `LABELS`."""
+    recorded = judgement.trace.picked(judgement.blocks)[0][None]
+    runs, part = {"recorded": recorded, **judgement.synthesized}, scored(judgement.trace.block)
+    return {name: runs[name][:, :, part] for name in LABELS if name in runs}
+
+
+def scored_hand(judgement: Judgement) -> tuple[Array, Array]:
+    """Return speed [mm/s] and force [N] of the scored samples, each (n_blocks, n)."""
+    _, speed, force = judgement.trace.picked(judgement.blocks)
+    part = scored(judgement.trace.block)
+    return speed[:, part], force[:, part]
 
 
 def shown_blocks(judgement: Judgement) -> NDArray[np.int64]:
@@ -46,17 +51,16 @@ def shown_blocks(judgement: Judgement) -> NDArray[np.int64]:
 
 def typical_block(judgement: Judgement) -> int:
     """Return which of the judged blocks has the median recorded level (the lower of two)."""
-    levels = np.square(scored_channels(judgement)[0]).mean(axis=1)
+    levels = np.square(scored_runs(judgement)["recorded"][0]).mean(axis=1)
     return int(np.argsort(levels, kind="stable")[(len(levels) - 1) // 2])
 
 
 def level_errors(judgement: Judgement, name: str) -> Array:
     """Return a run's mean level error [dB] in each judged block, mean over frames of 40 ms and seeds, shape (n_blocks,)."""
-    recorded, _, _ = scored_channels(judgement)
-    reference = float(np.sqrt(np.square(recorded).mean()))
-    synthesized = judgement.synthesized[name][:, :, scored(judgement.trace.block)]
-    of = [metrics.frame_levels(x, judgement.trace.rate_hz, reference) for x in (recorded, synthesized)]
-    return np.asarray((of[1] - of[0]).mean(axis=(0, 2)))
+    runs = scored_runs(judgement)
+    reference = float(np.sqrt(np.square(runs["recorded"]).mean()))
+    recorded, synthesized = (frame_levels(runs[key], judgement.trace.rate_hz, reference) for key in ("recorded", name))
+    return np.asarray((synthesized - recorded).mean(axis=(0, 2)))
 
 
 def densities(judgement: Judgement) -> tuple[Array, dict[str, Array]]:
@@ -64,14 +68,8 @@ def densities(judgement: Judgement) -> tuple[Array, dict[str, Array]]:
 
     The log-spectral distance of pooled spectra is computed on the same densities.
     """
-    rate_hz, part = judgement.trace.rate_hz, scored(judgement.trace.block)
-    recorded, _, _ = scored_channels(judgement)
-    n_segment = metrics.segment_length(judgement.trace.block)
-    frequencies, density = metrics.welch(recorded, rate_hz, n_segment)
-    bins = metrics.scored_bins(frequencies, rate_hz)
-    pooled = {"recorded": density.mean(axis=0)[bins]}
-    for name in LABELS:
-        if name in judgement.synthesized:
-            of = metrics.welch(judgement.synthesized[name][:, :, part], rate_hz, n_segment)[1]
-            pooled[name] = of.mean(axis=(0, 1))[bins]
-    return frequencies[bins], pooled
+    rate_hz, n_segment = judgement.trace.rate_hz, segment_length(judgement.trace.block)
+    spectra = {name: welch(run, rate_hz, n_segment) for name, run in scored_runs(judgement).items()}
+    frequencies, _ = spectra["recorded"]
+    bins = scored_bins(frequencies, rate_hz)
+    return frequencies[bins], {name: density.mean(axis=(0, 1))[bins] for name, (_, density) in spectra.items()}

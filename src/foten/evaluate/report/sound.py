@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from foten.dsp.resample import decimate, interpolate
 from foten.evaluate.evaluate import Judgement
-from foten.evaluate.report.signals import scored_channels
+from foten.evaluate.report.signals import scored_runs
 
 Array = NDArray[np.float64]
 
@@ -27,13 +27,11 @@ def sounds(judgement: Judgement, name: str) -> tuple[bytes, bytes, float]:
 
     8 kHz, 16 bit, one channel, up to 8 s; each block is faded at its ends.
     """
-    rate_hz = judgement.trace.rate_hz
-    recorded, _, _ = scored_channels(judgement)
-    n_blocks = max(1, int(AUDIO_S * rate_hz / recorded.shape[1]))
-    part = recorded.shape[1]
+    runs, rate_hz = scored_runs(judgement), judgement.trace.rate_hz
+    n_blocks = max(1, int(AUDIO_S * rate_hz / runs["recorded"].shape[2]))
     pair = [
-        np.concatenate([_audible(block, rate_hz) for block in blocks[:n_blocks]])[: int(AUDIO_S * AUDIO_HZ)]
-        for blocks in (recorded, judgement.synthesized[name][0, :, -part:])
+        np.concatenate([_audible(block, rate_hz) for block in runs[key][0, :n_blocks]])[: int(AUDIO_S * AUDIO_HZ)]
+        for key in ("recorded", name)
     ]
     peak = max(float(np.abs(samples).max()) for samples in pair)
     full_scale = peak / _PEAK if peak > 0 else 1.0

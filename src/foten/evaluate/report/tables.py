@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import html
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
-from foten.evaluate.evaluate import FREE_RUN_KEYS
+from foten.evaluate.evaluate import RUNS
 from foten.evaluate.report.signals import LABELS
-from foten.evaluate.report.wording import ar_name, minus, reason, signed
+from foten.evaluate.report.verdict import ar_name, minus, reason, signed
 
 REFERENCES = {
     "lattice": ("the model without its network", "the lattice; what the network adds is the difference to it"),
@@ -22,56 +22,45 @@ REFERENCES = {
 }
 """One-step references: name and explanation."""
 
+
+class _Figure(NamedTuple):
+    name: str
+    unit: str
+    better: str
+    what: str
+
+
 FREE_RUN_FIGURES = {
-    "lsd_db": (
-        "log-spectral distance",
-        "dB",
-        "lower",
-        "RMS over frequency of the difference in dB, mean of blocks; sees gain",
+    "lsd_db": _Figure(
+        "log-spectral distance", "dB", "lower", "RMS over frequency of the difference in dB, mean of blocks; sees gain"
     ),
-    "lsd_long_db": (
-        "… of pooled spectra",
-        "dB",
-        "lower",
-        "the same on spectra pooled over all blocks: bias without scatter",
+    "lsd_long_db": _Figure(
+        "… of pooled spectra", "dB", "lower", "the same on spectra pooled over all blocks: bias without scatter"
     ),
-    "gfc_raw": (
+    "gfc_raw": _Figure(
         "GFC, raw bins",
         "0 to 1",
         "higher",
         "cosine of amplitude spectra (Eq. 13); two true realisations reach π/4 = 0.785; blind to gain",
     ),
-    "gfc_welch": (
-        "GFC, smoothed",
-        "0 to 1",
-        "higher",
-        "the same on Welch spectra: the shape of the spectrum; blind to gain",
+    "gfc_welch": _Figure(
+        "GFC, smoothed", "0 to 1", "higher", "the same on Welch spectra: the shape of the spectrum; blind to gain"
     ),
-    "level_bias_db": (
-        "level bias",
-        "dB",
-        "nearer 0",
-        "mean level difference in frames of 40 ms: too loud (+) or too soft (−)",
+    "level_bias_db": _Figure(
+        "level bias", "dB", "nearer 0", "mean level difference in frames of 40 ms: too loud (+) or too soft (−)"
     ),
-    "level_error_db": ("level error", "dB", "lower", "mean absolute level difference of the same frames"),
-    "level_corr": ("level correlation", "−1 to 1", "higher", "whether the level rises and falls with the recording's"),
-    "kurtosis": ("kurtosis", "", "nearer recorded", "3 for a Gaussian, more for a spiky vibration"),
-    "max_sd": (
-        "largest sample",
-        "sd",
-        "no outlier",
-        "peak over the training standard deviation: shows a loop that bursts",
+    "level_error_db": _Figure("level error", "dB", "lower", "mean absolute level difference of the same frames"),
+    "level_corr": _Figure(
+        "level correlation", "−1 to 1", "higher", "whether the level rises and falls with the recording's"
     ),
-    "modulation_db": (
-        "envelope spectrum",
-        "dB",
-        "lower",
-        "log-spectral distance of the envelope, 2 to 50 Hz: roughness and rhythm",
+    "kurtosis": _Figure("kurtosis", "", "nearer recorded", "3 for a Gaussian, more for a spiky vibration"),
+    "max_sd": _Figure(
+        "largest sample", "sd", "no outlier", "peak over the training standard deviation: shows a loop that bursts"
+    ),
+    "modulation_db": _Figure(
+        "envelope spectrum", "dB", "lower", "log-spectral distance of the envelope, 2 to 50 Hz: roughness and rhythm"
     ),
 }
-"""Free-run figures: name, unit, what is better, explanation."""
-
-RUNS = ("free_run", "free_run_deterministic", "free_run_ar", "ceiling")
 
 
 class _Cells:
@@ -110,7 +99,7 @@ def one_step_section(document: Mapping[str, Any]) -> str:
     cells = _Cells("a")
     references = document["references"]
     rows = {"one_step": (document["model"], "this texture", document["one_step"])}
-    rows |= {f"references.{k}": (*REFERENCES[k], references[k]) for k in REFERENCES if k in references}
+    rows |= {f"references.{key}": (*words, references[key]) for key, words in REFERENCES.items()}
     errors = [row["mae_scaled"] for *_, row in rows.values() if row["mae_scaled"] is not None]
     largest = max(errors, default=1.0) or 1.0
     body = "".join(_one_step_row(document, cells, key, *named, largest=largest) for key, named in rows.items())
@@ -163,17 +152,15 @@ def _excitation(one_step: Mapping[str, Any]) -> str:
 
 def free_run_section(document: Mapping[str, Any]) -> str:
     """Return the table of free-run figures as HTML, a column for each run."""
-    cells = _Cells("b")
-    kurtosis = [document[run]["kurtosis_recorded"] for run in RUNS if "kurtosis_recorded" in document[run]]
-    recorded = next((value for value in kurtosis if value is not None), None)
-    body = []
-    for key in [*FREE_RUN_KEYS, *(key for key in FREE_RUN_FIGURES if key not in FREE_RUN_KEYS)]:
-        name, unit, better, what = FREE_RUN_FIGURES.get(key, (key, "", "", ""))
-        own = f" Recorded: {recorded:.2f}." if key == "kurtosis" and recorded is not None else ""
+    cells, body = _Cells("b"), []
+    kurtosis = (document[run].get("kurtosis_recorded") for run in RUNS)
+    recorded = next((f" Recorded: {value:.2f}." for value in kurtosis if value is not None), "")
+    for key, (name, unit, better, what) in FREE_RUN_FIGURES.items():
         title = html.escape(name) + (f" <i>[{html.escape(unit)}]</i>" if unit else "")
         values = "".join(_free_run_cell(document, cells, run, key) for run in RUNS)
         body.append(
-            f'<tr id="free_run.{key}"><th scope="row">{title}<small>{html.escape(what)}.{own}</small></th>'
+            f'<tr id="free_run.{key}"><th scope="row">{title}<small>{html.escape(what)}.'
+            f"{recorded if key == 'kurtosis' else ''}</small></th>"
             f'<td class="better">{better}</td>{values}</tr>'
         )
     heads = {
@@ -182,9 +169,7 @@ def free_run_section(document: Mapping[str, Any]) -> str:
         "free_run_ar": "AR(20) and white noise of one scale",
         "ceiling": document["ceiling"].get("of") or "not known",
     }
-    titles = "".join(
-        f"<th>{html.escape(LABELS[run])}<small>{html.escape(head)}</small></th>" for run, head in heads.items()
-    )
+    titles = "".join(f"<th>{LABELS[run]}<small>{html.escape(head)}</small></th>" for run, head in heads.items())
     return (
         '<section id="free-run"><h2>Free run</h2><p>Synthesized under the recorded speed and force, its own output as '
         "history, and compared with what was recorded; the first fifth of each block is not scored. The ceiling says "
