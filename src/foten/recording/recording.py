@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
@@ -13,21 +13,17 @@ from numpy.typing import NDArray
 
 AXES = ("x", "y", "z")
 
-UNITS: Mapping[str, str] = MappingProxyType(
-    {
-        "acceleration": "m/s^2",
-        **{f"acceleration_{axis}": "m/s^2" for axis in AXES},
-        "speed": "mm/s",
-        **{f"position_{axis}": "mm" for axis in AXES},
-        "force": "N",
-        **{f"force_{axis}": "N" for axis in AXES},
-    }
-)
+UNITS: Mapping[str, str] = {
+    "acceleration": "m/s^2",
+    **{f"acceleration_{axis}": "m/s^2" for axis in AXES},
+    "speed": "mm/s",
+    **{f"position_{axis}": "mm" for axis in AXES},
+    "force": "N",
+    **{f"force_{axis}": "N" for axis in AXES},
+}
 """Every channel a recording may have, with the unit it is stored in. `z` is the surface normal."""
 
-LIMITS: Mapping[str, float] = MappingProxyType(
-    {"speed": 5000.0, "acceleration": 1000.0, "force": 500.0, "position": 10_000.0}
-)
+LIMITS: Mapping[str, float] = {"speed": 5000.0, "acceleration": 1000.0, "force": 500.0, "position": 10_000.0}
 """Beyond these no hand stroked a surface: mm/s, m/s², N, mm."""
 
 HOLE = 1.5  # median steps between two times; more, and samples were lost
@@ -55,6 +51,17 @@ class Channel:
             raise ValueError(f"rate is {self.rate_hz} Hz, expected a positive number")
         if self.times_s is not None and self.times_s.shape != self.samples.shape:
             raise ValueError(f"{self.times_s.size} times for {self.samples.size} samples")
+
+    @property
+    def times(self) -> NDArray[np.float64]:
+        """Return when each sample was taken [s], shape (n,)."""
+        return np.arange(self.samples.size) / self.rate_hz if self.times_s is None else self.times_s
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """Return when the channel starts and ends [s], one sample period past the last sample."""
+        start = 0.0 if self.times_s is None else float(self.times_s[0])
+        return start, start + self.duration_s
 
     @property
     def duration_s(self) -> float:
@@ -99,7 +106,7 @@ class Recording:
     sensors: str = ""
     notes: str = ""
     simulation: Mapping[str, Any] | None = None
-    history: tuple[str, ...] = field(default=())
+    history: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         unknown = sorted(set(self.channels) - set(UNITS))
@@ -117,10 +124,19 @@ class Recording:
 
     def axes(self, quantity: str) -> list[Channel]:
         """Return the channels of one quantity: its axes x, y, z where recorded, else the scalar, else none."""
-        axes = [self.channels[f"{quantity}_{axis}"] for axis in AXES if f"{quantity}_{axis}" in self.channels]
-        if axes:
-            return axes
-        return [self.channels[quantity]] if quantity in self.channels else []
+        names = [f"{quantity}_{axis}" for axis in AXES if f"{quantity}_{axis}" in self] or [quantity]
+        return [self[name] for name in names if name in self]
+
+    @property
+    def movement(self) -> list[str]:
+        """Return the names of the channels that speed is taken from; empty where there is none."""
+        names = ["speed"] if "speed" in self else ["position_x", "position_y"]
+        return [name for name in names if name in self]
+
+    @property
+    def normal_force(self) -> list[str]:
+        """Return the name of the channel that normal force is taken from; empty where there is none."""
+        return [name for name in ("force", "force_z") if name in self][:1]
 
     @property
     def duration_s(self) -> float:
@@ -133,7 +149,7 @@ class Recording:
         for name in sorted(self.channels):
             channel = self.channels[name]
             digest.update(f"{name} {float(channel.rate_hz)!r} {channel.samples.size}\n".encode())
-            digest.update(np.ascontiguousarray(channel.samples, dtype="<f8").tobytes())
-            if channel.times_s is not None:
-                digest.update(np.ascontiguousarray(channel.times_s, dtype="<f8").tobytes())
+            for values in (channel.samples, channel.times_s):
+                if values is not None:
+                    digest.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
         return digest.hexdigest()

@@ -6,10 +6,8 @@ import numpy as np
 
 from foten.recording.inspection.amplitude import check_clipping, check_spikes, check_units
 from foten.recording.inspection.hand import Hand, check_contact, check_ranges, check_signs, coverage_of, hand_in
-from foten.recording.inspection.noise import check_noise, noise_floor
-from foten.recording.inspection.order import check_order
-from foten.recording.inspection.sampling import check_durations, check_gaps, check_missing, check_repeats
-from foten.recording.inspection.spectrum import check_lines, check_whiteness, density
+from foten.recording.inspection.noise import check_lines, check_noise, check_whiteness, density, noise_floor
+from foten.recording.inspection.sampling import check_durations, check_gaps, check_missing, check_order, check_repeats
 from foten.recording.inspection.values import PROBLEM, ChannelReport, Finding, Inspection
 from foten.recording.recording import UNITS, Channel, Recording
 
@@ -27,10 +25,8 @@ def inspect_recording(recording: Recording) -> Inspection:
     findings += check_durations(recording)
     for name, channel in recording.channels.items():
         findings += check_units(name, channel, recording)
-        findings += check_gaps(name, channel)
-        findings += check_spikes(name, channel)
-        findings += check_clipping(name, channel)
-        findings += check_repeats(name, channel)
+        for check in (check_gaps, check_spikes, check_clipping, check_repeats):
+            findings += check(name, channel)
     findings += check_order(recording)
     psd = {}
     for name, channel in recording.channels.items():

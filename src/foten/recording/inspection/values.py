@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import perception
-from foten.recording.preprocess import times_of
 from foten.recording.recording import Channel
 
 PROBLEM, NOTE = "problem", "note"
@@ -103,8 +102,8 @@ class Inspection:
     channels: tuple[ChannelReport, ...]
     findings: tuple[Finding, ...]
     coverage: Coverage | None
-    psd: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
-    recording_sha256: str = ""
+    psd: Mapping[str, tuple[Array, Array]]
+    recording_sha256: str
 
     @property
     def carried(self) -> dict[float, float]:
@@ -140,10 +139,8 @@ class Inspection:
 
     def to_text(self) -> str:
         """Return the inspection as a table of the channels and a line for each finding."""
-        lines = [
-            f"{'channel':<15}{'unit':>6}{'rate':>10}{'samples':>9}{'lasts':>9}{'from':>11}{'to':>11}{'rms':>10}"
-            f"{'noise':>11}"
-        ]
+        heads = {"unit": 6, "rate": 10, "samples": 9, "lasts": 9, "from": 11, "to": 11, "rms": 10, "noise": 11}
+        lines = [f"{'channel':<15}" + "".join(f"{head:>{width}}" for head, width in heads.items())]
         for one in self.channels:
             bound = "<" if one.noise_floor_from == "quietest 5 %" else " "
             lines.append(
@@ -170,13 +167,19 @@ def places(channel: Channel, indices: NDArray[np.int64]) -> tuple[float, ...]:
     """Return the times of some samples [s], thinned evenly to `N_PLACES`."""
     if indices.size > N_PLACES:
         indices = indices[np.linspace(0, indices.size - 1, N_PLACES).astype(np.int64)]
-    return tuple(round(float(t), 6) for t in times_of(channel)[indices])
+    return tuple(round(float(t), 6) for t in channel.times[indices])
 
 
 def runs(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return where stretches of True start and where they end, one past the last."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return edges[0::2], edges[1::2]
+
+
+def swing(samples: Array, tail: float) -> float:
+    """Return the range of a signal without a share of its samples at either end."""
+    low, high = np.quantile(samples, [tail, 1 - tail])
+    return float(high - low)
 
 
 def counted(count: int, what: str) -> str:
