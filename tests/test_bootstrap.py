@@ -3,7 +3,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from foten.evaluate.bootstrap import intervals
+from foten.evaluate.metrics import intervals
 
 
 def mean_of(values: np.ndarray) -> Any:

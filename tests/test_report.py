@@ -18,7 +18,7 @@ from foten.evaluate.one_step import one_step
 from foten.evaluate.references import fit_linear
 from foten.evaluate.report import figures, signals, write_report
 from foten.evaluate.report.page import page
-from foten.evaluate.report.sound import AUDIO_HZ, sounds
+from foten.evaluate.report.signals import AUDIO_HZ, sounds
 from foten.evaluate.report.tables import REFERENCES
 from foten.evaluate.report.verdict import cautions, reason, verdict
 from foten.families.texture_file import Texture

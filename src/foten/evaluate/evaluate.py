@@ -41,16 +41,10 @@ _WHY_UNKNOWN = {
 
 @dataclass(frozen=True)
 class Truth:
-    """What only a simulator knows; the caller asks it.
+    """What only a simulator knows; the caller asks it."""
 
-    Attributes:
-        realisations: the same stroke over fresh roughness, preprocessed as the recording was.
-        bound, bound_window: expected absolute one-step error [m/s²] of the infinite past and of a window of m, at each
-            sample of the trace, shape (n,); None where it is not known.
-        why_no_bound: said where they are not.
-    """
-
-    realisations: Sequence[Trace] = ()
+    realisations: Sequence[Trace] = ()  # the same stroke over fresh roughness, preprocessed as the recording was
+    # Expected absolute one-step error [m/s²] from the infinite past and from a window of m, at each sample, shape (n,).
     bound: Array | None = None
     bound_window: Array | None = None
     why_no_bound: str = "known for simulated textures of the linear family alone"
@@ -58,19 +52,12 @@ class Truth:
 
 @dataclass(frozen=True)
 class Judgement:
-    """The document and the signals behind it, for pictures.
+    """The document and the signals behind it, for pictures."""
 
-    Attributes:
-        document: figures, plain JSON values; None where unknown, with the reason under `reasons`.
-        trace: the preprocessed recording.
-        blocks: the blocks that were scored.
-        synthesized: free runs [m/s²] by name, each (n_seeds, n_blocks, block).
-    """
-
-    document: dict[str, Any]
-    trace: Trace
-    blocks: tuple[int, ...]
-    synthesized: Mapping[str, Array]
+    document: dict[str, Any]  # figures, plain JSON values; None where unknown, with the reason under `reasons`
+    trace: Trace  # the preprocessed recording
+    blocks: tuple[int, ...]  # that were scored
+    synthesized: Mapping[str, Array]  # free runs [m/s²] by name, each (n_seeds, n_blocks, block)
 
 
 def trace_for(
@@ -105,7 +92,7 @@ def evaluate(
     Args:
         texture: what to judge.
         recording: any; the trained one is recognised by its digest.
-        truth: of a simulated recording, else None.
+        truth: of a simulated recording.
         seed: of the excitation.
         on_stage: called with the name of each stage.
         trim_ms, block_ms: how another recording is cut; None for as the trained one was.

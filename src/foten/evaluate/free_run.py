@@ -11,7 +11,6 @@ from foten.dsp.distance import log_spectral_distance, scored_bins, segment_lengt
 from foten.dsp.level import frame_levels, frame_means
 from foten.dsp.noise import gaussian
 from foten.evaluate import metrics
-from foten.evaluate.bootstrap import intervals
 from foten.evaluate.references import Linear
 from foten.recording.scaling import Scaling
 from foten.recording.trace import Trace
@@ -166,7 +165,7 @@ def free_run(
         **figures(every),
         "kurtosis_recorded": metrics.kurtosis(recorded),
         "level_slopes_recorded": metrics.level_slopes(level_p, frame_speed, frame_force),
-        "intervals": intervals(figures, len(recorded)),
+        "intervals": metrics.intervals(figures, len(recorded)),
     }
 
 

@@ -1,9 +1,11 @@
-"""Figures of merit, on arrays. Each docstring says whether it depends on gain, phase or only the spectrum."""
+"""Figures of merit on arrays, and their intervals. Each docstring says whether it depends on gain, phase or the spectrum."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,7 @@ from foten.dsp.distance import HIGHEST_HZ, LOWEST_HZ, POWER_FLOOR
 Array = NDArray[np.float64]
 
 N_BANDS = 9
+N_RESAMPLES = 400  # of a bootstrap
 
 
 def goodness_of_fit(recorded: Array, synthesized: Array) -> Array:
@@ -92,3 +95,33 @@ def modulation_spectra(blocks: Array, rate_hz: float) -> tuple[Array, Array] | N
     frequencies, density = signal.welch(envelope, rate_hz, nperseg=int(0.5 * rate_hz), axis=-1)
     inside = (frequencies >= 2.0) & (frequencies <= 50.0)
     return frequencies[inside], density[..., inside]
+
+
+def intervals(
+    figures: Callable[[NDArray[np.int64]], Mapping[str, Any]], n_blocks: int, seed: int = 0
+) -> dict[str, Any]:
+    """Return the 95 % percentile interval of each figure, resampling blocks with replacement.
+
+    Samples within a block are correlated and do not count as independent.
+
+    Args:
+        figures: block numbers → figures, each a number, a list of numbers, or None where a resample has none.
+        n_blocks: blocks to resample; with fewer than 4 there are too few different resamples and the result is empty.
+        seed: of the resamples.
+
+    Returns:
+        By figure [low, high]; for a list one such pair for each entry, None where no resample has a number.
+    """
+    if n_blocks < 4:
+        return {}
+    rng = np.random.default_rng(seed)
+    drawn = [figures(rng.integers(0, n_blocks, n_blocks)) for _ in range(N_RESAMPLES)]
+    bounds = {name: _interval([draw[name] for draw in drawn]) for name in drawn[0]}
+    return {name: bound for name, bound in bounds.items() if bound is not None}
+
+
+def _interval(values: Sequence[Any]) -> list[Any] | None:
+    known = [value for value in values if value is not None]
+    if known and isinstance(known[0], list | tuple):
+        return [_interval(entry) for entry in zip(*known, strict=True)]
+    return [float(bound) for bound in np.percentile(known, [2.5, 97.5])] if known else None

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp.noise import innovation_likelihood
-from foten.evaluate.bootstrap import intervals
-from foten.evaluate.metrics import goodness_of_fit
+from foten.evaluate.metrics import goodness_of_fit, intervals
 from foten.recording.windows import stretches
 from foten.runtime.loops import Prediction, predict_blocks
 from foten.runtime.native import NativeTexture, PredictionPart

@@ -21,15 +21,10 @@ FIRST_SCORED = 320  # samples of each block that no method is scored on: more th
 
 @dataclass(frozen=True)
 class Linear:
-    """AR(p) with a constant, each coefficient optionally affine in speed and force.
+    """AR(p) with a constant, each coefficient optionally affine in speed and force; all scaled."""
 
-    Attributes:
-        coefficients: shape (p + 1,) or, scheduled, (3, p + 1): global, times speed, times force; all scaled.
-        noise_sd: standard deviation of its error on the training blocks, scaled.
-    """
-
-    coefficients: Array
-    noise_sd: float
+    coefficients: Array  # shape (p + 1,) or, scheduled, (3, p + 1): global, times speed, times force
+    noise_sd: float  # standard deviation of its error on the training blocks
 
     @property
     def window(self) -> int:

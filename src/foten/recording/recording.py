@@ -31,18 +31,11 @@ HOLE = 1.5  # median steps between two times; more, and samples were lost
 
 @dataclass(frozen=True)
 class Channel:
-    """One sensor signal.
+    """One sensor signal."""
 
-    Attributes:
-        samples: shape (n,), float64, in the unit that `UNITS` gives for the channel's name.
-        rate_hz: samples a second; with `times_s`, the nominal rate.
-        times_s: shape (n,), seconds; only where the capture was irregular, else None and sample `i`
-            was taken at `i / rate_hz`.
-    """
-
-    samples: NDArray[np.float64]
-    rate_hz: float
-    times_s: NDArray[np.float64] | None = None
+    samples: NDArray[np.float64]  # shape (n,), in the unit that `UNITS` gives for the channel's name
+    rate_hz: float  # samples a second; with `times_s`, the nominal rate
+    times_s: NDArray[np.float64] | None = None  # shape (n,), only where the capture was irregular; else i / rate_hz
 
     def __post_init__(self) -> None:
         if self.samples.ndim != 1 or self.samples.size == 0:
@@ -89,24 +82,15 @@ class Channel:
 
 @dataclass(frozen=True)
 class Recording:
-    """Raw capture of one texture, each sensor at its own rate.
+    """Raw capture of one texture, each sensor at its own rate."""
 
-    Attributes:
-        channels: by name; names and units are those of `UNITS`.
-        texture: what was stroked, as the user calls it.
-        tool, sensors, notes: free text.
-        simulation: parameters of the simulator where it made this recording, else None. The judge asks
-            the simulator for truth with them.
-        history: what was done to the samples on the way in, one sentence each (units converted, gaps filled).
-    """
-
-    channels: Mapping[str, Channel]
-    texture: str = ""
+    channels: Mapping[str, Channel]  # by name; names and units are those of `UNITS`
+    texture: str = ""  # what was stroked, as the user calls it
     tool: str = ""
     sensors: str = ""
     notes: str = ""
-    simulation: Mapping[str, Any] | None = None
-    history: tuple[str, ...] = ()
+    simulation: Mapping[str, Any] | None = None  # parameters of the simulator that made it: the judge asks it for truth
+    history: tuple[str, ...] = ()  # what was done to the samples on the way in, one sentence each
 
     def __post_init__(self) -> None:
         unknown = sorted(set(self.channels) - set(UNITS))

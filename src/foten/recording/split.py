@@ -20,23 +20,15 @@ METHODS = ("regrouped", "contiguous")
 
 @dataclass(frozen=True)
 class Split:
-    """Block numbers of training, validation and test, and how they were drawn.
-
-    Attributes:
-        train, validation, test: block numbers in the trace.
-        n_blocks, block: how the trace was cut; a split fits no other trace.
-        method: `regrouped` by speed and force (Sec. VI) or `contiguous` in time, the leakage control.
-        seed: of the draw; unused by `contiguous`.
-        recording_sha256: the recording that was split.
-    """
+    """Block numbers of training, validation and test, and how they were drawn."""
 
     train: tuple[int, ...]
     validation: tuple[int, ...]
     test: tuple[int, ...]
-    n_blocks: int
+    n_blocks: int  # of `block` samples, into which the trace was cut; a split fits no other trace
     block: int
-    method: str
-    seed: int
+    method: str  # `regrouped` by speed and force (Sec. VI) or `contiguous` in time, the leakage control
+    seed: int  # of the draw; unused by `contiguous`
     recording_sha256: str = ""
 
     def sha256(self) -> str:

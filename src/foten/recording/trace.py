@@ -15,29 +15,17 @@ CHANNELS = ("acceleration", "speed", "force")
 
 @dataclass(frozen=True)
 class Trace:
-    """Whole blocks of acceleration, speed and force at one rate.
+    """Whole blocks of acceleration, speed and force at one rate."""
 
-    Attributes:
-        acceleration: single-axis tool vibration [m/s²], shape (n,), n a multiple of `block`.
-        speed: tangential scanning speed [mm/s], shape (n,).
-        force: normal force [N], shape (n,).
-        rate_hz: samples a second.
-        block: samples in a block, the unit of the split; windows never straddle blocks.
-        recording_sha256: digest of the recording that this was made from.
-        preprocess: the resolved configuration that made it.
-        n_dropped: samples at the end that did not fill a block.
-        n_uncovered: samples of the acceleration left out because speed or force does not cover them.
-    """
-
-    acceleration: NDArray[np.float64]
-    speed: NDArray[np.float64]
-    force: NDArray[np.float64]
+    acceleration: NDArray[np.float64]  # single-axis tool vibration [m/s²], shape (n,), n a multiple of `block`
+    speed: NDArray[np.float64]  # tangential scanning speed [mm/s], shape (n,)
+    force: NDArray[np.float64]  # normal force [N], shape (n,)
     rate_hz: float
-    block: int
+    block: int  # samples in a block, the unit of the split; windows never straddle blocks
     recording_sha256: str = ""
-    preprocess: Mapping[str, Any] = field(default_factory=dict)
-    n_dropped: int = 0
-    n_uncovered: int = 0
+    preprocess: Mapping[str, Any] = field(default_factory=dict)  # the resolved configuration that made it
+    n_dropped: int = 0  # samples at the end that did not fill a block
+    n_uncovered: int = 0  # samples of the acceleration left out because speed or force does not cover them
 
     def __post_init__(self) -> None:
         n = self.acceleration.size

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from foten.atomic_write import atomic_write
 from foten.evaluate.evaluate import Judgement
-from foten.evaluate.report import figures
+from foten.evaluate.report import figures, signals
 from foten.evaluate.report.drawing import inline_svg
-from foten.evaluate.report.signals import LABELS, N_WAVEFORM, shown_blocks, shown_run, typical_block
-from foten.evaluate.report.sound import AUDIO_HZ, WAV_HEADER, sounds
+from foten.evaluate.report.signals import LABELS, shown_blocks, shown_run
 from foten.evaluate.report.tables import free_run_section, one_step_section
 from foten.evaluate.report.verdict import cautions, reason, verdict
 from foten.families.texture_file import Texture
@@ -62,9 +61,7 @@ def page(judgement: Judgement, texture: Texture) -> str:
 
 def _header(document: Mapping[str, Any], texture: Texture, name: str) -> str:
     card, block_ms = texture.card, 1000 * document["block"] / document["rate_hz"]
-    split = document["split"]
-    if document["split_sha256"]:
-        split = f"{split} {document['split_sha256'][:10]}"
+    split = f"{document['split']} {(document['split_sha256'] or '')[:10]}".rstrip()
     (slow, fast), (light, heavy) = (texture.trained_range(channel) for channel in ("speed", "force"))
     facts = {
         "model": document["model"],
@@ -102,14 +99,14 @@ def _sound_section(judgement: Judgement) -> str:
     name = shown_run(judgement)
     if name is None:
         return ""
-    recorded, synthesized, full_scale = sounds(judgement, name)
+    recorded, synthesized, full_scale = signals.sounds(judgement, name)
     labelled = {"recorded": recorded, f"synthesized ({LABELS[name]})": synthesized}
     players = "".join(
         f'<figure><figcaption>{label}</figcaption><audio controls loop preload="metadata" '
         f'src="data:audio/wav;base64,{base64.b64encode(data).decode("ascii")}"></audio></figure>'
         for label, data in labelled.items()
     )
-    seconds = (len(recorded) - WAV_HEADER) / 2 / AUDIO_HZ
+    seconds = (len(recorded) - signals.WAV_HEADER) / 2 / signals.AUDIO_HZ
     return (
         f'<section id="sound"><h2>Listen</h2><div class="pair">{players}</div>'
         f'<p class="notes">{seconds:.1f} s of the judged blocks, joined, in a loop; both at the same gain: full scale is '
@@ -125,38 +122,27 @@ def _figures_section(judgement: Judgement, texture: Texture) -> str:
     some = "" if shown == n else f" {shown} of the {n} blocks, spread evenly."
     both = {"free_run", "free_run_ar"} <= judgement.synthesized.keys()
     same = " AR(20) is driven by the same noise." if both else ""
-    waveform = _figure(
-        "waveform",
-        figures.waveform(judgement),
-        "Waveform",
-        f"The first {N_WAVEFORM} scored samples of block {judgement.blocks[typical_block(judgement)]}, the one of median level. "
+    block = judgement.blocks[signals.typical_block(judgement)]
+    captions = {
+        "Waveform": f"The first {signals.N_WAVEFORM} scored samples of block {block}, the one of median level. "
         f"A free run is another realisation: its character should match, its samples cannot.{same}",
-    )
-    spectrum = _figure(
-        "spectrum",
-        figures.spectrum(judgement),
-        "Power spectral density",
-        "Pooled over the scored samples of all judged blocks and all seeds: the spectra that the log-spectral distance "
-        "is measured on.",
-    )
-    bands = _figure(
-        "bands",
-        figures.bands(judgement),
-        "Error in nine bands",
-        "Energy against the recorded, in bands equal in log frequency; above 0 is too much.",
-    )
-    conditions = _figure(
-        "conditions",
-        figures.conditions(judgement, texture),
-        "Where it is right",
-        "Each judged block at its mean speed and force; red is too loud, blue too soft.",
-    )
-    over_time = _figure(
-        "time",
-        figures.over_time(judgement),
-        "Over time",
-        "Spectrograms of the first seed on one colour scale, level in frames of 40 ms (band: lowest to highest seed), "
-        f"speed and force, on one time axis; lines mark block borders.{some}",
+        "Power spectral density": "Pooled over the scored samples of all judged blocks and all seeds: the spectra that "
+        "the log-spectral distance is measured on.",
+        "Error in nine bands": "Energy against the recorded, in bands equal in log frequency; above 0 is too much.",
+        "Where it is right": "Each judged block at its mean speed and force; red is too loud, blue too soft.",
+        "Over time": "Spectrograms of the first seed on one colour scale, level in frames of 40 ms (band: lowest to highest "
+        f"seed), speed and force, on one time axis; lines mark block borders.{some}",
+    }
+    drawn = {
+        "waveform": figures.waveform(judgement),
+        "spectrum": figures.spectrum(judgement),
+        "bands": figures.bands(judgement),
+        "conditions": figures.conditions(judgement, texture),
+        "time": figures.over_time(judgement),
+    }
+    waveform, spectrum, bands, conditions, over_time = (
+        "" if figure is None else _figure(name, figure, title, caption)
+        for (name, figure), (title, caption) in zip(drawn.items(), captions.items(), strict=True)
     )
     return (
         f'<section id="figures"><h2>Figures</h2>{waveform}{spectrum}<div class="pair">{bands}{conditions}</div>'
@@ -164,10 +150,7 @@ def _figures_section(judgement: Judgement, texture: Texture) -> str:
     )
 
 
-def _figure(name: str, figure: Figure | None, title: str, caption: str) -> str:
-    """Return a figure with its caption; empty without one."""
-    if figure is None:
-        return ""
+def _figure(name: str, figure: Figure, title: str, caption: str) -> str:
     return (
         f'<figure id="figure-{name}"><h3>{title}</h3>{inline_svg(figure, name, f"{title}. {caption}")}'
         f"<figcaption>{html.escape(caption)}</figcaption></figure>"

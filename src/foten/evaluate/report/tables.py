@@ -180,7 +180,7 @@ def free_run_section(document: Mapping[str, Any]) -> str:
 
 
 def _free_run_cell(document: Mapping[str, Any], cells: _Cells, run: str, key: str) -> str:
-    value = document[run].get(key)
+    value, interval = (figures.get(key) for figures in (document[run], document[run].get("intervals") or {}))
     digits = 1 if value is not None and abs(value) >= 30 else 2
 
     def shown(value: float) -> str:
@@ -188,9 +188,7 @@ def _free_run_cell(document: Mapping[str, Any], cells: _Cells, run: str, key: st
             return f"{value:.1g}"
         return signed(value, digits) if "bias" in key else minus(f"{value:.{digits}f}")
 
-    why = reason(document, f"{run}.{key}", run, "free_run")
-    interval = (document[run].get("intervals") or {}).get(key)
-    return cells.number(value, shown, why, interval, digits)
+    return cells.number(value, shown, reason(document, f"{run}.{key}", run, "free_run"), interval, digits)
 
 
 def _slopes(document: Mapping[str, Any]) -> str:

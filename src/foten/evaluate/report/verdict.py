@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One part of the verdict.
+    """One part of the verdict."""
 
-    Attributes:
-        tone: `good`, `even`, `bad` or `unknown`.
-        title: what was judged.
-        figure: the number, with unit.
-        beside: what it is compared with, short.
-        sentence: the same in plain language.
-    """
-
-    tone: str
-    title: str
-    figure: str
-    beside: str
-    sentence: str
+    tone: str  # `good`, `even`, `bad` or `unknown`
+    title: str  # what was judged
+    figure: str  # the number, with unit
+    beside: str  # what it is compared with, short
+    sentence: str  # the same in plain language
 
 
 def reason(document: Mapping[str, Any], *keys: str) -> str:
@@ -49,7 +41,13 @@ def signed(value: float, digits: int) -> str:
 
 def verdict(document: Mapping[str, Any]) -> list[Finding]:
     """Return the findings of a document: one step, then spectrum, level and dynamics of the free run."""
-    return [_one_step(document), *_free_run(document)]
+    # The run that stands for the texture: with excitation where there is one.
+    key = "free_run" if document["free_run"]["lsd_db"] is not None else "free_run_deterministic"
+    if document[key]["lsd_db"] is None:
+        why = reason(document, "free_run")
+        unknown = Finding("unknown", "Free run", "–", "not scored", f"Free run: not scored ({why}).")
+        return [_one_step(document), unknown]
+    return [_one_step(document), _spectrum(document, key), _level(document[key]), _dynamics(document, key)]
 
 
 def cautions(document: Mapping[str, Any]) -> list[str]:
@@ -102,18 +100,6 @@ def _compared(error: float, reference: float, name: str) -> tuple[str, str]:
     if abs(change) < 1:
         return "even", f"within 1 % of {name}"
     return ("good", f"{-change:.0f} % below {name}") if change < 0 else ("bad", f"{change:.0f} % above {name}")
-
-
-def _free_run(document: Mapping[str, Any]) -> Iterator[Finding]:
-    """Yield the findings of the run that stands for the texture: with excitation where there is one."""
-    key = "free_run" if document["free_run"]["lsd_db"] is not None else "free_run_deterministic"
-    if document[key]["lsd_db"] is None:
-        why = reason(document, "free_run")
-        yield Finding("unknown", "Free run", "–", "not scored", f"Free run: not scored ({why}).")
-        return
-    yield _spectrum(document, key)
-    yield _level(document[key])
-    yield _dynamics(document, key)
 
 
 def _spectrum(document: Mapping[str, Any], key: str) -> Finding:

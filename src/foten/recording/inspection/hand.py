@@ -27,17 +27,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Hand:
-    """Speed and force at `TRAINING_HZ` as training takes them, but zero-phase.
+    """Speed and force at `TRAINING_HZ` as training takes them, but zero-phase."""
 
-    Attributes:
-        times_s: [s], shape (n,).
-        speed: [mm/s], shape (n,).
-        force: [N], shape (n,).
-    """
-
-    times_s: Array
-    speed: Array
-    force: Array
+    times_s: Array  # shape (n,)
+    speed: Array  # [mm/s], shape (n,)
+    force: Array  # [N], shape (n,)
 
 
 def hand_in(recording: Recording) -> Hand | None:
@@ -110,16 +104,18 @@ def coverage_of(hand: Hand) -> Coverage | None:
     stroking = (hand.speed > MOVING_MM_S) & (hand.force > CONTACT_N)
     if stroking.sum() < 2:
         return None
-    conditions, edges, ranges = (hand.speed[stroking], hand.force[stroking]), [], []
-    for values, cell, usual in zip(conditions, (CELL_MM_S, CELL_N), (USUAL_MM_S, USUAL_N), strict=True):
-        low, high = np.quantile(values, [0.001, 0.999])
+    speed, force = hand.speed[stroking], hand.force[stroking]
+    speed_range, force_range = (tuple(np.quantile(x, [0.001, 0.999]).tolist()) for x in (speed, force))
+
+    def edges(high: float, cell: float, usual: float) -> Array:
         # A spike must not stretch the range until all else is in one cell.
         top = min(max(usual, high), 2 * usual)
-        edges.append(np.arange(0, np.ceil(top / cell - 1e-9) + 1) * cell)
-        ranges.append((float(low), float(high)))
-    counts, *_ = np.histogram2d(*conditions, bins=edges)
-    beyond_s = (stroking.sum() - counts.sum()) / TRAINING_HZ
-    return Coverage(*edges, counts / TRAINING_HZ, beyond_s, *ranges)
+        return np.arange(0, np.ceil(top / cell - 1e-9) + 1) * cell
+
+    cells = edges(speed_range[1], CELL_MM_S, USUAL_MM_S), edges(force_range[1], CELL_N, USUAL_N)
+    counts, *_ = np.histogram2d(speed, force, bins=cells)
+    beyond_s = (speed.size - counts.sum()) / TRAINING_HZ
+    return Coverage(*cells, counts / TRAINING_HZ, beyond_s, speed_range, force_range)
 
 
 def check_ranges(coverage: Coverage) -> Iterable[Finding]:

@@ -37,10 +37,6 @@ def _title(recording: Recording, what: str) -> str:
     return f"{recording.texture}: {what}" if recording.texture else what[0].upper() + what[1:]
 
 
-def _label(name: str) -> str:
-    return f"{name.replace('_', ' ')}\n[{UNITS[name].replace('^2', '²')}]"
-
-
 def overview(recording: Recording, inspection: Inspection) -> Figure:
     """Return the channels over time, with a mark at each place that a finding lists."""
     names = [name for name in UNITS if name in recording]
@@ -51,7 +47,7 @@ def overview(recording: Recording, inspection: Inspection) -> Figure:
             axes.plot(channel.times, channel.samples, color=colour, linewidth=0.8)
         else:
             axes.fill_between(*_envelope(channel), color=colour, linewidth=0.4, edgecolor=colour)
-        axes.set_ylabel(_label(name))
+        axes.set_ylabel(f"{name.replace('_', ' ')}\n[{UNITS[name].replace('^2', '²')}]")
         axes.grid(alpha=0.25)
         axes.margins(x=0.01)
         _keep_readable(axes, channel.samples, UNITS[name])

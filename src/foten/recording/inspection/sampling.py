@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.recording.inspection.hand import HAND_HZ
-from foten.recording.inspection.noise import slow_noise
+from foten.recording.inspection.one_channel import slow_noise
 from foten.recording.inspection.values import NOTE, PROBLEM, Finding, counted, places, swing
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import UNITS, Channel, Recording

@@ -21,30 +21,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing to know about a recording.
+    """One thing to know about a recording."""
 
-    Attributes:
-        severity: `problem` where training on the recording as it is would learn something false, else `note`.
-        code: a word for programs, e.g. `spikes`.
-        channel: which channel, or empty.
-        text: a sentence for people.
-        places_s: times from the start [s], at most `N_PLACES`.
-    """
-
-    severity: str
-    code: str
-    channel: str
-    text: str
-    places_s: tuple[float, ...] = ()
+    severity: str  # `problem` where training on the recording as it is would learn something false, else `note`
+    code: str  # a word for programs, e.g. `spikes`
+    channel: str  # or empty
+    text: str  # a sentence for people
+    places_s: tuple[float, ...] = ()  # times from the start [s], at most `N_PLACES`
 
 
 @dataclass(frozen=True)
 class ChannelReport:
-    """The numbers of one channel, in the unit of `UNITS`; `low` and `high` are the 1st and 99th percentile.
-
-    `noise_floor` is an RMS, and `noise_floor_from` how it was estimated. Of an acceleration it is the level at `rest`, or as
-    an upper bound that of the `quietest 5 %`. Of a slow signal it comes from third `differences`.
-    """
+    """The numbers of one channel, in the unit of `UNITS`."""
 
     name: str
     unit: str
@@ -54,32 +42,24 @@ class ChannelReport:
     duration_s: float
     minimum: float
     maximum: float
-    low: float
-    high: float
+    low: float  # the 1st percentile
+    high: float  # the 99th
     mean: float
     rms: float
-    noise_floor: float
-    noise_floor_from: str
+    noise_floor: float  # RMS
+    noise_floor_from: str  # the level at `rest`, as an upper bound the `quietest 5 %`, or third `differences`
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """Time spent at each speed and force, while moving in contact.
+    """Time spent at each speed and force, while moving in contact."""
 
-    Attributes:
-        speed_edges: of the cells [mm/s], shape (i+1,).
-        force_edges: of the cells [N], shape (j+1,).
-        seconds: spent in each cell, shape (i, j).
-        beyond_s: spent outside all cells.
-        speed_range, force_range: 0.1st and 99.9th percentile [mm/s, N].
-    """
-
-    speed_edges: Array
-    force_edges: Array
-    seconds: Array
-    beyond_s: float
-    speed_range: tuple[float, float]
-    force_range: tuple[float, float]
+    speed_edges: Array  # of the cells [mm/s], shape (i+1,)
+    force_edges: Array  # of the cells [N], shape (j+1,)
+    seconds: Array  # spent in each cell, shape (i, j)
+    beyond_s: float  # spent outside all cells
+    speed_range: tuple[float, float]  # 0.1st and 99.9th percentile [mm/s]
+    force_range: tuple[float, float]  # likewise [N]
 
     @property
     def covered(self) -> int:
@@ -94,15 +74,12 @@ class Coverage:
 
 @dataclass(frozen=True)
 class Inspection:
-    """The result of `inspect_recording`.
-
-    `psd` maps an acceleration channel to frequency [Hz] and one-sided density [(m/s²)²/Hz].
-    """
+    """The result of `inspect_recording`."""
 
     channels: tuple[ChannelReport, ...]
     findings: tuple[Finding, ...]
     coverage: Coverage | None
-    psd: Mapping[str, tuple[Array, Array]]
+    psd: Mapping[str, tuple[Array, Array]]  # of each acceleration: frequency [Hz], one-sided density [(m/s²)²/Hz]
     recording_sha256: str
 
     @property
