@@ -90,7 +90,6 @@ def evaluate(
     """Return every figure of a texture on the test blocks of the recording it was trained on, or on all of another.
 
     Args:
-        texture: what to judge.
         recording: any; the trained one is recognised by its digest.
         truth: of a simulated recording.
         seed: of the excitation.

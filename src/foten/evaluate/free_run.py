@@ -109,7 +109,6 @@ def free_run(
         recorded: [m/s²], shape (n_blocks, block), whole blocks; the first fifth of each is not scored.
         synthesized: [m/s²], shape (n_seeds, n_blocks, block).
         speed: [mm/s], shape (n_blocks, block); force: [N], likewise.
-        rate_hz: samples a second.
         sd: training standard deviation of the acceleration [m/s²].
         n_given: samples at the start of each synthesized block that are the recorded window it started from.
 

@@ -76,10 +76,7 @@ def fit_linear(
 
 
 def _design(block: Array, order: int, scheduled: bool) -> Array:
-    """Return what the coefficients multiply, for each sample of a block (n, 3) after the first `order`.
-
-    History and a constant, then both times speed and times force of the sample before.
-    """
+    """Return history and a constant, then both times speed and force of the sample before, for a block (n, 3) from `order` on."""
     history = np.lib.stride_tricks.sliding_window_view(block[:-1, 0], order)
     design = np.column_stack([history, np.ones(len(history))])
     if not scheduled:

@@ -15,6 +15,8 @@ from foten.dsp.resample import decimate
 from foten.recording.recording import LIMITS, UNITS, Channel, Recording
 from foten.recording.trace import Trace
 
+Array = NDArray[np.float64]
+
 HIGHEST_ORDER = 20  # of a high-pass; one of 20 already rings for longer than a window
 WRONG_SIGN = (5.0, 0.5)  # mm/s, N; below minus this a magnitude is not a magnitude with noise
 
@@ -113,7 +115,7 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None) -> 
         )
     n_dropped = usable % config.block
 
-    def settled(sections: Sections, signal: NDArray[np.float64], first: int) -> NDArray[np.float64]:
+    def settled(sections: Sections, signal: Array, first: int) -> Array:
         return filter_recorded(sections, signal, zero_phase=config.zero_phase)[first:][: usable - n_dropped]
 
     vibration = np.stack(
@@ -129,22 +131,13 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None) -> 
     if not config.force_units:
         _check_size("speed", float(speed.max()))
         _check_size("force", float(force.max()))
+    n_uncovered = max(round(axis.duration_s * rate) for axis in axes) - (stop - start)
     return Trace(
-        acceleration=acceleration,
-        speed=speed,
-        force=force,
-        rate_hz=rate,
-        block=config.block,
-        recording_sha256=recording.sha256(),
-        preprocess=asdict(config),
-        n_dropped=n_dropped,
-        n_uncovered=max(round(axis.duration_s * rate) for axis in axes) - (stop - start),
+        acceleration, speed, force, rate, config.block, recording.sha256(), asdict(config), n_dropped, n_uncovered
     )
 
 
-def condition(
-    moved: NDArray[np.float64], pressed: NDArray[np.float64], rate_hz: float, lowpass_hz: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def condition(moved: Array, pressed: Array, rate_hz: float, lowpass_hz: float) -> tuple[Array, Array]:
     """Return a hand's speed [mm/s] and force [N], shapes (n,), through the causal low-pass of rendering.
 
     The filter starts settled on the first sample.
@@ -162,7 +155,7 @@ def condition(
     return speed_of(np.stack(filtered[:-1])), np.maximum(filtered[-1], 0.0)
 
 
-def hand_of(recording: Recording, rate_hz: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def hand_of(recording: Recording, rate_hz: float) -> tuple[Array, Array]:
     """Return velocity [mm/s] (n_axes, n) and normal force [N] (n,) at a rate, where both and any acceleration are covered.
 
     Not yet low-passed. The velocity has the axes of the plane where positions were recorded, else the speed as its only one.
@@ -194,7 +187,7 @@ def hand_of(recording: Recording, rate_hz: float) -> tuple[NDArray[np.float64], 
     return rows, _slow(replace(force, samples=raw), rate_hz, stop)[start:]
 
 
-def pressing(force: Channel) -> NDArray[np.float64]:
+def pressing(force: Channel) -> Array:
     """Return a force as captured, pressing positive [N], shape (n,); a low-pass would hide short losses of contact."""
     return -force.samples if np.median(force.samples) < 0 else force.samples
 
@@ -230,7 +223,7 @@ def _common(recording: Recording, rate_hz: float) -> tuple[int, int]:
     return max(0, math.ceil(max(starts) * rate_hz - 1e-6)), math.floor(min(ends) * rate_hz + 1e-6)
 
 
-def _slow(channel: Channel, rate_hz: float, n: int) -> NDArray[np.float64]:
+def _slow(channel: Channel, rate_hz: float, n: int) -> Array:
     """Return a channel of the hand at a rate from time 0, shape (n,): averaged from above, interpolated from below."""
     if channel.times_s is None and channel.rate_hz > rate_hz * (1 + 1e-9):
         return decimate(channel.samples, channel.rate_hz, rate_hz)[:n]

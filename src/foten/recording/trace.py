@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
+
 CHANNELS = ("acceleration", "speed", "force")
 """The three columns of a trace and of a window, in this order (Eq. 1)."""
 
@@ -17,9 +19,9 @@ CHANNELS = ("acceleration", "speed", "force")
 class Trace:
     """Whole blocks of acceleration, speed and force at one rate."""
 
-    acceleration: NDArray[np.float64]  # single-axis tool vibration [m/s²], shape (n,), n a multiple of `block`
-    speed: NDArray[np.float64]  # tangential scanning speed [mm/s], shape (n,)
-    force: NDArray[np.float64]  # normal force [N], shape (n,)
+    acceleration: Array  # single-axis tool vibration [m/s²], shape (n,), n a multiple of `block`
+    speed: Array  # tangential scanning speed [mm/s], shape (n,)
+    force: Array  # normal force [N], shape (n,)
     rate_hz: float
     block: int  # samples in a block, the unit of the split; windows never straddle blocks
     recording_sha256: str = ""
@@ -42,15 +44,15 @@ class Trace:
         """Return the number of blocks."""
         return len(self) // self.block
 
-    def blocks(self, channel: NDArray[np.float64]) -> NDArray[np.float64]:
+    def blocks(self, channel: Array) -> Array:
         """Return one channel as shape (n_blocks, block), a view."""
         return channel.reshape(self.n_blocks, self.block)
 
-    def picked(self, blocks: Sequence[int]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def picked(self, blocks: Sequence[int]) -> tuple[Array, Array, Array]:
         """Return acceleration, speed and force of some blocks, shape (len(blocks), block) each."""
         which = list(blocks)
         return self.blocks(self.acceleration)[which], self.blocks(self.speed)[which], self.blocks(self.force)[which]
 
-    def stacked(self) -> NDArray[np.float64]:
+    def stacked(self) -> Array:
         """Return acceleration, speed and force as columns, shape (n, 3)."""
         return np.stack([self.acceleration, self.speed, self.force], axis=1)

@@ -191,15 +191,13 @@ def _draw_levels(axes: Any, runs: Mapping[str, Array], rate_hz: float, borders: 
 
 
 def _spectrogram(blocks: Array, rate_hz: float) -> tuple[tuple[float, float], Array]:
-    """Return the lowest and highest edge [Hz] and the density [dB], shape (k, time), of joined blocks (n_blocks, n).
-
-    Each block is mirrored at its ends, so that no window crosses a border.
-    """
+    """Return the lowest and highest edge [Hz] and the density [dB], shape (k, time), of joined blocks (n_blocks, n)."""
     from scipy import signal
 
     n = blocks.shape[1]
     n_segment = min(2 ** round(math.log2(max(16.0, _SPECTROGRAM_MS * rate_hz / 1000))), 2 ** int(math.log2(n // 4)))
     hop = max(n_segment // 8, -(-blocks.size // _SPECTROGRAM_COLUMNS))
+    # Each block is mirrored at its ends, so that no window crosses a border.
     padded = np.pad(blocks, ((0, 0), (n_segment // 2, n_segment // 2 + n % 2)), mode="reflect")
     windows = np.lib.stride_tricks.sliding_window_view(padded, n_segment, axis=1)[:, np.arange(0, n, hop)]
     taper = signal.get_window("hann", n_segment)

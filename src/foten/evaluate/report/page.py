@@ -158,13 +158,10 @@ def _figure(name: str, figure: Figure, title: str, caption: str) -> str:
 
 
 def _raw_section(document: Mapping[str, Any], texture: Texture) -> str:
-    def block(title: str, value: Any) -> str:
-        text = html.escape(json.dumps(value, indent=1, ensure_ascii=False))
-        return f"<details><summary>{title}</summary><pre>{text}</pre></details>"
-
-    return (
-        '<section id="raw"><h2>Raw</h2>'
-        + block("All figures (JSON)", dict(document))
-        + block("The texture's card (JSON)", dict(texture.card))
-        + "</section>"
+    shown = {"All figures (JSON)": document, "The texture's card (JSON)": texture.card}
+    blocks = "".join(
+        f"<details><summary>{title}</summary><pre>{html.escape(json.dumps(dict(value), indent=1, ensure_ascii=False))}</pre>"
+        "</details>"
+        for title, value in shown.items()
     )
+    return f'<section id="raw"><h2>Raw</h2>{blocks}</section>'

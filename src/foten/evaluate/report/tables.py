@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from foten.evaluate.evaluate import RUNS
@@ -74,7 +74,7 @@ class _Cells:
         value: float | None,
         shown: Callable[[float], str],
         why: str,
-        interval: list[float] | None = None,
+        interval: Sequence[float] = (),
         digits: int = 3,
     ) -> str:
         """Return the cell of a value; `why` is the footnote where there is none."""
@@ -83,9 +83,8 @@ class _Cells:
                 self.notes.append(why)
             mark = f"{self.letter}{self.notes.index(why) + 1}"
             return f'<td class="n none"><abbr title="{html.escape(why)}">–</abbr><sup>{mark}</sup></td>'
-        small = ""
-        if interval:
-            small = minus(f"<small>{interval[0]:.{digits}f} … {interval[1]:.{digits}f}</small>")
+        ends = " … ".join(minus(f"{end:.{digits}f}") for end in interval)
+        small = f"<small>{ends}</small>" if ends else ""
         return f'<td class="n"><data value="{value!r}">{shown(value)}</data>{small}</td>'
 
     def footnotes(self) -> str:
@@ -96,8 +95,7 @@ class _Cells:
 
 def one_step_section(document: Mapping[str, Any]) -> str:
     """Return the table of one-step errors as HTML: the texture's, then the references'."""
-    cells = _Cells("a")
-    references = document["references"]
+    cells, references = _Cells("a"), document["references"]
     rows = {"one_step": (document["model"], "this texture", document["one_step"])}
     rows |= {f"references.{key}": (*words, references[key]) for key, words in REFERENCES.items()}
     errors = [row["mae_scaled"] for *_, row in rows.values() if row["mae_scaled"] is not None]
@@ -122,17 +120,17 @@ def _one_step_row(
     family = ("references.ar",) if key.startswith("references.ar") else ()
     why = reason(document, key, *family, "one_step")
     mae, linear = row["mae_scaled"], document["references"]["ar"]["mae_scaled"]
-    within = row.get("intervals") or {}
+    within = row.get("intervals", {})
     bar = "" if mae is None else f'<span class="bar" style="width:{100 * mae / largest:.1f}%"></span>'
     ratio = f"{signed(100 * (mae / linear - 1), 1)} %" if mae is not None and linear else ""
     why_gfc = why if mae is None else "a bound on the error says nothing of the spectrum"
     return (
         f'<tr id="{key}"{" class=own" if key == "one_step" else ""}>'
         f'<th scope="row">{html.escape(name)}<small>{html.escape(what)}</small></th>'
-        + cells.number(mae, "{:.4f}".format, why, within.get("mae_scaled"))
+        + cells.number(mae, "{:.4f}".format, why, within.get("mae_scaled", ()))
         + f'<td class="bars">{bar}</td><td class="n">{ratio}</td>'
         + cells.number(row["mae_m_s2"], "{:#.4g}".format, why)
-        + cells.number(row["gfc"], "{:.3f}".format, why_gfc, within.get("gfc"))
+        + cells.number(row["gfc"], "{:.3f}".format, why_gfc, within.get("gfc", ()))
         + "</tr>"
     )
 
@@ -180,7 +178,7 @@ def free_run_section(document: Mapping[str, Any]) -> str:
 
 
 def _free_run_cell(document: Mapping[str, Any], cells: _Cells, run: str, key: str) -> str:
-    value, interval = (figures.get(key) for figures in (document[run], document[run].get("intervals") or {}))
+    value, interval = document[run].get(key), document[run].get("intervals", {}).get(key, ())
     digits = 1 if value is not None and abs(value) >= 30 else 2
 
     def shown(value: float) -> str:
