@@ -34,7 +34,7 @@ import numpy as np
 import foten.train.foten_plus as training
 from foten.datasets.simulate import LINEAR_FAMILY, TEXTURES
 from foten.evaluate.evaluate import evaluate
-from foten.evaluate.one_step import TexturePredictor, one_step
+from foten.evaluate.one_step import one_step, predict
 from foten.experiments.truth import truth_for
 from foten.families import FotenPlusSizes
 from foten.recording.windows import targets
@@ -222,9 +222,9 @@ def validation(trained: Trained, first: int) -> dict[str, float]:
     """Return the one-step error of the exported file on the validation blocks, from sample `first` of each on."""
     texture, trace, blocks = trained.texture, trained.trace, trained.split.validation
     n = targets(blocks, trace.block, first).reshape(len(blocks), -1)
-    predictor = TexturePredictor(NativeTexture(texture.to_bytes()))
-    scores = one_step(predictor, texture.scaling.scale(trace.stacked()), n, texture.scaling)
-    return {"mae_scaled": scores["mae_scaled"]}
+    samples = texture.scaling.scale(trace.stacked())
+    predicted = predict(NativeTexture(texture.to_bytes()), samples, n).sample
+    return {"mae_scaled": one_step(samples[n, 0], predicted, texture.scaling.sd[0])["mae_scaled"]}
 
 
 def run_all(arguments: argparse.Namespace) -> None:

@@ -27,13 +27,13 @@ import numpy as np
 from scipy import ndimage, signal
 
 from foten.atomic_write import atomic_write
-from foten.evaluate import metrics
+from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length, welch
 from foten.evaluate.free_run import scored, synthesize_linear
 from foten.evaluate.references import FIRST_SCORED, ORDERS, first_scored, fit_linear
 from foten.recording.preprocess import preprocess
 from foten.recording.scaling import fit_scaling
 from foten.recording.split import split_blocks
-from foten.recording.windows import targets, windows
+from foten.recording.windows import targets
 from main_table import REAL, SEEDS, mean_and_error, recording_of
 
 N_RUNS = 20
@@ -67,13 +67,13 @@ def judge(texture: str, rate_hz: float, seed: int, recordings: Path) -> dict[str
     part, rng = scored(trace.block), np.random.default_rng(seed)
     blocks = trace.blocks(trace.acceleration)[:, part]
     test, known = blocks[list(split.test)], blocks[[*split.train, *split.validation]]
-    n_segment = metrics.segment_length(trace.block)
-    frequencies, recorded = metrics.welch(test, rate_hz, n_segment)
-    bins = metrics.scored_bins(frequencies, rate_hz)
+    n_segment = segment_length(trace.block)
+    frequencies, recorded = welch(test, rate_hz, n_segment)
+    bins = scored_bins(frequencies, rate_hz)
 
     def distance(runs: np.ndarray) -> float:
-        _, played = metrics.welch(runs, rate_hz, n_segment)
-        return float(metrics.log_spectral_distance(recorded[None, :, bins], played[..., bins]).mean())
+        _, played = welch(runs, rate_hz, n_segment)
+        return float(log_spectral_distance(recorded[None, :, bins], played[..., bins]).mean())
 
     def noise(of: list[np.ndarray], **kind: bool) -> np.ndarray:
         return np.stack([noise_like(source, test.shape[1], rate_hz, rng, **kind) for source in of], axis=1)
@@ -122,16 +122,10 @@ def orders(rate_hz: float, recordings: Path) -> str:
             trace = preprocess(recording, config)
             split = split_blocks(trace, "regrouped", seed)
             samples = fit_scaling(trace, split.train).scale(trace.stacked())
-            n = targets(split.test, trace.block, first_scored(trace.block)).ravel()
+            n = targets(split.test, trace.block, first_scored(trace.block)).reshape(len(split.test), -1)
             fitted = [fit_linear(samples, split.train, trace.block, order) for order in tried]
             assert None not in fitted
-            errors.append(
-                [
-                    np.abs(one.predict(windows(samples, n, one.window)) - samples[n, 0]).mean()
-                    for one in fitted
-                    if one is not None
-                ]
-            )
+            errors.append([np.abs(one.predict(samples, n) - samples[n, 0]).mean() for one in fitted if one is not None])
         ratios = np.array(errors) / np.array(errors)[:, [len(ORDERS) - 1]]
         mean, error = ratios.mean(axis=0), ratios.std(axis=0, ddof=1) / np.sqrt(len(SEEDS))
         lines.append(

@@ -26,11 +26,12 @@ import numpy as np
 from scipy.signal import welch
 
 from foten.datasets.simulate import TEXTURES, second_realisation, simulate
+from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length
+from foten.dsp.distance import welch as spectra
+from foten.dsp.level import frame_levels
 from foten.dsp.perception import RATES_HZ, carried
 from foten.evaluate.free_run import scored, synthesize, synthesize_linear
-from foten.evaluate.metrics import frame_levels, log_spectral_distance, scored_bins, segment_length
-from foten.evaluate.metrics import welch as spectra
-from foten.evaluate.one_step import TexturePredictor, predict
+from foten.evaluate.one_step import predict
 from foten.evaluate.references import ORDERS, first_scored, fit_linear
 from foten.experiments.figures import waveforms
 from foten.experiments.results import read_results
@@ -39,7 +40,7 @@ from foten.families.texture_file import read_texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.scaling import fit_scaling
 from foten.recording.split import split_blocks
-from foten.recording.windows import targets, windows
+from foten.recording.windows import targets
 from foten.runtime.native import NativeTexture
 
 HERE = Path(__file__).parent
@@ -72,7 +73,7 @@ def one_step(arguments: argparse.Namespace) -> None:
     samples = paper.scaling.scale(trace.stacked())
     block = split.test[0]
     n = np.arange(block * trace.block + first_scored(trace.block), (block + 1) * trace.block)
-    predicted = predict(TexturePredictor(kernels["foten"]), samples, n[None])[0]
+    predicted = predict(kernels["foten"], samples, n[None]).sample[0]
     recorded = samples[n, 0]
     linear = fit_linear(samples, split.train, trace.block, 20)
     assert linear is not None
@@ -162,7 +163,7 @@ def bound(arguments: argparse.Namespace) -> None:
         split = split_blocks(trace, "regrouped", SEED)
         scaling = fit_scaling(trace, split.train)
         samples = scaling.scale(trace.stacked())
-        n = targets(split.test, trace.block, first_scored(trace.block))
+        n = targets(split.test, trace.block, first_scored(trace.block)).reshape(len(split.test), -1)
         orders = np.unique(np.geomspace(5, 260, 14).astype(int))
         of_window, infinite = [], 0.0
         for order in orders:
@@ -181,7 +182,7 @@ def bound(arguments: argparse.Namespace) -> None:
         for order in ORDERS:
             linear = fit_linear(samples, split.train, trace.block, order)
             assert linear is not None
-            missed = np.abs(samples[n, 0] - linear.predict(windows(samples, n, order))).mean()
+            missed = np.abs(samples[n, 0] - linear.predict(samples, n)).mean()
             reached.append(missed * scaling.sd[0] / infinite)
         axes.plot(ORDERS, reached, "s", color=LINEAR, label="AR")
         for model, colour, at in (("foten", PAPER, 20), ("foten-plus", OURS, None)):

@@ -223,22 +223,15 @@ MUTANTS = (
     Mutant(
         "the best AR is chosen on test blocks",
         PACKAGE + "evaluate/evaluate.py",
-        "best_linear(samples, split.train, split.validation, block)",
-        "best_linear(samples, split.train, split.test, block)",
+        "best_linear(samples, train, split.validation, block)",
+        "best_linear(samples, train, split.test, block)",
         ("tests/test_references.py", "tests/test_report.py", "tests/test_evaluate.py"),
     ),
     Mutant(
         "AR(20) is fitted on train and test",
         PACKAGE + "evaluate/evaluate.py",
-        '"ar": fit_linear(samples, split.train, block, 20),',
-        '"ar": fit_linear(samples, (*split.train, *split.test), block, 20),',
-        ("tests/test_references.py", "tests/test_report.py", "tests/test_evaluate.py"),
-    ),
-    Mutant(
-        "the free run of AR(20) is fitted on train and test",
-        PACKAGE + "evaluate/evaluate.py",
-        "linear = None if split is None else fit_linear(samples, split.train, block, 20)",
-        "linear = None if split is None else fit_linear(samples, (*split.train, *split.test), block, 20)",
+        '"ar": fit_linear(samples, train, block, ANCHOR_ORDER),',
+        '"ar": fit_linear(samples, (*train, *split.test), block, ANCHOR_ORDER),',
         ("tests/test_references.py", "tests/test_report.py", "tests/test_evaluate.py"),
     ),
     Mutant(

@@ -3,7 +3,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from foten.evaluate.bootstrap import intervals
+from foten.evaluate.metrics import intervals
 
 
 def mean_of(values: np.ndarray) -> Any:
@@ -58,7 +58,7 @@ def test_one_block_has_no_interval(n_blocks: int) -> None:
 
 def test_what_is_no_figure_is_left_out() -> None:
     def figures(index: np.ndarray) -> dict[str, Any]:
-        return {"unknown": None, "text": "a", "share": float(index.mean())}
+        return {"unknown": None, "share": float(index.mean())}
 
     assert set(intervals(figures, 5)) == {"share"}
 

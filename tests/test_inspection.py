@@ -10,7 +10,8 @@ from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.importing import ImportOptions, import_recording, parse_pairs
 from foten.datasets.simulate import simulate
-from foten.recording.inspection import PROBLEM, inspect_recording
+from foten.recording.inspection import inspect_recording
+from foten.recording.inspection.values import PROBLEM
 from foten.recording.recording import Channel, Recording
 
 DATA = Path(__file__).parents[1].parent / "shared" / "data"

@@ -8,29 +8,20 @@ import pytest
 from conftest import SCALING, SMALL, exported
 from foten.dsp.noise import innovation_likelihood
 from foten.evaluate.metrics import goodness_of_fit
-from foten.evaluate.one_step import TexturePredictor, excitation_scores, one_step, predict
+from foten.evaluate.one_step import excitation_scores, one_step, predict
 from foten.families import FotenPlusSizes, FotenSizes
 from foten.families.texture_file import ONE_STEP_TOLERANCE, Texture
 from foten.recording.windows import windows
 from foten.reference import model_of
-from foten.runtime.loops import run_loops
+from foten.runtime.loops import predict_blocks, run_loops
 from foten.runtime.native import NativeTexture
-
-
-class Last:
-    """Predicts the sample before."""
-
-    window = 3
-
-    def predict(self, windows: np.ndarray) -> np.ndarray:
-        return windows[:, -1, 0]
 
 
 def test_figures_are_those_of_the_errors_by_hand() -> None:
     rng = np.random.default_rng(0)
     samples = rng.standard_normal((5000, 3))
-    n = np.array([[10], [2000]]) + np.arange(2500)  # more windows than are predicted at once
-    figures = one_step(Last(), samples, n, SCALING)
+    n = np.array([[10], [2000]]) + np.arange(2500)
+    figures = one_step(samples[n, 0], samples[n - 1, 0], SCALING.sd[0])
     error = np.abs(samples[n, 0] - samples[n - 1, 0])
     assert figures["mae_scaled"] == pytest.approx(error.mean())
     assert figures["mae_m_s2"] == pytest.approx(error.mean() * SCALING.sd[0])
@@ -44,7 +35,7 @@ def test_a_texture_predicts_each_sample_from_its_history(sizes: FotenSizes | Fot
     texture = exported("foten" if isinstance(sizes, FotenSizes) else "foten-plus", sizes)
     samples = np.random.default_rng(1).standard_normal((300, 3))
     n = np.array([[60], [180]]) + np.arange(50)
-    predicted = predict(TexturePredictor(NativeTexture(texture.to_bytes())), samples, n)
+    predicted = predict(NativeTexture(texture.to_bytes()), samples, n).sample
     some = windows(samples, n.ravel(), texture.window)
     expected = model_of(sizes, texture.tensors).predict(some).reshape(n.shape)
     np.testing.assert_allclose(predicted, expected, rtol=ONE_STEP_TOLERANCE, atol=ONE_STEP_TOLERANCE)
@@ -98,10 +89,9 @@ def test_scores_are_of_the_prediction_that_a_rendering_uses() -> None:
         texture = steady_volatility(FotenPlusSizes(**{**SMALL, "network_in_loop": in_loop}))
         native = NativeTexture(texture.to_bytes())
         scores = excitation_scores(native, samples, n, np.ones(n.shape, dtype=bool))
-        predicted = TexturePredictor(native, "rendering").predict_blocks(
-            np.stack([samples[row[0] - texture.window : row[-1] + 1] for row in n])
-        )
-        other = predict(TexturePredictor(native, "linear" if in_loop else "model"), samples, n)
+        rows = np.stack([samples[row[0] - texture.window : row[-1] + 1] for row in n])
+        predicted = predict_blocks(native, rows, "rendering")
+        other = predict(native, samples, n, "linear" if in_loop else "model").sample
         assert np.abs(other - predicted.sample).max() > 1e-3
         _, nats = innovation_likelihood(samples[n, 0] - predicted.sample, predicted.scale, predicted.tail)
         assert scores["nll"] == pytest.approx(nats.mean())

@@ -4,7 +4,7 @@ from scipy.signal import lfilter
 
 from conftest import resonance
 from foten.dsp.ar import spectral_radius
-from foten.evaluate.references import MAX_POLE, ORDERS, Linear, Persistence, Zero, best_linear, first_scored, fit_linear
+from foten.evaluate.references import MAX_POLE, ORDERS, Linear, best_linear, first_scored, fit_linear
 
 BLOCK = 400
 
@@ -15,12 +15,6 @@ def process(taps: np.ndarray, n_blocks: int, sd: float = 0.5, seed: int = 0) -> 
     n = n_blocks * BLOCK
     x = lfilter([sd], np.concatenate([[1.0], -taps[::-1]]), rng.standard_normal(n + 500))[500:]
     return np.column_stack([x, rng.standard_normal((n, 2))])
-
-
-def test_zero_and_persistence() -> None:
-    windows = np.random.default_rng(0).standard_normal((6, 4, 3))
-    np.testing.assert_array_equal(Zero().predict(windows), np.zeros(6))
-    np.testing.assert_array_equal(Persistence().predict(windows), windows[:, -1, 0])
 
 
 def test_a_known_process_and_its_noise_are_recovered() -> None:
@@ -72,16 +66,19 @@ def test_coefficients_that_follow_the_hand_are_recovered() -> None:
     assert fitted.noise_sd == pytest.approx(0.3, rel=0.02)  # 4/√(2n)
 
 
-def test_a_linear_predictor_looks_at_the_end_of_a_longer_window() -> None:
+def test_a_linear_predictor_looks_at_the_samples_before() -> None:
     samples, coefficients = scheduled_process(2)
-    windows = np.stack([samples[i - 9 : i] for i in range(9, 100)])
-    for fitted in (Linear(coefficients, 0.3), Linear(coefficients[0], 0.3)):
-        np.testing.assert_array_equal(fitted.predict(windows), fitted.predict(windows[:, -2:]))
+    n = np.array([[9], [300]]) + np.arange(91)
     by_hand = [
-        (coefficients[0] + w[-1, 1] * coefficients[1] + w[-1, 2] * coefficients[2]) @ [w[-2, 0], w[-1, 0], 1.0]
-        for w in windows
+        [
+            (coefficients[0] + w[-1, 1] * coefficients[1] + w[-1, 2] * coefficients[2]) @ [w[-2, 0], w[-1, 0], 1.0]
+            for w in (samples[i - 2 : i] for i in row)
+        ]
+        for row in n
     ]
-    np.testing.assert_allclose(Linear(coefficients, 0.3).predict(windows), by_hand, atol=1e-12)  # rounding
+    np.testing.assert_allclose(Linear(coefficients, 0.3).predict(samples, n), by_hand, atol=1e-12)  # rounding
+    constant = [[coefficients[0] @ [samples[i - 2, 0], samples[i - 1, 0], 1.0] for i in row] for row in n]
+    np.testing.assert_allclose(Linear(coefficients[0], 0.3).predict(samples, n), constant, atol=1e-12)
 
 
 @pytest.mark.parametrize(("lag", "order"), [(4, 5), (9, 10), (17, 20), (33, 40)])

@@ -15,14 +15,12 @@ import pytest
 from foten.evaluate.evaluate import FREE_RUN_KEYS, Judgement
 from foten.evaluate.free_run import free_run, scored
 from foten.evaluate.one_step import one_step
-from foten.evaluate.references import Persistence, Zero, fit_linear
+from foten.evaluate.references import fit_linear
 from foten.evaluate.report import figures, signals, write_report
-from foten.evaluate.report.over_time import over_time
 from foten.evaluate.report.page import page
-from foten.evaluate.report.sound import AUDIO_HZ, sounds
+from foten.evaluate.report.signals import AUDIO_HZ, sounds
 from foten.evaluate.report.tables import REFERENCES
-from foten.evaluate.report.verdict import cautions, verdict
-from foten.evaluate.report.wording import reason
+from foten.evaluate.report.verdict import cautions, reason, verdict
 from foten.families.texture_file import Texture
 from foten.recording.scaling import fit_scaling
 from foten.recording.trace import Trace
@@ -54,14 +52,16 @@ def _judgement(rate_hz=1000.0, block=2000):
     }
     recorded, v, f = (trace.blocks(c)[list(TEST)] for c in (trace.acceleration, trace.speed, trace.force))
     free = {name: free_run(recorded, signal, v, f, rate_hz, scaling.sd[0]) for name, signal in synthesized.items()}
+    n = targets(TEST, block, 160).reshape(len(TEST), -1)
+    ar = fit_linear(samples, TRAIN, block, 20).predict(samples, n)
     scores = {
-        name: one_step(predictor, samples, targets(TEST, block, 160).reshape(len(TEST), -1), scaling)
-        for name, predictor in {
-            "own": fit_linear(samples, TRAIN, block, 40),
-            "ar": fit_linear(samples, TRAIN, block, 20),
-            "ar_best": fit_linear(samples, TRAIN, block, 20),
-            "persistence": Persistence(),
-            "zero": Zero(),
+        name: one_step(samples[n, 0], predicted, scaling.sd[0])
+        for name, predicted in {
+            "own": fit_linear(samples, TRAIN, block, 40).predict(samples, n),
+            "ar": ar,
+            "ar_best": ar,
+            "persistence": samples[n - 1, 0],
+            "zero": np.zeros(n.shape),
         }.items()
     }
     own = scores.pop("own")
@@ -302,7 +302,7 @@ def test_the_figures_draw_what_was_scored(judged):
 
 def test_spectrograms_share_a_scale_and_show_a_tone_where_it_is(judged):
     tone = np.sin(2 * np.pi * 200.0 * np.arange(2000) / 1000.0)
-    figure = over_time(replace(judged, synthesized={"free_run": np.tile(tone, (1, len(TEST), 1))}))
+    figure = figures.over_time(replace(judged, synthesized={"free_run": np.tile(tone, (1, len(TEST), 1))}))
     recorded, synthesized = (axes.images[0] for axes in figure.axes[:2])
     assert recorded.get_clim() == synthesized.get_clim()
     cells = np.asarray(synthesized.get_array())

@@ -103,10 +103,10 @@ def test_the_digest_is_of_everything() -> None:
 
 def test_json_round_trip(tmp_path: Path) -> None:
     split = split_blocks(trace(28), seed=5)
-    assert Split.from_json(split.to_json()) == split
+    assert Split.from_fields(json.loads(json.dumps(dataclasses.asdict(split)))) == split
     split.save(tmp_path / "split.json")
     document = json.loads((tmp_path / "split.json").read_text())
-    assert document.pop("sha256") == split.sha256() == Split.from_json(json.dumps(document)).sha256()
+    assert document.pop("sha256") == split.sha256() == Split.from_fields(document).sha256()
     assert [path.name for path in tmp_path.iterdir()] == ["split.json"]
 
 

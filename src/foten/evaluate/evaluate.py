@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foten.evaluate import free_run as runs
-from foten.evaluate.one_step import TexturePredictor, excitation_scores, one_step
-from foten.evaluate.references import Linear, Persistence, Zero, best_linear, first_scored, fit_linear
+from foten.evaluate.one_step import excitation_scores, one_step, predict
+from foten.evaluate.references import Linear, best_linear, first_scored, fit_linear
 from foten.families.conditions import FADE_FORCE, FADE_SPEED
 from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
-from foten.recording.scaling import Scaling
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.recording.windows import targets
@@ -25,24 +24,27 @@ from foten.runtime.native import NativeTexture
 Array = NDArray[np.float64]
 
 ONE_STEP_KEYS = ("mae_scaled", "mae_m_s2", "gfc")
+REFERENCES = ("zero", "persistence", "ar", "ar_scheduled", "ar_best", "lattice", "bound", "bound_window")
+RUNS = ("free_run", "free_run_deterministic", "free_run_ar", "ceiling")
 FREE_RUN_KEYS = (
     *("lsd_db", "lsd_long_db", "gfc_raw", "gfc_welch", "level_bias_db", "level_error_db", "level_corr"),
     *("kurtosis", "max_sd"),
 )
+ANCHOR_ORDER = 20  # of the linear predictor that every model is held against
+_WHY_UNKNOWN = {
+    "level_bias_db": "blocks hold no frame of 40 ms after their first fifth",
+    "level_corr": "the level does not vary",
+    "modulation_db": "blocks under 1 s",
+    "level_slopes": "speed or force spans less than a factor of 1.2",
+}
 
 
 @dataclass(frozen=True)
 class Truth:
-    """What only a simulator knows; the caller asks it.
+    """What only a simulator knows; the caller asks it."""
 
-    Attributes:
-        realisations: the same stroke over fresh roughness, preprocessed as the recording was.
-        bound, bound_window: expected absolute one-step error [m/s²] of the infinite past and of a window of m, at each
-            sample of the trace, shape (n,); None where it is not known.
-        why_no_bound: said where they are not.
-    """
-
-    realisations: Sequence[Trace] = ()
+    realisations: Sequence[Trace] = ()  # the same stroke over fresh roughness, preprocessed as the recording was
+    # Expected absolute one-step error [m/s²] from the infinite past and from a window of m, at each sample, shape (n,).
     bound: Array | None = None
     bound_window: Array | None = None
     why_no_bound: str = "known for simulated textures of the linear family alone"
@@ -50,19 +52,12 @@ class Truth:
 
 @dataclass(frozen=True)
 class Judgement:
-    """The document and the signals behind it, for pictures.
+    """The document and the signals behind it, for pictures."""
 
-    Attributes:
-        document: figures, plain JSON values; None where unknown, with the reason under `reasons`.
-        trace: the preprocessed recording.
-        blocks: the blocks that were scored.
-        synthesized: free runs [m/s²] by name, each (n_seeds, n_blocks, block).
-    """
-
-    document: dict[str, Any]
-    trace: Trace
-    blocks: tuple[int, ...]
-    synthesized: Mapping[str, Array] = field(default_factory=dict)
+    document: dict[str, Any]  # figures, plain JSON values; None where unknown, with the reason under `reasons`
+    trace: Trace  # the preprocessed recording
+    blocks: tuple[int, ...]  # that were scored
+    synthesized: Mapping[str, Array]  # free runs [m/s²] by name, each (n_seeds, n_blocks, block)
 
 
 def trace_for(
@@ -74,7 +69,7 @@ def trace_for(
         ValueError: it is the recording that the texture was trained on, whose blocks are those of its split.
     """
     config = PreprocessConfig(**texture.card["preprocess"])
-    cut: dict[str, Any] = {k: v for k, v in (("trim_ms", trim_ms), ("block_ms", block_ms)) if v is not None}
+    cut: dict[str, Any] = {k: v for k, v in {"trim_ms": trim_ms, "block_ms": block_ms}.items() if v is not None}
     if cut and recording.sha256() == texture.card["recording_sha256"]:
         raise ValueError(
             "the texture was trained on this recording and is judged on the blocks of its split; "
@@ -95,9 +90,8 @@ def evaluate(
     """Return every figure of a texture on the test blocks of the recording it was trained on, or on all of another.
 
     Args:
-        texture: what to judge.
         recording: any; the trained one is recognised by its digest.
-        truth: of a simulated recording, else None.
+        truth: of a simulated recording.
         seed: of the excitation.
         on_stage: called with the name of each stage.
         trim_ms, block_ms: how another recording is cut; None for as the trained one was.
@@ -107,24 +101,23 @@ def evaluate(
     """
     truth = truth or Truth()
     trace = trace_for(texture, recording, trim_ms, block_ms)
-    scaling, block = texture.scaling, trace.block
-    foreign = trace.recording_sha256 != texture.card["recording_sha256"]
     split: Split | None = None
-    if not foreign:
+    if trace.recording_sha256 == texture.card["recording_sha256"]:
         split = Split.from_fields(texture.card["split"])
-        if (split.n_blocks, split.block) != (trace.n_blocks, block):
+        if (split.n_blocks, split.block) != (trace.n_blocks, trace.block):
             raise ValueError(
-                f"the split is of {split.n_blocks} blocks of {split.block}, the recording gives {trace.n_blocks} of {block}"
+                f"the split is of {split.n_blocks} blocks of {split.block}, the recording gives {trace.n_blocks} of {trace.block}"
             )
     blocks = tuple(range(trace.n_blocks)) if split is None else split.test
-    samples = scaling.scale(trace.stacked())
+    samples = texture.scaling.scale(trace.stacked())
     reasons: dict[str, str] = {}
     kernel = NativeTexture(texture.to_bytes())
     on_stage("one-step")
-    linear = None if split is None else fit_linear(samples, split.train, block, 20)
-    one = _one_step(texture, kernel, samples, blocks, split, block, scaling, trace, truth, reasons)
+    fitted = {} if split is None else _linear_references(samples, split)
+    one = _one_step(texture, kernel, trace, samples, blocks, fitted, truth, reasons)
     on_stage("free run")
-    free, synthesized = _free_run(texture, kernel, trace, blocks, split, linear, truth, scaling, seed, reasons)
+    free, synthesized = _free_run(texture, kernel, trace, blocks, split, fitted.get("ar"), truth, seed, reasons)
+    validation = ("mae_scaled", "mae_scaled_lattice", "mae_scaled_hop", "spectrum_db")
     document = {
         "texture": texture.card["texture"],
         "model": texture.card["model"],
@@ -133,86 +126,79 @@ def evaluate(
         "split_sha256": None if split is None else split.sha256(),
         "seed": seed,
         "n_blocks": len(blocks),
-        "block": block,
-        "sd_m_s2": scaling.sd[0],
+        "block": trace.block,
+        "sd_m_s2": texture.scaling.sd[0],
         **one,
         **free,
         "reasons": reasons,
         "texture_sha256": texture.sha256(),
         "recording_sha256": trace.recording_sha256,
-        "validation": {
-            "mae_scaled": texture.card["metrics"].get("validation_mae_scaled"),
-            "mae_scaled_lattice": texture.card["metrics"].get("validation_mae_scaled_lattice"),
-            "mae_scaled_hop": texture.card["metrics"].get("validation_mae_scaled_hop"),
-            "spectrum_db": texture.card["metrics"].get("validation_spectrum_db"),
-        },
+        "validation": {name: texture.card["metrics"].get(f"validation_{name}") for name in validation},
     }
     return Judgement(document, trace, blocks, synthesized)
+
+
+def _linear_references(samples: Array, split: Split) -> dict[str, Linear | None]:
+    train, block = split.train, split.block
+    return {
+        "ar": fit_linear(samples, train, block, ANCHOR_ORDER),
+        "ar_scheduled": fit_linear(samples, train, block, ANCHOR_ORDER, scheduled=True),
+        "ar_best": best_linear(samples, train, split.validation, block),
+    }
 
 
 def _one_step(
     texture: Texture,
     kernel: NativeTexture,
+    trace: Trace,
     samples: Array,
     blocks: tuple[int, ...],
-    split: Split | None,
-    block: int,
-    scaling: Scaling,
-    trace: Trace,
+    fitted: Mapping[str, Linear | None],
     truth: Truth,
     reasons: dict[str, str],
 ) -> dict[str, Any]:
-    empty = dict.fromkeys(ONE_STEP_KEYS)
-    names = ("zero", "persistence", "ar", "ar_scheduled", "ar_best", "lattice", "bound", "bound_window")
-    references: dict[str, Any] = {name: dict(empty) for name in names}
-    references["ar_best"].update(order=None, scheduled=None)
-    first = max(first_scored(block), texture.window)
+    result: dict[str, Any] = dict.fromkeys(ONE_STEP_KEYS)
+    references: dict[str, dict[str, Any]] = {name: dict.fromkeys(ONE_STEP_KEYS) for name in REFERENCES}
+    best = fitted.get("ar_best")
+    references["ar_best"].update(order=best and best.window, scheduled=best and best.scheduled)
+    block, first, sd = trace.block, max(first_scored(trace.block), texture.window), texture.scaling.sd[0]
+    document = {"first_scored": first, "one_step": result, "references": references}
     if block < first + 8:
         reasons["one_step"] = f"blocks of {block} samples; the first {first} of each are history"
-        return {"first_scored": first, "one_step": dict(empty), "references": references}
+        return document
     n = targets(blocks, block, first).reshape(len(blocks), -1)
-
-    def score(predictor: Any) -> dict[str, Any]:
-        return one_step(predictor, samples, n, scaling)
-
-    result: dict[str, Any] = dict(empty)
+    recorded = samples[n, 0]
     if texture.sizes.from_noise:
         reasons["one_step"] = f"{texture.card['model']} foretells spectra, and no sample"
     else:
-        result = score(TexturePredictor(kernel))
+        result.update(one_step(recorded, predict(kernel, samples, n).sample, sd))
     if texture.sizes.excited:
         counted = (trace.speed[n] >= FADE_SPEED) & (trace.force[n] >= FADE_FORCE)
         scores = excitation_scores(kernel, samples, n, counted)
         if scores["nll"] is None:
             reasons["one_step.nll"] = "the excitation is that of a rendering, or the hand was at rest"
-        result = {**result, **scores, "intervals": {**result["intervals"], **scores["intervals"]}}
-    references["zero"], references["persistence"] = score(Zero()), score(Persistence())
+        result.update({**scores, "intervals": {**result["intervals"], **scores["intervals"]}})
+    predicted = {"zero": np.zeros(n.shape), "persistence": samples[n - 1, 0]}
     if texture.card["model"] == "foten-plus":
-        references["lattice"] = score(TexturePredictor(kernel, "linear"))
+        predicted["lattice"] = predict(kernel, samples, n, "linear").sample
     else:
         reasons["references.lattice"] = f"{texture.card['model']} has none"
-    if split is None:
+    if not fitted:
         reasons["references.ar"] = "a foreign recording has no training blocks to fit linear predictors on"
-    else:
-        linear = {
-            "ar": fit_linear(samples, split.train, block, 20),
-            "ar_scheduled": fit_linear(samples, split.train, block, 20, scheduled=True),
-            "ar_best": best_linear(samples, split.train, split.validation, block),
-        }
-        for name, fitted in linear.items():
-            if fitted is None:
-                reasons[f"references.{name}"] = "fewer than two training windows for each coefficient"
-            else:
-                references[name] = score(fitted)
-        best = linear["ar_best"]
-        references["ar_best"].update(order=best.window if best else None, scheduled=best.scheduled if best else None)
+    for name, linear in fitted.items():
+        if linear is None:
+            reasons[f"references.{name}"] = "fewer than two training windows for each coefficient"
+        else:
+            predicted[name] = linear.predict(samples, n)
+    for name, values in predicted.items():
+        references[name].update(one_step(recorded, values, sd))
     for name, bound in (("bound", truth.bound), ("bound_window", truth.bound_window)):
         if bound is None:
             reasons[f"references.{name}"] = truth.why_no_bound
         else:
             mae = float(bound[n].mean())
-            references[name] = {"mae_scaled": mae / scaling.sd[0], "mae_m_s2": mae, "gfc": None}
-    return {"first_scored": first, "one_step": result, "references": references}
+            references[name].update(mae_scaled=mae / sd, mae_m_s2=mae)
+    return document
 
 
 def _free_run(
@@ -223,35 +209,28 @@ def _free_run(
     split: Split | None,
     linear: Linear | None,
     truth: Truth,
-    scaling: Scaling,
     seed: int,
     reasons: dict[str, str],
 ) -> tuple[dict[str, Any], dict[str, Array]]:
-    empty: dict[str, Any] = dict.fromkeys(FREE_RUN_KEYS)
-    scores: dict[str, Any] = {
-        name: dict(empty) for name in ("free_run", "free_run_deterministic", "free_run_ar", "ceiling")
-    }
-    picked = list(blocks)
-    recorded, speed, force = (trace.blocks(c)[picked] for c in (trace.acceleration, trace.speed, trace.force))
+    scores: dict[str, Any] = {name: dict.fromkeys(FREE_RUN_KEYS) for name in RUNS}
+    recorded, speed, force = trace.picked(blocks)
     if recorded[:, runs.scored(trace.block)].shape[1] < 64:
         reasons["free_run"] = f"blocks of {trace.block} samples are too short for a spectrum"
         return scores, {}
     signals: dict[str, Array] = {}
     saturated: dict[str, int] = {}
-    if texture.has_excitation:
-        signals["free_run"], saturated["free_run"] = runs.synthesize(kernel, trace, blocks, True, seed)
-    else:
-        reasons["free_run"] = f"{texture.card['model']} carries no excitation"
-    signals["free_run_deterministic"], saturated["free_run_deterministic"] = runs.synthesize(
-        kernel, trace, blocks, False, seed
-    )
+    for name, excitation in (("free_run", True), ("free_run_deterministic", False)):
+        if excitation and not texture.has_excitation:
+            reasons[name] = f"{texture.card['model']} carries no excitation"
+        else:
+            signals[name], saturated[name] = runs.synthesize(kernel, trace, blocks, excitation, seed)
     if linear is not None:
-        signals["free_run_ar"] = runs.synthesize_linear(linear, trace, blocks, scaling, seed)
+        signals["free_run_ar"] = runs.synthesize_linear(linear, trace, blocks, texture.scaling, seed)
     else:
         reasons["free_run_ar"] = "no training blocks to fit AR(20) on, or too few"
     ceiling_of = None
     if truth.realisations:
-        signals["ceiling"] = np.stack([r.blocks(r.acceleration)[picked] for r in truth.realisations])
+        signals["ceiling"] = np.stack([realisation.picked(blocks)[0] for realisation in truth.realisations])
         ceiling_of = f"{len(truth.realisations)} further realisations of the same stroke"
     elif split is not None:
         signals["ceiling"] = runs.nearest_training_blocks(trace, blocks, split.train)
@@ -259,16 +238,9 @@ def _free_run(
     else:
         reasons["ceiling"] = "a foreign recording has no training blocks"
     for name, signal in signals.items():
-        n_given = {"ceiling": 0, "free_run_ar": linear.window if linear else 0}.get(name, texture.window)
-        scores[name] = runs.free_run(recorded, signal, speed, force, trace.rate_hz, scaling.sd[0], n_given)
-        for key in ("level_bias_db", "level_corr", "modulation_db", "level_slopes"):
-            if scores[name].get(key) is None:
-                reasons[f"{name}.{key}"] = {
-                    "level_bias_db": "blocks hold no frame of 40 ms after their first fifth",
-                    "level_corr": "the level does not vary",
-                    "modulation_db": "blocks under 1 s",
-                    "level_slopes": "speed or force spans less than a factor of 1.2",
-                }[key]
+        n_given = {"ceiling": 0, "free_run_ar": ANCHOR_ORDER}.get(name, texture.window)
+        scores[name] = runs.free_run(recorded, signal, speed, force, trace.rate_hz, texture.scaling.sd[0], n_given)
+        reasons.update({f"{name}.{key}": why for key, why in _WHY_UNKNOWN.items() if scores[name][key] is None})
         if name in saturated:
             scores[name]["n_saturated"] = saturated[name]
     scores["ceiling"]["of"] = ceiling_of
@@ -278,8 +250,8 @@ def _free_run(
 def to_text(document: Mapping[str, Any]) -> str:
     """Return the document's figures as two aligned tables."""
 
-    def cell(value: Any, width: int = 10) -> str:
-        return f"{'–' if value is None else f'{value:.4f}' if abs(value) < 1 else f'{value:.3f}':>{width}}"
+    def cell(value: float | None) -> str:
+        return f"{'–' if value is None else f'{value:.4f}' if abs(value) < 1 else f'{value:.3f}':>10}"
 
     lines = [
         f"{document['texture'] or 'texture'}, {document['model']} at {document['rate_hz']:g} Hz; split {document['split']}, "
@@ -292,7 +264,6 @@ def to_text(document: Mapping[str, Any]) -> str:
     lines += [f"{name:26s}" + "".join(cell(row[key]) for key in ONE_STEP_KEYS) for name, row in rows]
     heads = ("LSD dB", "long dB", "GFC raw", "Welch", "bias dB", "error dB", "corr", "kurtosis", "max sd")
     lines += ["", f"{'free run':22s}" + "".join(f"{head:>10}" for head in heads)]
-    names = ("free_run", "free_run_deterministic", "free_run_ar", "ceiling")
-    lines += [f"{name:22s}" + "".join(cell(document[name][key]) for key in FREE_RUN_KEYS) for name in names]
+    lines += [f"{name:22s}" + "".join(cell(document[name][key]) for key in FREE_RUN_KEYS) for name in RUNS]
     lines += [f"{name}: {reason}" for name, reason in document["reasons"].items()]
     return "\n".join(lines)

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length, welch
+from foten.dsp.level import frame_levels, frame_means
 from foten.dsp.noise import gaussian
 from foten.evaluate import metrics
-from foten.evaluate.bootstrap import intervals
 from foten.evaluate.references import Linear
 from foten.recording.scaling import Scaling
 from foten.recording.trace import Trace
@@ -43,7 +44,7 @@ def synthesize(
         Acceleration [m/s²], shape (n_seeds, n_blocks, block); without excitation n_seeds is 1.
     """
     n_seeds, m = n_seeds if excitation else 1, texture.info.window
-    channels = [trace.blocks(c)[list(blocks)] for c in (trace.acceleration, trace.speed, trace.force)]
+    channels = trace.picked(blocks)
     rendered = np.empty((n_seeds * len(blocks), trace.block - m))
     n_saturated = np.zeros(len(rendered), dtype=np.int64)
 
@@ -55,7 +56,7 @@ def synthesize(
         n_saturated[stream] = state.statistics.n_saturated
 
     on_all_cores(render, len(rendered))
-    return _after_recorded(trace, blocks, m, rendered), int(n_saturated.sum())
+    return _after_recorded(channels[0][:, :m], rendered), int(n_saturated.sum())
 
 
 def synthesize_linear(
@@ -73,22 +74,17 @@ def synthesize_linear(
     stable = predictor.stable()
     m, n = stable.window, trace.block - stable.window
     constant, a = stable.coefficients[-1], np.append(1.0, -stable.coefficients[-2::-1])
-    recorded = scaling.scale(trace.stacked())[:, 0].reshape(-1, trace.block)[list(blocks)]
-    initial = [lfiltic([1.0], a, block[m - 1 :: -1]) for block in recorded[:, :m]]
-    rendered = [
-        lfilter([1.0], a, constant + stable.noise_sd * gaussian(seed, stream, 0, n), zi=initial[stream % len(blocks)])[
-            0
-        ]
-        for stream in range(n_seeds * len(blocks))
-    ]
-    return _after_recorded(trace, blocks, m, scaling.unscale_acceleration(np.array(rendered)))
+    given = trace.picked(blocks)[0][:, :m]
+    initial = [lfiltic([1.0], a, window[::-1]) for window in scaling.scale_channel(0, given)]
+    driven = [constant + stable.noise_sd * gaussian(seed, stream, 0, n) for stream in range(n_seeds * len(blocks))]
+    rendered = [lfilter([1.0], a, x, zi=zi)[0] for x, zi in zip(driven, initial * n_seeds, strict=True)]
+    return _after_recorded(given, scaling.unscale_acceleration(np.array(rendered)))
 
 
-def _after_recorded(trace: Trace, blocks: tuple[int, ...], m: int, rendered: Array) -> Array:
-    """Return whole blocks (n_seeds, n_blocks, block): recorded windows of m, and the streams that went on from them."""
-    by_seed = rendered.reshape(-1, len(blocks), rendered.shape[1])
-    recorded = trace.blocks(trace.acceleration)[list(blocks), :m]
-    return np.concatenate([np.broadcast_to(recorded, (len(by_seed), *recorded.shape)), by_seed], axis=2)
+def _after_recorded(given: Array, rendered: Array) -> Array:
+    """Return whole blocks (n_seeds, n_blocks, block): recorded windows (n_blocks, m), then what went on from them."""
+    by_seed = rendered.reshape(-1, len(given), rendered.shape[1])
+    return np.concatenate([np.broadcast_to(given, (len(by_seed), *given.shape)), by_seed], axis=2)
 
 
 def nearest_training_blocks(trace: Trace, blocks: tuple[int, ...], train: tuple[int, ...]) -> Array:
@@ -96,12 +92,12 @@ def nearest_training_blocks(trace: Trace, blocks: tuple[int, ...], train: tuple[
 
     Distances are in standard deviations of the training blocks' samples.
     """
-    means = np.stack([trace.blocks(trace.speed).mean(axis=1), trace.blocks(trace.force).mean(axis=1)], axis=1)
-    spread = np.array([trace.blocks(c)[list(train)].std() for c in (trace.speed, trace.force)])
-    spread = np.where(spread > 0, spread, 1.0)
-    distance = np.linalg.norm((means[list(blocks), None] - means[None, list(train)]) / spread, axis=2)
-    nearest = np.array(train)[distance.argmin(axis=1)]
-    return trace.blocks(trace.acceleration)[nearest][None]
+    _, *judged = trace.picked(blocks)
+    acceleration, *known = trace.picked(train)
+    distance = np.zeros((len(blocks), len(train)))
+    for one, other in zip(judged, known, strict=True):
+        distance += np.square(np.subtract.outer(one.mean(axis=1), other.mean(axis=1)) / (other.std() or 1.0))
+    return acceleration[distance.argmin(axis=1)][None]
 
 
 def free_run(
@@ -113,7 +109,6 @@ def free_run(
         recorded: [m/s²], shape (n_blocks, block), whole blocks; the first fifth of each is not scored.
         synthesized: [m/s²], shape (n_seeds, n_blocks, block).
         speed: [mm/s], shape (n_blocks, block); force: [N], likewise.
-        rate_hz: samples a second.
         sd: training standard deviation of the acceleration [m/s²].
         n_given: samples at the start of each synthesized block that are the recorded window it started from.
 
@@ -125,34 +120,31 @@ def free_run(
         `level_slopes_recorded` [dB per decade of speed, of force]; `modulation_db`: distance of envelope spectra, 2 to 50 Hz;
         `intervals`.
     """
-    n_segment = metrics.segment_length(recorded.shape[-1])
-    part = scored(recorded.shape[-1])
+    n_segment, part = segment_length(recorded.shape[-1]), scored(recorded.shape[-1])
     worst = np.abs(synthesized[:, :, n_given:]).max(axis=(0, 2)) / sd
-    recorded, synthesized, speed, force = (recorded[:, part], synthesized[:, :, part], speed[:, part], force[:, part])
-    frequencies, p = metrics.welch(recorded, rate_hz, n_segment)
-    _, q = metrics.welch(synthesized, rate_hz, n_segment)
-    bins = metrics.scored_bins(frequencies, rate_hz)
+    recorded, synthesized, speed, force = (x[..., part] for x in (recorded, synthesized, speed, force))
+    frequencies, p = welch(recorded, rate_hz, n_segment)
+    _, q = welch(synthesized, rate_hz, n_segment)
+    bins = scored_bins(frequencies, rate_hz)
     p, q = p[:, bins], q[:, :, bins]
+    distance = log_spectral_distance(p[None], q)
     reference = float(np.sqrt(np.square(recorded).mean()))
-    level_p = metrics.frame_levels(recorded, rate_hz, reference)
-    level_q = metrics.frame_levels(synthesized, rate_hz, reference)
-    distance = metrics.log_spectral_distance(p[None], q)
-    raw = np.array([[metrics.goodness_of_fit(a, b) for a, b in zip(recorded, run, strict=True)] for run in synthesized])
-    smooth = np.array([[metrics._cosine(np.sqrt(a), np.sqrt(b)) for a, b in zip(p, run, strict=True)] for run in q])
-
-    frame_speed, frame_force = metrics.frame_means(speed, rate_hz), metrics.frame_means(force, rate_hz)
-    envelope_p = metrics.modulation_spectra(recorded, rate_hz)
-    envelope_q = metrics.modulation_spectra(synthesized, rate_hz)
-
+    level_p, level_q = (frame_levels(x, rate_hz, reference) for x in (recorded, synthesized))
+    frame_speed, frame_force = frame_means(speed, rate_hz), frame_means(force, rate_hz)
+    raw, smooth = metrics.goodness_of_fit(recorded, synthesized), metrics.cosine(np.sqrt(p), np.sqrt(q))
+    envelope_p, envelope_q = (metrics.modulation_spectra(x, rate_hz) for x in (recorded, synthesized))
     moments = np.stack([np.power(synthesized, k).mean(axis=(0, 2)) for k in range(1, 5)])
 
     def figures(index: NDArray[np.int64]) -> dict[str, Any]:
         difference = level_q[:, index] - level_p[index]
         framed = difference.size > 0
-        pooled = metrics.log_spectral_distance(p[index].mean(axis=0), q[:, index].mean(axis=(0, 1)))
+        pooled_p, pooled_q = _pooled(p, q, index)
+        modulation = None
+        if envelope_p is not None and envelope_q is not None:
+            modulation = float(log_spectral_distance(*_pooled(envelope_p[1], envelope_q[1], index)))
         return {
             "lsd_db": float(distance[:, index].mean()),
-            "lsd_long_db": float(pooled),
+            "lsd_long_db": float(log_spectral_distance(pooled_p, pooled_q)),
             "gfc_raw": float(raw[:, index].mean()),
             "gfc_welch": float(smooth[:, index].mean()),
             "level_bias_db": float(difference.mean()) if framed else None,
@@ -160,19 +152,11 @@ def free_run(
             "level_corr": _correlation(level_p[index], level_q[:, index]) if framed else None,
             "kurtosis": _kurtosis(moments[:, index].mean(axis=1)),
             "max_sd": float(worst[index].max()),
-            "band_errors_db": metrics.band_errors(
-                p[index].mean(axis=0), q[:, index].mean(axis=(0, 1)), frequencies[bins], rate_hz
-            ),
+            "band_errors_db": metrics.band_errors(pooled_p, pooled_q, frequencies[bins], rate_hz),
             "level_slopes": metrics.level_slopes(
                 level_q[:, index].mean(axis=0), frame_speed[index], frame_force[index]
             ),
-            "modulation_db": None
-            if envelope_p is None or envelope_q is None
-            else float(
-                metrics.log_spectral_distance(
-                    envelope_p[1][index].mean(axis=0), envelope_q[1][:, index].mean(axis=(0, 1))
-                )
-            ),
+            "modulation_db": modulation,
         }
 
     every = np.arange(len(recorded))
@@ -180,8 +164,13 @@ def free_run(
         **figures(every),
         "kurtosis_recorded": metrics.kurtosis(recorded),
         "level_slopes_recorded": metrics.level_slopes(level_p, frame_speed, frame_force),
-        "intervals": intervals(figures, len(recorded)),
+        "intervals": metrics.intervals(figures, len(recorded)),
     }
+
+
+def _pooled(recorded: Array, synthesized: Array, index: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Return the mean spectra of some blocks: recorded (n_blocks, k), synthesized (n_seeds, n_blocks, k) → (k,) each."""
+    return recorded[index].mean(axis=0), synthesized[:, index].mean(axis=(0, 1))
 
 
 def _kurtosis(moments: Array) -> float:
@@ -194,12 +183,7 @@ def _kurtosis(moments: Array) -> float:
 
 def _correlation(recorded: Array, synthesized: Array) -> float | None:
     """Return Pearson's correlation of frame levels over all frames, mean over seeds; None where one does not vary."""
-    a = recorded.ravel() - recorded.mean()
-    values = []
-    for run in synthesized:
-        b = run.ravel() - run.mean()
-        norm = np.sqrt((a @ a) * (b @ b))
-        if norm <= 1e-9 * a.size:
-            return None
-        values.append(float(a @ b / norm))
-    return float(np.mean(values))
+    a, b = recorded.ravel() - recorded.mean(), synthesized.reshape(len(synthesized), -1)
+    b = b - b.mean(axis=1, keepdims=True)
+    norms = np.sqrt((a @ a) * np.square(b).sum(axis=1))
+    return float((b @ a / norms).mean()) if norms.min() > 1e-9 * a.size else None

@@ -1,59 +1,45 @@
-"""Figures of merit, on arrays. Each docstring says whether it depends on gain, phase or only the spectrum."""
+"""Figures of merit on arrays, and their intervals. Each docstring says whether it depends on gain, phase or the spectrum."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.dsp.distance import (
-    HIGHEST_HZ,
-    LOWEST_HZ,
-    POWER_FLOOR,
-    log_spectral_distance,
-    scored_bins,
-    segment_length,
-    welch,
-)
-from foten.dsp.level import FLOOR_DB, FRAME_MS, frame_levels, frame_means
-
-# Re-exported: they are figures too.
-__all__ = ["FLOOR_DB", "FRAME_MS", "frame_levels", "frame_means"]
-__all__ += ["HIGHEST_HZ", "LOWEST_HZ", "log_spectral_distance", "scored_bins", "segment_length", "welch"]
+from foten.dsp.distance import HIGHEST_HZ, LOWEST_HZ, POWER_FLOOR
 
 Array = NDArray[np.float64]
 
 N_BANDS = 9
+N_RESAMPLES = 400  # of a bootstrap
 
 
-def mean_absolute_error(recorded: Array, predicted: Array) -> float:
-    """Return mean |recorded − predicted|, in the unit of the arrays, any equal shape."""
-    return float(np.abs(recorded - predicted).mean())
-
-
-def goodness_of_fit(recorded: Array, synthesized: Array) -> float:
-    """Return the cosine similarity of two DFT amplitude spectra (GFC).
+def goodness_of_fit(recorded: Array, synthesized: Array) -> Array:
+    """Return the cosine similarity of DFT amplitude spectra (GFC).
 
     Blind to gain and phase: report it beside an absolute error. On raw bins two independent realisations of one noise
     reach π/4, not 1.
 
     Args:
-        recorded: acceleration [m/s²], shape (n,).
-        synthesized: acceleration [m/s²], shape (n,).
+        recorded: acceleration [m/s²], shape (…, n).
+        synthesized: acceleration [m/s²], shape (…, n).
 
     Returns:
-        Score in [0, 1]; 1 when the spectra are proportional, 0 when one is all zero.
+        Scores in [0, 1], shape (…); 1 when the spectra are proportional, 0 when one is all zero.
 
     Source: Eq. 13.
     """
-    return _cosine(np.abs(np.fft.rfft(recorded)), np.abs(np.fft.rfft(synthesized)))
+    return cosine(np.abs(np.fft.rfft(recorded)), np.abs(np.fft.rfft(synthesized)))
 
 
-def _cosine(a: Array, b: Array) -> float:
-    norm = math.sqrt(float(a @ a)) * math.sqrt(float(b @ b))
-    return float(a @ b) / norm if norm > 0 else 0.0
+def cosine(a: Array, b: Array) -> Array:
+    """Return the cosine similarity of amplitudes (…, k) → (…), 0 where one is all zero."""
+    norm = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
+    return np.asarray((a * b).sum(axis=-1) / np.maximum(norm, np.finfo(np.float64).tiny))
 
 
 def level_slopes(levels: Array, speed: Array, force: Array) -> tuple[float, float] | None:
@@ -109,3 +95,33 @@ def modulation_spectra(blocks: Array, rate_hz: float) -> tuple[Array, Array] | N
     frequencies, density = signal.welch(envelope, rate_hz, nperseg=int(0.5 * rate_hz), axis=-1)
     inside = (frequencies >= 2.0) & (frequencies <= 50.0)
     return frequencies[inside], density[..., inside]
+
+
+def intervals(
+    figures: Callable[[NDArray[np.int64]], Mapping[str, Any]], n_blocks: int, seed: int = 0
+) -> dict[str, Any]:
+    """Return the 95 % percentile interval of each figure, resampling blocks with replacement.
+
+    Samples within a block are correlated and do not count as independent.
+
+    Args:
+        figures: block numbers → figures, each a number, a list of numbers, or None where a resample has none.
+        n_blocks: blocks to resample; with fewer than 4 there are too few different resamples and the result is empty.
+        seed: of the resamples.
+
+    Returns:
+        By figure [low, high]; for a list one such pair for each entry, None where no resample has a number.
+    """
+    if n_blocks < 4:
+        return {}
+    rng = np.random.default_rng(seed)
+    drawn = [figures(rng.integers(0, n_blocks, n_blocks)) for _ in range(N_RESAMPLES)]
+    bounds = {name: _interval([draw[name] for draw in drawn]) for name in drawn[0]}
+    return {name: bound for name, bound in bounds.items() if bound is not None}
+
+
+def _interval(values: Sequence[Any]) -> list[Any] | None:
+    known = [value for value in values if value is not None]
+    if known and isinstance(known[0], list | tuple):
+        return [_interval(entry) for entry in zip(*known, strict=True)]
+    return [float(bound) for bound in np.percentile(known, [2.5, 97.5])] if known else None

@@ -1,4 +1,4 @@
-"""What any model has to beat in one step: zero, persistence and linear predictors, fitted on the training blocks."""
+"""What any model has to beat in one step beside zero and persistence: linear predictors, fitted on the training blocks."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp.ar import MAX_POLE, solved, stabilised
+from foten.recording.windows import stretches, targets
 
 Array = NDArray[np.float64]
 
@@ -19,38 +20,11 @@ FIRST_SCORED = 320  # samples of each block that no method is scored on: more th
 
 
 @dataclass(frozen=True)
-class Zero:
-    """Predict the mean."""
-
-    window: int = 1
-
-    def predict(self, windows: Array) -> Array:
-        """Return zeros: (b, m, 3) → (b,)."""
-        return np.zeros(len(windows))
-
-
-@dataclass(frozen=True)
-class Persistence:
-    """Predict the last sample."""
-
-    window: int = 1
-
-    def predict(self, windows: Array) -> Array:
-        """Return the last acceleration: (b, m, 3) → (b,)."""
-        return windows[:, -1, 0]
-
-
-@dataclass(frozen=True)
 class Linear:
-    """AR(p) with a constant, each coefficient optionally affine in speed and force.
+    """AR(p) with a constant, each coefficient optionally affine in speed and force; all scaled."""
 
-    Attributes:
-        coefficients: shape (p + 1,) or, scheduled, (3, p + 1): global, times speed, times force; all scaled.
-        noise_sd: standard deviation of its error on the training blocks, scaled.
-    """
-
-    coefficients: Array
-    noise_sd: float
+    coefficients: Array  # shape (p + 1,) or, scheduled, (3, p + 1): global, times speed, times force
+    noise_sd: float  # standard deviation of its error on the training blocks
 
     @property
     def window(self) -> int:
@@ -62,13 +36,10 @@ class Linear:
         """Return whether the coefficients follow speed and force."""
         return self.coefficients.ndim == 2
 
-    def predict(self, windows: Array) -> Array:
-        """Return the next samples: (b, m, 3) with m ≥ p → (b,)."""
-        coefficients = self.coefficients
-        if self.scheduled:
-            coefficients = coefficients[0] + windows[:, -1, 1:] @ coefficients[1:]
-        history = windows[:, windows.shape[1] - self.window :, 0]
-        return (history * coefficients[..., :-1]).sum(axis=1) + coefficients[..., -1]
+    def predict(self, samples: Array, n: NDArray[np.int64]) -> Array:
+        """Return one-step predictions of scaled samples (t, 3) at rows of consecutive indices: (s, k) → (s, k)."""
+        designs = (_design(row, self.window, self.scheduled) for row in stretches(samples, n, self.window))
+        return np.stack([design @ self.coefficients.ravel() for design in designs])
 
     def stable(self) -> Linear:
         """Return an unscheduled predictor with its poles inside 0.9995, for a closed loop."""
@@ -105,12 +76,9 @@ def fit_linear(
 
 
 def _design(block: Array, order: int, scheduled: bool) -> Array:
-    """Return what the coefficients multiply, for each sample of a block (n, 3) after the first `order`.
-
-    History and a constant, then both times speed and times force of the sample before.
-    """
-    design = np.ones((len(block) - order, order + 1))
-    design[:, :-1] = np.lib.stride_tricks.sliding_window_view(block[:-1, 0], order)
+    """Return history and a constant, then both times speed and force of the sample before, for a block (n, 3) from `order` on."""
+    history = np.lib.stride_tricks.sliding_window_view(block[:-1, 0], order)
+    design = np.column_stack([history, np.ones(len(history))])
     if not scheduled:
         return design
     condition = block[order - 1 : -1, 1:]
@@ -123,20 +91,18 @@ def best_linear(samples: Array, train: tuple[int, ...], validation: tuple[int, .
     Orders beyond what is left out of every block (`first_scored`) are not tried.
     """
     first = first_scored(block)
-    orders = [order for order in ORDERS if order <= first]
+    if not validation or block <= first:
+        return None
+    n = targets(validation, block, first).reshape(len(validation), -1)
 
     def judged(kind: tuple[int, bool]) -> tuple[float, Linear] | None:
         order, scheduled = kind
         fitted = fit_linear(samples, train, block, order, scheduled)
-        if fitted is None or not validation or block <= first:
+        if fitted is None:
             return None
-        coefficients = fitted.coefficients.ravel()
-        error = 0.0
-        for number in validation:
-            one = samples[number * block + first - order : (number + 1) * block]
-            error += float(np.abs(one[order:, 0] - _design(one, order, scheduled) @ coefficients).mean())
-        return error, fitted
+        return float(np.abs(samples[n, 0] - fitted.predict(samples, n)).mean()), fitted
 
+    kinds = product([order for order in ORDERS if order <= first], (False, True))
     with ThreadPoolExecutor() as pool:  # NumPy's products release the interpreter's lock
-        candidates = [one for one in pool.map(judged, product(orders, (False, True))) if one is not None]
+        candidates = [one for one in pool.map(judged, kinds) if one is not None]
     return min(candidates, key=lambda one: one[0])[1] if candidates else None

@@ -9,8 +9,7 @@ from typing import Any
 
 import foten
 from foten.evaluate.evaluate import Judgement, evaluate
-from foten.evaluate.free_run import scored
-from foten.evaluate.report.signals import N_WAVEFORM, densities, scored_channels, shown_run, typical_block
+from foten.evaluate.report.signals import N_WAVEFORM, densities, scored_runs, shown_run, typical_block
 from foten.experiments.experiment import Run
 from foten.experiments.truth import truth_for
 from foten.families import sizes_of
@@ -85,11 +84,11 @@ def _signals(judgement: Judgement) -> dict[str, Any] | None:
     shown = shown_run(judgement)
     if shown is None:
         return None
-    block, part = typical_block(judgement), scored(judgement.trace.block)
+    block, runs = typical_block(judgement), scored_runs(judgement)
     frequencies, density = densities(judgement)
     return {
-        "recorded": _rounded(scored_channels(judgement)[0][block, :N_WAVEFORM]),
-        "free_run": _rounded(judgement.synthesized[shown][0, block, part][:N_WAVEFORM]),
+        "recorded": _rounded(runs["recorded"][0, block, :N_WAVEFORM]),
+        "free_run": _rounded(runs[shown][0, block, :N_WAVEFORM]),
         "frequencies_hz": _rounded(frequencies),
         "density": {"recorded": _rounded(density["recorded"]), "free_run": _rounded(density[shown])},
     }

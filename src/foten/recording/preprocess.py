@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,10 @@ from foten.dsp.dft321 import dft321
 from foten.dsp.filters import Biquads, Sections, butterworth, delay_s, filter_recorded
 from foten.dsp.kinematics import at_rate, speed_of, velocity
 from foten.dsp.resample import decimate
-from foten.recording.recording import LIMITS, Channel, Recording
+from foten.recording.recording import LIMITS, UNITS, Channel, Recording
 from foten.recording.trace import Trace
+
+Array = NDArray[np.float64]
 
 HIGHEST_ORDER = 20  # of a high-pass; one of 20 already rings for longer than a window
 WRONG_SIGN = (5.0, 0.5)  # mm/s, N; below minus this a magnitude is not a magnitude with noise
@@ -46,10 +48,11 @@ class PreprocessConfig:
             raise ValueError(f"rate is {self.rate_hz:g} Hz, expected a positive number")
         if self.trim_ms < 0 or not self.block_ms > 0:
             raise ValueError(f"trim is {self.trim_ms:g} ms and block {self.block_ms:g} ms, expected ≥ 0 and > 0")
+        half = self.rate_hz / 2
         for name in ("highpass_hz", "lowpass_hz", "render_lowpass_hz"):
-            if not 0 < getattr(self, name) < self.rate_hz / 2:
+            if not 0 < getattr(self, name) < half:
                 raise ValueError(
-                    f"{name} is {getattr(self, name):g} Hz, expected between 0 and half the rate, {self.rate_hz / 2:g} Hz"
+                    f"{name} is {getattr(self, name):g} Hz, expected between 0 and half the rate, {half:g} Hz"
                 )
         if self.highpass_order > HIGHEST_ORDER:
             raise ValueError(f"highpass_order is {self.highpass_order}, expected {HIGHEST_ORDER} at most")
@@ -86,7 +89,7 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None) -> 
     if not axes:
         raise ValueError("the recording has no acceleration channel")
     if not config.force_units:
-        _check_size("the acceleration", "acceleration", max(float(np.abs(a.samples).max()) for a in axes))
+        _check_size("acceleration", max(float(np.abs(axis.samples).max()) for axis in axes))
     for axis in axes:
         if axis.times_s is not None:
             raise ValueError(
@@ -98,7 +101,7 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None) -> 
                 f"the acceleration was captured at {axis.rate_hz:g} Hz and {rate:g} Hz is asked for; it is never "
                 f"upsampled: train with --rate {axis.rate_hz:g} or lower"
             )
-    start, stop = _common([*axes, *_hand_channels(recording)], rate)
+    start, stop = _common(recording, rate)
     highpass = butterworth("highpass", config.highpass_hz, rate, config.highpass_order)
     lowpass = butterworth("lowpass", config.lowpass_hz, rate)
     delay = 0 if config.zero_phase else round(delay_s(lowpass, rate) * rate)
@@ -110,43 +113,31 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None) -> 
             f"{max(0, usable) / rate:.3g} s, less than one block of {config.block_ms:g} ms; "
             "use a shorter --trim and --block"
         )
+    n_dropped = usable % config.block
 
-    def settled(signal: NDArray[np.float64], delayed: bool) -> NDArray[np.float64]:
-        return signal[trim + delay * delayed :][: usable - usable % config.block]
-
-    def filtered(sections: Sections, signal: NDArray[np.float64]) -> NDArray[np.float64]:
-        return filter_recorded(sections, signal, zero_phase=config.zero_phase)
+    def settled(sections: Sections, signal: Array, first: int) -> Array:
+        return filter_recorded(sections, signal, zero_phase=config.zero_phase)[first:][: usable - n_dropped]
 
     vibration = np.stack(
-        [settled(filtered(highpass, decimate(axis.samples, axis.rate_hz, rate)[start:stop]), False) for axis in axes]
+        [settled(highpass, decimate(axis.samples, axis.rate_hz, rate)[start:stop], trim) for axis in axes]
     )
     if len(axes) > 1:
-        by_block = vibration.reshape(len(axes), -1, config.block).swapaxes(0, 1)
-        acceleration = dft321(by_block).ravel()
+        acceleration = dft321(vibration.reshape(len(axes), -1, config.block).swapaxes(0, 1)).ravel()
     else:
         acceleration = vibration[0]
     moved, pressed = hand_of(recording, rate)
-    speed = speed_of(np.stack([settled(filtered(lowpass, row), True) for row in moved]))
-    force = np.maximum(settled(filtered(lowpass, pressed), True), 0.0)
+    speed = speed_of(np.stack([settled(lowpass, row, trim + delay) for row in moved]))
+    force = np.maximum(settled(lowpass, pressed, trim + delay), 0.0)
     if not config.force_units:
-        _check_size("the speed", "speed", float(speed.max()))
-        _check_size("the force", "force", float(force.max()))
+        _check_size("speed", float(speed.max()))
+        _check_size("force", float(force.max()))
+    n_uncovered = max(round(axis.duration_s * rate) for axis in axes) - (stop - start)
     return Trace(
-        acceleration=acceleration,
-        speed=speed,
-        force=force,
-        rate_hz=rate,
-        block=config.block,
-        recording_sha256=recording.sha256(),
-        preprocess=asdict(config),
-        n_dropped=usable % config.block,
-        n_uncovered=max(round(c.duration_s * rate) for c in axes) - (stop - start),
+        acceleration, speed, force, rate, config.block, recording.sha256(), asdict(config), n_dropped, n_uncovered
     )
 
 
-def condition(
-    moved: NDArray[np.float64], pressed: NDArray[np.float64], rate_hz: float, lowpass_hz: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def condition(moved: Array, pressed: Array, rate_hz: float, lowpass_hz: float) -> tuple[Array, Array]:
     """Return a hand's speed [mm/s] and force [N], shapes (n,), through the causal low-pass of rendering.
 
     The filter starts settled on the first sample.
@@ -164,7 +155,7 @@ def condition(
     return speed_of(np.stack(filtered[:-1])), np.maximum(filtered[-1], 0.0)
 
 
-def hand_of(recording: Recording, rate_hz: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def hand_of(recording: Recording, rate_hz: float) -> tuple[Array, Array]:
     """Return velocity [mm/s] (n_axes, n) and normal force [N] (n,) at a rate, where both and any acceleration are covered.
 
     Not yet low-passed. The velocity has the axes of the plane where positions were recorded, else the speed as its only one.
@@ -173,12 +164,10 @@ def hand_of(recording: Recording, rate_hz: float) -> tuple[NDArray[np.float64], 
     Raises:
         ValueError: speed or force is missing, has holes or the wrong sign.
     """
-    channels = _hand_channels(recording)
-    for channel in channels:
-        _check_holes(next(name for name, one in recording.channels.items() if one is channel), channel)
-    start, stop = _common([*recording.axes("acceleration"), *channels], rate_hz)
-    *moved, pressed = (_slow(channel, rate_hz, stop)[start:] for channel in channels)
-    rows = np.stack(moved)
+    start, stop = _common(recording, rate_hz)
+    for name in (*recording.movement, *recording.normal_force):
+        _check_holes(name, recording[name])
+    rows = np.stack([_slow(recording[name], rate_hz, stop)[start:] for name in recording.movement])
     if "speed" not in recording:
         rows = velocity(rows, rate_hz)
         if len(rows) == 1:  # a stroke along one axis; a single row would be a speed
@@ -189,65 +178,53 @@ def hand_of(recording: Recording, rate_hz: float) -> tuple[NDArray[np.float64], 
             f"speed is negative in {int((raw < 0).sum())} of {raw.size} samples, down to {raw.min():.4g} mm/s; is it one "
             "axis of a velocity? import positions, or its magnitude"
         )
-    sign = -1.0 if np.median(channels[-1].samples) < 0 else 1.0
-    raw = sign * channels[-1].samples
+    force = recording[recording.normal_force[0]]
+    raw = pressing(force)
     if raw.min() < -WRONG_SIGN[1]:
         raise ValueError(
             f"force runs from {raw.min():.4g} to {raw.max():.4g} N, expected 0 or more; is the sensor not zeroed?"
         )
-    pressed = sign * pressed
-    return rows, pressed
+    return rows, _slow(replace(force, samples=raw), rate_hz, stop)[start:]
+
+
+def pressing(force: Channel) -> Array:
+    """Return a force as captured, pressing positive [N], shape (n,); a low-pass would hide short losses of contact."""
+    return -force.samples if np.median(force.samples) < 0 else force.samples
 
 
 def _check_holes(name: str, channel: Channel) -> None:
     holes = channel.holes()
-    if channel.times_s is not None and holes.size:
-        lengths = np.diff(channel.times_s)[holes]
+    if holes.size:
+        lengths = np.diff(channel.times)[holes]
         longest = int(lengths.argmax())
         raise ValueError(
             f"{name} has {holes.size} holes in its times, the longest {1000 * lengths[longest]:.4g} ms after "
-            f"{channel.times_s[holes[longest]]:.4g} s; import the recording again with --fill-gaps MS, or cut it"
+            f"{channel.times[holes[longest]]:.4g} s; import the recording again with --fill-gaps MS, or cut it"
         )
 
 
-def _check_size(what: str, quantity: str, largest: float) -> None:
+def _check_size(quantity: str, largest: float) -> None:
     if largest > LIMITS[quantity]:
-        unit = {"acceleration": "m/s²", "speed": "mm/s", "force": "N"}[quantity]
+        unit = UNITS[quantity].replace("^2", "²")
         raise ValueError(
-            f"{what} reaches {largest:.6g} {unit}, beyond any hand ({LIMITS[quantity]:g} {unit}); another unit, or "
+            f"the {quantity} reaches {largest:.6g} {unit}, beyond any hand ({LIMITS[quantity]:g} {unit}); another unit, or "
             "spikes? `foten inspect` shows which; --force-units takes it as it is"
         )
 
 
-def _hand_channels(recording: Recording) -> list[Channel]:
-    """Return the channels of movement, then the one of normal force."""
-    moved = [recording["speed"]] if "speed" in recording else []
-    if not moved:
-        moved = [recording[f"position_{axis}"] for axis in "xy" if f"position_{axis}" in recording]
-    if not moved:
+def _common(recording: Recording, rate_hz: float) -> tuple[int, int]:
+    """Return the first sample and the one past the last that acceleration, movement and force cover, at a rate from time 0."""
+    if not recording.movement:
         raise ValueError("the recording has no speed and no position_x, position_y channel")
-    name = "force" if "force" in recording else "force_z"
-    if name not in recording:
+    if not recording.normal_force:
         raise ValueError("the recording has no force and no force_z channel")
-    return [*moved, recording[name]]
-
-
-def _common(channels: list[Channel], rate_hz: float) -> tuple[int, int]:
-    """Return the first sample and the one past the last that every channel covers, at a rate from time 0."""
-    starts = [0.0 if channel.times_s is None else float(channel.times_s[0]) for channel in channels]
-    ends = [start + channel.duration_s for start, channel in zip(starts, channels, strict=True)]
+    hand = [recording[name] for name in (*recording.movement, *recording.normal_force)]
+    starts, ends = zip(*(channel.span_s for channel in (*recording.axes("acceleration"), *hand)), strict=True)
     return max(0, math.ceil(max(starts) * rate_hz - 1e-6)), math.floor(min(ends) * rate_hz + 1e-6)
 
 
-def _slow(channel: Channel, rate_hz: float, n: int) -> NDArray[np.float64]:
+def _slow(channel: Channel, rate_hz: float, n: int) -> Array:
     """Return a channel of the hand at a rate from time 0, shape (n,): averaged from above, interpolated from below."""
     if channel.times_s is None and channel.rate_hz > rate_hz * (1 + 1e-9):
         return decimate(channel.samples, channel.rate_hz, rate_hz)[:n]
-    return at_rate(channel.samples, times_of(channel), rate_hz, n)
-
-
-def times_of(channel: Channel) -> NDArray[np.float64]:
-    """Return when each sample was taken [s], shape (n,)."""
-    if channel.times_s is not None:
-        return channel.times_s
-    return np.arange(channel.samples.size) / channel.rate_hz
+    return at_rate(channel.samples, channel.times, rate_hz, n)

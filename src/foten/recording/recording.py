@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
@@ -13,21 +13,17 @@ from numpy.typing import NDArray
 
 AXES = ("x", "y", "z")
 
-UNITS: Mapping[str, str] = MappingProxyType(
-    {
-        "acceleration": "m/s^2",
-        **{f"acceleration_{axis}": "m/s^2" for axis in AXES},
-        "speed": "mm/s",
-        **{f"position_{axis}": "mm" for axis in AXES},
-        "force": "N",
-        **{f"force_{axis}": "N" for axis in AXES},
-    }
-)
+UNITS: Mapping[str, str] = {
+    "acceleration": "m/s^2",
+    **{f"acceleration_{axis}": "m/s^2" for axis in AXES},
+    "speed": "mm/s",
+    **{f"position_{axis}": "mm" for axis in AXES},
+    "force": "N",
+    **{f"force_{axis}": "N" for axis in AXES},
+}
 """Every channel a recording may have, with the unit it is stored in. `z` is the surface normal."""
 
-LIMITS: Mapping[str, float] = MappingProxyType(
-    {"speed": 5000.0, "acceleration": 1000.0, "force": 500.0, "position": 10_000.0}
-)
+LIMITS: Mapping[str, float] = {"speed": 5000.0, "acceleration": 1000.0, "force": 500.0, "position": 10_000.0}
 """Beyond these no hand stroked a surface: mm/s, m/s², N, mm."""
 
 HOLE = 1.5  # median steps between two times; more, and samples were lost
@@ -35,18 +31,11 @@ HOLE = 1.5  # median steps between two times; more, and samples were lost
 
 @dataclass(frozen=True)
 class Channel:
-    """One sensor signal.
+    """One sensor signal."""
 
-    Attributes:
-        samples: shape (n,), float64, in the unit that `UNITS` gives for the channel's name.
-        rate_hz: samples a second; with `times_s`, the nominal rate.
-        times_s: shape (n,), seconds; only where the capture was irregular, else None and sample `i`
-            was taken at `i / rate_hz`.
-    """
-
-    samples: NDArray[np.float64]
-    rate_hz: float
-    times_s: NDArray[np.float64] | None = None
+    samples: NDArray[np.float64]  # shape (n,), in the unit that `UNITS` gives for the channel's name
+    rate_hz: float  # samples a second; with `times_s`, the nominal rate
+    times_s: NDArray[np.float64] | None = None  # shape (n,), only where the capture was irregular; else i / rate_hz
 
     def __post_init__(self) -> None:
         if self.samples.ndim != 1 or self.samples.size == 0:
@@ -55,6 +44,17 @@ class Channel:
             raise ValueError(f"rate is {self.rate_hz} Hz, expected a positive number")
         if self.times_s is not None and self.times_s.shape != self.samples.shape:
             raise ValueError(f"{self.times_s.size} times for {self.samples.size} samples")
+
+    @property
+    def times(self) -> NDArray[np.float64]:
+        """Return when each sample was taken [s], shape (n,)."""
+        return np.arange(self.samples.size) / self.rate_hz if self.times_s is None else self.times_s
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """Return when the channel starts and ends [s], one sample period past the last sample."""
+        start = 0.0 if self.times_s is None else float(self.times_s[0])
+        return start, start + self.duration_s
 
     @property
     def duration_s(self) -> float:
@@ -82,24 +82,15 @@ class Channel:
 
 @dataclass(frozen=True)
 class Recording:
-    """Raw capture of one texture, each sensor at its own rate.
+    """Raw capture of one texture, each sensor at its own rate."""
 
-    Attributes:
-        channels: by name; names and units are those of `UNITS`.
-        texture: what was stroked, as the user calls it.
-        tool, sensors, notes: free text.
-        simulation: parameters of the simulator where it made this recording, else None. The judge asks
-            the simulator for truth with them.
-        history: what was done to the samples on the way in, one sentence each (units converted, gaps filled).
-    """
-
-    channels: Mapping[str, Channel]
-    texture: str = ""
+    channels: Mapping[str, Channel]  # by name; names and units are those of `UNITS`
+    texture: str = ""  # what was stroked, as the user calls it
     tool: str = ""
     sensors: str = ""
     notes: str = ""
-    simulation: Mapping[str, Any] | None = None
-    history: tuple[str, ...] = field(default=())
+    simulation: Mapping[str, Any] | None = None  # parameters of the simulator that made it: the judge asks it for truth
+    history: tuple[str, ...] = ()  # what was done to the samples on the way in, one sentence each
 
     def __post_init__(self) -> None:
         unknown = sorted(set(self.channels) - set(UNITS))
@@ -117,10 +108,19 @@ class Recording:
 
     def axes(self, quantity: str) -> list[Channel]:
         """Return the channels of one quantity: its axes x, y, z where recorded, else the scalar, else none."""
-        axes = [self.channels[f"{quantity}_{axis}"] for axis in AXES if f"{quantity}_{axis}" in self.channels]
-        if axes:
-            return axes
-        return [self.channels[quantity]] if quantity in self.channels else []
+        names = [f"{quantity}_{axis}" for axis in AXES if f"{quantity}_{axis}" in self] or [quantity]
+        return [self[name] for name in names if name in self]
+
+    @property
+    def movement(self) -> list[str]:
+        """Return the names of the channels that speed is taken from; empty where there is none."""
+        names = ["speed"] if "speed" in self else ["position_x", "position_y"]
+        return [name for name in names if name in self]
+
+    @property
+    def normal_force(self) -> list[str]:
+        """Return the name of the channel that normal force is taken from; empty where there is none."""
+        return [name for name in ("force", "force_z") if name in self][:1]
 
     @property
     def duration_s(self) -> float:
@@ -133,7 +133,7 @@ class Recording:
         for name in sorted(self.channels):
             channel = self.channels[name]
             digest.update(f"{name} {float(channel.rate_hz)!r} {channel.samples.size}\n".encode())
-            digest.update(np.ascontiguousarray(channel.samples, dtype="<f8").tobytes())
-            if channel.times_s is not None:
-                digest.update(np.ascontiguousarray(channel.times_s, dtype="<f8").tobytes())
+            for values in (channel.samples, channel.times_s):
+                if values is not None:
+                    digest.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
         return digest.hexdigest()

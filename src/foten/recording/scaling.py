@@ -48,7 +48,6 @@ def fit_scaling(trace: Trace, blocks: tuple[int, ...]) -> Scaling:
     mean, sd = picked.mean(axis=0), picked.std(axis=0)
     if sd[0] <= 1e-12 * max(1.0, abs(float(mean[0]))):
         raise ValueError("the acceleration is constant, expected a vibration; is the right column mapped?")
-    for channel in (1, 2):
-        if sd[channel] <= 1e-9 * max(1.0, abs(float(mean[channel]))):
-            sd[channel] = max(1.0, abs(float(mean[channel])))
-    return Scaling(mean=tuple(float(x) for x in mean), sd=tuple(float(x) for x in sd))  # type: ignore[arg-type]
+    magnitude = np.maximum(1.0, np.abs(mean[1:]))
+    sd[1:] = np.where(sd[1:] <= 1e-9 * magnitude, magnitude, sd[1:])
+    return Scaling(tuple(mean.tolist()), tuple(sd.tolist()))

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -19,37 +20,20 @@ METHODS = ("regrouped", "contiguous")
 
 @dataclass(frozen=True)
 class Split:
-    """Block numbers of training, validation and test, and how they were drawn.
-
-    Attributes:
-        train, validation, test: block numbers in the trace.
-        n_blocks, block: how the trace was cut; a split fits no other trace.
-        method: `regrouped` by speed and force (Sec. VI) or `contiguous` in time, the leakage control.
-        seed: of the draw; unused by `contiguous`.
-        recording_sha256: the recording that was split.
-    """
+    """Block numbers of training, validation and test, and how they were drawn."""
 
     train: tuple[int, ...]
     validation: tuple[int, ...]
     test: tuple[int, ...]
-    n_blocks: int
+    n_blocks: int  # of `block` samples, into which the trace was cut; a split fits no other trace
     block: int
-    method: str
-    seed: int
+    method: str  # `regrouped` by speed and force (Sec. VI) or `contiguous` in time, the leakage control
+    seed: int  # of the draw; unused by `contiguous`
     recording_sha256: str = ""
 
     def sha256(self) -> str:
         """Return the digest of everything above."""
-        return hashlib.sha256(self.to_json().encode()).hexdigest()
-
-    def to_json(self) -> str:
-        """Return the split as JSON, keys sorted."""
-        return json.dumps(asdict(self), sort_keys=True)
-
-    @staticmethod
-    def from_json(text: str) -> Split:
-        """Return the split that `to_json` wrote."""
-        return Split.from_fields(json.loads(text))
+        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
 
     @staticmethod
     def from_fields(fields: Mapping[str, Any]) -> Split:
@@ -90,9 +74,7 @@ def split_blocks(trace: Trace, method: str = "regrouped", seed: int = 0) -> Spli
         )
     n_held = max(1, round(0.2 * n))  # of validation and of test
     if method == "contiguous":
-        order = list(range(n))
-        cut = n - 2 * n_held
-        parts = order[:cut], order[cut : cut + n_held], order[cut + n_held :]
+        parts = tuple(part.tolist() for part in np.split(np.arange(n), [n - 2 * n_held, n - n_held]))
     else:
         parts = _regroup(trace, n_held, np.random.default_rng(seed))
     train, validation, test = (tuple(sorted(part)) for part in parts)
@@ -115,9 +97,7 @@ def _regroup(trace: Trace, n_held: int, rng: np.random.Generator) -> tuple[list[
     for cell in cells:
         rng.shuffle(cell)
     order = [cells[i] for i in rng.permutation(len(cells))]
-    dealt = [
-        block for layer in range(max(map(len, order))) for cell in order if layer < len(cell) for block in [cell[layer]]
-    ]
+    dealt = [block for layer in zip_longest(*order) for block in layer if block is not None]
     test, validation = dealt[0 : 2 * n_held : 2], dealt[1 : 2 * n_held : 2]
     others = [block for block in range(n) if block not in set(test) | set(validation)]
     return others, validation, test

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 CHANNELS = ("acceleration", "speed", "force")
 """The three columns of a trace and of a window, in this order (Eq. 1)."""
@@ -15,29 +17,17 @@ CHANNELS = ("acceleration", "speed", "force")
 
 @dataclass(frozen=True)
 class Trace:
-    """Whole blocks of acceleration, speed and force at one rate.
+    """Whole blocks of acceleration, speed and force at one rate."""
 
-    Attributes:
-        acceleration: single-axis tool vibration [m/s²], shape (n,), n a multiple of `block`.
-        speed: tangential scanning speed [mm/s], shape (n,).
-        force: normal force [N], shape (n,).
-        rate_hz: samples a second.
-        block: samples in a block, the unit of the split; windows never straddle blocks.
-        recording_sha256: digest of the recording that this was made from.
-        preprocess: the resolved configuration that made it.
-        n_dropped: samples at the end that did not fill a block.
-        n_uncovered: samples of the acceleration left out because speed or force does not cover them.
-    """
-
-    acceleration: NDArray[np.float64]
-    speed: NDArray[np.float64]
-    force: NDArray[np.float64]
+    acceleration: Array  # single-axis tool vibration [m/s²], shape (n,), n a multiple of `block`
+    speed: Array  # tangential scanning speed [mm/s], shape (n,)
+    force: Array  # normal force [N], shape (n,)
     rate_hz: float
-    block: int
+    block: int  # samples in a block, the unit of the split; windows never straddle blocks
     recording_sha256: str = ""
-    preprocess: Mapping[str, Any] = field(default_factory=dict)
-    n_dropped: int = 0
-    n_uncovered: int = 0
+    preprocess: Mapping[str, Any] = field(default_factory=dict)  # the resolved configuration that made it
+    n_dropped: int = 0  # samples at the end that did not fill a block
+    n_uncovered: int = 0  # samples of the acceleration left out because speed or force does not cover them
 
     def __post_init__(self) -> None:
         n = self.acceleration.size
@@ -54,10 +44,15 @@ class Trace:
         """Return the number of blocks."""
         return len(self) // self.block
 
-    def blocks(self, channel: NDArray[np.float64]) -> NDArray[np.float64]:
+    def blocks(self, channel: Array) -> Array:
         """Return one channel as shape (n_blocks, block), a view."""
         return channel.reshape(self.n_blocks, self.block)
 
-    def stacked(self) -> NDArray[np.float64]:
+    def picked(self, blocks: Sequence[int]) -> tuple[Array, Array, Array]:
+        """Return acceleration, speed and force of some blocks, shape (len(blocks), block) each."""
+        which = list(blocks)
+        return self.blocks(self.acceleration)[which], self.blocks(self.speed)[which], self.blocks(self.force)[which]
+
+    def stacked(self) -> Array:
         """Return acceleration, speed and force as columns, shape (n, 3)."""
         return np.stack([self.acceleration, self.speed, self.force], axis=1)

@@ -26,3 +26,8 @@ def window_indices(n: NDArray[np.int64], m: int) -> NDArray[np.int64]:
 def windows(samples: NDArray[np.float64], n: NDArray[np.int64], m: int) -> NDArray[np.float64]:
     """Return the windows before the given indices: samples (t, 3) → (b, m, 3)."""
     return samples[window_indices(n, m)]
+
+
+def stretches(samples: NDArray[np.float64], n: NDArray[np.int64], m: int) -> NDArray[np.float64]:
+    """Return rows of consecutive samples and the window before each: n (s, k), samples (t, 3) → (s, m + k, 3)."""
+    return samples[n[:, :1] + np.arange(-m, n.shape[1])]

@@ -1,5 +1,3 @@
 """The report of a judgement: one self-contained HTML file with verdict, sound, tables and figures."""
 
-from foten.evaluate.report.page import write_report
-
-__all__ = ["write_report"]
+from foten.evaluate.report.page import write_report as write_report

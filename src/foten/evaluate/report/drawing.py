@@ -33,21 +33,21 @@ def new_figure(width: float, height: float, **options: Any) -> tuple[Figure, Any
 
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasSVG(figure)
-    ratios = options.pop("height_ratios", None)
-    panels = figure.subplots(**options, gridspec_kw={"height_ratios": ratios} if ratios else None)
+    panels = figure.subplots(**options)
     for axes in np.atleast_1d(panels).ravel():
         axes.spines[["top", "right"]].set_visible(False)
-        for spine in axes.spines.values():
-            spine.set_color(INK)
-            spine.set_alpha(0.5)
+        axes.spines[:].set(color=INK, alpha=0.5)
         axes.tick_params(color=INK, labelcolor=INK, labelsize=9)
-        axes.xaxis.label.set_color(INK)
-        axes.yaxis.label.set_color(INK)
         axes.grid(color=INK, alpha=0.12, linewidth=0.7)
         axes.set_axisbelow(True)
-        axes.xaxis.label.set_size(9)
-        axes.yaxis.label.set_size(9)
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.label.set(color=INK, size=9)
     return figure, panels
+
+
+def add_legend(axes: Any, fontsize: float = 8.5, **options: Any) -> None:
+    """Add a legend, in the report's style; `options` as of `Axes.legend`."""
+    axes.legend(frameon=False, fontsize=fontsize, labelcolor=INK, **options)
 
 
 def log_hertz(axes: Any, low: float, high: float) -> None:
@@ -90,8 +90,7 @@ def inline_svg(figure: Figure, name: str, description: str) -> str:
     # Text stays text: it can be searched, takes the page's font and is a tenth of the outlines' size.
     with matplotlib.rc_context({"svg.hashsalt": name, "svg.fonttype": "none", "svg.image_inline": True}):
         figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
-    svg = buffer.getvalue()
-    svg = svg[svg.index("<svg") :]
+    svg = "<svg" + buffer.getvalue().partition("<svg")[2]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     # Inside HTML the parser knows both namespaces.
     svg = re.sub(r' xmlns(?::\w+)?="[^"]*"', "", svg)
@@ -99,7 +98,5 @@ def inline_svg(figure: Figure, name: str, description: str) -> str:
     svg = re.sub(r"font-family: [^;\"]*", "font-family: inherit", svg)
     # A style element would rule the whole page; both properties are inherited from the root as well.
     svg = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", svg, flags=re.DOTALL)
-    svg = svg.replace(INK, "currentColor")
-    return svg.replace(
-        "<svg ", f'<svg role="img" aria-label="{html.escape(description)}" style="stroke-linejoin: round" ', 1
-    ).rstrip()
+    attributes = f'role="img" aria-label="{html.escape(description)}" style="stroke-linejoin: round"'
+    return svg.replace(INK, "currentColor").replace("<svg ", f"<svg {attributes} ", 1).rstrip()

@@ -1,37 +1,38 @@
-"""Figures of a judgement: waveform, spectrum, bands, conditions."""
+"""Figures of a judgement: waveform, spectrum, bands, conditions, and all of it over time."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from foten.evaluate import metrics
+from foten.dsp.distance import HIGHEST_HZ, LOWEST_HZ
+from foten.dsp.level import FRAME_MS, frame_levels
 from foten.evaluate.evaluate import Judgement
-from foten.evaluate.free_run import scored
-from foten.evaluate.report.drawing import COLOURS, INK, STYLES, log_hertz, new_figure, style_colorbar
-from foten.evaluate.report.signals import (
-    LABELS,
-    N_WAVEFORM,
-    densities,
-    level_errors,
-    scored_channels,
-    shown_run,
-    typical_block,
-)
+from foten.evaluate.metrics import band_edges
+from foten.evaluate.report import signals
+from foten.evaluate.report.drawing import COLOURS, INK, STYLES, add_legend, log_hertz, new_figure, style_colorbar
+from foten.evaluate.report.signals import LABELS, scored_hand, scored_runs, shown_blocks, shown_run
 from foten.families.texture_file import Texture
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+Array = NDArray[np.float64]
+
+_SPECTROGRAM_MS = 64.0  # of a spectrogram's window: a texture's level changes within a few frames of 40 ms
+_SPECTROGRAM_COLUMNS = 700
+_SPECTROGRAM_DB = 50.0  # of the colour scale, down from the loudest recorded cell
+
 
 def waveform(judgement: Judgement) -> Figure:
     """Return the first 400 scored samples of the typical block: recorded, the texture's run, AR(20); one scale."""
-    block, part = typical_block(judgement), scored(judgement.trace.block)
-    rows = {"recorded": scored_channels(judgement)[0][block, :N_WAVEFORM]}
-    for name in (shown_run(judgement), "free_run_ar"):
-        if name is not None and name in judgement.synthesized:
-            rows[name] = judgement.synthesized[name][0, block, part][:N_WAVEFORM]
+    runs, block = scored_runs(judgement), signals.typical_block(judgement)
+    names = [name for name in ("recorded", shown_run(judgement), "free_run_ar") if name in runs]
+    rows = {name: runs[name][0, block, : signals.N_WAVEFORM] for name in names}
     figure, panels = new_figure(9.6, 0.55 + 1.15 * len(rows), nrows=len(rows), sharex=True, sharey=True, squeeze=False)
     times = np.arange(len(rows["recorded"])) / judgement.trace.rate_hz * 1000
     for axes, (name, samples) in zip(panels[:, 0], rows.items(), strict=True):
@@ -48,64 +49,53 @@ def waveform(judgement: Judgement) -> Figure:
 
 def spectrum(judgement: Judgement) -> Figure:
     """Return the pooled power spectral densities [dB re 1 (m/s²)²/Hz] of every run over log frequency."""
-    frequencies, pooled = densities(judgement)
+    frequencies, pooled = signals.densities(judgement)
     in_db = {name: 10 * np.log10(np.maximum(density, 1e-30)) for name, density in pooled.items()}
     figure, axes = new_figure(9.6, 3.7)
     top = max(float(line.max()) for line in in_db.values())
     lowest = min(float(line.min()) for name, line in in_db.items() if name != "free_run_deterministic")
     bottom = max(lowest, float(in_db["recorded"].min()) - 20) - 4  # a silent run may not flatten the others
     for name, line in in_db.items():
+        style = {
+            "linewidth": 2.2 if name == "recorded" else 1.5,
+            "linestyle": STYLES.get(name, "solid"),
+            "marker": "o" if len(frequencies) < 12 else None,
+            "zorder": 3 if name in ("recorded", "free_run") else 2,
+        }
         hidden = " (below the axis)" if line.max() < bottom else ""
-        axes.plot(
-            frequencies,
-            line,
-            color=COLOURS[name],
-            linewidth=2.2 if name == "recorded" else 1.5,
-            linestyle=STYLES.get(name, "solid"),
-            marker="o" if len(frequencies) < 12 else None,
-            markersize=3,
-            zorder=3 if name in ("recorded", "free_run") else 2,
-            label=LABELS[name] + hidden,
-        )
+        axes.plot(frequencies, line, color=COLOURS[name], markersize=3, label=LABELS[name] + hidden, **style)
     axes.set_ylim(bottom, top + 3)
-    log_hertz(axes, metrics.LOWEST_HZ, min(metrics.HIGHEST_HZ, 0.45 * judgement.trace.rate_hz))
-    axes.set_ylabel("density [dB re 1 (m/s²)²/Hz]")
-    axes.set_xlabel("frequency [Hz]")
-    axes.legend(frameon=False, fontsize=9, labelcolor=INK)
+    log_hertz(axes, LOWEST_HZ, min(HIGHEST_HZ, 0.45 * judgement.trace.rate_hz))
+    axes.set(xlabel="frequency [Hz]", ylabel="density [dB re 1 (m/s²)²/Hz]")
+    add_legend(axes, fontsize=9)
     return figure
 
 
 def bands(judgement: Judgement) -> Figure | None:
     """Return the energy error of the nine bands for the texture's run, AR(20) and the ceiling; None without any."""
-    document = judgement.document
-    shown = {
-        name: document[name]["band_errors_db"]
-        for name in (shown_run(judgement), "free_run_ar", "ceiling")
-        if name is not None and document[name].get("band_errors_db")
-    }
+    names = [name for name in (shown_run(judgement), "free_run_ar", "ceiling") if name is not None]
+    errors_of = {name: judgement.document[name].get("band_errors_db") for name in names}
+    shown = {name: errors for name, errors in errors_of.items() if errors}
     if not shown:
         return None
     figure, axes = new_figure(4.9, 3.4)
     width = 0.8 / len(shown)
     for k, (name, errors) in enumerate(shown.items()):
         known = [i for i, error in enumerate(errors) if error is not None]
-        left = np.array(known) - 0.4 + k * width
-        heights = [errors[i] for i in known]
+        left, heights = np.array(known) - 0.4 + k * width, [errors[i] for i in known]
         axes.bar(left, heights, 0.92 * width, align="edge", color=COLOURS[name], label=LABELS[name])
     axes.axhline(0, color=INK, linewidth=0.8)
     for i, error in enumerate(next(iter(shown.values()))):
         if error is None:
             axes.text(i, 0, " no bin", rotation=90, ha="center", va="bottom", fontsize=8, color=INK, alpha=0.6)
-    edges = metrics.band_edges(judgement.trace.rate_hz)
+    edges = band_edges(judgement.trace.rate_hz)
     axes.set_xticks(np.arange(len(edges)) - 0.5, [f"{edge:.0f}" for edge in edges])
     axes.tick_params(axis="x", labelsize=8)
-    axes.set_xlim(-0.55, len(edges) - 1.45)
     axes.grid(visible=False, axis="x")
-    axes.set_xlabel("band edges [Hz]")
-    axes.set_ylabel("energy error [dB]")
     low, high = axes.get_ylim()
-    axes.set_ylim(low, high + 0.16 * (high - low))
-    axes.legend(frameon=False, fontsize=8.5, ncols=3, loc="upper center", columnspacing=1.2, labelcolor=INK)
+    axes.set(xlabel="band edges [Hz]", ylabel="energy error [dB]")
+    axes.set(xlim=(-0.55, len(edges) - 1.45), ylim=(low, high + 0.16 * (high - low)))
+    add_legend(axes, ncols=3, loc="upper center", columnspacing=1.2)
     return figure
 
 
@@ -114,49 +104,111 @@ def conditions(judgement: Judgement, texture: Texture) -> Figure | None:
     name = shown_run(judgement)
     if name is None:
         return None
-    trace = judgement.trace
-    _, speed, force = scored_channels(judgement)
-    errors = level_errors(judgement, name)
+    errors = signals.level_errors(judgement, name)
     figure, axes = new_figure(4.9, 3.4)
     if judgement.document["split"] != "foreign":
-        train = list(texture.card["split"]["train"])
-        means = (trace.blocks(channel)[train].mean(axis=1) for channel in (trace.speed, trace.force))
+        _, *hand = judgement.trace.picked(texture.card["split"]["train"])
+        means = (channel.mean(axis=1) for channel in hand)
         axes.plot(*means, "x", color=INK, alpha=0.45, markersize=4, label="training")
     limit = max(1.0, float(np.abs(errors).max()))
-    points = axes.scatter(
-        speed.mean(axis=1),
-        force.mean(axis=1),
-        c=errors,
-        s=52,
-        cmap="RdBu_r",
-        vmin=-limit,
-        vmax=limit,
-        edgecolors=INK,
-        linewidths=0.8,
-        zorder=3,
-        label="judged",
-    )
+    colours = {"c": errors, "cmap": "RdBu_r", "vmin": -limit, "vmax": limit, "edgecolors": INK}
+    means = (channel.mean(axis=1) for channel in scored_hand(judgement))
+    points = axes.scatter(*means, s=52, linewidths=0.8, zorder=3, label="judged", **colours)
     (low, high), (least, most) = (texture.trained_range(channel) for channel in ("speed", "force"))
-    axes.plot(
-        [low, high, high, low, low],
-        [least, least, most, most, least],
-        color=INK,
-        alpha=0.6,
-        linewidth=0.8,
-        linestyle=(0, (4, 3)),
-        label="trained range",
-    )
+    corners = [low, high, high, low, low], [least, least, most, most, least]
+    axes.plot(*corners, color=INK, alpha=0.6, linewidth=0.8, linestyle=(0, (4, 3)), label="trained range")
     style_colorbar(figure.colorbar(points, ax=axes, pad=0.02, aspect=28), "level error [dB]")
-    axes.set_xlabel("mean speed [mm/s]")
-    axes.set_ylabel("mean force [N]")
+    axes.set(xlabel="mean speed [mm/s]", ylabel="mean force [N]")
     axes.margins(0.08, 0.12)
-    axes.legend(
-        frameon=False,
-        fontsize=8.5,
-        ncols=3,
-        loc="lower center",
-        bbox_to_anchor=(0.5, 1.0),
-        columnspacing=1.2,
-        labelcolor=INK,
-    )
+    add_legend(axes, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), columnspacing=1.2)
     return figure
+
+
+def over_time(judgement: Judgement) -> Figure:
+    """Return spectrograms, level, speed and force of the scored blocks, joined on one time axis."""
+    which, rate_hz, name = shown_blocks(judgement), judgement.trace.rate_hz, shown_run(judgement)
+    every = scored_runs(judgement)
+    runs = {key: run[:, which] for key, run in every.items()}
+    seconds = runs["recorded"].shape[2] / rate_hz
+    borders = np.arange(len(which) + 1) * seconds
+    pictured = {key: runs[key][0] for key in ("recorded", name) if key in runs}
+    n = len(pictured)
+    ratios = [1.45] * n + [1.5, 0.75, 0.75]
+    figure, panels = new_figure(9.6, 1.6 * n + 4.0, nrows=n + 3, sharex=True, height_ratios=ratios)
+    _draw_spectrograms(panels[:n], pictured, rate_hz, borders)
+    bar = figure.colorbar(panels[0].images[0], ax=list(panels[:n]), pad=0.01, aspect=15 * n)
+    style_colorbar(bar, "dB re 1 (m/s²)²/Hz")
+    lines = {key: runs[key] for key in ("recorded", name, "free_run_ar") if key in runs}
+    _draw_levels(panels[n], lines, rate_hz, borders, float(np.sqrt(np.square(every["recorded"]).mean())))
+    times = _with_gaps(borders[:-1, None] + np.arange(runs["recorded"].shape[2]) / rate_hz)
+    step = max(1, len(times) // 4000)
+    labels = "speed\n[mm/s]", "force\n[N]"
+    for axes, channel, label in zip(panels[n + 1 :], scored_hand(judgement), labels, strict=True):
+        axes.plot(times[::step], _with_gaps(channel[which])[::step], color=INK, linewidth=1.1)
+        axes.set_ylabel(label)
+        axes.margins(y=0.15)
+    for axes in panels[n:]:
+        for border in borders[1:-1]:
+            axes.axvline(border, color=INK, alpha=0.45, linewidth=0.8)
+    for middle, index in zip(borders[:-1] + seconds / 2, which, strict=True):
+        place = {"xy": (middle, 0.04), "xycoords": ("data", "axes fraction"), "ha": "center"}
+        panels[-1].annotate(f"block {judgement.blocks[index]}", **place, fontsize=7.5, alpha=0.75, color=INK)
+    panels[0].set_xlim(0, borders[-1])
+    panels[-1].set_xlabel("scored time, blocks joined [s]")
+    figure.align_ylabels()
+    return figure
+
+
+def _draw_spectrograms(panels: Any, blocks_of: Mapping[str, Array], rate_hz: float, borders: Array) -> None:
+    """Draw a spectrogram of each signal (n_blocks, n) on the colour scale of the recorded one."""
+    cells = {key: _spectrogram(blocks, rate_hz) for key, blocks in blocks_of.items()}
+    loudest = float(cells["recorded"][1].max())
+    scale = {"cmap": "magma", "vmin": loudest - _SPECTROGRAM_DB, "vmax": loudest}
+    for axes, (key, (edges, decibels)) in zip(panels, cells.items(), strict=True):
+        extent = (0, borders[-1], *edges)
+        axes.imshow(decibels, origin="lower", aspect="auto", interpolation="none", extent=extent, **scale)
+        axes.grid(visible=False)
+        axes.set_ylabel("frequency\n[Hz]")
+        axes.set_title(LABELS[key], loc="left", color=COLOURS[key], fontsize=10)
+        for border in borders[1:-1]:
+            axes.axvline(border, color="white", linewidth=1.2)
+
+
+def _draw_levels(axes: Any, runs: Mapping[str, Array], rate_hz: float, borders: Array, reference: float) -> None:
+    """Draw the frame levels of each signal (n_seeds, n_blocks, n), and the range of the seeds of the texture's run."""
+    frame_s = max(1, round(FRAME_MS * rate_hz / 1000)) / rate_hz
+    for key, samples in runs.items():
+        levels = frame_levels(samples, rate_hz, reference)
+        times = _with_gaps(borders[:-1, None] + (np.arange(levels.shape[-1]) + 0.5) * frame_s)
+        levels = np.stack([_with_gaps(run) for run in levels])
+        style = {"linewidth": 1.8 if key == "recorded" else 1.3, "linestyle": STYLES.get(key, "solid")}
+        axes.plot(times, levels.mean(axis=0), color=COLOURS[key], label=LABELS[key], **style)
+        if len(levels) > 1 and key != "free_run_ar":
+            low, high = levels.min(axis=0), levels.max(axis=0)
+            axes.fill_between(times, low, high, color=COLOURS[key], alpha=0.22, linewidth=0)
+    axes.set_ylabel("level\n[dB re recorded]")
+    add_legend(axes, ncols=len(runs), loc="lower right", bbox_to_anchor=(1.0, 0.98), borderaxespad=0)
+
+
+def _spectrogram(blocks: Array, rate_hz: float) -> tuple[tuple[float, float], Array]:
+    """Return the lowest and highest edge [Hz] and the density [dB], shape (k, time), of joined blocks (n_blocks, n)."""
+    from scipy import signal
+
+    n = blocks.shape[1]
+    n_segment = min(2 ** round(math.log2(max(16.0, _SPECTROGRAM_MS * rate_hz / 1000))), 2 ** int(math.log2(n // 4)))
+    hop = max(n_segment // 8, -(-blocks.size // _SPECTROGRAM_COLUMNS))
+    # Each block is mirrored at its ends, so that no window crosses a border.
+    padded = np.pad(blocks, ((0, 0), (n_segment // 2, n_segment // 2 + n % 2)), mode="reflect")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, n_segment, axis=1)[:, np.arange(0, n, hop)]
+    taper = signal.get_window("hann", n_segment)
+    density = np.square(np.abs(np.fft.rfft(windows * taper, axis=-1))) * 2 / (rate_hz * np.square(taper).sum())
+    frequencies = np.fft.rfftfreq(n_segment, 1 / rate_hz)
+    kept = frequencies <= min(HIGHEST_HZ, 0.45 * rate_hz)
+    decibels = 10 * np.log10(np.maximum(density[..., kept], 1e-30)).reshape(-1, int(kept.sum())).T
+    half = frequencies[1] / 2
+    return (-half, float(frequencies[kept][-1]) + half), decibels
+
+
+def _with_gaps(blocks: Array) -> Array:
+    """Return blocks (n_blocks, n) in one row with a NaN after each, which interrupts a drawn line."""
+    return np.pad(blocks, ((0, 0), (0, 1)), constant_values=np.nan).ravel()

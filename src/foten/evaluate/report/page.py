@@ -7,19 +7,19 @@ import html
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from foten.atomic_write import atomic_write
 from foten.evaluate.evaluate import Judgement
-from foten.evaluate.report import figures
+from foten.evaluate.report import figures, signals
 from foten.evaluate.report.drawing import inline_svg
-from foten.evaluate.report.over_time import over_time
-from foten.evaluate.report.signals import LABELS, N_WAVEFORM, shown_blocks, shown_run, typical_block
-from foten.evaluate.report.sound import AUDIO_HZ, WAV_HEADER, sounds
+from foten.evaluate.report.signals import LABELS, shown_blocks, shown_run
 from foten.evaluate.report.tables import free_run_section, one_step_section
-from foten.evaluate.report.verdict import cautions, verdict
-from foten.evaluate.report.wording import reason
+from foten.evaluate.report.verdict import cautions, reason, verdict
 from foten.families.texture_file import Texture
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _MARKS = {"good": "✓", "even": "≈", "bad": "✗", "unknown": "–"}
 
@@ -61,9 +61,7 @@ def page(judgement: Judgement, texture: Texture) -> str:
 
 def _header(document: Mapping[str, Any], texture: Texture, name: str) -> str:
     card, block_ms = texture.card, 1000 * document["block"] / document["rate_hz"]
-    split = document["split"]
-    if document["split_sha256"]:
-        split = f"{split} {document['split_sha256'][:10]}"
+    split = f"{document['split']} {(document['split_sha256'] or '')[:10]}".rstrip()
     (slow, fast), (light, heavy) = (texture.trained_range(channel) for channel in ("speed", "force"))
     facts = {
         "model": document["model"],
@@ -101,15 +99,14 @@ def _sound_section(judgement: Judgement) -> str:
     name = shown_run(judgement)
     if name is None:
         return ""
-    recorded, synthesized, full_scale = sounds(judgement, name)
-    players = ""
-    for label, data in (("recorded", recorded), (f"synthesized ({LABELS[name]})", synthesized)):
-        text = base64.b64encode(data).decode("ascii")
-        players += (
-            f"<figure><figcaption>{label}</figcaption>"
-            f'<audio controls loop preload="metadata" src="data:audio/wav;base64,{text}"></audio></figure>'
-        )
-    seconds = (len(recorded) - WAV_HEADER) / 2 / AUDIO_HZ
+    recorded, synthesized, full_scale = signals.sounds(judgement, name)
+    labelled = {"recorded": recorded, f"synthesized ({LABELS[name]})": synthesized}
+    players = "".join(
+        f'<figure><figcaption>{label}</figcaption><audio controls loop preload="metadata" '
+        f'src="data:audio/wav;base64,{base64.b64encode(data).decode("ascii")}"></audio></figure>'
+        for label, data in labelled.items()
+    )
+    seconds = (len(recorded) - signals.WAV_HEADER) / 2 / signals.AUDIO_HZ
     return (
         f'<section id="sound"><h2>Listen</h2><div class="pair">{players}</div>'
         f'<p class="notes">{seconds:.1f} s of the judged blocks, joined, in a loop; both at the same gain: full scale is '
@@ -118,66 +115,53 @@ def _sound_section(judgement: Judgement) -> str:
 
 
 def _figures_section(judgement: Judgement, texture: Texture) -> str:
-    document = judgement.document
     if shown_run(judgement) is None:
-        why = html.escape(reason(document, "free_run"))
+        why = html.escape(reason(judgement.document, "free_run"))
         return f'<section id="figures"><h2>Figures</h2><p>None: {why}.</p></section>'
-    block = judgement.blocks[typical_block(judgement)]
     shown, n = len(shown_blocks(judgement)), len(judgement.blocks)
     some = "" if shown == n else f" {shown} of the {n} blocks, spread evenly."
     both = {"free_run", "free_run_ar"} <= judgement.synthesized.keys()
     same = " AR(20) is driven by the same noise." if both else ""
+    block = judgement.blocks[signals.typical_block(judgement)]
+    captions = {
+        "Waveform": f"The first {signals.N_WAVEFORM} scored samples of block {block}, the one of median level. "
+        f"A free run is another realisation: its character should match, its samples cannot.{same}",
+        "Power spectral density": "Pooled over the scored samples of all judged blocks and all seeds: the spectra that "
+        "the log-spectral distance is measured on.",
+        "Error in nine bands": "Energy against the recorded, in bands equal in log frequency; above 0 is too much.",
+        "Where it is right": "Each judged block at its mean speed and force; red is too loud, blue too soft.",
+        "Over time": "Spectrograms of the first seed on one colour scale, level in frames of 40 ms (band: lowest to highest "
+        f"seed), speed and force, on one time axis; lines mark block borders.{some}",
+    }
     drawn = {
-        "waveform": (
-            figures.waveform(judgement),
-            "Waveform",
-            f"The first {N_WAVEFORM} scored samples of block {block}, the one of median level. "
-            f"A free run is another realisation: its character should match, its samples cannot.{same}",
-        ),
-        "spectrum": (
-            figures.spectrum(judgement),
-            "Power spectral density",
-            "Pooled over the scored samples of all judged blocks and all seeds: the spectra that the log-spectral distance "
-            "is measured on.",
-        ),
-        "bands": (
-            figures.bands(judgement),
-            "Error in nine bands",
-            "Energy against the recorded, in bands equal in log frequency; above 0 is too much.",
-        ),
-        "conditions": (
-            figures.conditions(judgement, texture),
-            "Where it is right",
-            "Each judged block at its mean speed and force; red is too loud, blue too soft.",
-        ),
-        "time": (
-            over_time(judgement),
-            "Over time",
-            "Spectrograms of the first seed on one colour scale, level in frames of 40 ms (band: lowest to highest seed), "
-            f"speed and force, on one time axis; lines mark block borders.{some}",
-        ),
+        "waveform": figures.waveform(judgement),
+        "spectrum": figures.spectrum(judgement),
+        "bands": figures.bands(judgement),
+        "conditions": figures.conditions(judgement, texture),
+        "time": figures.over_time(judgement),
     }
-    parts = {
-        name: f'<figure id="figure-{name}"><h3>{title}</h3>{inline_svg(figure, name, f"{title}. {caption}")}'
-        f"<figcaption>{html.escape(caption)}</figcaption></figure>"
-        for name, (figure, title, caption) in drawn.items()
-        if figure is not None
-    }
-    pair = "".join(parts.pop(name) for name in ("bands", "conditions") if name in parts)
-    time = parts.pop("time")
+    waveform, spectrum, bands, conditions, over_time = (
+        "" if figure is None else _figure(name, figure, title, caption)
+        for (name, figure), (title, caption) in zip(drawn.items(), captions.items(), strict=True)
+    )
     return (
-        f'<section id="figures"><h2>Figures</h2>{"".join(parts.values())}<div class="pair">{pair}</div>{time}</section>'
+        f'<section id="figures"><h2>Figures</h2>{waveform}{spectrum}<div class="pair">{bands}{conditions}</div>'
+        f"{over_time}</section>"
+    )
+
+
+def _figure(name: str, figure: Figure, title: str, caption: str) -> str:
+    return (
+        f'<figure id="figure-{name}"><h3>{title}</h3>{inline_svg(figure, name, f"{title}. {caption}")}'
+        f"<figcaption>{html.escape(caption)}</figcaption></figure>"
     )
 
 
 def _raw_section(document: Mapping[str, Any], texture: Texture) -> str:
-    def block(title: str, value: Any) -> str:
-        text = html.escape(json.dumps(value, indent=1, ensure_ascii=False))
-        return f"<details><summary>{title}</summary><pre>{text}</pre></details>"
-
-    return (
-        '<section id="raw"><h2>Raw</h2>'
-        + block("All figures (JSON)", dict(document))
-        + block("The texture's card (JSON)", dict(texture.card))
-        + "</section>"
+    shown = {"All figures (JSON)": document, "The texture's card (JSON)": texture.card}
+    blocks = "".join(
+        f"<details><summary>{title}</summary><pre>{html.escape(json.dumps(dict(value), indent=1, ensure_ascii=False))}</pre>"
+        "</details>"
+        for title, value in shown.items()
     )
+    return f'<section id="raw"><h2>Raw</h2>{blocks}</section>'

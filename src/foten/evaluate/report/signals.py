@@ -1,11 +1,17 @@
-"""The signals of a judgement that figures and sound show: which run, which blocks, levels and densities."""
+"""The signals of a judgement that the report shows: which run, which blocks, their levels, densities and sound."""
 
 from __future__ import annotations
+
+import io
+import wave
+from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.evaluate import metrics
+from foten.dsp.distance import scored_bins, segment_length, welch
+from foten.dsp.level import frame_levels
+from foten.dsp.resample import decimate, interpolate
 from foten.evaluate.evaluate import Judgement
 from foten.evaluate.free_run import scored
 
@@ -13,6 +19,11 @@ Array = NDArray[np.float64]
 
 N_WAVEFORM = 400  # samples
 N_BLOCKS_SHOWN = 12  # over time; more would be narrower than a frame
+AUDIO_HZ = 8000
+AUDIO_S = 8.0  # of each player, at most
+WAV_HEADER = 44  # bytes
+_FADE_S = 0.004  # at block borders, so that the joints do not click
+_PEAK = 0.9  # of full scale
 LABELS = {
     "recorded": "recorded",
     "free_run": "free run",
@@ -28,14 +39,18 @@ def shown_run(judgement: Judgement) -> str | None:
     return next((name for name in ("free_run", "free_run_deterministic") if name in judgement.synthesized), None)
 
 
-def scored_channels(judgement: Judgement) -> tuple[Array, Array, Array]:
-    """Return recorded acceleration [m/s²], speed [mm/s] and force [N] of the scored samples, each (n_blocks, n)."""
-    trace, part = judgement.trace, scored(judgement.trace.block)
-    acceleration, speed, force = (
-        trace.blocks(channel)[list(judgement.blocks), part]
-        for channel in (trace.acceleration, trace.speed, trace.force)
-    )
-    return acceleration, speed, force
+def scored_runs(judgement: Judgement) -> dict[str, Array]:
+    """Return the scored samples of `recorded` and of each run [m/s²], (n_seeds, n_blocks, n), in the order of `LABELS`."""
+    recorded = judgement.trace.picked(judgement.blocks)[0][None]
+    runs, part = {"recorded": recorded, **judgement.synthesized}, scored(judgement.trace.block)
+    return {name: runs[name][:, :, part] for name in LABELS if name in runs}
+
+
+def scored_hand(judgement: Judgement) -> tuple[Array, Array]:
+    """Return speed [mm/s] and force [N] of the scored samples, each (n_blocks, n)."""
+    _, speed, force = judgement.trace.picked(judgement.blocks)
+    part = scored(judgement.trace.block)
+    return speed[:, part], force[:, part]
 
 
 def shown_blocks(judgement: Judgement) -> NDArray[np.int64]:
@@ -46,17 +61,16 @@ def shown_blocks(judgement: Judgement) -> NDArray[np.int64]:
 
 def typical_block(judgement: Judgement) -> int:
     """Return which of the judged blocks has the median recorded level (the lower of two)."""
-    levels = np.square(scored_channels(judgement)[0]).mean(axis=1)
+    levels = np.square(scored_runs(judgement)["recorded"][0]).mean(axis=1)
     return int(np.argsort(levels, kind="stable")[(len(levels) - 1) // 2])
 
 
 def level_errors(judgement: Judgement, name: str) -> Array:
     """Return a run's mean level error [dB] in each judged block, mean over frames of 40 ms and seeds, shape (n_blocks,)."""
-    recorded, _, _ = scored_channels(judgement)
-    reference = float(np.sqrt(np.square(recorded).mean()))
-    synthesized = judgement.synthesized[name][:, :, scored(judgement.trace.block)]
-    of = [metrics.frame_levels(x, judgement.trace.rate_hz, reference) for x in (recorded, synthesized)]
-    return np.asarray((of[1] - of[0]).mean(axis=(0, 2)))
+    runs = scored_runs(judgement)
+    reference = float(np.sqrt(np.square(runs["recorded"]).mean()))
+    recorded, synthesized = (frame_levels(runs[key], judgement.trace.rate_hz, reference) for key in ("recorded", name))
+    return np.asarray((synthesized - recorded).mean(axis=(0, 2)))
 
 
 def densities(judgement: Judgement) -> tuple[Array, dict[str, Array]]:
@@ -64,14 +78,48 @@ def densities(judgement: Judgement) -> tuple[Array, dict[str, Array]]:
 
     The log-spectral distance of pooled spectra is computed on the same densities.
     """
-    rate_hz, part = judgement.trace.rate_hz, scored(judgement.trace.block)
-    recorded, _, _ = scored_channels(judgement)
-    n_segment = metrics.segment_length(judgement.trace.block)
-    frequencies, density = metrics.welch(recorded, rate_hz, n_segment)
-    bins = metrics.scored_bins(frequencies, rate_hz)
-    pooled = {"recorded": density.mean(axis=0)[bins]}
-    for name in LABELS:
-        if name in judgement.synthesized:
-            of = metrics.welch(judgement.synthesized[name][:, :, part], rate_hz, n_segment)[1]
-            pooled[name] = of.mean(axis=(0, 1))[bins]
-    return frequencies[bins], pooled
+    rate_hz, n_segment = judgement.trace.rate_hz, segment_length(judgement.trace.block)
+    spectra = {name: welch(run, rate_hz, n_segment) for name, run in scored_runs(judgement).items()}
+    frequencies, _ = spectra["recorded"]
+    bins = scored_bins(frequencies, rate_hz)
+    return frequencies[bins], {name: density.mean(axis=(0, 1))[bins] for name, (_, density) in spectra.items()}
+
+
+def sounds(judgement: Judgement, name: str) -> tuple[bytes, bytes, float]:
+    """Return the scored blocks as recorded and as synthesized, two WAV files, and the full scale of both [m/s²].
+
+    8 kHz, 16 bit, one channel, up to 8 s; each block is faded at its ends.
+    """
+    runs, rate_hz = scored_runs(judgement), judgement.trace.rate_hz
+    n_blocks = max(1, int(AUDIO_S * rate_hz / runs["recorded"].shape[2]))
+    pair = [
+        np.concatenate([_audible(block, rate_hz) for block in runs[key][0, :n_blocks]])[: int(AUDIO_S * AUDIO_HZ)]
+        for key in ("recorded", name)
+    ]
+    peak = max(float(np.abs(samples).max()) for samples in pair)
+    full_scale = peak / _PEAK if peak > 0 else 1.0
+    first, second = (_wav(samples / full_scale) for samples in pair)
+    return first, second, full_scale
+
+
+def _audible(block: Array, rate_hz: float) -> Array:
+    """Return a block at 8 kHz, faded at its ends."""
+    factor = Fraction(AUDIO_HZ / rate_hz).limit_denominator(1000)
+    # The rate that the factor stands for: within a thousandth of the true one, for an odd rate too.
+    source_hz = AUDIO_HZ / float(factor)
+    samples = interpolate(block, factor) if factor >= 1 else decimate(block, source_hz, AUDIO_HZ)
+    n = min(round(_FADE_S * AUDIO_HZ), len(samples) // 2)
+    ramp = (np.arange(n) + 0.5) / n
+    samples[:n] *= ramp
+    samples[len(samples) - n :] *= ramp[::-1]
+    return samples
+
+
+def _wav(samples: Array) -> bytes:
+    buffer = io.BytesIO()
+    with wave.open(buffer, "wb") as file:
+        file.setnchannels(1)
+        file.setsampwidth(2)
+        file.setframerate(AUDIO_HZ)
+        file.writeframes(np.round(samples * 32767).astype("<i2").tobytes())
+    return buffer.getvalue()

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
-from foten.evaluate.evaluate import FREE_RUN_KEYS
+from foten.evaluate.evaluate import RUNS
 from foten.evaluate.report.signals import LABELS
-from foten.evaluate.report.wording import ar_name, minus, reason, signed
+from foten.evaluate.report.verdict import ar_name, minus, reason, signed
 
 REFERENCES = {
     "lattice": ("the model without its network", "the lattice; what the network adds is the difference to it"),
@@ -22,56 +22,45 @@ REFERENCES = {
 }
 """One-step references: name and explanation."""
 
+
+class _Figure(NamedTuple):
+    name: str
+    unit: str
+    better: str
+    what: str
+
+
 FREE_RUN_FIGURES = {
-    "lsd_db": (
-        "log-spectral distance",
-        "dB",
-        "lower",
-        "RMS over frequency of the difference in dB, mean of blocks; sees gain",
+    "lsd_db": _Figure(
+        "log-spectral distance", "dB", "lower", "RMS over frequency of the difference in dB, mean of blocks; sees gain"
     ),
-    "lsd_long_db": (
-        "… of pooled spectra",
-        "dB",
-        "lower",
-        "the same on spectra pooled over all blocks: bias without scatter",
+    "lsd_long_db": _Figure(
+        "… of pooled spectra", "dB", "lower", "the same on spectra pooled over all blocks: bias without scatter"
     ),
-    "gfc_raw": (
+    "gfc_raw": _Figure(
         "GFC, raw bins",
         "0 to 1",
         "higher",
         "cosine of amplitude spectra (Eq. 13); two true realisations reach π/4 = 0.785; blind to gain",
     ),
-    "gfc_welch": (
-        "GFC, smoothed",
-        "0 to 1",
-        "higher",
-        "the same on Welch spectra: the shape of the spectrum; blind to gain",
+    "gfc_welch": _Figure(
+        "GFC, smoothed", "0 to 1", "higher", "the same on Welch spectra: the shape of the spectrum; blind to gain"
     ),
-    "level_bias_db": (
-        "level bias",
-        "dB",
-        "nearer 0",
-        "mean level difference in frames of 40 ms: too loud (+) or too soft (−)",
+    "level_bias_db": _Figure(
+        "level bias", "dB", "nearer 0", "mean level difference in frames of 40 ms: too loud (+) or too soft (−)"
     ),
-    "level_error_db": ("level error", "dB", "lower", "mean absolute level difference of the same frames"),
-    "level_corr": ("level correlation", "−1 to 1", "higher", "whether the level rises and falls with the recording's"),
-    "kurtosis": ("kurtosis", "", "nearer recorded", "3 for a Gaussian, more for a spiky vibration"),
-    "max_sd": (
-        "largest sample",
-        "sd",
-        "no outlier",
-        "peak over the training standard deviation: shows a loop that bursts",
+    "level_error_db": _Figure("level error", "dB", "lower", "mean absolute level difference of the same frames"),
+    "level_corr": _Figure(
+        "level correlation", "−1 to 1", "higher", "whether the level rises and falls with the recording's"
     ),
-    "modulation_db": (
-        "envelope spectrum",
-        "dB",
-        "lower",
-        "log-spectral distance of the envelope, 2 to 50 Hz: roughness and rhythm",
+    "kurtosis": _Figure("kurtosis", "", "nearer recorded", "3 for a Gaussian, more for a spiky vibration"),
+    "max_sd": _Figure(
+        "largest sample", "sd", "no outlier", "peak over the training standard deviation: shows a loop that bursts"
+    ),
+    "modulation_db": _Figure(
+        "envelope spectrum", "dB", "lower", "log-spectral distance of the envelope, 2 to 50 Hz: roughness and rhythm"
     ),
 }
-"""Free-run figures: name, unit, what is better, explanation."""
-
-RUNS = ("free_run", "free_run_deterministic", "free_run_ar", "ceiling")
 
 
 class _Cells:
@@ -85,7 +74,7 @@ class _Cells:
         value: float | None,
         shown: Callable[[float], str],
         why: str,
-        interval: list[float] | None = None,
+        interval: Sequence[float] = (),
         digits: int = 3,
     ) -> str:
         """Return the cell of a value; `why` is the footnote where there is none."""
@@ -94,9 +83,8 @@ class _Cells:
                 self.notes.append(why)
             mark = f"{self.letter}{self.notes.index(why) + 1}"
             return f'<td class="n none"><abbr title="{html.escape(why)}">–</abbr><sup>{mark}</sup></td>'
-        small = ""
-        if interval:
-            small = minus(f"<small>{interval[0]:.{digits}f} … {interval[1]:.{digits}f}</small>")
+        ends = " … ".join(minus(f"{end:.{digits}f}") for end in interval)
+        small = f"<small>{ends}</small>" if ends else ""
         return f'<td class="n"><data value="{value!r}">{shown(value)}</data>{small}</td>'
 
     def footnotes(self) -> str:
@@ -107,10 +95,9 @@ class _Cells:
 
 def one_step_section(document: Mapping[str, Any]) -> str:
     """Return the table of one-step errors as HTML: the texture's, then the references'."""
-    cells = _Cells("a")
-    references = document["references"]
+    cells, references = _Cells("a"), document["references"]
     rows = {"one_step": (document["model"], "this texture", document["one_step"])}
-    rows |= {f"references.{k}": (*REFERENCES[k], references[k]) for k in REFERENCES if k in references}
+    rows |= {f"references.{key}": (*words, references[key]) for key, words in REFERENCES.items()}
     errors = [row["mae_scaled"] for *_, row in rows.values() if row["mae_scaled"] is not None]
     largest = max(errors, default=1.0) or 1.0
     body = "".join(_one_step_row(document, cells, key, *named, largest=largest) for key, named in rows.items())
@@ -133,17 +120,17 @@ def _one_step_row(
     family = ("references.ar",) if key.startswith("references.ar") else ()
     why = reason(document, key, *family, "one_step")
     mae, linear = row["mae_scaled"], document["references"]["ar"]["mae_scaled"]
-    within = row.get("intervals") or {}
+    within = row.get("intervals", {})
     bar = "" if mae is None else f'<span class="bar" style="width:{100 * mae / largest:.1f}%"></span>'
     ratio = f"{signed(100 * (mae / linear - 1), 1)} %" if mae is not None and linear else ""
     why_gfc = why if mae is None else "a bound on the error says nothing of the spectrum"
     return (
         f'<tr id="{key}"{" class=own" if key == "one_step" else ""}>'
         f'<th scope="row">{html.escape(name)}<small>{html.escape(what)}</small></th>'
-        + cells.number(mae, "{:.4f}".format, why, within.get("mae_scaled"))
+        + cells.number(mae, "{:.4f}".format, why, within.get("mae_scaled", ()))
         + f'<td class="bars">{bar}</td><td class="n">{ratio}</td>'
         + cells.number(row["mae_m_s2"], "{:#.4g}".format, why)
-        + cells.number(row["gfc"], "{:.3f}".format, why_gfc, within.get("gfc"))
+        + cells.number(row["gfc"], "{:.3f}".format, why_gfc, within.get("gfc", ()))
         + "</tr>"
     )
 
@@ -163,17 +150,15 @@ def _excitation(one_step: Mapping[str, Any]) -> str:
 
 def free_run_section(document: Mapping[str, Any]) -> str:
     """Return the table of free-run figures as HTML, a column for each run."""
-    cells = _Cells("b")
-    kurtosis = [document[run]["kurtosis_recorded"] for run in RUNS if "kurtosis_recorded" in document[run]]
-    recorded = next((value for value in kurtosis if value is not None), None)
-    body = []
-    for key in [*FREE_RUN_KEYS, *(key for key in FREE_RUN_FIGURES if key not in FREE_RUN_KEYS)]:
-        name, unit, better, what = FREE_RUN_FIGURES.get(key, (key, "", "", ""))
-        own = f" Recorded: {recorded:.2f}." if key == "kurtosis" and recorded is not None else ""
+    cells, body = _Cells("b"), []
+    kurtosis = (document[run].get("kurtosis_recorded") for run in RUNS)
+    recorded = next((f" Recorded: {value:.2f}." for value in kurtosis if value is not None), "")
+    for key, (name, unit, better, what) in FREE_RUN_FIGURES.items():
         title = html.escape(name) + (f" <i>[{html.escape(unit)}]</i>" if unit else "")
         values = "".join(_free_run_cell(document, cells, run, key) for run in RUNS)
         body.append(
-            f'<tr id="free_run.{key}"><th scope="row">{title}<small>{html.escape(what)}.{own}</small></th>'
+            f'<tr id="free_run.{key}"><th scope="row">{title}<small>{html.escape(what)}.'
+            f"{recorded if key == 'kurtosis' else ''}</small></th>"
             f'<td class="better">{better}</td>{values}</tr>'
         )
     heads = {
@@ -182,9 +167,7 @@ def free_run_section(document: Mapping[str, Any]) -> str:
         "free_run_ar": "AR(20) and white noise of one scale",
         "ceiling": document["ceiling"].get("of") or "not known",
     }
-    titles = "".join(
-        f"<th>{html.escape(LABELS[run])}<small>{html.escape(head)}</small></th>" for run, head in heads.items()
-    )
+    titles = "".join(f"<th>{LABELS[run]}<small>{html.escape(head)}</small></th>" for run, head in heads.items())
     return (
         '<section id="free-run"><h2>Free run</h2><p>Synthesized under the recorded speed and force, its own output as '
         "history, and compared with what was recorded; the first fifth of each block is not scored. The ceiling says "
@@ -195,7 +178,7 @@ def free_run_section(document: Mapping[str, Any]) -> str:
 
 
 def _free_run_cell(document: Mapping[str, Any], cells: _Cells, run: str, key: str) -> str:
-    value = document[run].get(key)
+    value, interval = document[run].get(key), document[run].get("intervals", {}).get(key, ())
     digits = 1 if value is not None and abs(value) >= 30 else 2
 
     def shown(value: float) -> str:
@@ -203,9 +186,7 @@ def _free_run_cell(document: Mapping[str, Any], cells: _Cells, run: str, key: st
             return f"{value:.1g}"
         return signed(value, digits) if "bias" in key else minus(f"{value:.{digits}f}")
 
-    why = reason(document, f"{run}.{key}", run, "free_run")
-    interval = (document[run].get("intervals") or {}).get(key)
-    return cells.number(value, shown, why, interval, digits)
+    return cells.number(value, shown, reason(document, f"{run}.{key}", run, "free_run"), interval, digits)
 
 
 def _slopes(document: Mapping[str, Any]) -> str:

@@ -2,35 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
-
-from foten.evaluate.report.wording import ar_name, minus, reason, signed
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One part of the verdict.
+    """One part of the verdict."""
 
-    Attributes:
-        tone: `good`, `even`, `bad` or `unknown`.
-        title: what was judged.
-        figure: the number, with unit.
-        beside: what it is compared with, short.
-        sentence: the same in plain language.
-    """
+    tone: str  # `good`, `even`, `bad` or `unknown`
+    title: str  # what was judged
+    figure: str  # the number, with unit
+    beside: str  # what it is compared with, short
+    sentence: str  # the same in plain language
 
-    tone: str
-    title: str
-    figure: str
-    beside: str
-    sentence: str
+
+def reason(document: Mapping[str, Any], *keys: str) -> str:
+    """Return the first reason that a document gives under some keys."""
+    return next((str(document["reasons"][key]) for key in keys if key in document["reasons"]), "not known")
+
+
+def ar_name(best: Mapping[str, Any]) -> str:
+    """Return the name of the best linear predictor: its order, and whether it is scheduled."""
+    return f"AR({best['order']})" + (" following speed and force" if best["scheduled"] else "")
+
+
+def minus(text: str) -> str:
+    """Return a number's text with a true minus."""
+    return text.replace("-", "−")
+
+
+def signed(value: float, digits: int) -> str:
+    """Return a number with its sign, a true minus, and no sign where it rounds to zero."""
+    text = f"{value:+.{digits}f}"
+    return minus(text) if float(text) else f"{0:.{digits}f}"
 
 
 def verdict(document: Mapping[str, Any]) -> list[Finding]:
     """Return the findings of a document: one step, then spectrum, level and dynamics of the free run."""
-    return [_one_step(document), *_free_run(document)]
+    # The run that stands for the texture: with excitation where there is one.
+    key = "free_run" if document["free_run"]["lsd_db"] is not None else "free_run_deterministic"
+    if document[key]["lsd_db"] is None:
+        why = reason(document, "free_run")
+        unknown = Finding("unknown", "Free run", "–", "not scored", f"Free run: not scored ({why}).")
+        return [_one_step(document), unknown]
+    return [_one_step(document), _spectrum(document, key), _level(document[key]), _dynamics(document, key)]
 
 
 def cautions(document: Mapping[str, Any]) -> list[str]:
@@ -41,35 +58,29 @@ def cautions(document: Mapping[str, Any]) -> list[str]:
             "This is not the recording that the texture was trained on: all its blocks are judged, and no baseline "
             "can be fitted beside."
         )
-    n_blocks = document["n_blocks"]
-    if n_blocks < 5:
+    if (n_blocks := document["n_blocks"]) < 5:
         notes.append(f"Only {n_blocks} block{'s' * (n_blocks != 1)} judged: intervals are missing or coarse.")
     if document["ceiling"]["lsd_db"] is not None and "training block" in str(document["ceiling"].get("of")):
         notes.append(
             "The ceiling is a recorded training block under a similar, not the same, hand: a good run can lie beyond it."
         )
-    cut = document["free_run"].get("n_saturated") or 0
-    if cut:
+    if cut := document["free_run"].get("n_saturated"):
         notes.append(f"The saturator cut {cut} sample{'s' * (cut != 1)} of the free run: the loop bursts.")
     return notes
 
 
 def _one_step(document: Mapping[str, Any]) -> Finding:
-    error = document["one_step"]["mae_scaled"]
+    error, references = document["one_step"]["mae_scaled"], document["references"]
     if error is None:
         why = reason(document, "one_step")
         return Finding("unknown", "One step", "–", "not scored", f"One step: not scored ({why}).")
-    figure = f"{error:.3f} sd"
-    start = f"One step: error {figure} ({document['one_step']['mae_m_s2']:.3g} m/s²)"
-    references = document["references"]
-    bound, linear, best = (references[key]["mae_scaled"] for key in ("bound", "ar", "ar_best"))
-    end = f"; no predictor can reach less than {bound:.3f} sd on this texture." if bound is not None else "."
-    caution = ""
+    zero, persistence, linear, best, bound = (
+        references[key]["mae_scaled"] for key in ("zero", "persistence", "ar", "ar_best", "bound")
+    )
+    figure, caution = f"{error:.3f} sd", ""
     if linear is None:
-        naive = {"predicting the mean": "zero", "persistence": "persistence"}
-        errors = {name: references[key]["mae_scaled"] for name, key in naive.items()}
-        name = min(errors, key=lambda k: errors[k])
-        tone, beside = _compared(error, errors[name], name)
+        naive = (zero, "predicting the mean") if zero <= persistence else (persistence, "persistence")
+        tone, beside = _compared(error, *naive)
     else:
         tone, beside = _compared(error, linear, "AR(20)")
         if tone == "bad":
@@ -78,6 +89,8 @@ def _one_step(document: Mapping[str, Any]) -> Finding:
             tone, name = "even", ar_name(references["ar_best"])
             beside += f", {100 * (error / best - 1):.0f} % above {name}"
             caution = f" The best linear predictor, {name}, does this better."
+    end = f"; no predictor can reach less than {bound:.3f} sd on this texture." if bound is not None else "."
+    start = f"One step: error {figure} ({document['one_step']['mae_m_s2']:.3g} m/s²)"
     return Finding(tone, "One step", figure, beside, f"{start}, {beside}{end}{caution}")
 
 
@@ -87,18 +100,6 @@ def _compared(error: float, reference: float, name: str) -> tuple[str, str]:
     if abs(change) < 1:
         return "even", f"within 1 % of {name}"
     return ("good", f"{-change:.0f} % below {name}") if change < 0 else ("bad", f"{change:.0f} % above {name}")
-
-
-def _free_run(document: Mapping[str, Any]) -> Iterator[Finding]:
-    """Yield the findings of the run that stands for the texture: with excitation where there is one."""
-    key = "free_run" if document["free_run"]["lsd_db"] is not None else "free_run_deterministic"
-    if document[key]["lsd_db"] is None:
-        why = reason(document, "free_run")
-        yield Finding("unknown", "Free run", "–", "not scored", f"Free run: not scored ({why}).")
-        return
-    yield _spectrum(document, key)
-    yield _level(document[key])
-    yield _dynamics(document, key)
 
 
 def _spectrum(document: Mapping[str, Any], key: str) -> Finding:
@@ -128,13 +129,8 @@ def _level(run: Mapping[str, Any]) -> Finding:
     side = "right on average" if abs(bias) < 0.05 else f"{abs(bias):.1f} dB too {'high' if bias > 0 else 'low'}"
     # Levels below −30 dB count as −30 dB, and a hand pauses: of a silent run the bias alone is too small.
     silent = " It all but falls silent." if bias < -10 and run["lsd_db"] > 20 else ""
-    return Finding(
-        tone,
-        "Level",
-        f"{signed(bias, 1)} dB",
-        f"{error:.1f} dB off in 40 ms frames",
-        f"Level: {side}, {error:.1f} dB off in a frame of 40 ms.{silent}",
-    )
+    sentence = f"Level: {side}, {error:.1f} dB off in a frame of 40 ms.{silent}"
+    return Finding(tone, "Level", f"{signed(bias, 1)} dB", f"{error:.1f} dB off in 40 ms frames", sentence)
 
 
 def _dynamics(document: Mapping[str, Any], key: str) -> Finding:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from foten.dsp.filters import butterworth, filter_recorded
 from foten.dsp.kinematics import speed_of
 from foten.recording.inspection.values import NOTE, PROBLEM, Coverage, Finding, counted, places, runs
-from foten.recording.preprocess import WRONG_SIGN, PreprocessConfig, hand_of, times_of
-from foten.recording.recording import Channel, Recording
+from foten.recording.preprocess import WRONG_SIGN, PreprocessConfig, hand_of, pressing
+from foten.recording.recording import Recording
 
 CONTACT_N = 0.05  # less force is lift-off
 MOVING_MM_S = 5.0  # less speed is rest
@@ -27,39 +27,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Hand:
-    """Speed and force at `TRAINING_HZ` as training takes them, but zero-phase.
+    """Speed and force at `TRAINING_HZ` as training takes them, but zero-phase."""
 
-    Attributes:
-        times_s: [s], shape (n,).
-        speed: [mm/s], shape (n,).
-        force: [N], shape (n,).
-    """
-
-    times_s: Array
-    speed: Array
-    force: Array
-
-    @property
-    def still(self) -> NDArray[np.bool_]:
-        """Return where the tool rests or is lifted, shape (n,)."""
-        return (self.speed < MOVING_MM_S) | (self.force < CONTACT_N)
-
-
-def movement_channels(recording: Recording) -> list[str]:
-    """Return the names of the channels that speed is taken from; empty where there is none."""
-    names = ["speed"] if "speed" in recording else ["position_x", "position_y"]
-    return [name for name in names if name in recording]
-
-
-def force_channels(recording: Recording) -> list[str]:
-    """Return the name of the channel that normal force is taken from; empty where there is none."""
-    return [name for name in ("force", "force_z") if name in recording][:1]
-
-
-def span(channel: Channel) -> tuple[float, float]:
-    """Return when a channel starts and ends [s]."""
-    start = 0.0 if channel.times_s is None else float(channel.times_s[0])
-    return start, start + channel.duration_s
+    times_s: Array  # shape (n,)
+    speed: Array  # [mm/s], shape (n,)
+    force: Array  # [N], shape (n,)
 
 
 def hand_in(recording: Recording) -> Hand | None:
@@ -68,20 +40,19 @@ def hand_in(recording: Recording) -> Hand | None:
     Raises:
         ValueError: training would refuse them, see `hand_of`.
     """
-    moved, pressed = movement_channels(recording), force_channels(recording)
+    moved, pressed = recording.movement, recording.normal_force
     if not moved or not pressed:
         return None
     channels = [*recording.axes("acceleration"), *(recording[name] for name in (*moved, *pressed))]
-    starts, ends = zip(*map(span, channels), strict=True)
-    start = max(starts)
+    starts, ends = zip(*(channel.span_s for channel in channels), strict=True)
     # The low-pass settles within 50 ms; at the ends it lacks the samples before and after.
     margin = round(TRAINING_HZ / HAND_HZ)
-    if (min(ends) - start) * TRAINING_HZ < 4 * margin:
+    if (min(ends) - max(starts)) * TRAINING_HZ < 4 * margin:
         return None
     velocity, normal = hand_of(recording, TRAINING_HZ)
     low = butterworth("lowpass", HAND_HZ, TRAINING_HZ)
     *slow, force = (filter_recorded(low, row, zero_phase=True)[margin:-margin] for row in (*velocity, normal))
-    times = (np.ceil(start * TRAINING_HZ - 1e-6) + margin + np.arange(force.size)) / TRAINING_HZ
+    times = (np.ceil(max(starts) * TRAINING_HZ - 1e-6) + margin + np.arange(force.size)) / TRAINING_HZ
     return Hand(times, speed_of(np.stack(slow)), force)
 
 
@@ -98,31 +69,27 @@ def check_signs(recording: Recording) -> Iterable[Finding]:
             )
             severity = PROBLEM if lowest < -WRONG_SIGN[0] else NOTE
             yield Finding(severity, "sign", "speed", text, places(speed, negative))
-    for name in force_channels(recording):
+    for name in recording.normal_force:
         if np.median(recording[name].samples) < 0:
             text = f"{name} is negative when pressing; pressing is counted positive"
             yield Finding(NOTE, "sign", name, text)
-        low = float(np.quantile(_pressing(recording[name]), 0.001))
+        low = float(np.quantile(pressing(recording[name]), 0.001))
         if low < -0.2:
             text = f"{name} goes down to {low:.3g} N: has the sensor an offset, or does the tool pull?"
             yield Finding(NOTE, "sign", name, text)
 
 
-def _pressing(channel: Channel) -> Array:
-    """Return the force as captured, pressing positive [N], shape (n,); a low-pass would hide short losses of contact."""
-    return -channel.samples if np.median(channel.samples) < 0 else channel.samples
-
-
 def check_contact(recording: Recording, hand: Hand | None) -> Iterable[Finding]:
     """Yield a note where contact is lost while the tool moves."""
-    for name in force_channels(recording):
+    for name in recording.normal_force:
         channel = recording[name]
-        times, lost = times_of(channel), _pressing(channel) < CONTACT_N
+        times, lost = channel.times, pressing(channel) < CONTACT_N
         if hand is not None:
             lost = lost & (np.interp(times, hand.times_s, hand.speed) > MOVING_MM_S)
         starts, ends = runs(lost)
         lengths = (ends - starts) / channel.rate_hz
-        starts, lengths = starts[lengths >= SHORTEST_LOSS_S], lengths[lengths >= SHORTEST_LOSS_S]
+        lasting = lengths >= SHORTEST_LOSS_S
+        starts, lengths = starts[lasting], lengths[lasting]
         if starts.size:
             longest = int(np.argmax(lengths))
             text = (
@@ -134,23 +101,21 @@ def check_contact(recording: Recording, hand: Hand | None) -> Iterable[Finding]:
 
 def coverage_of(hand: Hand) -> Coverage | None:
     """Return the time spent at each speed and force while moving in contact; None where the tool never did."""
-    v, f = hand.speed, hand.force
-    stroking = (v > MOVING_MM_S) & (f > CONTACT_N)
-    v, f = v[stroking], f[stroking]
-    if v.size < 2:
+    stroking = (hand.speed > MOVING_MM_S) & (hand.force > CONTACT_N)
+    if stroking.sum() < 2:
         return None
-    (v_low, v_high), (f_low, f_high) = (np.quantile(x, [0.001, 0.999]) for x in (v, f))
+    speed, force = hand.speed[stroking], hand.force[stroking]
+    speed_range, force_range = (tuple(np.quantile(x, [0.001, 0.999]).tolist()) for x in (speed, force))
 
-    def edges(high: float, cell: float, least: float) -> Array:
+    def edges(high: float, cell: float, usual: float) -> Array:
         # A spike must not stretch the range until all else is in one cell.
-        top = min(max(least, high), 2 * least)
-        return np.asarray(np.arange(0, np.ceil(top / cell - 1e-9) + 1) * cell, dtype=np.float64)
+        top = min(max(usual, high), 2 * usual)
+        return np.arange(0, np.ceil(top / cell - 1e-9) + 1) * cell
 
-    speed_edges, force_edges = edges(v_high, CELL_MM_S, USUAL_MM_S), edges(f_high, CELL_N, USUAL_N)
-    counts, _, _ = np.histogram2d(v, f, bins=[speed_edges, force_edges])
-    beyond_s = (v.size - counts.sum()) / TRAINING_HZ
-    ranges = (float(v_low), float(v_high)), (float(f_low), float(f_high))
-    return Coverage(speed_edges, force_edges, counts / TRAINING_HZ, beyond_s, *ranges)
+    cells = edges(speed_range[1], CELL_MM_S, USUAL_MM_S), edges(force_range[1], CELL_N, USUAL_N)
+    counts, *_ = np.histogram2d(speed, force, bins=cells)
+    beyond_s = (speed.size - counts.sum()) / TRAINING_HZ
+    return Coverage(*cells, counts / TRAINING_HZ, beyond_s, speed_range, force_range)
 
 
 def check_ranges(coverage: Coverage) -> Iterable[Finding]:

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from foten.recording.inspection.amplitude import check_clipping, check_spikes, check_units
+from foten.recording.inspection import one_channel, sampling
 from foten.recording.inspection.hand import Hand, check_contact, check_ranges, check_signs, coverage_of, hand_in
-from foten.recording.inspection.noise import check_noise, noise_floor
-from foten.recording.inspection.order import check_order
-from foten.recording.inspection.sampling import check_durations, check_gaps, check_missing, check_repeats
-from foten.recording.inspection.spectrum import check_lines, check_whiteness, density
 from foten.recording.inspection.values import PROBLEM, ChannelReport, Finding, Inspection
 from foten.recording.recording import UNITS, Channel, Recording
 
@@ -23,25 +19,25 @@ def inspect_recording(recording: Recording) -> Inspection:
     except ValueError as error:
         findings.append(Finding(PROBLEM, "refused", "", f"training refuses it: {error}"))
     reports = tuple(_report(name, channel, hand) for name, channel in recording.channels.items())
-    findings += check_missing(recording)
-    findings += check_durations(recording)
+    findings += sampling.check_missing(recording)
+    findings += sampling.check_durations(recording)
     for name, channel in recording.channels.items():
-        findings += check_units(name, channel, recording)
-        findings += check_gaps(name, channel)
-        findings += check_spikes(name, channel)
-        findings += check_clipping(name, channel)
-        findings += check_repeats(name, channel)
-    findings += check_order(recording)
+        findings += one_channel.check_units(name, channel, recording)
+        findings += sampling.check_gaps(name, channel)
+        findings += one_channel.check_spikes(name, channel)
+        findings += one_channel.check_clipping(name, channel)
+        findings += sampling.check_repeats(name, channel)
+    findings += sampling.check_order(recording)
     psd = {}
     for name, channel in recording.channels.items():
         if name.startswith("acceleration"):
-            findings += check_whiteness(name, channel)
+            findings += one_channel.check_whiteness(name, channel)
             if channel.samples.size >= 64:
-                psd[name] = density(channel)
-                findings += check_lines(name, *psd[name])
+                psd[name] = one_channel.density(channel)
+                findings += one_channel.check_lines(name, *psd[name])
     findings += check_signs(recording)
     findings += check_contact(recording, hand)
-    findings += check_noise(reports)
+    findings += one_channel.check_noise(reports)
     coverage = None if hand is None else coverage_of(hand)
     if coverage is not None:
         findings += check_ranges(coverage)
@@ -50,21 +46,9 @@ def inspect_recording(recording: Recording) -> Inspection:
 
 def _report(name: str, channel: Channel, hand: Hand | None) -> ChannelReport:
     x = channel.samples
-    low, high = np.quantile(x, [0.01, 0.99])
-    floor, source = noise_floor(name, channel, hand)
+    about = name, UNITS[name], channel.rate_hz, channel.times_s is None, x.size, channel.duration_s
+    minimum, low, high, maximum = np.quantile(x, [0, 0.01, 0.99, 1]).tolist()
+    rms = float(np.sqrt(np.mean(x**2)))
     return ChannelReport(
-        name=name,
-        unit=UNITS[name],
-        rate_hz=channel.rate_hz,
-        regular=channel.times_s is None,
-        n_samples=x.size,
-        duration_s=channel.duration_s,
-        minimum=float(x.min()),
-        maximum=float(x.max()),
-        low=float(low),
-        high=float(high),
-        mean=float(x.mean()),
-        rms=float(np.sqrt(np.mean(x**2))),
-        noise_floor=floor,
-        noise_floor_from=source,
+        *about, minimum, maximum, low, high, float(x.mean()), rms, *one_channel.noise_floor(name, channel, hand)
     )

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from foten.atomic_write import atomic_write
 from foten.recording.inspection.hand import HAND_HZ
-from foten.recording.inspection.values import CELL_S, NOTE, Inspection
-from foten.recording.preprocess import times_of
-from foten.recording.recording import UNITS, Recording
+from foten.recording.inspection.values import CELL_S, NOTE, Finding, Inspection
+from foten.recording.recording import UNITS, Channel, Recording
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,47 +37,40 @@ def _title(recording: Recording, what: str) -> str:
     return f"{recording.texture}: {what}" if recording.texture else what[0].upper() + what[1:]
 
 
-def _label(name: str) -> str:
-    unit = {"m/s^2": "m/s²"}.get(UNITS[name], UNITS[name])
-    return f"{name.replace('_', ' ')}\n[{unit}]"
-
-
 def overview(recording: Recording, inspection: Inspection) -> Figure:
     """Return the channels over time, with a mark at each place that a finding lists."""
     names = [name for name in UNITS if name in recording]
     figure, panels = _figure(10, 1.0 + 1.7 * len(names), nrows=len(names), sharex=True, squeeze=False)
     for axes, name in zip(panels[:, 0], names, strict=True):
-        times, low, high = _envelope(times_of(recording[name]), recording[name].samples)
-        colour = _COLOURS[name.split("_")[0]]
-        if low is high:
-            axes.plot(times, low, color=colour, linewidth=0.8)
+        channel, colour = recording[name], _COLOURS[name.split("_")[0]]
+        if channel.samples.size <= 2 * _COLUMNS:
+            axes.plot(channel.times, channel.samples, color=colour, linewidth=0.8)
         else:
-            axes.fill_between(times, low, high, color=colour, linewidth=0.4, edgecolor=colour)
-        axes.set_ylabel(_label(name))
+            axes.fill_between(*_envelope(channel), color=colour, linewidth=0.4, edgecolor=colour)
+        axes.set_ylabel(f"{name.replace('_', ' ')}\n[{UNITS[name].replace('^2', '²')}]")
         axes.grid(alpha=0.25)
         axes.margins(x=0.01)
-        _keep_readable(axes, recording[name].samples, UNITS[name])
-        marks = [f for f in inspection.findings if f.channel == name and f.places_s and f.code in _MARKED]
-        for k, finding in enumerate(marks):
-            axes.plot(
-                finding.places_s,
-                np.full(len(finding.places_s), 0.96 - 0.09 * k),
-                transform=axes.get_xaxis_transform(),
-                linestyle="none",
-                marker="vos^DPX*"[_MARKED.index(finding.code)],
-                markersize=4.5,
-                color="#555555" if finding.severity == NOTE else "black",
-                markerfacecolor="white" if finding.severity == NOTE else "black",
-                label=finding.code,
-            )
-        if marks:
-            bottom, top = axes.get_ylim()
-            axes.set_ylim(bottom, top + 0.09 * (len(marks) + 1) * (top - bottom))
-            axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
+        _keep_readable(axes, channel.samples, UNITS[name])
+        _mark(axes, [f for f in inspection.findings if f.channel == name and f.places_s and f.code in _MARKED])
     figure.align_ylabels()
     panels[-1, 0].set_xlabel("time [s]")
     panels[0, 0].set_title(_title(recording, "recorded channels"))
     return figure
+
+
+def _mark(axes: Any, findings: list[Finding]) -> None:
+    """Mark the places of findings in rows above a channel, with a legend."""
+    for k, finding in enumerate(findings):
+        height = np.full(len(finding.places_s), 0.96 - 0.09 * k)
+        style = {"marker": "vos^DPX*"[_MARKED.index(finding.code)], "markersize": 4.5, "color": "black"}
+        if finding.severity == NOTE:
+            style |= {"color": "#555555", "markerfacecolor": "white"}
+        across = axes.get_xaxis_transform()
+        axes.plot(finding.places_s, height, transform=across, linestyle="none", label=finding.code, **style)
+    if findings:
+        bottom, top = axes.get_ylim()
+        axes.set_ylim(bottom, top + 0.09 * (len(findings) + 1) * (top - bottom))
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
 
 
 def _keep_readable(axes: Any, samples: NDArray[np.float64], unit: str) -> None:
@@ -87,25 +79,16 @@ def _keep_readable(axes: Any, samples: NDArray[np.float64], unit: str) -> None:
     margin = max(high - low, 1e-12)
     if samples.max() - samples.min() > 5 * margin:
         axes.set_ylim(low - 0.2 * margin, high + 0.2 * margin)
-        axes.text(
-            0.995,
-            0.03,
-            f"axis cut: from {samples.min():.6g} to {samples.max():.6g} {unit}",
-            transform=axes.transAxes,
-            ha="right",
-            fontsize=8,
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1},
-        )
+        cut = f"axis cut: from {samples.min():.6g} to {samples.max():.6g} {unit}"
+        box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1}
+        axes.text(0.995, 0.03, cut, transform=axes.transAxes, ha="right", fontsize=8, bbox=box)
 
 
-def _envelope(
-    times: NDArray[np.float64], samples: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return times and the lowest and highest sample in each of `_COLUMNS` columns; a short signal as it is, twice."""
-    if samples.size <= 2 * _COLUMNS:
-        return times, samples, samples
-    starts = np.linspace(0, samples.size, _COLUMNS, endpoint=False).astype(np.int64)
-    return times[starts], np.minimum.reduceat(samples, starts), np.maximum.reduceat(samples, starts)
+def _envelope(channel: Channel) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return times and the lowest and highest sample in each of `_COLUMNS` columns."""
+    starts = np.linspace(0, channel.samples.size, _COLUMNS, endpoint=False).astype(np.int64)
+    low, high = np.minimum.reduceat(channel.samples, starts), np.maximum.reduceat(channel.samples, starts)
+    return channel.times[starts], low, high
 
 
 def coverage(recording: Recording, inspection: Inspection) -> Figure | None:
@@ -119,14 +102,12 @@ def coverage(recording: Recording, inspection: Inspection) -> Figure | None:
     shown = np.ma.masked_less(cells.seconds.T, 1e-9)
     norm = LogNorm(CELL_S / 10, max(float(cells.seconds.max()), 10 * CELL_S))
     mesh = axes.pcolormesh(cells.speed_edges, cells.force_edges, shown, cmap="viridis", norm=norm)
-    axes.set_facecolor("#eeeeee")
     for edge in cells.speed_edges:
         axes.axvline(edge, color="white", linewidth=0.6)
     for edge in cells.force_edges:
         axes.axhline(edge, color="white", linewidth=0.6)
     figure.colorbar(mesh, label="time spent [s]")
-    axes.set_xlabel("scanning speed [mm/s]")
-    axes.set_ylabel("normal force [N]")
+    axes.set(xlabel="scanning speed [mm/s]", ylabel="normal force [N]", facecolor="#eeeeee")
     visited = f"{cells.covered} of {cells.seconds.size} cells visited for {CELL_S * 1000:g} ms or more"
     axes.set_title(_title(recording, visited) + "\n(grey: never)", fontsize=11)
     return figure
@@ -141,17 +122,14 @@ def density(recording: Recording, inspection: Inspection) -> Figure | None:
         colour = _AXIS_COLOURS.get(name.removeprefix("acceleration_"), _COLOURS["acceleration"])
         shown = np.maximum(power, 1e-30)
         axes.loglog(frequency, shown, color=colour, linewidth=1, label=name.replace("_", " "))
-    lowest = min(frequency[0] for frequency, _ in inspection.psd.values())
-    highest = max(frequency[-1] for frequency, _ in inspection.psd.values())
-    axes.set_xlim(min(lowest, HAND_HZ / 2), highest * 1.05)
+    frequencies, powers = zip(*inspection.psd.values(), strict=True)
+    axes.set_xlim(min(*(f[0] for f in frequencies), HAND_HZ / 2), max(f[-1] for f in frequencies) * 1.05)
     axes.axvspan(axes.get_xlim()[0], HAND_HZ, color="0.5", alpha=0.15, linewidth=0)
     grey = f"grey: below {HAND_HZ:g} Hz, the hand's own movement"
     axes.text(0.01, 0.03, grey, transform=axes.transAxes, fontsize=8)
     # Above a sensor's anti-alias filter only rounding is left, over ten decades.
-    top = max(float(power.max()) for _, power in inspection.psd.values())
-    axes.set_ylim(bottom=max(axes.get_ylim()[0], top * 1e-9))
-    axes.set_xlabel("frequency [Hz]")
-    axes.set_ylabel("density [(m/s²)²/Hz]")
+    axes.set_ylim(bottom=max(axes.get_ylim()[0], max(float(power.max()) for power in powers) * 1e-9))
+    axes.set(xlabel="frequency [Hz]", ylabel="density [(m/s²)²/Hz]")
     axes.grid(alpha=0.25, which="both")
     axes.set_title(_title(recording, "power spectral density of the acceleration"))
     if len(inspection.psd) > 1:

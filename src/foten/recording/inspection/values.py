@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import perception
-from foten.recording.preprocess import times_of
 from foten.recording.recording import Channel
 
 PROBLEM, NOTE = "problem", "note"
@@ -22,30 +21,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing to know about a recording.
+    """One thing to know about a recording."""
 
-    Attributes:
-        severity: `problem` where training on the recording as it is would learn something false, else `note`.
-        code: a word for programs, e.g. `spikes`.
-        channel: which channel, or empty.
-        text: a sentence for people.
-        places_s: times from the start [s], at most `N_PLACES`.
-    """
-
-    severity: str
-    code: str
-    channel: str
-    text: str
-    places_s: tuple[float, ...] = ()
+    severity: str  # `problem` where training on the recording as it is would learn something false, else `note`
+    code: str  # a word for programs, e.g. `spikes`
+    channel: str  # or empty
+    text: str  # a sentence for people
+    places_s: tuple[float, ...] = ()  # times from the start [s], at most `N_PLACES`
 
 
 @dataclass(frozen=True)
 class ChannelReport:
-    """The numbers of one channel, in the unit of `UNITS`; `low` and `high` are the 1st and 99th percentile.
-
-    `noise_floor` is an RMS, and `noise_floor_from` how it was estimated. Of an acceleration it is the level at `rest`, or as
-    an upper bound that of the `quietest 5 %`. Of a slow signal it comes from third `differences`.
-    """
+    """The numbers of one channel, in the unit of `UNITS`."""
 
     name: str
     unit: str
@@ -55,32 +42,24 @@ class ChannelReport:
     duration_s: float
     minimum: float
     maximum: float
-    low: float
-    high: float
+    low: float  # the 1st percentile
+    high: float  # the 99th
     mean: float
     rms: float
-    noise_floor: float
-    noise_floor_from: str
+    noise_floor: float  # RMS
+    noise_floor_from: str  # the level at `rest`, as an upper bound the `quietest 5 %`, or third `differences`
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """Time spent at each speed and force, while moving in contact.
+    """Time spent at each speed and force, while moving in contact."""
 
-    Attributes:
-        speed_edges: of the cells [mm/s], shape (i+1,).
-        force_edges: of the cells [N], shape (j+1,).
-        seconds: spent in each cell, shape (i, j).
-        beyond_s: spent outside all cells.
-        speed_range, force_range: 0.1st and 99.9th percentile [mm/s, N].
-    """
-
-    speed_edges: Array
-    force_edges: Array
-    seconds: Array
-    beyond_s: float
-    speed_range: tuple[float, float]
-    force_range: tuple[float, float]
+    speed_edges: Array  # of the cells [mm/s], shape (i+1,)
+    force_edges: Array  # of the cells [N], shape (j+1,)
+    seconds: Array  # spent in each cell, shape (i, j)
+    beyond_s: float  # spent outside all cells
+    speed_range: tuple[float, float]  # 0.1st and 99.9th percentile [mm/s]
+    force_range: tuple[float, float]  # likewise [N]
 
     @property
     def covered(self) -> int:
@@ -95,16 +74,13 @@ class Coverage:
 
 @dataclass(frozen=True)
 class Inspection:
-    """The result of `inspect_recording`.
-
-    `psd` maps an acceleration channel to frequency [Hz] and one-sided density [(m/s²)²/Hz].
-    """
+    """The result of `inspect_recording`."""
 
     channels: tuple[ChannelReport, ...]
     findings: tuple[Finding, ...]
     coverage: Coverage | None
-    psd: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
-    recording_sha256: str = ""
+    psd: Mapping[str, tuple[Array, Array]]  # of each acceleration: frequency [Hz], one-sided density [(m/s²)²/Hz]
+    recording_sha256: str
 
     @property
     def carried(self) -> dict[float, float]:
@@ -140,10 +116,8 @@ class Inspection:
 
     def to_text(self) -> str:
         """Return the inspection as a table of the channels and a line for each finding."""
-        lines = [
-            f"{'channel':<15}{'unit':>6}{'rate':>10}{'samples':>9}{'lasts':>9}{'from':>11}{'to':>11}{'rms':>10}"
-            f"{'noise':>11}"
-        ]
+        heads = {"unit": 6, "rate": 10, "samples": 9, "lasts": 9, "from": 11, "to": 11, "rms": 10, "noise": 11}
+        lines = [f"{'channel':<15}" + "".join(f"{head:>{width}}" for head, width in heads.items())]
         for one in self.channels:
             bound = "<" if one.noise_floor_from == "quietest 5 %" else " "
             lines.append(
@@ -170,13 +144,19 @@ def places(channel: Channel, indices: NDArray[np.int64]) -> tuple[float, ...]:
     """Return the times of some samples [s], thinned evenly to `N_PLACES`."""
     if indices.size > N_PLACES:
         indices = indices[np.linspace(0, indices.size - 1, N_PLACES).astype(np.int64)]
-    return tuple(round(float(t), 6) for t in times_of(channel)[indices])
+    return tuple(round(float(t), 6) for t in channel.times[indices])
 
 
 def runs(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return where stretches of True start and where they end, one past the last."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return edges[0::2], edges[1::2]
+
+
+def swing(samples: Array, tail: float) -> float:
+    """Return the range of a signal without a share of its samples at either end."""
+    low, high = np.quantile(samples, [tail, 1 - tail])
+    return float(high - low)
 
 
 def counted(count: int, what: str) -> str:

@@ -1,0 +1,245 @@
+"""Checks of the values of one channel: units, spikes, clipping, noise, whiteness, repeated patterns, narrow lines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.recording.inspection.hand import CONTACT_N, HAND_HZ, MOVING_MM_S, Hand
+from foten.recording.inspection.values import NOTE, PROBLEM, ChannelReport, Finding, counted, places, runs, swing
+from foten.recording.recording import UNITS, Channel, Recording
+
+FRAME_S = 0.05  # in which the level of an acceleration is measured
+
+Array = NDArray[np.float64]
+
+
+def check_units(name: str, channel: Channel, recording: Recording) -> Iterable[Finding]:
+    """Yield a finding where a channel is constant, or its size is that of another unit."""
+    x, unit = channel.samples, UNITS[name]
+    if x.min() == x.max():
+        severity = PROBLEM if name.startswith("acceleration") else NOTE
+        text = f"{name} is {x[0]:g} {unit} throughout; is the right column mapped?"
+        yield Finding(severity, "constant", name, text)
+        return
+    peak = float(np.quantile(np.abs(x), 0.999))
+    guess = ""
+    if name == "speed":
+        if peak < 5:
+            guess = f"peaks at {peak:.3g}, expected mm/s up to about 350; was it given in m/s?"
+        elif peak > 1500:
+            guess = f"peaks at {peak:.4g}, expected mm/s up to about 350; is it a raw reading?"
+    elif name.startswith("position"):
+        # A stroke along one axis leaves the others constant: only the one that moves most shows the unit.
+        moved = _moved(channel)
+        if moved < max(_moved(axis) for axis in recording.axes("position")):
+            return
+        if moved < 1:
+            guess = f"moves by {moved:.3g}, expected mm, tens to hundreds; was it given in m?"
+        elif moved > 2000:
+            guess = f"moves by {moved:.4g}, expected mm, tens to hundreds; was it given in um?"
+    elif name.startswith("force"):
+        if peak > 30:
+            guess = f"peaks at {peak:.4g}, expected N up to about 10; was it given in mN or gf?"
+        elif peak < 0.03 and name in ("force", "force_z"):
+            guess = f"peaks at {peak:.3g}, expected N up to about 10; was it given in kN or V?"
+    elif 0.9 < abs(x.mean()) < 1.1 and x.std() < abs(x.mean()):
+        guess = f"has a mean of {x.mean():.3g}, which is gravity in g; was it given in g?"
+    elif peak < 0.02:
+        guess = f"peaks at {peak:.3g} m/s², which hardly any hand feels; was it given in g or V?"
+    elif peak > 500:
+        guess = f"peaks at {peak:.4g} m/s², expected up to about 100; was it given in mm/s² or mg?"
+    if guess:
+        yield Finding(PROBLEM, "units", name, f"{name} {guess}")
+
+
+def _moved(channel: Channel) -> float:
+    return swing(channel.samples, 0.001)
+
+
+def check_spikes(name: str, channel: Channel) -> Iterable[Finding]:
+    """Yield a problem where one or two samples stand alone, far from their neighbours.
+
+    A median filter of five keeps steps and slopes. It removes single outliers and, in a fast signal, the peaks of the
+    vibration, so an outlier is what exceeds a high percentile of the removed part by far.
+    """
+    from scipy.ndimage import median_filter
+
+    x = channel.samples
+    if x.size < 10:
+        return
+    removed = np.abs(x - median_filter(x, 5, mode="nearest"))
+    usual, share = (0.99, 0.3) if name.startswith("acceleration") else (0.95, 0.1)
+    # Ten times: on four real textures at 10 kHz the largest peak was 4.3 times the 99th percentile.
+    least = max(10 * float(np.quantile(removed, usual)), share * swing(x, 0.01), 1e-9)
+    spikes = np.flatnonzero(removed > least)
+    if spikes.size:
+        largest = int(spikes[np.argmax(removed[spikes])])
+        text = (
+            f"{name}: {counted(spikes.size, 'spike')} of one or two samples, the largest {x[largest]:.6g} {UNITS[name]} at "
+            f"sample {largest} ({channel.times[largest]:.3f} s)"
+        )
+        yield Finding(PROBLEM, "spikes", name, text, places(channel, spikes))
+
+
+def check_clipping(name: str, channel: Channel) -> Iterable[Finding]:
+    """Yield a problem where a channel stays at its highest or lowest value for several samples."""
+    x = channel.samples
+    starts, ends = runs(np.append(False, np.diff(x) == 0))
+    starts = starts - 1  # the first of the equal samples
+    lengths = ends - starts
+    if not lengths.size or x.min() == x.max():
+        return
+    values = x[starts]
+    quantum = float(np.median(np.diff(np.unique(x))))
+    # A coarse or slow sensor repeats every value; clipping makes its extremes much flatter than that.
+    others = lengths[(values != x.max()) & (values != x.min())]
+    usual = float(np.quantile(others, 0.99)) if others.size > 20 else 1.0
+    for extreme, what in ((float(x.max()), "highest"), (float(x.min()), "lowest")):
+        if extreme == 0 or (name == "speed" and extreme < MOVING_MM_S):
+            continue  # a natural bound
+        at = np.flatnonzero((values == extreme) & (lengths >= 3))
+        cut = at[np.array([_leaves_steeply(x, starts[i], ends[i], quantum) for i in at], dtype=bool)]
+        flat = lengths[cut]
+        if flat.size and flat.max() >= 3 * usual and (flat.size > 1 or flat.max() >= 5):
+            text = (
+                f"{name} is clipped: it stays at its {what} value, {extreme:.5g} {UNITS[name]}, for "
+                f"{counted(int(flat.sum()), 'sample')} in {counted(flat.size, 'place')}: the sensor or its amplifier was at "
+                "its limit"
+            )
+            yield Finding(PROBLEM, "clipping", name, text, places(channel, starts[cut]))
+
+
+def _leaves_steeply(x: Array, start: int, end: int, quantum: float) -> bool:
+    """Return whether a signal leaves a flat top x[start:end] more steeply than a smooth rounded one can.
+
+    A smooth top is a parabola. Rounded to steps of q it is flat over n samples where it drops by less than q, over a half-width
+    of at least (n−1)/2. Another n samples out it has dropped by at most q·((n−1)/2 + n)²/((n−1)/2)², and by one q more from
+    rounding. A clipped top drops at the slope at which it was cut.
+    """
+    n = end - start
+    most = quantum * (((3 * n - 1) / (n - 1)) ** 2 + 1)
+    sides = [side for side in (x[max(0, start - n) : start], x[end : end + n]) if side.size]
+    return all(float(np.abs(side - x[start]).max()) > most for side in sides)
+
+
+def slow_noise(samples: Array) -> float:
+    """Return the RMS of white noise on a slow signal, from its third differences.
+
+    White noise of variance s² has third differences of variance (1+9+9+1)·s²; those of the hand's movement are next to zero.
+    """
+    if samples.size < 4:
+        return 0.0
+    return float(1.4826 * np.median(np.abs(np.diff(samples, 3))) / np.sqrt(20))
+
+
+def noise_floor(name: str, channel: Channel, hand: Hand | None) -> tuple[float, str]:
+    """Return the RMS of a channel's noise, and how it was estimated: `rest`, `quietest 5 %` or `differences`."""
+    x = channel.samples
+    if not name.startswith("acceleration"):
+        return slow_noise(x), "differences"
+    frame = max(2, round(FRAME_S * channel.rate_hz))
+    frames = x[: x.size - x.size % frame].reshape(-1, frame) if x.size >= frame else x[None, :]
+    levels = frames.std(axis=1)  # about each frame's mean: gravity is no noise
+    if hand is not None:
+        starts = channel.times[:: frames.shape[1]][: levels.size]
+        still = ((hand.speed < MOVING_MM_S) | (hand.force < CONTACT_N)).astype(np.float64)
+        at_both = np.interp([starts, starts + FRAME_S / 2], hand.times_s, still, left=0, right=0) == 1
+        quiet = at_both.all(axis=0)
+        if quiet.sum() >= 4:
+            return float(np.median(levels[quiet])), "rest"
+    return float(np.quantile(levels, 0.05)), "quietest 5 %"
+
+
+def check_noise(reports: Iterable[ChannelReport]) -> Iterable[Finding]:
+    """Yield a problem for an acceleration hardly above its noise, and a note where the noise has only a bound."""
+    for report in reports:
+        if not report.name.startswith("acceleration"):
+            continue
+        vibration = float(np.sqrt(max(report.rms**2 - report.mean**2, 0.0)))
+        if report.noise_floor_from != "rest":
+            text = (
+                f"{report.name}: no rest was found, so the noise floor is only known to lie below {report.noise_floor:.3g} m/s² "
+                "(the quietest twentieth)"
+            )
+            yield Finding(NOTE, "noise", report.name, text)
+        elif vibration < 2 * report.noise_floor:
+            text = (
+                f"{report.name}: its level, {vibration:.3g} m/s², is hardly above the {report.noise_floor:.3g} m/s² "
+                "at rest: most of it is sensor noise"
+            )
+            yield Finding(PROBLEM, "noise", report.name, text)
+
+
+def density(channel: Channel) -> tuple[Array, Array]:
+    """Return frequencies [Hz] without 0 and the power spectral density there, shape (k,) each; bins of about 4 Hz."""
+    from scipy.signal import welch
+
+    wanted = 2 ** round(np.log2(channel.rate_hz / 4))
+    n = int(max(16, min(wanted, channel.samples.size // 4)))
+    frequency, power = welch(channel.samples, channel.rate_hz, nperseg=n, detrend="constant")
+    return frequency[1:], power[1:]
+
+
+def check_whiteness(name: str, channel: Channel) -> Iterable[Finding]:
+    """Yield findings on a vibration without autocorrelation, or with a pattern that repeats exactly."""
+    x = channel.samples[:200_000]
+    x = x - x.mean()
+    power = float(np.mean(x**2))
+    if x.size < 1000 or power == 0:
+        return
+    # Noise alone explains 1/n of the power in each of its period−1 free means; what exceeds that is the pattern.
+    explained = {
+        period: float(np.mean(_pattern(x, period) ** 2)) / power - 1 / (x.size // period)
+        for period in range(2, min(250, x.size // 40))
+    }
+    largest = max(explained.values())
+    patterned = largest > 0.05
+    without = x
+    if patterned:
+        period = next(p for p, part in explained.items() if part >= 0.9 * largest)
+        n = x.size // period
+        without = x[: n * period] - np.tile(_pattern(x, period), n)
+    lagged = [abs(np.mean(without[:-k] * without[k:])) / np.mean(without**2) for k in range(1, 6)]
+    white = max(lagged) < 0.12
+    if patterned:
+        hz = channel.rate_hz / period
+        mains = not white and min(abs(hz / m - round(hz / m)) for m in (50, 60)) < 1e-6
+        text = (
+            f"{name}: one pattern repeats exactly every {period} samples ({hz:.4g} Hz) throughout and holds "
+            f"{largest:.0%} of the power: {'mains hum?' if mains else 'a processed or generated signal?'}"
+        )
+        yield Finding(PROBLEM if white else NOTE, "pattern", name, text)
+    if white:
+        text = (
+            f"{name} has next to no autocorrelation (at lags 1 to 5 at most {max(lagged):.2f}"
+            f"{', the pattern aside' if patterned else ''}): was it shuffled, or generated, or is it noise alone?"
+        )
+        yield Finding(PROBLEM, "white", name, text)
+
+
+def _pattern(x: Array, period: int) -> Array:
+    """Return the mean of all whole periods of a signal, shape (period,)."""
+    n = x.size // period
+    return np.asarray(x[: n * period].reshape(n, period).mean(axis=0))
+
+
+def check_lines(name: str, frequency: Array, power: Array) -> Iterable[Finding]:
+    """Yield a note on narrow lines, of an instrument or mains: 15 dB above the median of the bins around."""
+    from scipy.ndimage import median_filter
+
+    if power.size < 64:
+        return
+    ratio = power / np.maximum(median_filter(power, 31, mode="nearest"), 1e-30)
+    peaks = np.flatnonzero((ratio[1:-1] > 30) & (ratio[1:-1] >= ratio[:-2]) & (ratio[1:-1] > ratio[2:])) + 1
+    peaks = peaks[frequency[peaks] > HAND_HZ]
+    if peaks.size:
+        strongest = np.sort(peaks[np.argsort(ratio[peaks])[::-1][:6]])
+        text = (
+            f"{name}: narrow lines at {', '.join(f'{frequency[i]:.4g}' for i in strongest)} Hz"
+            f"{' and elsewhere' if peaks.size > strongest.size else ''}, up to "
+            f"{10 * np.log10(ratio[peaks].max()):.0f} dB above their surroundings: instruments or mains?"
+        )
+        yield Finding(NOTE, "lines", name, text)
