@@ -169,7 +169,7 @@ def _one_step(
     n = targets(blocks, block, first).reshape(len(blocks), -1)
     recorded = samples[n, 0]
     if texture.sizes.from_noise:
-        reasons["one_step"] = f"{texture.card['model']} foretells spectra, and no sample"
+        reasons["one_step"] = f"{texture.card['model']} predicts spectra, and no sample"
     else:
         result.update(one_step(recorded, predict(kernel, samples, n).sample, sd))
     if texture.sizes.excited:

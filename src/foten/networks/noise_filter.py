@@ -1,4 +1,4 @@
-"""White noise through a spectrum: how a model that foretells spectra alone is heard."""
+"""White noise through a spectrum: how a model that predicts spectra alone makes samples."""
 
 from __future__ import annotations
 
