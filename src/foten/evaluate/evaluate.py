@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.evaluate import free_run as runs
 from foten.evaluate.one_step import excitation_scores, one_step, predict
 from foten.evaluate.references import Linear, best_linear, first_scored, fit_linear
@@ -20,8 +20,6 @@ from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.recording.windows import targets
 from foten.runtime.native import NativeTexture
-
-Array = NDArray[np.float64]
 
 ONE_STEP_KEYS = ("mae_scaled", "mae_m_s2", "gfc")
 REFERENCES = ("zero", "persistence", "ar", "ar_scheduled", "ar_best", "lattice", "bound", "bound_window")

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length, welch
 from foten.dsp.level import frame_levels, frame_means
 from foten.dsp.noise import gaussian
@@ -16,8 +17,6 @@ from foten.recording.scaling import Scaling
 from foten.recording.trace import Trace
 from foten.runtime.loops import on_all_cores
 from foten.runtime.native import NativeState, NativeTexture
-
-Array = NDArray[np.float64]
 
 N_SEEDS = 5
 SETTLING = 0.2  # of each block, not scored

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.dsp.distance import HIGHEST_HZ, LOWEST_HZ, POWER_FLOOR
-
-Array = NDArray[np.float64]
 
 N_BANDS = 9
 N_RESAMPLES = 400  # of a bootstrap

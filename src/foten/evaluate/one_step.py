@@ -7,13 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.dsp.noise import innovation_likelihood
 from foten.evaluate.metrics import goodness_of_fit, intervals
 from foten.recording.windows import stretches
 from foten.runtime.loops import Prediction, predict_blocks
 from foten.runtime.native import NativeTexture, PredictionPart
-
-Array = NDArray[np.float64]
 
 _HALF, _NINE_TENTHS = 0.6744897501960817, 1.6448536269514722  # quantiles of a standard normal, |z| < …
 

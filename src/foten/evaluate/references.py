@@ -10,10 +10,9 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.dsp.ar import MAX_POLE, solved, stabilised
 from foten.recording.windows import stretches, targets
-
-Array = NDArray[np.float64]
 
 ORDERS = (5, 10, 20, 40, 80, 160, 240)
 FIRST_SCORED = 320  # samples of each block that no method is scored on: more than the history of any

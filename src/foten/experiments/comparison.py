@@ -9,11 +9,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.experiments.results import FIGURES, PAPER, Results, label_of, name_of
-
-Array = NDArray[np.float64]
 
 REFERENCES = {
     "zero": "references.zero",

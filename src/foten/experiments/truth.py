@@ -5,10 +5,10 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import NDArray
 
 from foten.datasets.linear_family import LINEAR_FAMILY, linear_truth, one_step_bounds
 from foten.datasets.simulate import second_realisation
+from foten.dsp import Array
 from foten.dsp.filters import butterworth
 from foten.evaluate.evaluate import Truth, trace_for
 from foten.evaluate.free_run import N_SEEDS
@@ -16,8 +16,6 @@ from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.recording.trace import Trace
-
-Array = NDArray[np.float64]
 
 
 def truth_for(

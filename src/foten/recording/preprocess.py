@@ -6,16 +6,14 @@ import math
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.dsp.dft321 import dft321
 from foten.dsp.filters import Biquads, Sections, butterworth, delay_s, filter_recorded
 from foten.dsp.kinematics import at_rate, speed_of, velocity
 from foten.dsp.resample import decimate
 from foten.recording.recording import LIMITS, UNITS, Channel, Recording
 from foten.recording.trace import Trace
-
-Array = NDArray[np.float64]
 
 HIGHEST_ORDER = 20  # of a high-pass; one of 20 already rings for longer than a window
 WRONG_SIGN = (5.0, 0.5)  # mm/s, N; below minus this a magnitude is not a magnitude with noise

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from foten.dsp import Array
 
 CHANNELS = ("acceleration", "speed", "force")
 """The three columns of a trace and of a window, in this order (Eq. 1)."""

@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.atomic_write import atomic_write
+from foten.dsp import Array
 from foten.runtime.binding import NativeActuator
 from foten.untrusted import check_regular, parse_json
-
-Array = NDArray[np.float64]
 
 FORMAT, VERSION = "foten-actuator", 1
 LARGEST = 1e9  # of any figure: no actuator has more

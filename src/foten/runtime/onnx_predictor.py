@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.families.sizes import Sizes
-
-Array = NDArray[np.float64]
 
 GRAPH = "graph"  # the tensor that holds one, as bytes
 INPUT, OUTPUT = "windows", "next"

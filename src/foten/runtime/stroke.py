@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.dsp.kinematics import at_rate, velocity
 from foten.recording.preprocess import condition, hand_of
 from foten.recording.recording import LIMITS, Recording
 from foten.runtime.stylus import PressureCalibration
-
-Array = NDArray[np.float64]
 
 LONGEST_S = 3600.0
 COLUMNS = "t (s), and speed (mm/s) or x, y (mm), and force (N) or pressure (0 to 1)"

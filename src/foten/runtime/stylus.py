@@ -9,11 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.runtime.binding import NativeStylusStatistics, StylusOptions, library
 from foten.runtime.native import freed_with
 from foten.runtime.renderer import Renderer
-
-Array = NDArray[np.float64]
 
 _FLAT = 1e-300  # steepness of a force that no pressure changes: of 0 the kernel makes the paper's
 

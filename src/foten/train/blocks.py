@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.families.conditions import FADE_FORCE, FADE_SPEED
 from foten.recording.scaling import Scaling, fit_scaling
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.recording.windows import targets
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
+from foten.dsp import Array
 from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length, welch
 from foten.dsp.level import frame_levels, frame_means
 from foten.dsp.noise import gaussian
@@ -19,8 +20,6 @@ from foten.networks.scale import Excitation
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeTexture
 from foten.train.blocks import ScaledBlocks
-
-Array = NDArray[np.float64]
 
 N_SETTLING = 3
 LASTING_S = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2)  # that a change of volatility may last

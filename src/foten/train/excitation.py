@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from foten.dsp import Array
 from foten.dsp.noise import innovation_likelihood
 from foten.families.excitation import HEAVIEST_TAIL
 from foten.networks.scale import Excitation, Scale
@@ -19,8 +19,6 @@ from foten.recording.scaling import Scaling
 from foten.train.closed_loop import ClosedLoop, fit_volatility, free_run_distance, settle_level
 from foten.train.config import TrainConfig
 from foten.train.fit import TrainingWindows
-
-Array = NDArray[np.float64]
 
 KEPT = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the fitted shape of log σ
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
+from foten.dsp import Array
 from foten.dsp.noise import gaussian
 from foten.families.sizes import Sizes
 from foten.families.texture_file import FORMAT_VERSION, MIN_GOLDEN, Texture, texture_from_bytes
@@ -27,7 +28,6 @@ from foten.runtime.onnx_predictor import INPUT, OUTPUT
 from foten.train.blocks import ScaledBlocks
 from foten.train.config import WARM_START
 
-Array = NDArray[np.float64]
 Tensors = dict[str, NDArray[Any]]
 
 N_GOLDEN = 32  # windows of the validation blocks

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
 from foten.families.conditions import FADE_FORCE, FADE_SPEED
@@ -27,8 +26,6 @@ from foten.train.export import N_GOLDEN, Draft, Tensors, in_float64, tensors_of
 from foten.train.fit import TrainingWindows, pick_device, predict
 from foten.train.job import NetworkTask, Stage, TrainingJob
 from foten.train.linear_part import LinearPart, fit_linear_parts
-
-Array = NDArray[np.float64]
 
 NETWORK_IS_NEARER = 0.98  # times the free run's distance without it
 NETWORK_MAY_BE_NEARER = 1.25  # times that before its level is settled, which moved it by up to a fifth

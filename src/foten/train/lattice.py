@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.ndimage import uniform_filter1d
 
+from foten.dsp import Array
 from foten.dsp.lattice import MAX_REFLECTION, delayed, rotate_back
 from foten.dsp.speed_force_table import SpeedForceTable, spanning
-
-Array = NDArray[np.float64]
 
 ORDERS = (10, 20, 40, 80, 160, 240)  # tried, as far as a block allows
 N_SPEED, N_FORCE = 12, 3  # vertices

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from foten.dsp import Array
 from foten.dsp.lattice import analyse, polynomial
 from foten.dsp.speed_force_table import SpeedForceTable
 from foten.dsp.tones import tone
@@ -24,8 +24,6 @@ from foten.train.export import Tensors, tensors_of
 from foten.train.fit import TrainingWindows
 from foten.train.lattice import FittedReflections, LatticeData, fit_lattice
 from foten.train.tones import fit_tones, wavelength
-
-Array = NDArray[np.float64]
 
 DRAWN_BACK_S = 0.5  # in which a rendering forgets the phase that it started with
 _AT_ONCE = 8_000_000  # reflection coefficients held in memory

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.dsp.ar import MAX_POLE, burg, stabilised
 from foten.dsp.lattice import polynomial
 from foten.dsp.lsf import line_spectral_frequencies, spread_out
@@ -21,8 +22,6 @@ from foten.train.blocks import ScaledBlocks
 from foten.train.export import ProvedTexture
 from foten.train.job import Stage, Task, TrainingJob, versions
 from foten.train.piecewise_ar_texture import LocalModels, local_texture
-
-Array = NDArray[np.float64]
 
 ORDERS = (4, 6, 8, 10, 12, 14, 16, 18, 20)  # tried for all models of a texture alike
 GRID_S, LONGEST_S = 0.05, 1.0  # between places that a cut is tried at; of a piece, over which a hand changes

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter, lfiltic
 
 from foten.datasets.hatt import HattModels
+from foten.dsp import Array
 from foten.dsp.ar import MAX_POLE, stabilised
 from foten.dsp.lattice import LEAK
 from foten.dsp.lsf import line_spectral_frequencies, polynomial_of, spread_out
@@ -21,8 +22,6 @@ from foten.recording.scaling import Scaling
 from foten.train.config import WARM_START
 from foten.train.export import ProvedTexture, warm_start_entry, with_golden
 from foten.train.job import versions
-
-Array = NDArray[np.float64]
 
 _SETTLED = 1000  # samples before a golden window
 _WITH_ZEROS = 256  # samples that innovations are inferred from, where there are zeros

@@ -7,16 +7,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.special import gammainccinv
 
+from foten.dsp import Array
 from foten.dsp.lattice import polynomial
 from foten.dsp.speed_force_table import SpeedForceTable, spanning
 from foten.dsp.tones import tone, tone_slope
 from foten.train.lattice import LatticeData, VertexWeights, fit_lattice_of, vertex_weights
-
-Array = NDArray[np.float64]
 
 SHORTEST_MM = 0.2
 LEAST_PERIODS = 3.0  # in a stretch: so many of a window's own lobes lie at the lowest spatial frequencies

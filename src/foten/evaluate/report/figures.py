@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.dsp.distance import HIGHEST_HZ, LOWEST_HZ
 from foten.dsp.level import FRAME_MS, frame_levels
 from foten.evaluate.evaluate import Judgement
@@ -21,7 +21,6 @@ from foten.families.texture_file import Texture
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 _SPECTROGRAM_MS = 64.0  # of a spectrogram's window: a texture's level changes within a few frames of 40 ms
 _SPECTROGRAM_COLUMNS = 700

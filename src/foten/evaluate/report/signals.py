@@ -9,13 +9,12 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.dsp.distance import scored_bins, segment_length, welch
 from foten.dsp.level import frame_levels
 from foten.dsp.resample import decimate, interpolate
 from foten.evaluate.evaluate import Judgement
 from foten.evaluate.free_run import scored
-
-Array = NDArray[np.float64]
 
 N_WAVEFORM = 400  # samples
 N_BLOCKS_SHOWN = 12  # over time; more would be narrower than a frame

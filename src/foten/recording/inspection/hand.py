@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.dsp.filters import butterworth, filter_recorded
 from foten.dsp.kinematics import speed_of
 from foten.recording.inspection.values import NOTE, PROBLEM, Coverage, Finding, counted, places, runs
@@ -21,8 +21,6 @@ HAND_HZ = 20.0  # a hand's movement holds nothing above; the low-pass of Sec. V-
 TRAINING_HZ = PreprocessConfig().rate_hz  # at which training synchronises speed and force
 CELL_MM_S, CELL_N = 25.0, 0.5  # of the coverage
 USUAL_MM_S, USUAL_N = (300.0, 5.0)  # largest speed and force in use; the coverage is larger where the recording is
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.recording.inspection.hand import CONTACT_N, HAND_HZ, MOVING_MM_S, Hand
 from foten.recording.inspection.values import NOTE, PROBLEM, ChannelReport, Finding, counted, places, runs, swing
 from foten.recording.recording import UNITS, Channel, Recording
 
 FRAME_S = 0.05  # in which the level of an acceleration is measured
-
-Array = NDArray[np.float64]
 
 
 def check_units(name: str, channel: Channel, recording: Recording) -> Iterable[Finding]:

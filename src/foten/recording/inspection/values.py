@@ -9,14 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.dsp import perception
+from foten.dsp import Array, perception
 from foten.recording.recording import Channel
 
 PROBLEM, NOTE = "problem", "note"
 N_PLACES = 200  # that a finding lists
 CELL_S = 0.05  # a cell counts as covered from this time on
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

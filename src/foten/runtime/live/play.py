@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.recording.preprocess import condition
 from foten.runtime.actuator import ActuatorProfile
 from foten.runtime.live.daq import DaqSink
@@ -26,7 +27,6 @@ CIRCLES_A_SECOND = 0.5
 # Of what is sent to a device that keeps to any rate: images and steps of the texture's own would be felt.
 LEAST_RATE_HZ = 8000.0
 
-Array = NDArray[np.float64]
 Hand = Callable[[NDArray[np.int64]], tuple[Array, Array]]
 """Speed [mm/s] and force [N] at samples of the texture's own rate, counted from 0; shapes (n,)."""
 

@@ -11,12 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from foten.atomic_write import atomic_write
+from foten.dsp import Array
 from foten.dsp.resample import interpolate, rate_ratio
-
-Array = NDArray[np.float64]
 
 AUDIBLE_HZ = 48_000
 AUDIBLE_PEAK = 0.7  # of full scale
