@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from foten.datasets.arrays import read_hdf5, read_matlab, read_numpy
+from foten.datasets.binary import read_hdf5, read_matlab, read_numpy
 from foten.datasets.hdf5 import write_recording
 from foten.recording.recording import Channel, Recording
 

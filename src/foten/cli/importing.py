@@ -95,7 +95,8 @@ def import_(
         _import_models(files, output, texture, notes, as_json)
         return
     from foten.datasets.hdf5 import write_recording
-    from foten.datasets.importing import ImportOptions, import_recording, parse_pairs, parse_rates
+    from foten.datasets.importing import import_recording
+    from foten.datasets.options import ImportOptions, parse_pairs, parse_rates
     from foten.recording.recording import UNITS
 
     if output.suffix.lower() not in (".h5", ".hdf5"):

@@ -25,28 +25,17 @@ UNITS = {"AccelUnits": "m/s^2", "SpeedUnits": "mm/s", "ForceUnits": "N"}
 
 @dataclass(frozen=True)
 class HattModels:
-    """What a model file holds; y[n] = −Σ a_k y[n−k] + gain · (e[n] + Σ b_k e[n−k]), e white, Gaussian.
-
-    Attributes:
-        material: its name.
-        rate_hz: of the models.
-        friction: coefficient μ of the surface; NaN where the file has none.
-        points: speed [mm/s] and force [N] of each model, shape (n, 2).
-        ar, ma: coefficients, 1 first, shapes (n, p + 1) and (n, q + 1); q is 0 where there are no zeros.
-        variance: of e [m²/s⁴], shape (n,).
-        gain: shape (n,); 1 where the file has none.
-        triangles: three models each, from 0, shape (t, 3).
-    """
+    """What a model file holds; y[n] = −Σ a_k y[n−k] + gain · (e[n] + Σ b_k e[n−k]), e white, Gaussian."""
 
     material: str
-    rate_hz: float
-    friction: float
-    points: Array
-    ar: Array
-    ma: Array
-    variance: Array
-    gain: Array
-    triangles: NDArray[np.int64]
+    rate_hz: float  # of the models
+    friction: float  # coefficient μ of the surface; NaN where the file has none
+    points: Array  # speed [mm/s] and force [N] of each model, shape (n, 2)
+    ar: Array  # a, 1 first, shape (n, p + 1)
+    ma: Array  # b, 1 first, shape (n, q + 1); q is 0 where there are no zeros
+    variance: Array  # of e [m²/s⁴], shape (n,)
+    gain: Array  # shape (n,); 1 where the file has none
+    triangles: NDArray[np.int64]  # three models each, from 0, shape (t, 3)
 
 
 def read_models(path: Path) -> HattModels:
@@ -86,35 +75,28 @@ def _models(root: Xml.Element) -> HattModels:
     stated = root.findtext("numMod")
     if stated is not None and int(_one(stated, "numMod")) != len(models):
         raise ValueError(f"<numMod> says {stated.strip()} models and the file holds {len(models)}: is it truncated?")
-    ar = _same_length([_values(model, "ARcoeff") for model in models], "ARcoeff")
     ma = [_values(model, "MAcoeff") if model.find("MAcoeff") is not None else np.ones(1) for model in models]
     friction = root.findtext("mu")
-    models_read = HattModels(
+    read = HattModels(
         material=(root.findtext("material") or "").strip(),
         rate_hz=_one(root.findtext("SampleRate"), "SampleRate"),
         friction=np.nan if friction is None else _one(friction, "mu"),
         points=np.array([[_one(model.findtext(name), name) for name in ("speedMod", "forceMod")] for model in models]),
-        ar=ar,
+        ar=_same_length([_values(model, "ARcoeff") for model in models], "ARcoeff"),
         ma=_same_length(ma, "MAcoeff"),
         variance=np.array([_one(model.findtext("var"), "var") for model in models]),
-        gain=np.array(
-            [_one(model.findtext("gain"), "gain") if model.find("gain") is not None else 1.0 for model in models]
-        ),
+        gain=np.array([_one(model.findtext("gain", "1"), "gain") for model in models]),
         triangles=_triangles(root, len(models)),
     )
-    if not models_read.rate_hz > 0:
-        raise ValueError(f"<SampleRate> is {models_read.rate_hz:g} Hz, expected a positive number")
-    for name, coefficients in (("ARcoeff", models_read.ar), ("MAcoeff", models_read.ma)):
+    if not read.rate_hz > 0:
+        raise ValueError(f"<SampleRate> is {read.rate_hz:g} Hz, expected a positive number")
+    for name, coefficients in (("ARcoeff", read.ar), ("MAcoeff", read.ma)):
         if not np.abs(coefficients[:, 0] - 1).max() < 1e-6:
             raise ValueError(f"<{name}> begins with {coefficients[0, 0]:g}, expected 1")
-    for name, values in (
-        ("speedMod or forceMod", models_read.points),
-        ("var", models_read.variance),
-        ("gain", models_read.gain),
-    ):
+    for name, values in (("speedMod or forceMod", read.points), ("var", read.variance), ("gain", read.gain)):
         if not (values >= 0).all():
             raise ValueError(f"<{name}> is negative in a model, expected 0 or more")
-    return models_read
+    return read
 
 
 def _triangles(root: Xml.Element, n: int) -> NDArray[np.int64]:

@@ -15,7 +15,6 @@ from foten.recording.recording import Recording
 Signal = NDArray[np.float64]
 
 REFERENCE_SPEED = 100.0  # mm/s
-MEAN_ABSOLUTE = float(np.sqrt(2 / np.pi))  # of a standard normal
 MOST_NUMBERS, LARGEST = 64, 1e5  # of a texture's parameters
 BURN_IN = 4000  # samples; a pole of radius 0.99 has decayed to 1e-17
 
@@ -48,19 +47,14 @@ class LinearParameters:
 
     y[n] = Σ aᵢ y[n-i] + σ(v, f) e[n], e standard normal, with
     σ = level (standstill_share + v / 100 mm/s)^speed_exponent (f / 1 N)^force_exponent.
-
-    Attributes:
-        coefficients: a₁ … a_p, for each sample whatever the rate.
-        level: σ at 100 mm/s and 1 N [m/s²], but for the share at standstill.
-        standstill_share: added to the speed, in reference speeds, so that σ is never zero.
     """
 
     description: str
-    coefficients: tuple[float, ...]
-    level: float
+    coefficients: tuple[float, ...]  # a₁ … a_p, for each sample whatever the rate
+    level: float  # σ at 100 mm/s and 1 N [m/s²], but for the share at standstill
     speed_exponent: float = 0.8
     force_exponent: float = 0.4
-    standstill_share: float = 0.01
+    standstill_share: float = 0.01  # added to the speed, in reference speeds, so that σ is never zero
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "coefficients", tuple(self.coefficients))
@@ -106,21 +100,11 @@ def linear_signal(parameters: LinearParameters, speed: Signal, force: Signal, rn
 
 @dataclass(frozen=True)
 class LinearTruth:
-    """The process behind a recording of the linear family.
+    """The process behind a recording of the linear family."""
 
-    Attributes:
-        coefficients: a with y[n] = Σ aᵢ y[n-i] + σ(v, f) e[n], shape (p,).
-        rate_hz: the rate at which those samples follow each other.
-        parameters: as stored in the recording.
-    """
-
-    coefficients: Signal
-    rate_hz: float
-    parameters: LinearParameters
-
-    def sigma(self, speed: Signal, force: Signal) -> Signal:
-        """Return the standard deviation of the innovation [m/s²] at speeds [mm/s] and forces [N]."""
-        return self.parameters.sigma(speed, force)
+    coefficients: Signal  # a with y[n] = Σ aᵢ y[n-i] + σ(v, f) e[n], shape (p,)
+    rate_hz: float  # at which those samples follow each other
+    parameters: LinearParameters  # as stored in the recording
 
 
 def linear_truth(recording: Recording) -> LinearTruth:
@@ -170,28 +154,22 @@ def one_step_bounds(
     Raises:
         ValueError: another rate than the truth's, or a filter that is not minimum-phase or not stable.
     """
+    from scipy.linalg import solve_toeplitz
+    from scipy.signal import lfilter
+
     if not np.isclose(rate_hz, truth.rate_hz):
         raise ValueError(f"the signal is at {rate_hz:g} Hz, the process at {truth.rate_hz:g} Hz; bounds need one rate")
     if np.abs(np.roots(highpass_b)).max(initial=0) > 1 + 1e-4:  # 1e-4: a double root computed to 1e-8
         raise ValueError("the high-pass has a zero outside the unit circle, expected minimum phase")
-    mean_absolute = MEAN_ABSOLUTE * truth.sigma(speed, force)
-    window_scale = _window_scale(truth.coefficients, np.asarray(highpass_b), np.asarray(highpass_a), window)
-    return abs(float(highpass_b[0])) * mean_absolute, window_scale * mean_absolute
-
-
-def _window_scale(coefficients: Signal, highpass_b: Signal, highpass_a: Signal, window: int) -> float:
-    """Return s_m: the innovation of the best linear predictor of m samples, for σ = 1."""
-    from scipy.linalg import solve_toeplitz
-    from scipy.signal import lfilter
-
-    denominator = np.convolve([1.0, *(-coefficients)], highpass_a)
+    # The autocovariance is that of the impulse response, cut off where its square has fallen to 1e-18.
+    denominator = np.convolve([1.0, *(-truth.coefficients)], highpass_a)
     radius = np.abs(np.roots(denominator)).max()
     if radius >= 1:
         raise ValueError("the high-pass is not stable")
-    # The autocovariance is that of the impulse response, cut off where its square has fallen to 1e-18.
     impulse = np.zeros(window + 64 + int(np.log(1e-9) / np.log(radius)) * 2)
     impulse[0] = 1
     response = lfilter(highpass_b, denominator, impulse)
     r = np.array([response[: response.size - lag] @ response[lag:] for lag in range(window + 1)])
-    predictor = solve_toeplitz(r[:-1], r[1:])
-    return float(np.sqrt(r[0] - predictor @ r[1:]))
+    s_m = float(np.sqrt(r[0] - solve_toeplitz(r[:-1], r[1:]) @ r[1:]))
+    mean_absolute = np.sqrt(2 / np.pi) * truth.parameters.sigma(speed, force)  # of a normal innovation
+    return abs(float(highpass_b[0])) * mean_absolute, s_m * mean_absolute

@@ -41,12 +41,13 @@ def guessed_mapping(files: Files, options: ImportOptions) -> tuple[tuple[str, st
     for path, columns in files.items():
         for column in columns:
             for channel, aliases in _GUESSES.items():
-                if _alias(column.name, quantity(channel)) in aliases and column.n_rows > 1:
+                header = split_header(column.name, quantity(channel))[0]
+                if header.lower().replace(" ", "_") in aliases and column.n_rows > 1:
                     places.setdefault(channel, []).append((path, column))
     # Sound files carry no names; beside a table they are the accelerometer.
-    sounds = {path: columns for path, columns in files.items() if path.suffix.lower() == ".wav"}
+    sounds = [(path, columns) for path, columns in files.items() if path.suffix.lower() == ".wav"]
     if len(sounds) == 1 and not any(quantity(channel) == "acceleration" for channel in places):
-        [(path, columns)] = sounds.items()
+        [(path, columns)] = sounds
         names = ["acceleration"] if len(columns) == 1 else [f"acceleration_{axis}" for axis in AXES]
         if len(columns) == len(names):
             places.update({name: [(path, column)] for name, column in zip(names, columns, strict=True)})
@@ -61,10 +62,8 @@ def guessed_mapping(files: Files, options: ImportOptions) -> tuple[tuple[str, st
                         "leave out --rate, or map the other columns with --map to use it"
                     )
     for channel, candidates in places.items():
-        per_file = [path for path, _ in candidates]
-        if channel == "time" and len(set(per_file)) == len(per_file):
-            continue
-        if len(candidates) > 1:
+        n_allowed = len({path for path, _ in candidates}) if channel == "time" else 1
+        if len(candidates) > n_allowed:
             could = ", ".join(name_of(files, *place) for place in candidates)
             raise ValueError(f"{channel} could be any of {could}; say which, e.g. --map {_example(files)}")
     if not set(places) - {"time"}:
@@ -74,31 +73,31 @@ def guessed_mapping(files: Files, options: ImportOptions) -> tuple[tuple[str, st
     return tuple((channel, name_of(files, *place)) for channel, candidates in places.items() for place in candidates)
 
 
-def _alias(header: str, kind: str) -> str:
-    """Return a header as `_GUESSES` spells it: `Acc [g]`, `acc_g` → `acc`."""
-    return split_header(header, kind)[0].lower().replace(" ", "_")
-
-
 def name_of(files: Files, path: Path, column: Column) -> str:
     """Return what a column goes by: its name, with several files `FILE:COLUMN`."""
     return column.name if len(files) == 1 else f"{path.name}:{column.name}"
 
 
+def names_of(files: Files) -> list[str]:
+    """Return what all columns go by."""
+    return [name_of(files, path, column) for path, columns in files.items() for column in columns]
+
+
 def _listing(files: Files) -> str:
-    names = [name_of(files, path, c) for path, columns in files.items() for c in columns]
+    names = names_of(files)
     return ", ".join(names[:20]) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
 
 
 def _example(files: Files) -> str:
     """Return a mapping that could be meant: a clock by how it runs, others by words in file and column names, else in order."""
     left = {
-        name_of(files, path, c): (path, c)
+        name_of(files, path, column): column
         for path, columns in files.items()
-        for c in columns
-        if c.n_rows > 1 and not c.fault
+        for column in columns
+        if column.n_rows > 1 and not column.fault
     }
     pairs = []
-    clock = next((name for name, (_, column) in left.items() if _runs_steadily(column)), None)
+    clock = next((name for name, column in left.items() if _runs_steadily(column)), None)
     if clock is not None:
         pairs.append(f"time={clock}")
         del left[clock]
@@ -134,11 +133,9 @@ def _lookup(columns: Sequence[Column], name: str) -> Column | None:
     exact = [column for column in columns if column.name == name]
     if len(exact) > 1:
         raise ValueError(f"{len(exact)} columns are called {name!r}; give the column's number from 0")
-    if exact:
-        return exact[0]
-    if name.isdecimal() and int(name) < len(columns):
+    if not exact and name.isdecimal() and int(name) < len(columns):
         return columns[int(name)]
-    return None
+    return exact[0] if exact else None
 
 
 def column_of(files: Files, channel: str, reference: str) -> tuple[Path, Column]:
@@ -169,9 +166,7 @@ def column_of(files: Files, channel: str, reference: str) -> tuple[Path, Column]
 def clocks_of(files: Files, reference: str) -> list[tuple[Path, Column]]:
     """Return the time columns that a reference means: without `FILE:`, that of each file which has it."""
     paths, name = _split(files, reference)
-    if name.isdecimal():
-        paths = [column_of(files, "time", reference)[0]]
     hits = [path for path in paths if _lookup(files[path], name) is not None]
-    if not hits:
-        column_of(files, "time", reference)  # raises
+    if name.isdecimal() or not hits:
+        return [column_of(files, "time", reference)]
     return [column_of({path: files[path]}, "time", name) for path in hits]

@@ -24,28 +24,13 @@ from numpy.typing import NDArray
 
 from foten.datasets.linear_family import (
     LINEAR_FAMILY,
+    REFERENCE_SPEED,
     LinearParameters,
-    LinearTruth,
     check_parameters,
     linear_signal,
-    linear_truth,
-    one_step_bounds,
 )
 from foten.datasets.stroking import Stroking, stroking
 from foten.recording.recording import AXES, Channel, Recording
-
-__all__ = [
-    "LINEAR_FAMILY",
-    "TEXTURES",
-    "LinearParameters",
-    "LinearTruth",
-    "TextureParameters",
-    "linear_truth",
-    "one_step_bounds",
-    "second_realisation",
-    "simulate",
-    "vibration",
-]
 
 Signal = NDArray[np.float64]
 
@@ -61,7 +46,6 @@ FORCE_NOISE_N = 0.01
 POSITION_NOISE_MM = 0.02
 MARKER_HEIGHT_MM = 40.0
 SETTLING = 1000  # samples of the first reading before the record, so that it begins without a filter's transient
-REFERENCE_SPEED = 100.0  # mm/s
 GRID_MM = 0.02  # of the roughness
 TIP_PER_MM = 4.0  # cycles/mm: the ball of 2 mm bridges finer structure
 AXIS_GAINS = np.array([[0.45, 0.55], [0.35, -0.25], [0.82, 0.80]])
@@ -70,40 +54,24 @@ AXIS_GAINS = np.array([[0.45, 0.55], [0.35, -0.25], [0.82, 0.80]])
 
 @dataclass(frozen=True)
 class TextureParameters:
-    """What defines one simulated texture.
-
-    Attributes:
-        level: rms of the excitation at 100 mm/s and 1 N [m/s²], before the tool.
-        speed_exponent, force_exponent: how the level grows.
-        wavelength_mm: cell of the lattice.
-        lattice_share: of the roughness power, the rest is self-affine noise.
-        harmonics: amplitudes of the lattice, any scale.
-        jitter: standard deviation of a cell's length, relative.
-        corner_per_mm: where the self-affine noise begins to fall [cycles/mm].
-        hurst: its fall, power ~ c^-(1 + 2 hurst).
-        impacts_per_mm: asperities struck on a path; few of them crackle, many hiss.
-        impacts_ratio: rms of the impacts, relative to the roughness, at 100 mm/s.
-        contact_hz: the contact's low-pass; soft surfaces have low ones.
-        modes_hz, damping: of the tool; a firm grip on the surface (force) moves the weight to the second.
-        friction: coefficient.
-    """
+    """What defines one simulated texture."""
 
     description: str
-    level: float
-    speed_exponent: float
+    level: float  # rms of the excitation at 100 mm/s and 1 N [m/s²], before the tool
+    speed_exponent: float  # how the level grows
     force_exponent: float
-    wavelength_mm: float
-    lattice_share: float
-    harmonics: tuple[float, ...]
-    jitter: float
-    corner_per_mm: float
-    hurst: float
-    impacts_per_mm: float
-    impacts_ratio: float
-    contact_hz: float
-    modes_hz: tuple[float, float]
+    wavelength_mm: float  # cell of the lattice
+    lattice_share: float  # of the roughness power, the rest is self-affine noise
+    harmonics: tuple[float, ...]  # amplitudes of the lattice, any scale
+    jitter: float  # standard deviation of a cell's length, relative
+    corner_per_mm: float  # where the self-affine noise begins to fall [cycles/mm]
+    hurst: float  # its fall, power ~ c^-(1 + 2 hurst)
+    impacts_per_mm: float  # asperities struck on a path; few of them crackle, many hiss
+    impacts_ratio: float  # rms of the impacts, relative to the roughness, at 100 mm/s
+    contact_hz: float  # the contact's low-pass; soft surfaces have low ones
+    modes_hz: tuple[float, float]  # of the tool; a firm grip on the surface (force) moves the weight to the second
     damping: tuple[float, float]
-    friction: float
+    friction: float  # coefficient
 
     def __post_init__(self) -> None:
         for name in ("harmonics", "modes_hz", "damping"):
@@ -194,18 +162,14 @@ def simulate(
     Raises:
         ValueError: an unknown key, or lengths, seeds and rates out of range.
     """
-    parameters = _parameters_of(key)
+    known: dict[str, TextureParameters | LinearParameters] = {**TEXTURES, **LINEAR_FAMILY}
+    if key not in known:
+        raise ValueError(f"unknown texture {key!r}, expected one of {', '.join(known)}")
     if accelerometer_hz is None:
-        accelerometer_hz = RATE_HZ if isinstance(parameters, TextureParameters) else LINEAR_RATE_HZ
-    return _simulate(
-        key,
-        parameters,
-        float(seconds),
-        seed,
-        seed if noise_seed is None else noise_seed,
-        seed if stroke_seed is None else stroke_seed,
-        float(accelerometer_hz),
-    )
+        accelerometer_hz = RATE_HZ if key in TEXTURES else LINEAR_RATE_HZ
+    noise_seed = seed if noise_seed is None else noise_seed
+    stroke_seed = seed if stroke_seed is None else stroke_seed
+    return _simulate(key, known[key], float(seconds), seed, noise_seed, stroke_seed, float(accelerometer_hz))
 
 
 def second_realisation(recording: Recording, noise_seed: int) -> Recording:
@@ -225,25 +189,12 @@ def second_realisation(recording: Recording, noise_seed: int) -> Recording:
         raise ValueError(f"simulated by version {simulation.get('version')}, this is {VERSION}: simulate it again")
     kind = LinearParameters if "coefficients" in simulation["parameters"] else TextureParameters
     try:
-        return _simulate(
-            str(simulation["key"]),
-            kind(**simulation["parameters"]),
-            float(simulation["seconds"]),
-            int(simulation["seed"]),
-            noise_seed,
-            int(simulation["stroke_seed"]),
-            float(simulation["accelerometer_hz"]),
-        )
+        parameters = kind(**simulation["parameters"])
+        seconds, rate_hz = float(simulation["seconds"]), float(simulation["accelerometer_hz"])
+        seed, stroke_seed = int(simulation["seed"]), int(simulation["stroke_seed"])
+        return _simulate(str(simulation["key"]), parameters, seconds, seed, noise_seed, stroke_seed, rate_hz)
     except (KeyError, TypeError) as error:
         raise ValueError(f"its parameters are those of another simulator ({error}): simulate it again") from error
-
-
-def _parameters_of(key: str) -> TextureParameters | LinearParameters:
-    if key in TEXTURES:
-        return TEXTURES[key]
-    if key in LINEAR_FAMILY:
-        return LINEAR_FAMILY[key]
-    raise ValueError(f"unknown texture {key!r}, expected one of {', '.join([*TEXTURES, *LINEAR_FAMILY])}")
 
 
 def _simulate(
@@ -274,24 +225,19 @@ def _simulate(
     # The key's bytes keep two textures of one seed apart; the stroke they share, and can be compared on.
     rng = np.random.default_rng([noise_seed, 2, *key.encode()])
     if isinstance(parameters, LinearParameters):
-        channels = _linear_channels(parameters, stroking(seconds, stroke_seed, accelerometer_hz), rng)
+        stroke = stroking(seconds, stroke_seed, accelerometer_hz)
+        acceleration = linear_signal(parameters, stroke.speed, stroke.force, rng)
+        signals = {"acceleration": acceleration, "speed": stroke.speed, "force": stroke.force}
+        channels = {name: Channel(samples, accelerometer_hz) for name, samples in signals.items()}
         tool, sensors = "", "noise-free, one axis"
     else:
         decimation = round(RATE_HZ / accelerometer_hz)
         if RATE_HZ / decimation != accelerometer_hz:
             raise ValueError(f"{accelerometer_hz:g} Hz is not {RATE_HZ:g} Hz divided by a whole number")
         channels = _sensor_channels(parameters, stroking(seconds, stroke_seed, RATE_HZ), decimation, rng)
-        tool, sensors = (
-            "simulated rigid tool, 2 mm steel ball",
-            "simulated ADXL335, force at 10 kHz, position at 120 Hz",
-        )
+        tool = "simulated rigid tool, 2 mm steel ball"
+        sensors = "simulated ADXL335, force at 10 kHz, position at 120 Hz"
     return Recording(channels, texture=key, tool=tool, sensors=sensors, notes="simulated", simulation=simulation)
-
-
-def _linear_channels(parameters: LinearParameters, stroke: Stroking, rng: np.random.Generator) -> dict[str, Channel]:
-    acceleration = linear_signal(parameters, stroke.speed, stroke.force, rng)
-    signals = {"acceleration": acceleration, "speed": stroke.speed, "force": stroke.force}
-    return {name: Channel(samples, stroke.rate_hz) for name, samples in signals.items()}
 
 
 def _roughness(parameters: TextureParameters, length_mm: float, rng: np.random.Generator) -> Signal:
@@ -385,12 +331,12 @@ def _sensor_channels(
     position = np.column_stack([x, y, np.full(n_position, MARKER_HEIGHT_MM)])
     position += rng.normal(0, POSITION_NOISE_MM, position.shape)
 
-    channels = {}
-    for quantity, samples, rate_hz in (
-        ("acceleration", acceleration, acceleration_hz),
-        ("force", force, stroke.rate_hz),
-        ("position", position, POSITION_HZ),
-    ):
-        for axis, column in zip(AXES, samples.T, strict=True):
-            channels[f"{quantity}_{axis}"] = Channel(np.ascontiguousarray(column), rate_hz)
-    return channels
+    return {
+        f"{quantity}_{axis}": Channel(np.ascontiguousarray(column), rate_hz)
+        for quantity, samples, rate_hz in (
+            ("acceleration", acceleration, acceleration_hz),
+            ("force", force, stroke.rate_hz),
+            ("position", position, POSITION_HZ),
+        )
+        for axis, column in zip(AXES, samples.T, strict=True)
+    }
