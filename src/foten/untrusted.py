@@ -53,11 +53,7 @@ def _inside(value: Any) -> Iterable[Any]:
 
 
 def check_numbers(value: Any, what: str) -> None:
-    """Check that each number in a JSON value is one that a float64 or an int64 holds.
-
-    Raises:
-        ValueError: one is not finite, or too large.
-    """
+    """Check that each number in a JSON value is one that a float64 or an int64 holds: finite, and not too large."""
     waiting = [value]
     while waiting:
         one = waiting.pop()

@@ -1,4 +1,7 @@
-"""NumPy, MATLAB, HDF5, TDMS and WAV files as columns. Nothing here unpickles: a pickle runs code when it is opened."""
+"""NumPy, MATLAB, HDF5, TDMS and WAV files as columns. Nothing here unpickles: a pickle runs code when it is opened.
+
+A ValueError says of a file what is wrong with it: it is truncated, foreign, or holds pickled objects.
+"""
 
 from __future__ import annotations
 
@@ -25,11 +28,7 @@ _UNITS = ("unit_string", "NI_UnitDescription", "NI_Unit", "unit", "units", "Unit
 
 
 def read_numpy(path: Path) -> list[Column]:
-    """Return the arrays of an .npz, or the columns of an .npy.
-
-    Raises:
-        ValueError: truncated, foreign, or pickled objects within.
-    """
+    """Return the arrays of an .npz, or the columns of an .npy."""
     columns: list[Column] = []
     texts: dict[str, Any] = {}
     left = MOST_SAMPLES
@@ -61,10 +60,7 @@ def read_numpy(path: Path) -> list[Column]:
 
 
 def _array(file: Any, size: int, left: int) -> NDArray[Any]:
-    """Return the array in the .npy format of a file of so many bytes, if it holds what its header says.
-
-    NumPy makes room for what a header says before it reads.
-    """
+    """Return the array in an .npy file of so many bytes, if it holds what its header says: NumPy makes room before it reads."""
     version = np.lib.format.read_magic(file)
     header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     shape, by_columns, dtype = header[min(version, (2, 0))](file)
@@ -80,11 +76,7 @@ def _array(file: Any, size: int, left: int) -> NDArray[Any]:
 
 
 def read_matlab(path: Path) -> list[Column]:
-    """Return the variables of a .mat file, v5 to v7.3; fields of structs are `struct.field`.
-
-    Raises:
-        ValueError: truncated, foreign.
-    """
+    """Return the variables of a .mat file, v5 to v7.3; fields of structs are `struct.field`."""
     contents, arrays = read_isolated("MATLAB", path)
     columns = [Column(samples=samples, **of_file) for of_file, samples in zip(contents["columns"], arrays, strict=True)]
     if not columns:
@@ -93,11 +85,7 @@ def read_matlab(path: Path) -> list[Column]:
 
 
 def read_hdf5(path: Path) -> list[Column]:
-    """Return every dataset of a foreign HDF5 file, by its path in the file.
-
-    Raises:
-        ValueError: truncated, or a recording of ours, which needs no import.
-    """
+    """Return every dataset of a foreign HDF5 file, by its path in the file; a recording of ours needs no import."""
     contents, arrays = read_isolated("HDF5", path)
     if contents["attributes"].get("format") == FORMAT:
         raise ValueError(f"{path.name} is a foten recording already; nothing to import")
@@ -126,9 +114,6 @@ def read_tdms(path: Path) -> list[Column]:
     """Return the channels of a TDMS file: by their names, or `GROUP/CHANNEL` where two groups share a name.
 
     The rate is the waveform's (`wf_increment`), the unit the channel's (`unit_string` or the like).
-
-    Raises:
-        ValueError: truncated, foreign.
     """
     from nptdms import TdmsFile
     from nptdms.log import log_manager
@@ -147,11 +132,10 @@ def read_tdms(path: Path) -> list[Column]:
     columns = []
     for channel in channels:
         name = channel.name if names.count(channel.name) == 1 else f"{channel.group_name}/{channel.name}"
-        samples = np.asarray(channel[:])
-        rate_hz = _rate(channel.properties.get("wf_increment"))
-        unit = next((str(channel.properties[key]) for key in _UNITS if channel.properties.get(key)), "").strip()
+        samples, stated = np.asarray(channel[:]), channel.properties
         if samples.dtype.kind in "biuf":
-            columns.append(Column(name, samples.astype(np.float64), rate_hz, unit))
+            unit = next((str(stated[key]) for key in _UNITS if stated.get(key)), "").strip()
+            columns.append(Column(name, samples.astype(np.float64), _rate(stated.get("wf_increment")), unit))
         else:
             columns.append(Column(name, np.zeros(0), fault="holds text or times, expected numbers"))
     if not columns:
@@ -172,9 +156,6 @@ def read_wav(path: Path) -> list[Column]:
     """Return the tracks of a WAV file, named by number, with its rate: an accelerometer through a sound card.
 
     Integer samples become fractions of full scale; float samples stay as they are.
-
-    Raises:
-        ValueError: truncated, foreign.
     """
     from scipy.io import wavfile
 

@@ -1,4 +1,7 @@
-"""How much a recording may hold, and what a hand does: beyond it, a file is damaged, or a rate or a unit is wrong."""
+"""How much a recording may hold, and what a hand does: beyond it, a file is damaged, or a rate or a unit is wrong.
+
+Each check raises a ValueError that says what came, what was expected, and what was meant perhaps.
+"""
 
 from __future__ import annotations
 
@@ -22,22 +25,14 @@ _OFTEN = ("mg", "mm/s^2", "um", "um/s", "mN", "gf")
 
 
 def check_size(where: str, samples: NDArray[np.float64]) -> None:
-    """Check that sums and squares of samples or times stay finite.
-
-    Raises:
-        ValueError: one is beyond `LARGEST`.
-    """
+    """Check that samples or times are not beyond `LARGEST`: their sums and squares stay finite."""
     largest = int(np.abs(samples).argmax())
     if abs(samples[largest]) > LARGEST:
         raise ValueError(f"{where}: sample {largest} is {samples[largest]:.4g}, expected below {LARGEST:g}")
 
 
 def check_length(where: str, channel: Channel) -> None:
-    """Check that a channel lasts no longer than a hand strokes.
-
-    Raises:
-        ValueError: it lasts longer than `LONGEST_S`, or is faster than `FASTEST_HZ`.
-    """
+    """Check that a channel lasts no longer than a hand strokes, and has a rate that a sensor has."""
     if channel.rate_hz > FASTEST_HZ:
         raise ValueError(f"{where}: the rate is {channel.rate_hz:g} Hz, expected {FASTEST_HZ:g} at most; is it right?")
     if not channel.duration_s <= LONGEST_S:
@@ -48,11 +43,7 @@ def check_length(where: str, channel: Channel) -> None:
 
 
 def check_overlap(channels: Mapping[str, Channel]) -> None:
-    """Check that all channels were recorded at one time.
-
-    Raises:
-        ValueError: one starts when another has ended.
-    """
+    """Check that no channel starts when another has ended."""
     starts = {name: 0.0 if c.times_s is None else float(c.times_s[0]) for name, c in channels.items()}
     ends = {name: starts[name] + c.duration_s for name, c in channels.items()}
     late, early = max(starts, key=lambda name: starts[name]), min(ends, key=lambda name: ends[name])
@@ -64,11 +55,7 @@ def check_overlap(channels: Mapping[str, Channel]) -> None:
 
 
 def check_hand(channel: str, one: Channel, force_units: bool) -> str:
-    """Return a sentence where values that no hand makes were let through.
-
-    Raises:
-        ValueError: they were not to be, or the channel is too short.
-    """
+    """Check that a channel is long enough and holds what a hand does; return a sentence where more was let through."""
     check_size(channel, one.samples)
     check_length(channel, one)
     kind, unit = quantity(channel), UNITS[channel]

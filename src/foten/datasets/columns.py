@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ class Column:
     unit: str = ""  # where the file states it
     n_blank: int = 0  # blank cells after the last value, which are not in `samples`
     fault: str = ""  # why this column cannot be a channel: a word among the numbers, for example
+    file: Path = Path()  # that it was imported from
 
     def __post_init__(self) -> None:
         for text in ("name", "unit", "fault"):

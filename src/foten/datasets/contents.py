@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -97,15 +98,10 @@ def _attributes(item: Any) -> dict[str, Any]:
     """Return the texts and numbers among the attributes of an object."""
     plain = {}
     for name in item.attrs:
-        attribute = item.attrs.get_id(name)
-        if attribute.get_storage_size() <= 1 << 20:
-            try:
-                value = _plain(item.attrs[name])
-            except (TypeError, OverflowError, ValueError):  # a type that NumPy does not have
-                continue
-            if value is not None:
-                plain[printable(name)] = value
-    return plain
+        if item.attrs.get_id(name).get_storage_size() <= 1 << 20:
+            with contextlib.suppress(TypeError, OverflowError, ValueError):  # a type that NumPy does not have
+                plain[printable(name)] = _plain(item.attrs[name])
+    return {name: value for name, value in plain.items() if value is not None}
 
 
 def _plain(value: Any) -> Any:
@@ -133,11 +129,15 @@ def matlab_contents(path: Path) -> Contents:
     columns: list[Column] = []
     texts: dict[str, Any] = {}
     left = MOST_SAMPLES
+    in_hdf5 = h5py.is_hdf5(
+        path
+    )  # the reader returns its variables in the order of a set, which differs from run to run
     waiting: list[tuple[str, Any]] = [("", read_mat(str(path)))]
     while waiting:
         name, value = waiting.pop()
         if isinstance(value, dict):
-            fields = [key for key in reversed(value) if not key.startswith(("__", "#"))]
+            names = sorted(value) if in_hdf5 else list(value)
+            fields = [key for key in reversed(names) if not key.startswith(("__", "#"))]
             waiting += [(f"{name}.{key}" if name else key, value[key]) for key in fields]
             continue
         if isinstance(value, bytes | str) or (isinstance(value, list) and all(isinstance(v, str) for v in value)):

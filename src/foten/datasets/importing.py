@@ -27,11 +27,9 @@ from foten.untrusted import check_regular
 DATASETS: dict[str, Callable[[Path], list[Column]]] = {
     **dict.fromkeys((".csv", ".tsv", ".txt", ".dat"), read_delimited),
     ".xlsx": read_excel,
-    ".npz": read_numpy,
-    ".npy": read_numpy,
+    **dict.fromkeys((".npz", ".npy"), read_numpy),
     ".mat": read_matlab,
-    ".h5": read_hdf5,
-    ".hdf5": read_hdf5,
+    **dict.fromkeys((".h5", ".hdf5"), read_hdf5),
     ".tdms": read_tdms,
     ".wav": read_wav,
 }
@@ -66,7 +64,7 @@ def read_columns(path: Path) -> list[Column]:
         raise ValueError(f"cannot read {path.name}, expected one of {' '.join(DATASETS)}{hint}")
     if path.stat().st_size == 0:
         raise ValueError(f"{path.name} is empty")
-    return DATASETS[suffix](path)
+    return [replace(column, file=path) for column in DATASETS[suffix](path)]
 
 
 @np.errstate(over="ignore", invalid="ignore")  # infinite and absurd samples are refused, in a sentence
@@ -94,8 +92,8 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> Import:
         taken = {reference for _, reference in mapping}
         left_out = [name for name in names_of(files) if name not in taken]
         decisions += [f"left out: {', '.join(left_out)}"] if left_out else []
-    picked: dict[str, tuple[Path, Column]] = {}
-    clocks: list[tuple[Path, Column]] = []
+    picked: dict[str, Column] = {}
+    clocks: list[Column] = []
     for channel, reference in mapping:
         if channel == "time":
             clocks += clocks_of(files, reference)
@@ -109,15 +107,16 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> Import:
             raise ValueError(f"{channel} has a unit or rate but is not mapped; mapped are {', '.join(picked)}")
 
     history: list[str] = []
-    digests = {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in {p for p, _ in picked.values()}}
+    digests = {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in {c.file for c in picked.values()}}
     channels: dict[str, Channel] = {}
-    for channel, (path, column) in picked.items():
+    for channel, column in picked.items():
+        path = column.file
         history.append(f"{channel} is column {column.name} of {path.name} (sha256 {digests[path][:16]})")
         if column.n_blank:
             history.append(f"{channel} ends {column.n_blank} rows before the table does")
         factor, on_unit = factor_of(channel, column.name, column.unit, options.units.get(channel))
-        times, on_time = times_of(channel, path, column, clocks, options)
-        rate_hz, on_rate = rate_and_source(channel, path, column, times, options, files[path])
+        times, on_time = times_of(channel, column, clocks, options)
+        rate_hz, on_rate = rate_and_source(channel, column, times, options, files[path])
         history += [said for said in (on_unit, on_time, on_rate) if said and said not in history]
         overall = options.rate_hz if channel not in options.rates_hz else None
         if overall is not None and abs(overall - rate_hz) > 1e-6 * overall:
@@ -145,8 +144,7 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> Import:
         decisions.append("there is no acceleration: strokes can be rendered from this recording, nothing learned")
     elif not {"speed", "position"} & kinds or "force" not in kinds:
         decisions.append("without speed (or position) and force nothing can be learned from this recording")
-    texts = (options.texture, options.tool, options.sensors, options.notes)
-    return Import(Recording(channels, *texts, history=tuple(history)), tuple(decisions))
+    return Import(Recording(channels, history=tuple(history)), tuple(decisions))
 
 
 def _for_axes(options: ImportOptions, picked: Mapping[str, object]) -> ImportOptions:

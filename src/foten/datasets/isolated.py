@@ -122,10 +122,8 @@ def _limit(file_bytes: int) -> None:
     """Limit this process, so that no file takes all time or memory of the machine."""
     import resource
 
-    for what, most in (
-        (resource.RLIMIT_CPU, LONGEST_S + file_bytes // BYTES_A_SECOND),
-        (resource.RLIMIT_AS, LARGEST_BYTES),
-    ):
+    longest_s = LONGEST_S + file_bytes // BYTES_A_SECOND
+    for what, most in ((resource.RLIMIT_CPU, longest_s), (resource.RLIMIT_AS, LARGEST_BYTES)):
         with contextlib.suppress(ValueError, OSError):  # a lower limit stands already
             resource.setrlimit(what, (most, most))
 

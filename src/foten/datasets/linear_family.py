@@ -26,11 +26,7 @@ def from_poles(*poles: tuple[float, float]) -> tuple[float, ...]:
 
 
 def check_parameters(parameters: Any) -> None:
-    """Check the fields of a simulated texture, which may come from a file: numbers, and short rows of numbers.
-
-    Raises:
-        ValueError: something else, more than `MOST_NUMBERS`, or beyond `LARGEST`.
-    """
+    """Check that the fields of a simulated texture, which may come from a file, are numbers or short rows of numbers."""
     for name, value in vars(parameters).items():
         if name == "description":
             continue
@@ -71,20 +67,13 @@ class LinearParameters:
         return self.level * stroked**self.speed_exponent * np.maximum(force, 0) ** self.force_exponent
 
 
+_MEMBERS = (  # key, description, level, pole pairs
+    ("linear-hum", "AR(2), one resonance at 80 Hz (at 1 kHz)", 0.25, (0.08, 0.95)),
+    ("linear-twin", "AR(4), two narrow peaks at 120 and 300 Hz", 0.3, (0.12, 0.985), (0.3, 0.98)),
+    ("linear-cloth", "AR(8), broadband, four weak resonances", 0.6, (0.06, 0.6), (0.17, 0.75), (0.27, 0.8), (0.4, 0.7)),
+)
 LINEAR_FAMILY: Mapping[str, LinearParameters] = MappingProxyType(
-    {
-        "linear-hum": LinearParameters(
-            "AR(2), one resonance at 80 Hz (at 1 kHz)", from_poles((0.08, 0.95)), level=0.25
-        ),
-        "linear-twin": LinearParameters(
-            "AR(4), two narrow peaks at 120 and 300 Hz", from_poles((0.12, 0.985), (0.30, 0.98)), level=0.3
-        ),
-        "linear-cloth": LinearParameters(
-            "AR(8), broadband, four weak resonances",
-            from_poles((0.06, 0.6), (0.17, 0.75), (0.27, 0.8), (0.40, 0.7)),
-            level=0.6,
-        ),
-    }
+    {key: LinearParameters(description, from_poles(*poles), level) for key, description, level, *poles in _MEMBERS}
 )
 
 
@@ -141,11 +130,9 @@ def one_step_bounds(
 
     Args:
         truth: of the recording.
-        speed: at the predicted samples [mm/s], shape (n,).
-        force: at the predicted samples [N], shape (n,).
+        speed, force: at the predicted samples [mm/s], [N], shape (n,).
         rate_hz: of the signal; it must be the truth's.
-        highpass_b: numerator of the high-pass that preprocessing used.
-        highpass_a: denominator of it, highpass_a[0] = 1.
+        highpass_b, highpass_a: numerator and denominator of the high-pass that preprocessing used; highpass_a[0] = 1.
         window: m, samples.
 
     Returns:

@@ -23,10 +23,6 @@ class ImportOptions:
     fill_gaps_ms: float = 0.0
     """Longest run of NaN, or of rows that are missing by their times, that is filled in position, speed and force; 0: none."""
     force_units: bool = False  # accept values beyond `LIMITS`
-    texture: str = ""
-    tool: str = ""
-    sensors: str = ""
-    notes: str = ""
 
     def __post_init__(self) -> None:
         names = [name for name, _ in self.mapping]
@@ -52,11 +48,7 @@ def _pieces(texts: Sequence[str]) -> list[str]:
 
 
 def parse_pairs(texts: Sequence[str], option: str) -> list[tuple[str, str]]:
-    """Return `A=B,C=D` texts as pairs.
-
-    Raises:
-        ValueError: a piece without `=`.
-    """
+    """Return `A=B,C=D` texts as pairs."""
     pairs = []
     for piece in _pieces(texts):
         key, _, value = piece.partition("=")
@@ -69,11 +61,7 @@ def parse_pairs(texts: Sequence[str], option: str) -> list[tuple[str, str]]:
 
 
 def parse_rates(texts: Sequence[str]) -> tuple[float | None, dict[str, float]]:
-    """Return `HZ` and `CHANNEL=HZ` texts as the rate for all and the rates by channel.
-
-    Raises:
-        ValueError: not a number.
-    """
+    """Return `HZ` and `CHANNEL=HZ` texts as the rate for all and the rates by channel."""
     overall, by_channel = None, {}
     for piece in _pieces(texts):
         channel, equals, number = piece.rpartition("=")

@@ -1,13 +1,13 @@
 """When samples were taken: from a column of times, from what the file states, or from what the user says; and gaps in them.
 
-Lost samples and lost rows of the hand's channels are filled with straight lines where that is asked for.
+Lost samples and lost rows of the hand's channels are filled with straight lines where that is asked for. A ValueError says what
+is missing, ambiguous or impossible.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,21 +22,17 @@ FILLED = ("position", "speed", "force")  # the hand, which is slow; an accelerat
 
 
 def times_of(
-    channel: str, path: Path, column: Column, clocks: Sequence[tuple[Path, Column]], options: ImportOptions
+    channel: str, column: Column, clocks: Sequence[Column], options: ImportOptions
 ) -> tuple[NDArray[np.float64] | None, str]:
-    """Return the times [s] of a channel's samples from the time column beside it, or None; and a sentence on their unit.
-
-    Raises:
-        ValueError: no column fits, or its times do not rise.
-    """
-    own = [clock for place, clock in clocks if place == path]
+    """Return the times [s] of a channel's samples from the time column beside it, or None; and a sentence on their unit."""
+    own = [clock for clock in clocks if clock.file == column.file]
     fitting = [clock for clock in own if clock.n_rows == column.n_rows]
     if not own or (channel in options.rates_hz and not fitting):
         return None, ""
     if len(fitting) != 1:
         rows = ", ".join(f"{clock.name} {clock.n_rows}" for clock in own)
         raise ValueError(
-            f"{path.name}: {channel} has {column.n_rows} rows and time has {rows}; expected one time column "
+            f"{column.file.name}: {channel} has {column.n_rows} rows and time has {rows}; expected one time column "
             f"of equal length, or a rate: --rate {channel}=HZ"
         )
     clock = fitting[0]
@@ -45,7 +41,7 @@ def times_of(
     times = clock.samples[: column.samples.size]
     bad = np.flatnonzero(~np.isfinite(times))
     if bad.size or times.size < column.samples.size:
-        raise ValueError(f"{path.name}: the time is blank or NaN at sample {bad[0] if bad.size else times.size}")
+        raise ValueError(f"{column.file.name}: the time is blank or NaN at sample {bad[0] if bad.size else times.size}")
     bad = np.flatnonzero(np.diff(times) <= 0)
     if bad.size:
         before, after = times[bad[0]], times[bad[0] + 1]
@@ -53,7 +49,7 @@ def times_of(
         if before == after:
             what, hint = "repeats", "are the times rounded? Leave time out and give --rate"
         raise ValueError(
-            f"{path.name}: the time {what} at sample {bad[0] + 1}: {after:.9g} after {before:.9g} "
+            f"{column.file.name}: the time {what} at sample {bad[0] + 1}: {after:.9g} after {before:.9g} "
             f"({bad.size} such places); {hint}"
         )
     factor, said = factor_of("time", clock.name, clock.unit, options.units.get("time"))
@@ -61,23 +57,17 @@ def times_of(
 
 
 def rate_and_source(
-    channel: str,
-    path: Path,
-    column: Column,
-    times: NDArray[np.float64] | None,
-    options: ImportOptions,
-    columns: Sequence[Column],
+    channel: str, column: Column, times: NDArray[np.float64] | None, options: ImportOptions, columns: Sequence[Column]
 ) -> tuple[float, str]:
-    """Return a channel's rate [Hz], and a sentence where it overrides what the file states.
-
-    Raises:
-        ValueError: neither the file nor the user states one.
-    """
+    """Return a channel's rate [Hz], and a sentence where it overrides what the file states."""
     stated = column.rate_hz
     if channel in options.rates_hz:
         rate = options.rates_hz[channel]
         overrides = stated is not None and abs(rate - stated) > 1e-6 * rate
-        return rate, f"{channel} has the rate given, {rate:g} Hz; {path.name} states {stated:g} Hz" if overrides else ""
+        return (
+            rate,
+            f"{channel} has the rate given, {rate:g} Hz; {column.file.name} states {stated:g} Hz" if overrides else "",
+        )
     if times is not None:
         if times.size < 2:
             raise ValueError(f"{channel} has 1 sample, expected a recording")
@@ -91,7 +81,7 @@ def rate_and_source(
     guess = f"{scalars[0].samples[0]:g}" if scalars else "10000"
     hint = f" (the file has {scalars[0].name} = {guess})" if scalars else ""
     raise ValueError(
-        f"{channel}: {path.name} does not say how fast it was sampled; give --rate {guess} or --rate "
+        f"{channel}: {column.file.name} does not say how fast it was sampled; give --rate {guess} or --rate "
         f"{channel}={guess}{hint}, or map its time column: --map time=COLUMN"
     )
 
@@ -131,11 +121,7 @@ def irregular(times: NDArray[np.float64], rate_hz: float) -> str:
 
 
 def filled(channel: str, one: Channel, gap_ms: float) -> tuple[Channel, str]:
-    """Return a channel without NaN, marker drop-outs filled with straight lines if asked, and a sentence.
-
-    Raises:
-        ValueError: samples are infinite, or missing where or for longer than they may be filled.
-    """
+    """Return a channel without NaN, marker drop-outs filled with straight lines if asked, and a sentence."""
     samples, missing = one.samples, np.isnan(one.samples)
     infinite = np.flatnonzero(np.isinf(samples))
     if infinite.size:
@@ -179,11 +165,7 @@ def filled(channel: str, one: Channel, gap_ms: float) -> tuple[Channel, str]:
 
 
 def bridged(channel: str, one: Channel, gap_ms: float) -> tuple[Channel, str]:
-    """Return a channel with the rows that its times say are missing filled in, if asked, and a sentence.
-
-    Raises:
-        ValueError: rows are missing for longer than they may be filled.
-    """
+    """Return a channel with the rows that its times say are missing filled in, if asked, and a sentence."""
     holes = one.holes()
     if not holes.size or one.times_s is None or quantity(channel) not in FILLED:
         return one, ""  # an acceleration at irregular times is refused before it is used
