@@ -42,9 +42,8 @@ class Column:
 def columns_of_array(name: str, array: NDArray[Any]) -> list[Column]:
     """Return an array as columns: `name` for one, `name.0`, `name.1`, … for several.
 
-    The longer axis of a matrix is taken as time, as both layouts are common; scalars come back as columns of
-    one sample. Arrays that hold no numbers, or have more than two axes of length above 1, come back with a
-    fault.
+    The longer axis of a matrix is taken as time, as both layouts are common; scalars come back as columns of one sample. Arrays
+    that hold no numbers, or have more than two axes of length above 1, come back with a fault.
     """
     if array.dtype.names:
         return [c for field in array.dtype.names for c in columns_of_array(f"{name}.{field}", array[field])]

@@ -104,8 +104,7 @@ def read_recording(path: Path) -> Recording:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: another format or version, truncated, a channel, unit, rate, time or sample that cannot
-            be.
+        ValueError: another format or version, truncated, a channel, unit, rate, time or sample that cannot be.
     """
     name = path.name
     contents, arrays = read_isolated("HDF5", path)

@@ -71,9 +71,8 @@ def read_columns(path: Path) -> list[Column]:
 def import_recording(paths: Sequence[Path], options: ImportOptions) -> Import:
     """Return the recording that some files hold, and what was decided on the way.
 
-    A mapped `time` column serves the channels of its own file that have as many rows; give it once per file.
-    Times of several files are taken to be one clock; they count from the start of the acceleration, or else
-    from the earliest.
+    A mapped `time` column serves the channels of its own file that have as many rows; give it once per file. Times of several
+    files are taken to be one clock; they count from the start of the acceleration, or else from the earliest.
 
     Raises:
         ValueError: one sentence on what is missing, ambiguous or impossible.

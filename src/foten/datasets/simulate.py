@@ -6,9 +6,9 @@ The model of a texture, from the hand to the sensor:
     Poisson impacts of asperities, a number for each mm ─────────────────┴▶ × level fᵅ vᵝ ─┐
                                                 sensors ◀─ two modes of the tool ◀─ contact ◀┘
 
-Nothing in it is fitted to a real surface. It is there to have tones that move with speed, levels and colours
-that depend on speed and force, and parts that no model can predict, in known amounts. It leaves out the
-direction of the stroke and its place on the plate: going back meets new roughness of the same kind.
+Nothing in it is fitted to a real surface. It is there to have tones that move with speed, levels and colours that depend on speed
+and force, and parts that no model can predict, in known amounts. It leaves out the direction of the stroke and its place on the
+plate: going back meets new roughness of the same kind.
 """
 
 from __future__ import annotations
@@ -89,6 +89,8 @@ class TextureParameters:
             raise ValueError(f"modes and contact lie below {RATE_HZ / 2:g} Hz, and waves are longer than {GRID_MM} mm")
 
 
+Parameters = TextureParameters | LinearParameters
+
 # fmt: off
 TEXTURES: Mapping[str, TextureParameters] = MappingProxyType({
     key: TextureParameters(*row) for key, row in {
@@ -144,13 +146,12 @@ def simulate(
         seed: of everything random that the next two leave out.
         noise_seed: of the surface, the impacts and the sensors; another one is a second realisation.
         stroke_seed: of the hand.
-        accelerometer_hz: 10 000 (the default of textures) divided by a whole number; for the linear family,
-            the model's rate, 1000 by default.
+        accelerometer_hz: 10 000 (by default) divided by a whole number; for the linear family, its rate, 1000 by default.
 
     Raises:
         ValueError: an unknown key, or lengths, seeds and rates out of range.
     """
-    known: dict[str, TextureParameters | LinearParameters] = {**TEXTURES, **LINEAR_FAMILY}
+    known: dict[str, Parameters] = {**TEXTURES, **LINEAR_FAMILY}
     if key not in known:
         raise ValueError(f"unknown texture {key!r}, expected one of {', '.join(known)}")
     if accelerometer_hz is None:
@@ -186,18 +187,12 @@ def second_realisation(recording: Recording, noise_seed: int) -> Recording:
 
 
 def _simulate(
-    key: str,
-    parameters: TextureParameters | LinearParameters,
-    seconds: float,
-    seed: int,
-    noise_seed: int,
-    stroke_seed: int,
-    accelerometer_hz: float,
+    key: str, parameters: Parameters, seconds: float, seed: int, noise_seed: int, stroke_seed: int, rate_hz: float
 ) -> Recording:
     if not 1 <= seconds <= 3600:
         raise ValueError(f"{seconds:g} s asked for, expected 1 to 3600")
-    if not 100 <= accelerometer_hz <= RATE_HZ:
-        raise ValueError(f"the accelerometer is at {accelerometer_hz:g} Hz, expected 100 to {RATE_HZ:g}")
+    if not 100 <= rate_hz <= RATE_HZ:
+        raise ValueError(f"the accelerometer is at {rate_hz:g} Hz, expected 100 to {RATE_HZ:g}")
     if min(noise_seed, stroke_seed) < 0:
         raise ValueError("a seed is negative, expected 0 or more")
     simulation: dict[str, Any] = {
@@ -206,22 +201,22 @@ def _simulate(
         "seed": seed,
         "noise_seed": noise_seed,
         "stroke_seed": stroke_seed,
-        "accelerometer_hz": accelerometer_hz,
+        "accelerometer_hz": rate_hz,
         "version": VERSION,
         "parameters": json.loads(json.dumps(asdict(parameters))),  # lists, as they come back from a file
     }
     # The key's bytes keep two textures of one seed apart; the stroke they share, and can be compared on.
     rng = np.random.default_rng([noise_seed, 2, *key.encode()])
     if isinstance(parameters, LinearParameters):
-        stroke = stroking(seconds, stroke_seed, accelerometer_hz)
+        stroke = stroking(seconds, stroke_seed, rate_hz)
         acceleration = linear_signal(parameters, stroke.speed, stroke.force, rng)
         signals = {"acceleration": acceleration, "speed": stroke.speed, "force": stroke.force}
-        channels = {name: Channel(samples, accelerometer_hz) for name, samples in signals.items()}
+        channels = {name: Channel(samples, rate_hz) for name, samples in signals.items()}
         tool, sensors = "", "noise-free, one axis"
     else:
-        decimation = round(RATE_HZ / accelerometer_hz)
-        if RATE_HZ / decimation != accelerometer_hz:
-            raise ValueError(f"{accelerometer_hz:g} Hz is not {RATE_HZ:g} Hz divided by a whole number")
+        decimation = round(RATE_HZ / rate_hz)
+        if RATE_HZ / decimation != rate_hz:
+            raise ValueError(f"{rate_hz:g} Hz is not {RATE_HZ:g} Hz divided by a whole number")
         channels = _sensor_channels(parameters, stroking(seconds, stroke_seed, RATE_HZ), decimation, rng)
         tool = "simulated rigid tool, 2 mm steel ball"
         sensors = "simulated ADXL335, force at 10 kHz, position at 120 Hz"

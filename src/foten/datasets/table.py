@@ -28,14 +28,12 @@ MOST_ROWS = 2_000_000  # of a sheet; a program of tables has 1,048,576
 def read_delimited(path: Path) -> list[Column]:
     """Return the columns of a text table; the separator and the decimal comma are seen from its lines.
 
-    Lines before the table, lines that begin with # or %, and a second header row that holds only units are
-    understood.
+    Lines before the table, lines that begin with # or %, and a second header row that holds only units are understood.
     """
-    raw = path.read_bytes()
-    if not raw.strip():
-        raise ValueError(f"{path.name} is empty")
-    lines = _decode(raw, path.name).splitlines()
+    lines = _decode(path.read_bytes(), path.name).splitlines()
     filled = [line for line in lines if line.strip()]
+    if not filled:
+        raise ValueError(f"{path.name} is empty")
     sample = filled[len(filled) // 2]
     delimiter = next((mark for mark in "\t;," if mark in sample), None)
     remarks = frozenset(i for i, line in enumerate(lines) if line.startswith(("#", "%")))
