@@ -10,10 +10,9 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat, wavfile
 
 from foten.cli.command_line import _status
-from foten.datasets import DATASETS
 from foten.datasets.hdf5 import read_recording
-from foten.datasets.importing import ImportOptions, import_recording
-from foten.datasets.options import parse_pairs, parse_rates
+from foten.datasets.importing import DATASETS, import_recording
+from foten.datasets.options import ImportOptions, parse_pairs, parse_rates
 from foten.datasets.units import FACTORS
 from foten.recording.recording import UNITS
 

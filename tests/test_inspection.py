@@ -8,7 +8,8 @@ import pytest
 
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
-from foten.datasets.importing import ImportOptions, import_recording, parse_pairs
+from foten.datasets.importing import import_recording
+from foten.datasets.options import ImportOptions, parse_pairs
 from foten.datasets.simulate import simulate
 from foten.recording.inspection import inspect_recording
 from foten.recording.inspection.values import PROBLEM

@@ -12,7 +12,7 @@ import pytest
 
 from foten.cli.command_line import _status
 from foten.datasets import isolated
-from foten.datasets.arrays import read_hdf5
+from foten.datasets.binary import read_hdf5
 from foten.datasets.hdf5 import read_recording, write_recording
 from foten.datasets.isolated import read_isolated
 from foten.families.texture_file import Texture, write_texture
@@ -65,12 +65,12 @@ def test_a_library_that_dies_is_a_sentence(tmp_path: Path, recording: Path, monk
     assert len(pids) == 3
     assert os.getpid() not in pids
     assert len(isolated._running) == 1
-    isolated._running[0].close()
+    isolated._close()
 
 
 def test_a_process_that_is_gone_is_replaced(recording: Path) -> None:
     read_recording(recording)
-    isolated._running[0].close()
+    isolated._close()
     assert read_recording(recording)["force"].samples.size == FORCE.size
 
 
@@ -145,13 +145,13 @@ def test_a_missing_library_is_named(recording: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(isolated, "_running", [])
     assert _status(["inspect", str(recording)]) == 2
     assert "this needs h5py, which is not installed" in capsys.readouterr().err
-    isolated._running[0].close()
+    isolated._close()
 
 
 def test_the_process_ends_with_the_program(recording: Path) -> None:
     code = (
         "import sys; from pathlib import Path; from foten.datasets import isolated, hdf5; "
-        f"hdf5.read_recording(Path({str(recording)!r})); print(isolated._running[0]._process.pid)"
+        f"hdf5.read_recording(Path({str(recording)!r})); print(isolated._running[0].pid)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     with pytest.raises(ProcessLookupError):

@@ -31,7 +31,7 @@ def test_least_squares_finds_the_truth(key: str) -> None:
     recording = simulate(key, 200, seed=5)
     truth = linear_truth(recording)
     y = recording["acceleration"].samples
-    sigma = truth.sigma(recording["speed"].samples, recording["force"].samples)
+    sigma = truth.parameters.sigma(recording["speed"].samples, recording["force"].samples)
     p = truth.coefficients.size
     past = np.stack([y[p - i : y.size - i] for i in range(1, p + 1)], axis=1)
     weighted = past / sigma[p:, None]
@@ -63,7 +63,7 @@ def test_the_window_bound_is_what_a_million_samples_give(key: str) -> None:
     truth = linear_truth(simulate(key, 1))
     noise = np.random.default_rng(7).standard_normal(1_000_000)
     x = lfilter(HIGHPASS[0], np.convolve(HIGHPASS[1], [1, *-truth.coefficients]), noise)
-    unit = np.sqrt(2 / np.pi) * truth.sigma(*ONE) * noise.std()  # measured innovation, 0.1 % from 1
+    unit = np.sqrt(2 / np.pi) * truth.parameters.sigma(*ONE) * noise.std()  # measured innovation, 0.1 % from 1
     for window in (5, 20):
         bound = one_step_bounds(truth, *ONE, 1000, *HIGHPASS, window)[1] / unit
         assert bound == pytest.approx(least_squares(x, window)[1], rel=0.002)
@@ -104,7 +104,7 @@ def test_no_filter_leaves_the_autoregression() -> None:
     truth = linear_truth(simulate("linear-cloth", 1))
     one = np.array([1.0])
     infinite, window = one_step_bounds(truth, *ONE, 1000, one, one, 8)
-    np.testing.assert_allclose(infinite, np.sqrt(2 / np.pi) * truth.sigma(*ONE))
+    np.testing.assert_allclose(infinite, np.sqrt(2 / np.pi) * truth.parameters.sigma(*ONE))
     np.testing.assert_allclose(window, infinite, rtol=1e-9)
 
 

@@ -105,6 +105,7 @@ def test_numbers_above_a_table_are_not_data(tmp_path, top):
     [
         (b"", "is empty"),
         (b" \n\n", "is empty"),
+        (b"\xff\xfe", "is empty"),  # the mark of UTF-16 alone
         (b"a,b\n", "no row of numbers"),
         (b"a,b\n1,2\n3,4\n5", r"row 4 has 1 cells, expected 2; was the file cut off"),
         (b"\x89HDF\x00\x00\x00", "is not text"),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from nptdms import ChannelObject, TdmsWriter
 
-from foten.datasets.tdms import read_tdms
+from foten.datasets.binary import read_tdms
 
 ACC = np.random.default_rng(0).standard_normal(400)
 FORCE = np.linspace(0, 2, 40)

@@ -10,7 +10,8 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
 from foten.cli.command_line import _status
-from foten.datasets.importing import ImportOptions, import_recording
+from foten.datasets.importing import import_recording
+from foten.datasets.options import ImportOptions
 from foten.datasets.units import FACTORS, canonical, factor_of, split_header
 
 SAMPLES = np.linspace(0.5, 1.5, 300)

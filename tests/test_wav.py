@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.io import wavfile
 
+from foten.datasets.binary import read_wav
 from foten.datasets.units import FULL_SCALE
-from foten.datasets.wav import read_wav
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.int16, np.int32])

@@ -37,15 +37,15 @@ def parse_json(text: str | bytes) -> Any:
     """
     try:
         value = json.loads(text)
+        level = [value]
+        # What is read must be written and shown too, which needs more of the stack than reading does.
+        for _ in range(DEEPEST):
+            level = [inner for outer in level for inner in _inside(outer)]
+        if level:
+            raise RecursionError
     except RecursionError:
         raise ValueError(f"it is nested more than {DEEPEST} deep") from None
-    # What is read must be written and shown too, which needs more of the stack than reading does.
-    level = [value]
-    for _ in range(DEEPEST):
-        level = [inner for outer in level for inner in _inside(outer)]
-        if not level:
-            return value
-    raise ValueError(f"it is nested more than {DEEPEST} deep")
+    return value
 
 
 def _inside(value: Any) -> Iterable[Any]:
@@ -53,11 +53,7 @@ def _inside(value: Any) -> Iterable[Any]:
 
 
 def check_numbers(value: Any, what: str) -> None:
-    """Check that each number in a JSON value is one that a float64 or an int64 holds.
-
-    Raises:
-        ValueError: one is not finite, or too large.
-    """
+    """Check that each number in a JSON value is one that a float64 or an int64 holds: finite, and not too large."""
     waiting = [value]
     while waiting:
         one = waiting.pop()

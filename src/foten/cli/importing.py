@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -28,29 +29,27 @@ def import_(
         list[str] | None,
         typer.Option(
             "--map",
-            help="CHANNEL=COLUMN,… with channels time, acceleration, speed, force, or by axis "
-            "acceleration_x, position_x, force_x and so on (z is the surface normal). A column is a header "
-            "name, or a number from 0; with several files FILE:COLUMN. time may be given once per file and "
-            "serves the channels of that file with as many rows; without FILE: it is that column of every "
-            "file which has it. Default: by the header names, said on stderr.",
+            help="CHANNEL=COLUMN,… with channels time, acceleration, speed, force, or by axis acceleration_x, position_x, "
+            "force_x and so on (z is the surface normal). A column is a header name, or a number from 0; with several files "
+            "FILE:COLUMN. time may be given once per file and serves the channels of that file with as many rows; without "
+            "FILE: it is that column of every file which has it. Default: by the header names, said on stderr.",
         ),
     ] = None,
     units: Annotated[
         list[str] | None,
         typer.Option(
             "--unit",
-            help="CHANNEL=UNIT,… of the file: acceleration m/s^2, g, mg, mm/s^2; speed mm/s, cm/s, m/s; "
-            "position mm, cm, m, um; force N, mN, gf; time s, ms, us, ns. CHANNEL=V*FACTOR or *FACTOR "
-            "multiplies, for a sensitivity: force=V*4.9 for 4.9 N per volt. Default: what the file states, "
-            "else m/s^2, mm/s, mm, N, s.",
+            help="CHANNEL=UNIT,… of the file: acceleration m/s^2, g, mg, mm/s^2; speed mm/s, cm/s, m/s; position mm, cm, m, "
+            "um; force N, mN, gf; time s, ms, us, ns. CHANNEL=V*FACTOR or *FACTOR multiplies, for a sensitivity: "
+            "force=V*4.9 for 4.9 N per volt. Default: what the file states, else m/s^2, mm/s, mm, N, s.",
         ),
     ] = None,
     rate: Annotated[
         list[str] | None,
         typer.Option(
             "--rate",
-            help="HZ for the channels whose file states no rate and has no time column, or CHANNEL=HZ,…, "
-            "which comes before what the file states.",
+            help="HZ for the channels whose file states no rate and has no time column, or CHANNEL=HZ,…, which comes before "
+            "what the file states.",
         ),
     ] = None,
     fill_gaps: Annotated[
@@ -78,16 +77,9 @@ def import_(
     foten import Models_Denim.xml -o denim.foten: a model file of the Penn Haptic Texture Toolkit becomes a texture.
     """
     if any(file.suffix.lower() == ".xml" for file in files):
-        for_recordings = {
-            "map": mapping,
-            "unit": units,
-            "rate": rate,
-            "fill-gaps": fill_gaps,
-            "force-units": force_units,
-            "tool": tool,
-            "sensors": sensors,
-        }
-        given = [name for name, value in for_recordings.items() if value]
+        names = ("map", "unit", "rate", "fill-gaps", "force-units", "tool", "sensors")
+        values = (mapping, units, rate, fill_gaps, force_units, tool, sensors)
+        given = [name for name, value in zip(names, values, strict=True) if value]
         if given:
             raise ValueError(
                 f"--{given[0]} is for recordings, and an .xml holds models with units and rate: leave it out"
@@ -95,60 +87,42 @@ def import_(
         _import_models(files, output, texture, notes, as_json)
         return
     from foten.datasets.hdf5 import write_recording
-    from foten.datasets.importing import ImportOptions, import_recording, parse_pairs, parse_rates
+    from foten.datasets.importing import import_recording
+    from foten.datasets.options import ImportOptions, parse_pairs, parse_rates
     from foten.recording.recording import UNITS
 
     if output.suffix.lower() not in (".h5", ".hdf5"):
         raise ValueError(f"a recording is written as .h5, got -o {output.name}")
-    if not output.parent.is_dir():
-        raise ValueError(f"there is no folder {output.parent}")
+    check_folders([output])
     rate_hz, rates_hz = parse_rates(rate or [])
-    unit_pairs = parse_pairs(units or [], "--unit")
-    imported = import_recording(
-        files,
-        ImportOptions(
-            mapping=tuple(parse_pairs(mapping or [], "--map")),
-            units=dict(unit_pairs),
-            rate_hz=rate_hz,
-            rates_hz=rates_hz,
-            fill_gaps_ms=fill_gaps,
-            force_units=force_units,
-            texture=texture or output.stem,
-            tool=tool,
-            sensors=sensors,
-            notes=notes,
-        ),
-    )
+    units_of = dict(parse_pairs(units or [], "--unit"))
+    pairs = tuple(parse_pairs(mapping or [], "--map"))
+    imported = import_recording(files, ImportOptions(pairs, units_of, rate_hz, rates_hz, fill_gaps, force_units))
     for decision in imported.decisions:
         say(decision)
-    recording = imported.recording
+    texture = texture or output.stem
+    recording = replace(imported.recording, texture=texture, tool=tool, sensors=sensors, notes=notes)
     write_recording(recording, output)
+    channels: dict[str, dict[str, Any]] = {
+        name: {
+            "unit": UNITS[name],
+            "rate_hz": channel.rate_hz,
+            "regular": channel.times_s is None,
+            "n_samples": channel.samples.size,
+            "duration_s": channel.duration_s,
+            "minimum": float(channel.samples.min()),
+            "maximum": float(channel.samples.max()),
+        }
+        for name, channel in recording.channels.items()
+    }
     if as_json:
-        print_json(
-            {
-                "file": str(output),
-                "sha256": recording.sha256(),
-                "channels": {
-                    name: {
-                        "unit": UNITS[name],
-                        "rate_hz": channel.rate_hz,
-                        "regular": channel.times_s is None,
-                        "n_samples": channel.samples.size,
-                        "duration_s": channel.duration_s,
-                        "minimum": float(channel.samples.min()),
-                        "maximum": float(channel.samples.max()),
-                    }
-                    for name, channel in recording.channels.items()
-                },
-                "history": list(recording.history),
-            }
-        )
+        document = {"file": str(output), "sha256": recording.sha256(), "channels": channels}
+        print_json(document | {"history": list(recording.history)})
         return
-    for name, channel in recording.channels.items():
+    for name, of_channel in channels.items():
         print(
-            f"{name:<15} {channel.samples.size:>9} samples at {channel.rate_hz:>8g} Hz, "
-            f"{channel.duration_s:7.3f} s, {channel.samples.min():.4g} to {channel.samples.max():.4g} "
-            f"{UNITS[name]}"
+            "{name:<15} {n_samples:>9} samples at {rate_hz:>8g} Hz, {duration_s:7.3f} s, {minimum:.4g} to {maximum:.4g} "
+            "{unit}".format(name=name, **of_channel)
         )
     for line in recording.history:
         print(f"  {line}")
@@ -175,18 +149,8 @@ def _import_models(files: list[Path], output: Path, texture: str, notes: str, as
     write_texture(imported, output)
     card, sizes = imported.card, imported.card["sizes"]
     if as_json:
-        print_json(
-            {
-                "file": str(output),
-                "sha256": imported.sha256(),
-                "imported_sha256": digest,
-                "texture": card["texture"],
-                "rate_hz": card["rate_hz"],
-                "sizes": sizes,
-                "trained_range": card["trained_range"],
-                "notes": card["notes"],
-            }
-        )
+        of_card = {key: card[key] for key in ("texture", "rate_hz", "sizes", "trained_range", "notes")}
+        print_json({"file": str(output), "sha256": imported.sha256(), "imported_sha256": digest} | of_card)
         return
     ends = {channel: card["trained_range"][channel][1] for channel in ("speed", "force")}
     print(

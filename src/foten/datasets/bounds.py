@@ -1,34 +1,38 @@
-"""How much a recording may hold: beyond these, a file is damaged, or a rate or a unit is wrong."""
+"""How much a recording may hold, and what a hand does: beyond it, a file is damaged, or a rate or a unit is wrong.
+
+Each check raises a ValueError that says what came, what was expected, and what was meant perhaps.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.recording.recording import Channel
+from foten.datasets.units import FACTORS, quantity
+from foten.recording.recording import LIMITS, UNITS, Channel
 
 LARGEST = 1e12  # of a sample in any unit; a converter of 32 bits counts to 4e9
 LONGEST_S = 14_400.0  # of a channel: four hours
+SHORTEST_S = 0.1
 FASTEST_HZ = 1e7
+
+_USUAL: Mapping[str, float] = {"speed": 400.0, "acceleration": 100.0, "force": 3.0, "position": 300.0}
+"""What the largest value of a usual recording is about; only to guess which unit was meant."""
+_OFTEN = ("mg", "mm/s^2", "um", "um/s", "mN", "gf")
+"""Units in which numbers come out too large; of them too it is guessed."""
 
 
 def check_size(where: str, samples: NDArray[np.float64]) -> None:
-    """Check that sums and squares of samples or times stay finite.
-
-    Raises:
-        ValueError: one is beyond `LARGEST`.
-    """
+    """Check that samples or times are not beyond `LARGEST`: their sums and squares stay finite."""
     largest = int(np.abs(samples).argmax())
     if abs(samples[largest]) > LARGEST:
         raise ValueError(f"{where}: sample {largest} is {samples[largest]:.4g}, expected below {LARGEST:g}")
 
 
 def check_length(where: str, channel: Channel) -> None:
-    """Check that a channel lasts no longer than a hand strokes.
-
-    Raises:
-        ValueError: it lasts longer than `LONGEST_S`, or is faster than `FASTEST_HZ`.
-    """
+    """Check that a channel lasts no longer than a hand strokes, and has a rate that a sensor has."""
     if channel.rate_hz > FASTEST_HZ:
         raise ValueError(f"{where}: the rate is {channel.rate_hz:g} Hz, expected {FASTEST_HZ:g} at most; is it right?")
     if not channel.duration_s <= LONGEST_S:
@@ -36,3 +40,44 @@ def check_length(where: str, channel: Channel) -> None:
             f"{where}: {channel.samples.size} samples at {channel.rate_hz:g} Hz last {channel.duration_s:.4g} s, expected "
             f"{LONGEST_S:g} s at most; is the rate right, or was the time given in ms?"
         )
+
+
+def check_overlap(channels: Mapping[str, Channel]) -> None:
+    """Check that no channel starts when another has ended."""
+    starts = {name: 0.0 if c.times_s is None else float(c.times_s[0]) for name, c in channels.items()}
+    ends = {name: starts[name] + c.duration_s for name, c in channels.items()}
+    late, early = max(starts, key=lambda name: starts[name]), min(ends, key=lambda name: ends[name])
+    if starts[late] >= ends[early]:
+        raise ValueError(
+            f"{late} starts at {starts[late]:.6g} s, when {early} has ended ({ends[early]:.6g} s); "
+            "were their clocks different? Leave time out and give --rate if they were started together"
+        )
+
+
+def check_hand(channel: str, one: Channel, force_units: bool) -> str:
+    """Check that a channel is long enough and holds what a hand does; return a sentence where more was let through."""
+    check_size(channel, one.samples)
+    check_length(channel, one)
+    kind, unit = quantity(channel), UNITS[channel]
+    size, limit = np.abs(one.samples), LIMITS[kind]
+    n_beyond, largest = int((size > limit).sum()), int(size.argmax())
+    what = f"{channel} reaches {one.samples[largest]:.6g} {unit} at sample {largest}"
+    if n_beyond and not force_units:
+        if n_beyond <= 0.01 * size.size:
+            raise ValueError(
+                f"{what}, beyond any hand ({limit:g} {unit}), in {n_beyond} of {size.size} samples: "
+                "spikes? --force-units imports them as they are, and foten inspect shows where"
+            )
+        large = float(np.quantile(size, 0.99))
+        usual = {name: factor for name, factor in FACTORS[kind].items() if name in _OFTEN or name == unit}
+        likely = min(usual, key=lambda name: abs(np.log(large * usual[name] / _USUAL[kind])))
+        guess = f"was it given in {likely}? Then: --unit {channel}={likely}"
+        if likely == unit:
+            guess = f"a raw sensor reading? Give its sensitivity: --unit {channel}=V*FACTOR"
+        raise ValueError(f"{what}, expected below {limit:g} {unit}; {guess} (--force-units imports it all the same)")
+    if one.duration_s < SHORTEST_S:
+        raise ValueError(
+            f"{channel} is too short: {size.size} samples at {one.rate_hz:g} Hz last {one.duration_s * 1000:.3g} ms, "
+            f"expected {SHORTEST_S * 1000:g} ms or more; is the rate right?"
+        )
+    return f"{what}; {n_beyond} samples beyond {limit:g} {unit} were let through (--force-units)" if n_beyond else ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,28 +15,19 @@ from foten.untrusted import printable
 
 MOST_SAMPLES = 200_000_000  # of a file: half an hour of ten channels at 10 kHz
 MOST_COLUMNS = 4096  # of a matrix
-_INDEX = re.compile(r"\.(\d+)$")
 
 
 @dataclass(frozen=True)
 class Column:
-    """One column of numbers, as the file has it.
+    """One column of numbers, as the file has it."""
 
-    Attributes:
-        name: its header, or its number from 0 where there is none.
-        samples: shape (n,), float64, in the file's own unit; NaN where a cell within the column was blank.
-        rate_hz: where the file states it, else None.
-        unit: where the file states it, else empty.
-        n_blank: blank cells after the last value, which are not in `samples`.
-        fault: why this column cannot be a channel (a word among the numbers), else empty.
-    """
-
-    name: str
-    samples: NDArray[np.float64]
-    rate_hz: float | None = None
-    unit: str = ""
-    n_blank: int = 0
-    fault: str = ""
+    name: str  # its header, or its number from 0 where there is none
+    samples: NDArray[np.float64]  # shape (n,), in the file's own unit; NaN where a cell within the column was blank
+    rate_hz: float | None = None  # where the file states it
+    unit: str = ""  # where the file states it
+    n_blank: int = 0  # blank cells after the last value, which are not in `samples`
+    fault: str = ""  # why this column cannot be a channel: a word among the numbers, for example
+    file: Path = Path()  # that it was imported from
 
     def __post_init__(self) -> None:
         for text in ("name", "unit", "fault"):
@@ -50,26 +42,25 @@ class Column:
 def columns_of_array(name: str, array: NDArray[Any]) -> list[Column]:
     """Return an array as columns: `name` for one, `name.0`, `name.1`, … for several.
 
-    The longer axis of a matrix is taken as time, as both layouts are common; scalars come back as columns of
-    one sample. Arrays that hold no numbers, or have more than two axes of length above 1, come back with a
-    fault.
+    The longer axis of a matrix is taken as time, as both layouts are common; scalars come back as columns of one sample. Arrays
+    that hold no numbers, or have more than two axes of length above 1, come back with a fault.
     """
-    array = np.asarray(array)
     if array.dtype.names:
         return [c for field in array.dtype.names for c in columns_of_array(f"{name}.{field}", array[field])]
-    if array.dtype.kind not in "biuf":
-        what = "complex numbers" if array.dtype.kind == "c" else "text or objects"
-        return [Column(name, np.zeros(0), fault=f"holds {what}, expected real numbers")]
-    array = np.atleast_1d(np.squeeze(array))
-    if array.ndim > 2:
-        return [Column(name, np.zeros(0), fault=f"has shape {array.shape}, expected one or two axes")]
-    if array.ndim == 2 and min(array.shape) > MOST_COLUMNS:
-        return [Column(name, np.zeros(0), fault=f"has shape {array.shape}, expected {MOST_COLUMNS} columns at most")]
+    kind, array = array.dtype.kind, np.atleast_1d(np.squeeze(array))
+    fault = ""
+    if kind not in "biuf":
+        fault = f"holds {'complex numbers' if kind == 'c' else 'text or objects'}, expected real numbers"
+    elif array.ndim > 2:
+        fault = f"has shape {array.shape}, expected one or two axes"
+    elif array.ndim == 2 and min(array.shape) > MOST_COLUMNS:
+        fault = f"has shape {array.shape}, expected {MOST_COLUMNS} columns at most"
+    if fault:
+        return [Column(name, np.zeros(0), fault=fault)]
     if array.ndim == 1:
         return [Column(name, array.astype(np.float64))]
-    if array.shape[0] < array.shape[1]:
-        array = array.T
-    return [Column(f"{name}.{k}", array[:, k].astype(np.float64)) for k in range(array.shape[1])]
+    columns = array if array.shape[0] < array.shape[1] else array.T
+    return [Column(f"{name}.{k}", column.astype(np.float64)) for k, column in enumerate(columns)]
 
 
 def with_units(columns: list[Column], texts: Mapping[str, str | list[str]]) -> list[Column]:
@@ -79,21 +70,16 @@ def with_units(columns: list[Column], texts: Mapping[str, str | list[str]]) -> l
     everything beside it. A list of texts has one for each column of a matrix.
 
     Args:
-        columns: as a file has them; those that state a unit keep it.
+        columns: as a file has them, without units.
         texts: by name, as the columns are called; `.` or `/` lead into a struct or a group.
     """
-    by_name = {name.lower(): text for name, text in texts.items() if re.search("units?", name.lower())}
-    if not by_name:
-        return columns
-    return [
-        replace(column, unit=_unit_beside(column.name.lower(), by_name)) if not column.unit else column
-        for column in columns
-    ]
+    by_name = {name.lower(): text for name, text in texts.items()}
+    return [replace(column, unit=_unit_beside(column.name.lower(), by_name)) for column in columns]
 
 
 def _unit_beside(name: str, texts: Mapping[str, str | list[str]]) -> str:
-    index = _INDEX.search(name)
-    name = _INDEX.sub("", name)
+    index = re.search(r"\.(\d+)$", name)
+    name = name[: index.start()] if index else name
     leaf = re.split("[./]", name)[-1]
     parent = name.removesuffix(leaf)
     words = ("unit", "units")
@@ -101,7 +87,7 @@ def _unit_beside(name: str, texts: Mapping[str, str | list[str]]) -> str:
     candidates += [f"{parent}{word}{mark}{leaf}" for word in words for mark in "_./"]
     candidates += [f"{parent}{word}" for word in words]
     text = next((texts[one] for one in candidates if one in texts), "")
-    if isinstance(text, str):
-        return text.strip()
-    k = int(index[1]) if index else 0
-    return text[k].strip() if k < len(text) else ""
+    if isinstance(text, list):
+        k = int(index[1]) if index else 0
+        text = text[k] if k < len(text) else ""
+    return text.strip()

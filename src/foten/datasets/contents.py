@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.datasets.columns import MOST_SAMPLES, columns_of_array
+from foten.datasets.columns import MOST_SAMPLES, Column, columns_of_array
 from foten.datasets.isolated import Contents, RefusedError
 from foten.untrusted import printable
 
@@ -21,44 +23,39 @@ _ELSEWHERE = "keeps its samples in another place, which is not opened"
 def hdf5_contents(path: Path) -> Contents:
     """Return `{"attributes": …, "objects": […]}` of an HDF5 file, objects in the order of their names.
 
-    An object has a name, attributes, and `group` true; or the index and shape of its array; or its texts; or the fault for
+    An object has a name, attributes, and, where it is a dataset, the index and shape of its array, or its texts, or the fault for
     which it was not read. Links and samples in other files are never followed: they could lead to any file of this machine.
     """
-    import h5py
-
     try:
         file = h5py.File(path, "r")
     except OSError as error:
-        if "truncated" in str(error):
-            raise RefusedError(f"{path.name} is truncated: its end is missing") from None
-        raise RefusedError(f"{path.name} is not an HDF5 file, or is damaged") from None
+        fault = "truncated: its end is missing" if "truncated" in str(error) else "not an HDF5 file, or is damaged"
+        raise RefusedError(f"{path.name} is {fault}") from None
     arrays: list[NDArray[np.float64]] = []
+    objects: list[dict[str, Any]] = []
+    left = MOST_SAMPLES
     with file:
-        objects: list[dict[str, Any]] = []
-        left = MOST_SAMPLES
         for name, item in _objects(file):
             if len(objects) == MOST_OBJECTS:
                 raise RefusedError(f"{path.name} holds more than {MOST_OBJECTS} groups and datasets")
             entry: dict[str, Any] = {"name": printable(name)}
             objects.append(entry)
-            if isinstance(item, h5py.Group):
-                entry |= {"group": True, "attributes": _attributes(item)}
-            elif isinstance(item, h5py.Dataset):
-                entry |= {"attributes": _attributes(item), **_dataset(item, left)}
-                if "fault" not in entry and "texts" not in entry:
+            if item is None:
+                entry["fault"] = _ELSEWHERE
+                continue
+            entry["attributes"] = _attributes(item)
+            if isinstance(item, h5py.Dataset):
+                entry |= _unread(item, left)
+                if not {"fault", "texts"} & entry.keys():
                     array = np.asarray(item[()], dtype=np.float64)
                     entry |= {"array": len(arrays), "shape": array.shape}
                     arrays.append(array)
                     left -= array.size
-            else:
-                entry["fault"] = _ELSEWHERE
         return {"attributes": _attributes(file), "objects": objects}, arrays
 
 
 def _objects(file: Any) -> Iterator[tuple[str, Any]]:
     """Return the names of all groups and datasets, each once, and None in place of those that are links."""
-    import h5py
-
     seen = {h5py.h5o.get_info(file.id).addr}
     waiting = [("", file)]
     while waiting:
@@ -80,19 +77,17 @@ def _objects(file: Any) -> Iterator[tuple[str, Any]]:
             waiting += reversed(inner)
 
 
-def _dataset(item: Any, left: int) -> dict[str, Any]:
+def _unread(item: Any, left: int) -> dict[str, Any]:
     """Return the fault for which a dataset is not read, or its texts; nothing where it holds numbers."""
-    import h5py
-
     if item.is_virtual or item.id.get_create_plist().get_external_count():
         return {"fault": _ELSEWHERE}
     try:
         kind, is_text = item.dtype.kind, h5py.check_string_dtype(item.dtype) is not None
     except TypeError:  # a type that NumPy does not have
-        kind, is_text = "", False
+        kind, is_text = "O", False
     if is_text and item.shape is not None and item.size <= MOST_TEXTS:
         return {"texts": [_plain(text) for text in np.atleast_1d(item[()]).ravel()]}
-    if kind not in "biuf" or not kind or item.shape is None:
+    if kind not in "biuf" or item.shape is None:
         return {"fault": "holds no plain numbers"}
     if item.size > left:
         return {"fault": f"says that it holds {item.size:,} samples, expected {left:,} at most"}
@@ -103,15 +98,10 @@ def _attributes(item: Any) -> dict[str, Any]:
     """Return the texts and numbers among the attributes of an object."""
     plain = {}
     for name in item.attrs:
-        attribute = item.attrs.get_id(name)
-        if attribute.get_storage_size() <= 1 << 20:
-            try:
-                value = _plain(item.attrs[name])
-            except (TypeError, OverflowError, ValueError):  # a type that NumPy does not have
-                continue
-            if value is not None:
-                plain[printable(name)] = value
-    return plain
+        if item.attrs.get_id(name).get_storage_size() <= 1 << 20:
+            with contextlib.suppress(TypeError, OverflowError, ValueError):  # a type that NumPy does not have
+                plain[printable(name)] = _plain(item.attrs[name])
+    return {name: value for name, value in plain.items() if value is not None}
 
 
 def _plain(value: Any) -> Any:
@@ -136,32 +126,29 @@ def matlab_contents(path: Path) -> Contents:
     """
     from pymatreader import read_mat
 
-    columns: list[dict[str, Any]] = []
+    columns: list[Column] = []
     texts: dict[str, Any] = {}
-    arrays: list[NDArray[np.float64]] = []
     left = MOST_SAMPLES
+    in_hdf5 = h5py.is_hdf5(
+        path
+    )  # the reader returns its variables in the order of a set, which differs from run to run
     waiting: list[tuple[str, Any]] = [("", read_mat(str(path)))]
     while waiting:
         name, value = waiting.pop()
         if isinstance(value, dict):
-            for key, below in reversed(value.items()):
-                if not key.startswith(("__", "#")):
-                    waiting.append((f"{name}.{key}" if name else key, below))
+            names = sorted(value) if in_hdf5 else list(value)
+            fields = [key for key in reversed(names) if not key.startswith(("__", "#"))]
+            waiting += [(f"{name}.{key}" if name else key, value[key]) for key in fields]
             continue
         if isinstance(value, bytes | str) or (isinstance(value, list) and all(isinstance(v, str) for v in value)):
-            texts[printable(name)] = _plain(np.array(value)) if isinstance(value, list) else _plain(value)
+            texts[printable(name)] = _plain(np.array(value))
         if isinstance(value, list | str | bytes) or value is None:
-            columns.append({"name": name, "fault": "holds text or cells, expected numbers"})
-            arrays.append(np.zeros(0))
-            continue
-        array = np.asarray(value)
-        if array.size > left:
+            columns.append(Column(name, np.zeros(0), fault="holds text or cells, expected numbers"))
+        elif (array := np.asarray(value)).size > left:
             fault = f"says that it holds {array.size:,} samples, expected {left:,} at most"
-            columns.append({"name": name, "fault": fault})
-            arrays.append(np.zeros(0))
-            continue
-        left -= array.size
-        for column in columns_of_array(name, array):
-            columns.append({"name": column.name, "fault": column.fault})
-            arrays.append(column.samples)
-    return {"columns": columns, "texts": texts}, arrays
+            columns.append(Column(name, np.zeros(0), fault=fault))
+        else:
+            left -= array.size
+            columns += columns_of_array(name, array)
+    faults = [{"name": column.name, "fault": column.fault} for column in columns]
+    return {"columns": faults, "texts": texts}, [column.samples for column in columns]

@@ -8,6 +8,7 @@ them and ship none.
 from __future__ import annotations
 
 import xml.etree.ElementTree as Xml
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,28 +26,17 @@ UNITS = {"AccelUnits": "m/s^2", "SpeedUnits": "mm/s", "ForceUnits": "N"}
 
 @dataclass(frozen=True)
 class HattModels:
-    """What a model file holds; y[n] = −Σ a_k y[n−k] + gain · (e[n] + Σ b_k e[n−k]), e white, Gaussian.
-
-    Attributes:
-        material: its name.
-        rate_hz: of the models.
-        friction: coefficient μ of the surface; NaN where the file has none.
-        points: speed [mm/s] and force [N] of each model, shape (n, 2).
-        ar, ma: coefficients, 1 first, shapes (n, p + 1) and (n, q + 1); q is 0 where there are no zeros.
-        variance: of e [m²/s⁴], shape (n,).
-        gain: shape (n,); 1 where the file has none.
-        triangles: three models each, from 0, shape (t, 3).
-    """
+    """What a model file holds; y[n] = −Σ a_k y[n−k] + gain · (e[n] + Σ b_k e[n−k]), e white, Gaussian."""
 
     material: str
-    rate_hz: float
-    friction: float
-    points: Array
-    ar: Array
-    ma: Array
-    variance: Array
-    gain: Array
-    triangles: NDArray[np.int64]
+    rate_hz: float  # of the models
+    friction: float  # coefficient μ of the surface; NaN where the file has none
+    points: Array  # speed [mm/s] and force [N] of each model, shape (n, 2)
+    ar: Array  # a, 1 first, shape (n, p + 1)
+    ma: Array  # b, 1 first, shape (n, q + 1); q is 0 where there are no zeros
+    variance: Array  # of e [m²/s⁴], shape (n,)
+    gain: Array  # shape (n,); 1 where the file has none
+    triangles: NDArray[np.int64]  # three models each, from 0, shape (t, 3)
 
 
 def read_models(path: Path) -> HattModels:
@@ -86,42 +76,37 @@ def _models(root: Xml.Element) -> HattModels:
     stated = root.findtext("numMod")
     if stated is not None and int(_one(stated, "numMod")) != len(models):
         raise ValueError(f"<numMod> says {stated.strip()} models and the file holds {len(models)}: is it truncated?")
-    ar = _same_length([_values(model, "ARcoeff") for model in models], "ARcoeff")
-    ma = [_values(model, "MAcoeff") if model.find("MAcoeff") is not None else np.ones(1) for model in models]
+    ar = _rows([model.find("ARcoeff") for model in models], "ARcoeff")
+    no_zeros = Xml.fromstring("<MAcoeff>1</MAcoeff>")
+    ma = _rows([next(model.iterfind("MAcoeff"), no_zeros) for model in models], "MAcoeff")
     friction = root.findtext("mu")
-    models_read = HattModels(
+    read = HattModels(
         material=(root.findtext("material") or "").strip(),
         rate_hz=_one(root.findtext("SampleRate"), "SampleRate"),
         friction=np.nan if friction is None else _one(friction, "mu"),
         points=np.array([[_one(model.findtext(name), name) for name in ("speedMod", "forceMod")] for model in models]),
         ar=ar,
-        ma=_same_length(ma, "MAcoeff"),
+        ma=ma,
         variance=np.array([_one(model.findtext("var"), "var") for model in models]),
-        gain=np.array(
-            [_one(model.findtext("gain"), "gain") if model.find("gain") is not None else 1.0 for model in models]
-        ),
+        gain=np.array([_one(model.findtext("gain", "1"), "gain") for model in models]),
         triangles=_triangles(root, len(models)),
     )
-    if not models_read.rate_hz > 0:
-        raise ValueError(f"<SampleRate> is {models_read.rate_hz:g} Hz, expected a positive number")
-    for name, coefficients in (("ARcoeff", models_read.ar), ("MAcoeff", models_read.ma)):
+    if not read.rate_hz > 0:
+        raise ValueError(f"<SampleRate> is {read.rate_hz:g} Hz, expected a positive number")
+    for name, coefficients in (("ARcoeff", read.ar), ("MAcoeff", read.ma)):
         if not np.abs(coefficients[:, 0] - 1).max() < 1e-6:
             raise ValueError(f"<{name}> begins with {coefficients[0, 0]:g}, expected 1")
-    for name, values in (
-        ("speedMod or forceMod", models_read.points),
-        ("var", models_read.variance),
-        ("gain", models_read.gain),
-    ):
+    for name, values in (("speedMod or forceMod", read.points), ("var", read.variance), ("gain", read.gain)):
         if not (values >= 0).all():
             raise ValueError(f"<{name}> is negative in a model, expected 0 or more")
-    return models_read
+    return read
 
 
 def _triangles(root: Xml.Element, n: int) -> NDArray[np.int64]:
-    corners = [_numbers(triangle, "tri") for triangle in root.findall("tri")]
+    corners = root.findall("tri")
     if not corners:
         raise ValueError("the file has no <tri>, expected triangles between the models")
-    triangles = _same_length(corners, "tri")
+    triangles = _rows(corners, "tri")
     if triangles.shape[1] != 3 or not (triangles == np.round(triangles)).all():
         raise ValueError("a <tri> is not three integers")
     if triangles.min() < 1 or triangles.max() > n:
@@ -129,18 +114,18 @@ def _triangles(root: Xml.Element, n: int) -> NDArray[np.int64]:
     return triangles.astype(np.int64) - 1
 
 
-def _values(model: Xml.Element, name: str) -> Array:
-    element = model.find(name)
-    if element is None:
-        raise ValueError(f"a model has no <{name}>")
-    return _numbers(element, name)
-
-
-def _numbers(element: Xml.Element, name: str) -> Array:
-    """Return the numbers of a list, in <value>s or with commas or blanks between them."""
-    values = [value.text or "" for value in element.iter("value")]
-    words = values or (element.text or "").replace(",", " ").split()
-    return np.array([_one(word, name) for word in words])
+def _rows(elements: Sequence[Xml.Element | None], name: str) -> Array:
+    """Return lists of numbers as rows, each in <value>s or with commas or blanks between them."""
+    rows = []
+    for element in elements:
+        if element is None:
+            raise ValueError(f"a model has no <{name}>")
+        values = [value.text or "" for value in element.iter("value")]
+        rows.append([_one(word, name) for word in values or (element.text or "").replace(",", " ").split()])
+    lengths = sorted({len(row) for row in rows})
+    if len(lengths) > 1 or lengths[0] == 0:
+        raise ValueError(f"<{name}> has {lengths[0]} to {lengths[-1]} numbers, expected as many in every one")
+    return np.array(rows)
 
 
 def _one(text: str | None, name: str) -> float:
@@ -151,10 +136,3 @@ def _one(text: str | None, name: str) -> float:
     if not np.isfinite(value):
         raise ValueError(f"<{name}> is {value}, expected a finite number")
     return value
-
-
-def _same_length(rows: list[Array], name: str) -> Array:
-    lengths = sorted({len(row) for row in rows})
-    if len(lengths) > 1 or lengths[0] == 0:
-        raise ValueError(f"<{name}> has {lengths[0]} to {lengths[-1]} numbers, expected as many in every one")
-    return np.stack(rows)

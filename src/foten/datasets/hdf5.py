@@ -23,6 +23,7 @@ The same recording always gives the same bytes.
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -50,13 +51,6 @@ def write_recording(recording: Recording, path: Path) -> None:
         OSError: no space is left, or the folder cannot be written to.
         ValueError: a text is too long.
     """
-    image = _image(recording)
-    with atomic_write(path) as part:
-        part.write_bytes(image)
-
-
-def _image(recording: Recording) -> bytes:
-    """Return the bytes of a recording's file: made in memory, since HDF5 does not survive a full disk."""
     import h5py
 
     texts = {key: getattr(recording, key) for key in _TEXTS} | {"history": "\n".join(recording.history)}
@@ -65,34 +59,29 @@ def _image(recording: Recording) -> bytes:
     for key, text in texts.items():
         if len(text.encode()) > LONGEST_TEXT:
             raise ValueError(f"{key} has {len(text.encode()):,} bytes, expected {LONGEST_TEXT:,} at most")
+    # Made in memory, since HDF5 does not survive a full disk.
     with h5py.File("in memory", "w", driver="core", backing_store=False) as file:
-        file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
-        for key, text in texts.items():
-            file.attrs[key] = text
+        file.attrs.update({"format": FORMAT, "version": VERSION} | texts)
         for name, channel in sorted(recording.channels.items()):
             dataset = _store(file, f"channels/{name}", _smallest(channel.samples))
             dataset.attrs["rate_hz"], dataset.attrs["unit"] = float(channel.rate_hz), UNITS[name]
             if channel.times_s is not None:
                 _store(file, f"times_s/{name}", channel.times_s)
         file.flush()
-        return bytes(file.id.get_file_image())
+        image = bytes(file.id.get_file_image())
+    with atomic_write(path) as part:
+        part.write_bytes(image)
 
 
 def _store(file: Any, name: str, samples: NDArray[Any]) -> Any:
-    return file.create_dataset(
-        name, data=samples, compression="gzip", compression_opts=1, shuffle=True, track_times=False
-    )
+    options = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "track_times": False}
+    return file.create_dataset(name, data=samples, **options)
 
 
 def _smallest(samples: NDArray[np.float64]) -> NDArray[Any]:
     with np.errstate(over="ignore"):
         single = samples.astype(np.float32)
-    return single if np.array_equal(single.astype(np.float64), samples) else samples.astype(np.float64)
-
-
-def is_recording(attributes: Mapping[str, Any]) -> bool:
-    """Return whether an HDF5 file with such attributes says that it is one of our recordings."""
-    return attributes.get("format") == FORMAT
+    return single if np.array_equal(single, samples) else samples
 
 
 def load_recording(path: Path) -> Recording:
@@ -115,13 +104,12 @@ def read_recording(path: Path) -> Recording:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: another format or version, truncated, a channel, unit, rate, time or sample that cannot
-            be.
+        ValueError: another format or version, truncated, a channel, unit, rate, time or sample that cannot be.
     """
     name = path.name
     contents, arrays = read_isolated("HDF5", path)
     attributes = contents["attributes"]
-    if not is_recording(attributes):
+    if attributes.get("format") != FORMAT:
         raise ValueError(
             f"{name} is HDF5 but not a foten recording (attribute format is not {FORMAT!r}); "
             f"first run: foten import {path} -o {path.stem}-foten.h5"
@@ -167,14 +155,12 @@ def _simulation(attributes: Mapping[str, Any], name: str) -> dict[str, Any] | No
     """Return the parameters of the simulator, where it made the recording."""
     if "simulation" not in attributes:
         return None
-    try:
+    with contextlib.suppress(ValueError):
         simulation = parse_json(str(attributes["simulation"]))
         check_numbers(simulation, "it")
-    except ValueError:
-        simulation = None
-    if not isinstance(simulation, dict):
-        raise ValueError(f"{name}: attribute simulation is not a JSON object")
-    return simulation
+        if isinstance(simulation, dict):
+            return simulation
+    raise ValueError(f"{name}: attribute simulation is not a JSON object")
 
 
 def _vector(entry: Mapping[str, Any], arrays: list[NDArray[np.float64]], where: str) -> NDArray[np.float64]:

@@ -15,7 +15,6 @@ from foten.recording.recording import Recording
 Signal = NDArray[np.float64]
 
 REFERENCE_SPEED = 100.0  # mm/s
-MEAN_ABSOLUTE = float(np.sqrt(2 / np.pi))  # of a standard normal
 MOST_NUMBERS, LARGEST = 64, 1e5  # of a texture's parameters
 BURN_IN = 4000  # samples; a pole of radius 0.99 has decayed to 1e-17
 
@@ -27,11 +26,7 @@ def from_poles(*poles: tuple[float, float]) -> tuple[float, ...]:
 
 
 def check_parameters(parameters: Any) -> None:
-    """Check the fields of a simulated texture, which may come from a file: numbers, and short rows of numbers.
-
-    Raises:
-        ValueError: something else, more than `MOST_NUMBERS`, or beyond `LARGEST`.
-    """
+    """Check that the fields of a simulated texture, which may come from a file, are numbers or short rows of numbers."""
     for name, value in vars(parameters).items():
         if name == "description":
             continue
@@ -48,19 +43,14 @@ class LinearParameters:
 
     y[n] = Σ aᵢ y[n-i] + σ(v, f) e[n], e standard normal, with
     σ = level (standstill_share + v / 100 mm/s)^speed_exponent (f / 1 N)^force_exponent.
-
-    Attributes:
-        coefficients: a₁ … a_p, for each sample whatever the rate.
-        level: σ at 100 mm/s and 1 N [m/s²], but for the share at standstill.
-        standstill_share: added to the speed, in reference speeds, so that σ is never zero.
     """
 
     description: str
-    coefficients: tuple[float, ...]
-    level: float
+    coefficients: tuple[float, ...]  # a₁ … a_p, for each sample whatever the rate
+    level: float  # σ at 100 mm/s and 1 N [m/s²], but for the share at standstill
     speed_exponent: float = 0.8
     force_exponent: float = 0.4
-    standstill_share: float = 0.01
+    standstill_share: float = 0.01  # added to the speed, in reference speeds, so that σ is never zero
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "coefficients", tuple(self.coefficients))
@@ -77,20 +67,13 @@ class LinearParameters:
         return self.level * stroked**self.speed_exponent * np.maximum(force, 0) ** self.force_exponent
 
 
+_MEMBERS = (  # key, description, level, pole pairs
+    ("linear-hum", "AR(2), one resonance at 80 Hz (at 1 kHz)", 0.25, (0.08, 0.95)),
+    ("linear-twin", "AR(4), two narrow peaks at 120 and 300 Hz", 0.3, (0.12, 0.985), (0.3, 0.98)),
+    ("linear-cloth", "AR(8), broadband, four weak resonances", 0.6, (0.06, 0.6), (0.17, 0.75), (0.27, 0.8), (0.4, 0.7)),
+)
 LINEAR_FAMILY: Mapping[str, LinearParameters] = MappingProxyType(
-    {
-        "linear-hum": LinearParameters(
-            "AR(2), one resonance at 80 Hz (at 1 kHz)", from_poles((0.08, 0.95)), level=0.25
-        ),
-        "linear-twin": LinearParameters(
-            "AR(4), two narrow peaks at 120 and 300 Hz", from_poles((0.12, 0.985), (0.30, 0.98)), level=0.3
-        ),
-        "linear-cloth": LinearParameters(
-            "AR(8), broadband, four weak resonances",
-            from_poles((0.06, 0.6), (0.17, 0.75), (0.27, 0.8), (0.40, 0.7)),
-            level=0.6,
-        ),
-    }
+    {key: LinearParameters(description, from_poles(*poles), level) for key, description, level, *poles in _MEMBERS}
 )
 
 
@@ -106,21 +89,11 @@ def linear_signal(parameters: LinearParameters, speed: Signal, force: Signal, rn
 
 @dataclass(frozen=True)
 class LinearTruth:
-    """The process behind a recording of the linear family.
+    """The process behind a recording of the linear family."""
 
-    Attributes:
-        coefficients: a with y[n] = Σ aᵢ y[n-i] + σ(v, f) e[n], shape (p,).
-        rate_hz: the rate at which those samples follow each other.
-        parameters: as stored in the recording.
-    """
-
-    coefficients: Signal
-    rate_hz: float
-    parameters: LinearParameters
-
-    def sigma(self, speed: Signal, force: Signal) -> Signal:
-        """Return the standard deviation of the innovation [m/s²] at speeds [mm/s] and forces [N]."""
-        return self.parameters.sigma(speed, force)
+    coefficients: Signal  # a with y[n] = Σ aᵢ y[n-i] + σ(v, f) e[n], shape (p,)
+    rate_hz: float  # at which those samples follow each other
+    parameters: LinearParameters  # as stored in the recording
 
 
 def linear_truth(recording: Recording) -> LinearTruth:
@@ -148,20 +121,17 @@ def one_step_bounds(
 ) -> tuple[Signal, Signal]:
     """Return the least expected absolute one-step error that the past of the high-passed signal allows.
 
-    The high-passed signal is x = B(z) / (A_h(z) A(z)) σe. Its zeros lie on the unit circle at worst, so the
-    whole past gives away all of x[n] but b₀ σ e[n]; exactly, however σ varies. Zeros at z = 1 make that past
-    very long: a window of m gets down to s_m > b₀ only, the residual of the best linear predictor of m
-    samples (the best of all, the process being Gaussian), here for a σ that is constant over the window.
-    Under the simulated hand's σ that predictor's mean error came out 0.1 to 0.4 % above it (64 s, six seeds,
-    m = 20 and 40, each run within 0.9 %).
+    The high-passed signal is x = B(z) / (A_h(z) A(z)) σe. Its zeros lie on the unit circle at worst, so the whole past gives
+    away all of x[n] but b₀ σ e[n]; exactly, however σ varies. Zeros at z = 1 make that past very long: a window of m gets down
+    to s_m > b₀ only, the residual of the best linear predictor of m samples (the best of all, the process being Gaussian), here
+    for a σ that is constant over the window. Under the simulated hand's σ that predictor's mean error came out 0.1 to 0.4 %
+    above it (64 s, six seeds, m = 20 and 40, each run within 0.9 %).
 
     Args:
         truth: of the recording.
-        speed: at the predicted samples [mm/s], shape (n,).
-        force: at the predicted samples [N], shape (n,).
+        speed, force: at the predicted samples [mm/s], [N], shape (n,).
         rate_hz: of the signal; it must be the truth's.
-        highpass_b: numerator of the high-pass that preprocessing used.
-        highpass_a: denominator of it, highpass_a[0] = 1.
+        highpass_b, highpass_a: numerator and denominator of the high-pass that preprocessing used; highpass_a[0] = 1.
         window: m, samples.
 
     Returns:
@@ -170,28 +140,22 @@ def one_step_bounds(
     Raises:
         ValueError: another rate than the truth's, or a filter that is not minimum-phase or not stable.
     """
+    from scipy.linalg import solve_toeplitz
+    from scipy.signal import lfilter
+
     if not np.isclose(rate_hz, truth.rate_hz):
         raise ValueError(f"the signal is at {rate_hz:g} Hz, the process at {truth.rate_hz:g} Hz; bounds need one rate")
     if np.abs(np.roots(highpass_b)).max(initial=0) > 1 + 1e-4:  # 1e-4: a double root computed to 1e-8
         raise ValueError("the high-pass has a zero outside the unit circle, expected minimum phase")
-    mean_absolute = MEAN_ABSOLUTE * truth.sigma(speed, force)
-    window_scale = _window_scale(truth.coefficients, np.asarray(highpass_b), np.asarray(highpass_a), window)
-    return abs(float(highpass_b[0])) * mean_absolute, window_scale * mean_absolute
-
-
-def _window_scale(coefficients: Signal, highpass_b: Signal, highpass_a: Signal, window: int) -> float:
-    """Return s_m: the innovation of the best linear predictor of m samples, for σ = 1."""
-    from scipy.linalg import solve_toeplitz
-    from scipy.signal import lfilter
-
-    denominator = np.convolve([1.0, *(-coefficients)], highpass_a)
+    # The autocovariance is that of the impulse response, cut off where its square has fallen to 1e-18.
+    denominator = np.convolve([1.0, *(-truth.coefficients)], highpass_a)
     radius = np.abs(np.roots(denominator)).max()
     if radius >= 1:
         raise ValueError("the high-pass is not stable")
-    # The autocovariance is that of the impulse response, cut off where its square has fallen to 1e-18.
     impulse = np.zeros(window + 64 + int(np.log(1e-9) / np.log(radius)) * 2)
     impulse[0] = 1
     response = lfilter(highpass_b, denominator, impulse)
     r = np.array([response[: response.size - lag] @ response[lag:] for lag in range(window + 1)])
-    predictor = solve_toeplitz(r[:-1], r[1:])
-    return float(np.sqrt(r[0] - predictor @ r[1:]))
+    s_m = float(np.sqrt(r[0] - solve_toeplitz(r[:-1], r[1:]) @ r[1:]))
+    mean_absolute = np.sqrt(2 / np.pi) * truth.parameters.sigma(speed, force)  # of a normal innovation
+    return abs(float(highpass_b[0])) * mean_absolute, s_m * mean_absolute

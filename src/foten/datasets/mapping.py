@@ -37,71 +37,64 @@ _GUESSES: Mapping[str, frozenset[str]] = {
 
 def guessed_mapping(files: Files, options: ImportOptions) -> tuple[tuple[str, str], ...]:
     """Return the mapping that the headers alone leave no doubt about."""
-    places: dict[str, list[tuple[Path, Column]]] = {}
-    for path, columns in files.items():
-        for column in columns:
-            for channel, aliases in _GUESSES.items():
-                if _alias(column.name, quantity(channel)) in aliases and column.n_rows > 1:
-                    places.setdefault(channel, []).append((path, column))
+    places: dict[str, list[Column]] = {}
+    for column in (column for columns in files.values() for column in columns if column.n_rows > 1):
+        for channel, aliases in _GUESSES.items():
+            header = split_header(column.name, quantity(channel))[0]
+            if header.lower().replace(" ", "_") in aliases:
+                places.setdefault(channel, []).append(column)
     # Sound files carry no names; beside a table they are the accelerometer.
-    sounds = {path: columns for path, columns in files.items() if path.suffix.lower() == ".wav"}
+    sounds = [columns for path, columns in files.items() if path.suffix.lower() == ".wav"]
     if len(sounds) == 1 and not any(quantity(channel) == "acceleration" for channel in places):
-        [(path, columns)] = sounds.items()
-        names = ["acceleration"] if len(columns) == 1 else [f"acceleration_{axis}" for axis in AXES]
-        if len(columns) == len(names):
-            places.update({name: [(path, column)] for name, column in zip(names, columns, strict=True)})
+        names = ["acceleration"] if len(sounds[0]) == 1 else [f"acceleration_{axis}" for axis in AXES]
+        if len(sounds[0]) == len(names):
+            places.update({name: [column] for name, column in zip(names, sounds[0], strict=True)})
     if options.rate_hz is not None:
-        for path, column in places.pop("time", []):
+        for column in places.pop("time", []):
             times = column.samples * factor_of("time", column.name, column.unit, options.units.get("time"))[0]
             if times.size > 1 and (np.diff(times) > 0).all():
                 own = rate_of(times)
                 if abs(own - options.rate_hz) > 0.01 * own:
                     raise ValueError(
-                        f"{path.name}: the column {column.name} says {own:g} Hz and --rate {options.rate_hz:g}; "
+                        f"{column.file.name}: the column {column.name} says {own:g} Hz and --rate {options.rate_hz:g}; "
                         "leave out --rate, or map the other columns with --map to use it"
                     )
     for channel, candidates in places.items():
-        per_file = [path for path, _ in candidates]
-        if channel == "time" and len(set(per_file)) == len(per_file):
-            continue
-        if len(candidates) > 1:
-            could = ", ".join(name_of(files, *place) for place in candidates)
+        n_allowed = len({column.file for column in candidates}) if channel == "time" else 1
+        if len(candidates) > n_allowed:
+            could = ", ".join(name_of(files, column) for column in candidates)
             raise ValueError(f"{channel} could be any of {could}; say which, e.g. --map {_example(files)}")
     if not set(places) - {"time"}:
         raise ValueError(
             f"no header says which column is which; found {_listing(files)}; say so, e.g. --map {_example(files)}"
         )
-    return tuple((channel, name_of(files, *place)) for channel, candidates in places.items() for place in candidates)
+    return tuple((channel, name_of(files, column)) for channel, candidates in places.items() for column in candidates)
 
 
-def _alias(header: str, kind: str) -> str:
-    """Return a header as `_GUESSES` spells it: `Acc [g]`, `acc_g` → `acc`."""
-    return split_header(header, kind)[0].lower().replace(" ", "_")
-
-
-def name_of(files: Files, path: Path, column: Column) -> str:
+def name_of(files: Files, column: Column) -> str:
     """Return what a column goes by: its name, with several files `FILE:COLUMN`."""
-    return column.name if len(files) == 1 else f"{path.name}:{column.name}"
+    return column.name if len(files) == 1 else f"{column.file.name}:{column.name}"
+
+
+def names_of(files: Files) -> list[str]:
+    """Return what all columns go by."""
+    return [name_of(files, column) for columns in files.values() for column in columns]
 
 
 def _listing(files: Files) -> str:
-    names = [name_of(files, path, c) for path, columns in files.items() for c in columns]
+    names = names_of(files)
     return ", ".join(names[:20]) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
 
 
 def _example(files: Files) -> str:
     """Return a mapping that could be meant: a clock by how it runs, others by words in file and column names, else in order."""
-    left = {
-        name_of(files, path, c): (path, c)
-        for path, columns in files.items()
-        for c in columns
-        if c.n_rows > 1 and not c.fault
-    }
+    usable = [c for columns in files.values() for c in columns if c.n_rows > 1 and not c.fault]
+    left = {name_of(files, column): column for column in usable}
     pairs = []
-    clock = next((name for name, (_, column) in left.items() if _runs_steadily(column)), None)
-    if clock is not None:
-        pairs.append(f"time={clock}")
-        del left[clock]
+    clocks = [name for name, column in left.items() if _runs_steadily(column)]
+    if clocks:
+        pairs.append(f"time={clocks[0]}")
+        del left[clocks[0]]
     words_of = {"acceleration": ("acc", "besch"), "speed": ("speed", "vel", "gesch"), "force": ("force", "kraft")}
     for channel, words in words_of.items():
         if left:
@@ -134,23 +127,21 @@ def _lookup(columns: Sequence[Column], name: str) -> Column | None:
     exact = [column for column in columns if column.name == name]
     if len(exact) > 1:
         raise ValueError(f"{len(exact)} columns are called {name!r}; give the column's number from 0")
-    if exact:
-        return exact[0]
-    if name.isdecimal() and int(name) < len(columns):
+    if not exact and name.isdecimal() and int(name) < len(columns):
         return columns[int(name)]
-    return None
+    return exact[0] if exact else None
 
 
-def column_of(files: Files, channel: str, reference: str) -> tuple[Path, Column]:
-    """Return the file and the column that a reference means.
+def column_of(files: Files, channel: str, reference: str) -> Column:
+    """Return the column that a reference means.
 
     Raises:
         ValueError: there is none, there are several, or it holds no numbers.
     """
     paths, name = _split(files, reference)
-    hits = [(path, column) for path in paths if (column := _lookup(files[path], name)) is not None]
+    hits = [column for path in paths if (column := _lookup(files[path], name)) is not None]
     if len(hits) > 1:
-        options = " or ".join(f"{path.name}:{name}" for path, _ in hits)
+        options = " or ".join(f"{column.file.name}:{name}" for column in hits)
         raise ValueError(f"{channel}={reference} is in {len(hits)} files; write {options}")
     if not hits:
         there = {path: files[path] for path in paths}
@@ -158,20 +149,17 @@ def column_of(files: Files, channel: str, reference: str) -> tuple[Path, Column]
         hint = f"; did you mean {close[0]}?" if close else ""
         where = paths[0].name if len(paths) == 1 else "the files"
         raise ValueError(f"{channel}: no column {name!r} in {where}, which has {_listing(there)}{hint}")
-    path, column = hits[0]
-    if column.fault:
-        raise ValueError(f"{channel}: {path.name}, column {column.name}: {column.fault}")
-    if not column.samples.size:
-        raise ValueError(f"{channel}: {path.name}, column {column.name} is empty")
-    return path, column
+    column = hits[0]
+    if column.fault or not column.samples.size:
+        fault = f": {column.fault}" if column.fault else " is empty"
+        raise ValueError(f"{channel}: {column.file.name}, column {column.name}{fault}")
+    return column
 
 
-def clocks_of(files: Files, reference: str) -> list[tuple[Path, Column]]:
+def clocks_of(files: Files, reference: str) -> list[Column]:
     """Return the time columns that a reference means: without `FILE:`, that of each file which has it."""
     paths, name = _split(files, reference)
-    if name.isdecimal():
-        paths = [column_of(files, "time", reference)[0]]
     hits = [path for path in paths if _lookup(files[path], name) is not None]
-    if not hits:
-        column_of(files, "time", reference)  # raises
+    if name.isdecimal() or not hits:
+        return [column_of(files, "time", reference)]
     return [column_of({path: files[path]}, "time", name) for path in hits]

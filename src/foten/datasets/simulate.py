@@ -6,9 +6,9 @@ The model of a texture, from the hand to the sensor:
     Poisson impacts of asperities, a number for each mm ─────────────────┴▶ × level fᵅ vᵝ ─┐
                                                 sensors ◀─ two modes of the tool ◀─ contact ◀┘
 
-Nothing in it is fitted to a real surface. It is there to have tones that move with speed, levels and colours
-that depend on speed and force, and parts that no model can predict, in known amounts. It leaves out the
-direction of the stroke and its place on the plate: going back meets new roughness of the same kind.
+Nothing in it is fitted to a real surface. It is there to have tones that move with speed, levels and colours that depend on speed
+and force, and parts that no model can predict, in known amounts. It leaves out the direction of the stroke and its place on the
+plate: going back meets new roughness of the same kind.
 """
 
 from __future__ import annotations
@@ -24,28 +24,13 @@ from numpy.typing import NDArray
 
 from foten.datasets.linear_family import (
     LINEAR_FAMILY,
+    REFERENCE_SPEED,
     LinearParameters,
-    LinearTruth,
     check_parameters,
     linear_signal,
-    linear_truth,
-    one_step_bounds,
 )
 from foten.datasets.stroking import Stroking, stroking
 from foten.recording.recording import AXES, Channel, Recording
-
-__all__ = [
-    "LINEAR_FAMILY",
-    "TEXTURES",
-    "LinearParameters",
-    "LinearTruth",
-    "TextureParameters",
-    "linear_truth",
-    "one_step_bounds",
-    "second_realisation",
-    "simulate",
-    "vibration",
-]
 
 Signal = NDArray[np.float64]
 
@@ -61,7 +46,6 @@ FORCE_NOISE_N = 0.01
 POSITION_NOISE_MM = 0.02
 MARKER_HEIGHT_MM = 40.0
 SETTLING = 1000  # samples of the first reading before the record, so that it begins without a filter's transient
-REFERENCE_SPEED = 100.0  # mm/s
 GRID_MM = 0.02  # of the roughness
 TIP_PER_MM = 4.0  # cycles/mm: the ball of 2 mm bridges finer structure
 AXIS_GAINS = np.array([[0.45, 0.55], [0.35, -0.25], [0.82, 0.80]])
@@ -70,40 +54,24 @@ AXIS_GAINS = np.array([[0.45, 0.55], [0.35, -0.25], [0.82, 0.80]])
 
 @dataclass(frozen=True)
 class TextureParameters:
-    """What defines one simulated texture.
-
-    Attributes:
-        level: rms of the excitation at 100 mm/s and 1 N [m/s²], before the tool.
-        speed_exponent, force_exponent: how the level grows.
-        wavelength_mm: cell of the lattice.
-        lattice_share: of the roughness power, the rest is self-affine noise.
-        harmonics: amplitudes of the lattice, any scale.
-        jitter: standard deviation of a cell's length, relative.
-        corner_per_mm: where the self-affine noise begins to fall [cycles/mm].
-        hurst: its fall, power ~ c^-(1 + 2 hurst).
-        impacts_per_mm: asperities struck on a path; few of them crackle, many hiss.
-        impacts_ratio: rms of the impacts, relative to the roughness, at 100 mm/s.
-        contact_hz: the contact's low-pass; soft surfaces have low ones.
-        modes_hz, damping: of the tool; a firm grip on the surface (force) moves the weight to the second.
-        friction: coefficient.
-    """
+    """What defines one simulated texture."""
 
     description: str
-    level: float
-    speed_exponent: float
+    level: float  # rms of the excitation at 100 mm/s and 1 N [m/s²], before the tool
+    speed_exponent: float  # how the level grows
     force_exponent: float
-    wavelength_mm: float
-    lattice_share: float
-    harmonics: tuple[float, ...]
-    jitter: float
-    corner_per_mm: float
-    hurst: float
-    impacts_per_mm: float
-    impacts_ratio: float
-    contact_hz: float
-    modes_hz: tuple[float, float]
+    wavelength_mm: float  # cell of the lattice
+    lattice_share: float  # of the roughness power, the rest is self-affine noise
+    harmonics: tuple[float, ...]  # amplitudes of the lattice, any scale
+    jitter: float  # standard deviation of a cell's length, relative
+    corner_per_mm: float  # where the self-affine noise begins to fall [cycles/mm]
+    hurst: float  # its fall, power ~ c^-(1 + 2 hurst)
+    impacts_per_mm: float  # asperities struck on a path; few of them crackle, many hiss
+    impacts_ratio: float  # rms of the impacts, relative to the roughness, at 100 mm/s
+    contact_hz: float  # the contact's low-pass; soft surfaces have low ones
+    modes_hz: tuple[float, float]  # of the tool; a firm grip on the surface (force) moves the weight to the second
     damping: tuple[float, float]
-    friction: float
+    friction: float  # coefficient
 
     def __post_init__(self) -> None:
         for name in ("harmonics", "modes_hz", "damping"):
@@ -121,48 +89,38 @@ class TextureParameters:
             raise ValueError(f"modes and contact lie below {RATE_HZ / 2:g} Hz, and waves are longer than {GRID_MM} mm")
 
 
+Parameters = TextureParameters | LinearParameters
+
 # fmt: off
 TEXTURES: Mapping[str, TextureParameters] = MappingProxyType({
     key: TextureParameters(*row) for key, row in {
-        #                      description,
-        #                      level, speed and force exponent, wavelength, lattice share, harmonics, jitter,
-        #                      corner, hurst, impacts per mm, impacts ratio, contact, modes, damping, friction
-        "steel-mesh-1":       ("coarse woven wire, 2.5 mm: tones and harmonics that move with speed",
-                               4.5, 0.7, 0.35, 2.5, 0.90, (1.0, 0.6, 0.35, 0.2), 0.010,
-                               1.0, 0.6, 20.0, 0.15, 900.0, (110.0, 330.0), (0.30, 0.20), 0.25),
-        "steel-mesh-2":       ("fine woven wire, 1.2 mm: one strong tone that moves with speed",
-                               4.0, 0.8, 0.30, 1.2, 0.85, (1.0, 0.35, 0.15), 0.015,
-                               1.5, 0.6, 20.0, 0.20, 900.0, (140.0, 400.0), (0.30, 0.20), 0.22),
-        "plastic-mesh":       ("moulded mesh, 1.8 mm, less regular and softer",
-                               3.0, 0.7, 0.45, 1.8, 0.75, (1.0, 0.5, 0.2), 0.050,
-                               0.8, 0.7, 10.0, 0.25, 500.0, (95.0, 250.0), (0.35, 0.25), 0.30),
-        "artificial-grass":   ("blades that catch and let go: sparse strong impacts",
-                               1.6, 0.6, 0.40, 5.0, 0.00, (1.0,), 0.000,
-                               0.3, 0.5, 0.8, 1.40, 500.0, (80.0, 230.0), (0.40, 0.35), 0.45),
-        "cardboard":          ("fine fibres, faint flutes of 6 mm, hard contact",
-                               1.0, 0.6, 0.40, 6.0, 0.10, (1.0, 0.4), 0.050,
-                               1.2, 0.4, 40.0, 0.50, 550.0, (120.0, 350.0), (0.35, 0.30), 0.30),
-        "plain-cloth":        ("plain weave, 0.6 mm, loosely periodic",
-                               1.2, 0.7, 0.30, 0.6, 0.50, (1.0, 0.2), 0.080,
-                               1.5, 0.5, 40.0, 0.40, 350.0, (90.0, 240.0), (0.45, 0.40), 0.35),
-        "textured-rubber":    ("moulded bumps of 2.0 mm on soft rubber",
-                               2.2, 0.5, 0.50, 2.0, 0.65, (1.0, 0.3), 0.030,
-                               0.6, 0.8, 5.0, 0.40, 220.0, (65.0, 170.0), (0.30, 0.35), 0.80),
-        "smooth-rubber":      ("almost nothing but friction noise",
-                               0.28, 0.5, 0.60, 3.0, 0.00, (1.0,), 0.000,
-                               0.8, 0.8, 15.0, 0.80, 200.0, (70.0, 160.0), (0.35, 0.40), 0.95),
-        "jeans":              ("twill of 0.9 mm, irregular",
-                               2.0, 0.8, 0.35, 0.9, 0.55, (1.0, 0.4, 0.1), 0.060,
-                               1.2, 0.6, 20.0, 0.40, 450.0, (100.0, 280.0), (0.40, 0.30), 0.40),
-        "soft-fabric":        ("low pile: faint and dull",
-                               1.0, 0.6, 0.50, 1.5, 0.00, (1.0,), 0.000,
-                               0.5, 0.8, 10.0, 0.30, 110.0, (60.0, 130.0), (0.50, 0.50), 0.40),
-        "towel":              ("loops about 2 mm apart, soft: strong and low",
-                               2.8, 0.6, 0.45, 2.2, 0.35, (1.0, 0.3), 0.150,
-                               0.4, 0.9, 3.0, 0.40, 140.0, (60.0, 150.0), (0.45, 0.45), 0.50),
-        "styrofoam":          ("beads that squeak and crackle: broadband, heavy-tailed",
-                               2.0, 0.5, 0.40, 4.0, 0.10, (1.0, 0.5), 0.200,
-                               0.5, 0.3, 1.2, 1.30, 550.0, (130.0, 320.0), (0.30, 0.30), 0.40),
+        #       description, level, speed and force exponent,
+        #       wavelength, lattice share, harmonics, jitter, corner, hurst, impacts per mm, impacts ratio, contact, modes,
+        #       damping, friction
+        "steel-mesh-1": ("coarse woven wire, 2.5 mm: tones and harmonics that move with speed", 4.5, 0.7, 0.35,
+                2.5, 0.90, (1.0, 0.6, 0.35, 0.2), 0.010, 1.0, 0.6, 20.0, 0.15, 900.0, (110.0, 330.0), (0.30, 0.20), 0.25),
+        "steel-mesh-2": ("fine woven wire, 1.2 mm: one strong tone that moves with speed", 4.0, 0.8, 0.30,
+                1.2, 0.85, (1.0, 0.35, 0.15), 0.015, 1.5, 0.6, 20.0, 0.20, 900.0, (140.0, 400.0), (0.30, 0.20), 0.22),
+        "plastic-mesh": ("moulded mesh, 1.8 mm, less regular and softer", 3.0, 0.7, 0.45,
+                1.8, 0.75, (1.0, 0.5, 0.2), 0.050, 0.8, 0.7, 10.0, 0.25, 500.0, (95.0, 250.0), (0.35, 0.25), 0.30),
+        "artificial-grass": ("blades that catch and let go: sparse strong impacts", 1.6, 0.6, 0.40,
+                5.0, 0.00, (1.0,), 0.000, 0.3, 0.5, 0.8, 1.40, 500.0, (80.0, 230.0), (0.40, 0.35), 0.45),
+        "cardboard": ("fine fibres, faint flutes of 6 mm, hard contact", 1.0, 0.6, 0.40,
+                6.0, 0.10, (1.0, 0.4), 0.050, 1.2, 0.4, 40.0, 0.50, 550.0, (120.0, 350.0), (0.35, 0.30), 0.30),
+        "plain-cloth": ("plain weave, 0.6 mm, loosely periodic", 1.2, 0.7, 0.30,
+                0.6, 0.50, (1.0, 0.2), 0.080, 1.5, 0.5, 40.0, 0.40, 350.0, (90.0, 240.0), (0.45, 0.40), 0.35),
+        "textured-rubber": ("moulded bumps of 2.0 mm on soft rubber", 2.2, 0.5, 0.50,
+                2.0, 0.65, (1.0, 0.3), 0.030, 0.6, 0.8, 5.0, 0.40, 220.0, (65.0, 170.0), (0.30, 0.35), 0.80),
+        "smooth-rubber": ("almost nothing but friction noise", 0.28, 0.5, 0.60,
+                3.0, 0.00, (1.0,), 0.000, 0.8, 0.8, 15.0, 0.80, 200.0, (70.0, 160.0), (0.35, 0.40), 0.95),
+        "jeans": ("twill of 0.9 mm, irregular", 2.0, 0.8, 0.35,
+                0.9, 0.55, (1.0, 0.4, 0.1), 0.060, 1.2, 0.6, 20.0, 0.40, 450.0, (100.0, 280.0), (0.40, 0.30), 0.40),
+        "soft-fabric": ("low pile: faint and dull", 1.0, 0.6, 0.50,
+                1.5, 0.00, (1.0,), 0.000, 0.5, 0.8, 10.0, 0.30, 110.0, (60.0, 130.0), (0.50, 0.50), 0.40),
+        "towel": ("loops about 2 mm apart, soft: strong and low", 2.8, 0.6, 0.45,
+                2.2, 0.35, (1.0, 0.3), 0.150, 0.4, 0.9, 3.0, 0.40, 140.0, (60.0, 150.0), (0.45, 0.45), 0.50),
+        "styrofoam": ("beads that squeak and crackle: broadband, heavy-tailed", 2.0, 0.5, 0.40,
+                4.0, 0.10, (1.0, 0.5), 0.200, 0.5, 0.3, 1.2, 1.30, 550.0, (130.0, 320.0), (0.30, 0.30), 0.40),
     }.items()
 })
 # fmt: on
@@ -188,24 +146,19 @@ def simulate(
         seed: of everything random that the next two leave out.
         noise_seed: of the surface, the impacts and the sensors; another one is a second realisation.
         stroke_seed: of the hand.
-        accelerometer_hz: 10 000 (the default of textures) divided by a whole number; for the linear family,
-            the model's rate, 1000 by default.
+        accelerometer_hz: 10 000 (by default) divided by a whole number; for the linear family, its rate, 1000 by default.
 
     Raises:
         ValueError: an unknown key, or lengths, seeds and rates out of range.
     """
-    parameters = _parameters_of(key)
+    known: dict[str, Parameters] = {**TEXTURES, **LINEAR_FAMILY}
+    if key not in known:
+        raise ValueError(f"unknown texture {key!r}, expected one of {', '.join(known)}")
     if accelerometer_hz is None:
-        accelerometer_hz = RATE_HZ if isinstance(parameters, TextureParameters) else LINEAR_RATE_HZ
-    return _simulate(
-        key,
-        parameters,
-        float(seconds),
-        seed,
-        seed if noise_seed is None else noise_seed,
-        seed if stroke_seed is None else stroke_seed,
-        float(accelerometer_hz),
-    )
+        accelerometer_hz = RATE_HZ if key in TEXTURES else LINEAR_RATE_HZ
+    noise_seed = seed if noise_seed is None else noise_seed
+    stroke_seed = seed if stroke_seed is None else stroke_seed
+    return _simulate(key, known[key], float(seconds), seed, noise_seed, stroke_seed, float(accelerometer_hz))
 
 
 def second_realisation(recording: Recording, noise_seed: int) -> Recording:
@@ -225,40 +178,21 @@ def second_realisation(recording: Recording, noise_seed: int) -> Recording:
         raise ValueError(f"simulated by version {simulation.get('version')}, this is {VERSION}: simulate it again")
     kind = LinearParameters if "coefficients" in simulation["parameters"] else TextureParameters
     try:
-        return _simulate(
-            str(simulation["key"]),
-            kind(**simulation["parameters"]),
-            float(simulation["seconds"]),
-            int(simulation["seed"]),
-            noise_seed,
-            int(simulation["stroke_seed"]),
-            float(simulation["accelerometer_hz"]),
-        )
+        parameters = kind(**simulation["parameters"])
+        seconds, rate_hz = float(simulation["seconds"]), float(simulation["accelerometer_hz"])
+        seed, stroke_seed = int(simulation["seed"]), int(simulation["stroke_seed"])
+        return _simulate(str(simulation["key"]), parameters, seconds, seed, noise_seed, stroke_seed, rate_hz)
     except (KeyError, TypeError) as error:
         raise ValueError(f"its parameters are those of another simulator ({error}): simulate it again") from error
 
 
-def _parameters_of(key: str) -> TextureParameters | LinearParameters:
-    if key in TEXTURES:
-        return TEXTURES[key]
-    if key in LINEAR_FAMILY:
-        return LINEAR_FAMILY[key]
-    raise ValueError(f"unknown texture {key!r}, expected one of {', '.join([*TEXTURES, *LINEAR_FAMILY])}")
-
-
 def _simulate(
-    key: str,
-    parameters: TextureParameters | LinearParameters,
-    seconds: float,
-    seed: int,
-    noise_seed: int,
-    stroke_seed: int,
-    accelerometer_hz: float,
+    key: str, parameters: Parameters, seconds: float, seed: int, noise_seed: int, stroke_seed: int, rate_hz: float
 ) -> Recording:
     if not 1 <= seconds <= 3600:
         raise ValueError(f"{seconds:g} s asked for, expected 1 to 3600")
-    if not 100 <= accelerometer_hz <= RATE_HZ:
-        raise ValueError(f"the accelerometer is at {accelerometer_hz:g} Hz, expected 100 to {RATE_HZ:g}")
+    if not 100 <= rate_hz <= RATE_HZ:
+        raise ValueError(f"the accelerometer is at {rate_hz:g} Hz, expected 100 to {RATE_HZ:g}")
     if min(noise_seed, stroke_seed) < 0:
         raise ValueError("a seed is negative, expected 0 or more")
     simulation: dict[str, Any] = {
@@ -267,31 +201,26 @@ def _simulate(
         "seed": seed,
         "noise_seed": noise_seed,
         "stroke_seed": stroke_seed,
-        "accelerometer_hz": accelerometer_hz,
+        "accelerometer_hz": rate_hz,
         "version": VERSION,
         "parameters": json.loads(json.dumps(asdict(parameters))),  # lists, as they come back from a file
     }
     # The key's bytes keep two textures of one seed apart; the stroke they share, and can be compared on.
     rng = np.random.default_rng([noise_seed, 2, *key.encode()])
     if isinstance(parameters, LinearParameters):
-        channels = _linear_channels(parameters, stroking(seconds, stroke_seed, accelerometer_hz), rng)
+        stroke = stroking(seconds, stroke_seed, rate_hz)
+        acceleration = linear_signal(parameters, stroke.speed, stroke.force, rng)
+        signals = {"acceleration": acceleration, "speed": stroke.speed, "force": stroke.force}
+        channels = {name: Channel(samples, rate_hz) for name, samples in signals.items()}
         tool, sensors = "", "noise-free, one axis"
     else:
-        decimation = round(RATE_HZ / accelerometer_hz)
-        if RATE_HZ / decimation != accelerometer_hz:
-            raise ValueError(f"{accelerometer_hz:g} Hz is not {RATE_HZ:g} Hz divided by a whole number")
+        decimation = round(RATE_HZ / rate_hz)
+        if RATE_HZ / decimation != rate_hz:
+            raise ValueError(f"{rate_hz:g} Hz is not {RATE_HZ:g} Hz divided by a whole number")
         channels = _sensor_channels(parameters, stroking(seconds, stroke_seed, RATE_HZ), decimation, rng)
-        tool, sensors = (
-            "simulated rigid tool, 2 mm steel ball",
-            "simulated ADXL335, force at 10 kHz, position at 120 Hz",
-        )
+        tool = "simulated rigid tool, 2 mm steel ball"
+        sensors = "simulated ADXL335, force at 10 kHz, position at 120 Hz"
     return Recording(channels, texture=key, tool=tool, sensors=sensors, notes="simulated", simulation=simulation)
-
-
-def _linear_channels(parameters: LinearParameters, stroke: Stroking, rng: np.random.Generator) -> dict[str, Channel]:
-    acceleration = linear_signal(parameters, stroke.speed, stroke.force, rng)
-    signals = {"acceleration": acceleration, "speed": stroke.speed, "force": stroke.force}
-    return {name: Channel(samples, stroke.rate_hz) for name, samples in signals.items()}
 
 
 def _roughness(parameters: TextureParameters, length_mm: float, rng: np.random.Generator) -> Signal:
@@ -385,12 +314,12 @@ def _sensor_channels(
     position = np.column_stack([x, y, np.full(n_position, MARKER_HEIGHT_MM)])
     position += rng.normal(0, POSITION_NOISE_MM, position.shape)
 
-    channels = {}
-    for quantity, samples, rate_hz in (
-        ("acceleration", acceleration, acceleration_hz),
-        ("force", force, stroke.rate_hz),
-        ("position", position, POSITION_HZ),
-    ):
-        for axis, column in zip(AXES, samples.T, strict=True):
-            channels[f"{quantity}_{axis}"] = Channel(np.ascontiguousarray(column), rate_hz)
-    return channels
+    return {
+        f"{quantity}_{axis}": Channel(np.ascontiguousarray(column), rate_hz)
+        for quantity, samples, rate_hz in (
+            ("acceleration", acceleration, acceleration_hz),
+            ("force", force, stroke.rate_hz),
+            ("position", position, POSITION_HZ),
+        )
+        for axis, column in zip(AXES, samples.T, strict=True)
+    }

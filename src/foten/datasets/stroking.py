@@ -32,21 +32,13 @@ TILT_RAD = 0.07  # rms of each of the two angles by which the tool leans
 
 @dataclass(frozen=True)
 class Stroking:
-    """One stroking, sampled.
+    """One stroking, sampled."""
 
-    Attributes:
-        rate_hz: samples a second.
-        position: of the tip on the plate [mm], shape (n, 2).
-        velocity: of the tip [mm/s], shape (n, 2).
-        force: normal force [N], shape (n,), always positive.
-        tilt: how far the tool leans along x and y [rad], shape (n, 2).
-    """
-
-    rate_hz: float
-    position: Signal
-    velocity: Signal
-    force: Signal
-    tilt: Signal
+    rate_hz: float  # samples a second
+    position: Signal  # of the tip on the plate [mm], shape (n, 2)
+    velocity: Signal  # of the tip [mm/s], shape (n, 2)
+    force: Signal  # normal force [N], shape (n,), always positive
+    tilt: Signal  # how far the tool leans along x and y [rad], shape (n, 2)
 
     @property
     def speed(self) -> Signal:
@@ -85,7 +77,14 @@ def _stroking(seconds: float, seed: int, rate_hz: float) -> Stroking:
         reverses = rng.random() < REVERSAL_SHARE
         start_s = end_s - (0 if reverses else OVERLAP * min(duration_s, previous_s))
         end_s = start_s + duration_s
-        _add_movement(position, velocity, displacement, rng.normal(0, BOW), start_s, duration_s, rate_hz)
+        # Minimum jerk, bent sideways by some share of its length.
+        sideways = rng.normal(0, BOW) * np.array([-displacement[1], displacement[0]])
+        first, stop = (min(max(0, int(np.ceil(t * rate_hz))), n) for t in (start_s, end_s))
+        u = (np.arange(first, stop) / rate_hz - start_s)[:, None] / duration_s
+        hump = u * (1 - u)
+        position[first:stop] += displacement * u**3 * (10 - 15 * u + 6 * u**2) + sideways * 64 * hump**3
+        position[stop:] += displacement
+        velocity[first:stop] += (displacement * 30 * hump**2 + sideways * 192 * hump**2 * (1 - 2 * u)) / duration_s
         target = target + displacement
         middles_s.append(start_s + duration_s / 2)
         log_means.append(rng.uniform(*np.log(MEAN_FORCE_N)))
@@ -117,25 +116,6 @@ def _movement(start: Signal, rng: np.random.Generator) -> tuple[Signal, float]:
     chosen = enough[0] if enough.size else np.argmax(reach)
     length = min(length, reach[chosen])
     return length * directions[chosen], max(PEAK_TO_MEAN * length / peak, STROKE_S[0])
-
-
-def _add_movement(
-    position: Signal,
-    velocity: Signal,
-    displacement: Signal,
-    bow: float,
-    start_s: float,
-    duration_s: float,
-    rate_hz: float,
-) -> None:
-    """Add one minimum-jerk movement, bent sideways by `bow` lengths, to position and velocity in place."""
-    first, stop = (min(max(0, int(np.ceil(t * rate_hz))), len(position)) for t in (start_s, start_s + duration_s))
-    u = (np.arange(first, stop) / rate_hz - start_s)[:, None] / duration_s
-    sideways = bow * np.array([-displacement[1], displacement[0]])
-    hump = u * (1 - u)
-    position[first:stop] += displacement * u**3 * (10 - 15 * u + 6 * u**2) + sideways * 64 * hump**3
-    position[stop:] += displacement
-    velocity[first:stop] += (displacement * 30 * hump**2 + sideways * 192 * hump**2 * (1 - 2 * u)) / duration_s
 
 
 def _wander(times_s: Signal, seconds: float, cutoff_hz: float, rng: np.random.Generator) -> Signal:

@@ -1,7 +1,11 @@
-"""Tables of text (CSV, TSV, …) and Excel sheets, with a header or none, as columns."""
+"""Tables of text (CSV, TSV, …) and Excel sheets, with a header or none, as columns.
+
+A ValueError says of a file what is wrong with it: it is empty, cut off, damaged, no table, or has rows of different widths.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import itertools
 import re
@@ -14,7 +18,7 @@ import numpy as np
 
 from foten.datasets.columns import Column
 from foten.datasets.units import is_unit
-from foten.untrusted import brief, check_regular
+from foten.untrusted import brief
 
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 MOST_CELLS = 50_000_000  # of a sheet
@@ -24,18 +28,12 @@ MOST_ROWS = 2_000_000  # of a sheet; a program of tables has 1,048,576
 def read_delimited(path: Path) -> list[Column]:
     """Return the columns of a text table; the separator and the decimal comma are seen from its lines.
 
-    Lines before the table, lines that begin with # or %, and a second header row that holds only units are
-    understood.
-
-    Raises:
-        ValueError: empty, not text, rows of different widths.
+    Lines before the table, lines that begin with # or %, and a second header row that holds only units are understood.
     """
-    check_regular(path)
-    raw = path.read_bytes()
-    if not raw.strip():
-        raise ValueError(f"{path.name} is empty")
-    lines = _decode(raw, path.name).splitlines()
+    lines = _decode(path.read_bytes(), path.name).splitlines()
     filled = [line for line in lines if line.strip()]
+    if not filled:
+        raise ValueError(f"{path.name} is empty")
     sample = filled[len(filled) // 2]
     delimiter = next((mark for mark in "\t;," if mark in sample), None)
     remarks = frozenset(i for i, line in enumerate(lines) if line.startswith(("#", "%")))
@@ -43,7 +41,7 @@ def read_delimited(path: Path) -> list[Column]:
         rows: list[list[Any]] = [line.lstrip("#% ").split() for line in lines]
     else:
         try:
-            rows = [list(row) for row in csv.reader(lines, delimiter=delimiter)]
+            rows = list(csv.reader(lines, delimiter=delimiter))
         except csv.Error as error:
             raise ValueError(f"{path.name} is not a table ({brief(error)})") from None
         if len(rows) != len(lines):
@@ -56,32 +54,22 @@ def read_delimited(path: Path) -> list[Column]:
 
 
 def read_excel(path: Path) -> list[Column]:
-    """Return the columns of an .xlsx workbook; with several filled sheets each name begins with `SHEET.`.
-
-    Raises:
-        ValueError: empty, damaged, or the old .xls format.
-    """
+    """Return the columns of an .xlsx workbook; with several filled sheets each name begins with `SHEET.`."""
     import openpyxl
 
-    check_regular(path)
-    if path.stat().st_size == 0:
-        raise ValueError(f"{path.name} is empty")
     sheets: list[tuple[str, list[list[Any]]]] = []
     try:
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
-        try:
+        with contextlib.closing(openpyxl.load_workbook(path, read_only=True, data_only=True)) as book:
             for sheet in book.worksheets:
                 sheet.reset_dimensions()  # some writers state a wrong extent; trusting it loses rows
                 rows = [list(row) for row in itertools.islice(sheet.iter_rows(values_only=True), MOST_ROWS + 1)]
-                cells = len(rows) * max((len(row) for row in rows), default=0)
+                cells = len(rows) * max(map(len, rows), default=0)
                 if len(rows) > MOST_ROWS or cells > MOST_CELLS:
                     raise ValueError(
                         f"sheet {sheet.title} says that it has {len(rows):,} rows or more, {cells:,} cells"
                     )
                 if any(cell is not None for row in rows for cell in row):
                     sheets.append((sheet.title, rows))
-        finally:
-            book.close()
     except Exception as error:  # a damaged file raises a dozen kinds, BadZipFile, SyntaxError and TypeError among them
         raise ValueError(f"{path.name} is truncated or is not an .xlsx workbook ({brief(error)})") from None
     if not sheets:
@@ -89,11 +77,10 @@ def read_excel(path: Path) -> list[Column]:
     columns: list[Column] = []
     for title, rows in sheets:
         where = path.name if len(sheets) == 1 else f"{path.name}, sheet {title}"
-        width = max(_width(row) for row in rows)
+        width = max(map(_width, rows))
+        prefix = "" if len(sheets) == 1 else f"{title}."
         of_sheet = _table([[*row[:width], *[None] * (width - len(row))] for row in rows], where)
-        if len(sheets) > 1:
-            of_sheet = [replace(column, name=f"{title}.{column.name}") for column in of_sheet]
-        columns += of_sheet
+        columns += [replace(column, name=f"{prefix}{column.name}") for column in of_sheet]
     return columns
 
 
@@ -131,7 +118,6 @@ def _table(rows: list[list[Any]], where: str, remarks: frozenset[int] = frozense
 
     Rows in `remarks`, counted from 0, may name the columns but hold no data.
     """
-    rows = list(rows)
     while rows and not _width(rows[-1]):
         rows.pop()
     numbers = [row for row in rows if any(map(_is_number, row))]
@@ -146,14 +132,12 @@ def _table(rows: list[list[Any]], where: str, remarks: frozenset[int] = frozense
         return any(map(_is_number, cells)) and all(_is_number(cell) or _is_blank(cell) for cell in cells)
 
     start = next((i for i, row in enumerate(rows) if fits(row)), 0)
-    worded = [
-        i for i in range(start) if len(rows[i]) == width and _width(rows[i]) and not any(map(_is_number, rows[i]))
-    ]
+    has_numbers = [any(map(_is_number, row)) for row in rows[:start]]
+    worded = [i for i in range(start) if len(rows[i]) == width and _width(rows[i]) and not has_numbers[i]]
     # A row that does not fit is still data where it cannot be anything else: an overflow in the first row is no
     # header, and to skip it would shift this table against all others.
-    skipped = [
-        i for i in range(worded[-1] + 1 if worded else 0, start) if i not in remarks and any(map(_is_number, rows[i]))
-    ]
+    after_words = worded[-1] + 1 if worded else 0
+    skipped = [i for i in range(after_words, start) if i not in remarks and has_numbers[i]]
     if worded:
         start = min([start, *skipped])
     else:
@@ -195,13 +179,10 @@ def _words(cell: Any) -> str:
 
 
 def _column(name: str, unit: str, cells: list[Any], first_row: int) -> Column:
-    n = len(cells)
-    while n and _is_blank(cells[n - 1]):
-        n -= 1
-    cells, n_blank = cells[:n], len(cells) - n
-    numbers = [float("nan") if _is_blank(cell) else cell for cell in cells]
+    n = _width(cells)
+    numbers = [float("nan") if _is_blank(cell) else cell for cell in cells[:n]]
     try:
-        return Column(name, np.array(numbers, dtype=np.float64), unit=unit, n_blank=n_blank)
+        return Column(name, np.array(numbers, dtype=np.float64), unit=unit, n_blank=len(cells) - n)
     except (TypeError, ValueError, OverflowError):
         bad = next((i for i, cell in enumerate(numbers) if not _is_number(cell)), 0)
         fault = f"row {first_row + bad} is {str(cells[bad])!r}, expected a number"

@@ -1,95 +1,87 @@
-"""When samples were taken: from a column of times, from what the file states, or from what the user says."""
+"""When samples were taken: from a column of times, from what the file states, or from what the user says; and gaps in them.
+
+Lost samples and lost rows of the hand's channels are filled with straight lines where that is asked for. A ValueError says what
+is missing, ambiguous or impossible.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foten.datasets.columns import Column
 from foten.datasets.options import ImportOptions
-from foten.datasets.units import factor_of
+from foten.datasets.units import factor_of, quantity
+from foten.recording.recording import Channel
 
 JITTER = 0.01  # of a period: less, and times are called regular
+FILLED = ("position", "speed", "force")  # the hand, which is slow; an acceleration is not invented
 
 
 def times_of(
-    channel: str, path: Path, column: Column, clocks: Sequence[tuple[Path, Column]], options: ImportOptions
+    channel: str, column: Column, clocks: Sequence[Column], options: ImportOptions
 ) -> tuple[NDArray[np.float64] | None, str]:
-    """Return the times [s] of a channel's samples from the time column beside it, or None; and a sentence on their unit.
-
-    Raises:
-        ValueError: no column fits, or its times do not rise.
-    """
-    own = [clock for place, clock in clocks if place == path]
+    """Return the times [s] of a channel's samples from the time column beside it, or None; and a sentence on their unit."""
+    own = [clock for clock in clocks if clock.file == column.file]
     fitting = [clock for clock in own if clock.n_rows == column.n_rows]
-    if not own:
+    if not own or (channel in options.rates_hz and not fitting):
         return None, ""
     if len(fitting) != 1:
         rows = ", ".join(f"{clock.name} {clock.n_rows}" for clock in own)
-        if channel in options.rates_hz and not fitting:
-            return None, ""
         raise ValueError(
-            f"{path.name}: {channel} has {column.n_rows} rows and time has {rows}; expected one time column "
+            f"{column.file.name}: {channel} has {column.n_rows} rows and time has {rows}; expected one time column "
             f"of equal length, or a rate: --rate {channel}=HZ"
         )
-    if channel in options.rates_hz:
-        raise ValueError(f"{channel} has a time column ({fitting[0].name}) and a --rate; give one of them")
     clock = fitting[0]
+    if channel in options.rates_hz:
+        raise ValueError(f"{channel} has a time column ({clock.name}) and a --rate; give one of them")
     times = clock.samples[: column.samples.size]
-    if times.size < column.samples.size or not np.isfinite(times).all():
-        bad = int(np.flatnonzero(~np.isfinite(times))[0]) if not np.isfinite(times).all() else times.size
-        raise ValueError(f"{path.name}: the time is blank or NaN at sample {bad}")
-    steps = np.diff(times)
-    bad_steps = np.flatnonzero(steps <= 0)
-    if bad_steps.size:
-        i = int(bad_steps[0])
-        what = "repeats" if steps[i] == 0 else "goes back"
-        hint = "are the times rounded? Leave time out and give --rate" if steps[i] == 0 else "are the rows sorted?"
+    bad = np.flatnonzero(~np.isfinite(times))
+    if bad.size or times.size < column.samples.size:
+        raise ValueError(f"{column.file.name}: the time is blank or NaN at sample {bad[0] if bad.size else times.size}")
+    bad = np.flatnonzero(np.diff(times) <= 0)
+    if bad.size:
+        before, after = times[bad[0]], times[bad[0] + 1]
+        what, hint = "goes back", "are the rows sorted?"
+        if before == after:
+            what, hint = "repeats", "are the times rounded? Leave time out and give --rate"
         raise ValueError(
-            f"{path.name}: the time {what} at sample {i + 1}: {times[i + 1]:.9g} after {times[i]:.9g} "
-            f"({bad_steps.size} such places); {hint}"
+            f"{column.file.name}: the time {what} at sample {bad[0] + 1}: {after:.9g} after {before:.9g} "
+            f"({bad.size} such places); {hint}"
         )
     factor, said = factor_of("time", clock.name, clock.unit, options.units.get("time"))
     return times * factor, said
 
 
 def rate_and_source(
-    channel: str,
-    path: Path,
-    column: Column,
-    times: NDArray[np.float64] | None,
-    options: ImportOptions,
-    columns: Sequence[Column],
+    channel: str, column: Column, times: NDArray[np.float64] | None, options: ImportOptions, columns: Sequence[Column]
 ) -> tuple[float, str]:
-    """Return a channel's rate [Hz], and a sentence where it overrides what the file states.
-
-    Raises:
-        ValueError: neither the file nor the user states one.
-    """
+    """Return a channel's rate [Hz], and a sentence where it overrides what the file states."""
+    stated = column.rate_hz
     if channel in options.rates_hz:
         rate = options.rates_hz[channel]
-        if column.rate_hz is not None and abs(rate - column.rate_hz) > 1e-6 * rate:
-            return (rate, f"{channel} has the rate given, {rate:g} Hz; {path.name} states {column.rate_hz:g} Hz")
-        return rate, ""
+        overrides = stated is not None and abs(rate - stated) > 1e-6 * rate
+        return (
+            rate,
+            f"{channel} has the rate given, {rate:g} Hz; {column.file.name} states {stated:g} Hz" if overrides else "",
+        )
     if times is not None:
         if times.size < 2:
             raise ValueError(f"{channel} has 1 sample, expected a recording")
         return rate_of(times), ""
-    if column.rate_hz is not None:
-        return column.rate_hz, ""
-    if options.rate_hz is not None:
-        return options.rate_hz, ""
+    known = stated if stated is not None else options.rate_hz
+    if known is not None:
+        return known, ""
     scalars = [
         c for c in columns if c.samples.size == 1 and re.search(r"(^|[._])(fs|rate|sample_?rate|hz)$", c.name.lower())
     ]
     guess = f"{scalars[0].samples[0]:g}" if scalars else "10000"
     hint = f" (the file has {scalars[0].name} = {guess})" if scalars else ""
     raise ValueError(
-        f"{channel}: {path.name} does not say how fast it was sampled; give --rate {guess} or --rate "
+        f"{channel}: {column.file.name} does not say how fast it was sampled; give --rate {guess} or --rate "
         f"{channel}={guess}{hint}, or map its time column: --map time=COLUMN"
     )
 
@@ -126,3 +118,72 @@ def irregular(times: NDArray[np.float64], rate_hz: float) -> str:
         if worst > tolerance:
             return f"samples lie up to {worst * 1000:.4g} ms from an even grid of {rate_hz:g} Hz"
     return ""
+
+
+def filled(channel: str, one: Channel, gap_ms: float) -> tuple[Channel, str]:
+    """Return a channel without NaN, marker drop-outs filled with straight lines if asked, and a sentence."""
+    samples, missing = one.samples, np.isnan(one.samples)
+    infinite = np.flatnonzero(np.isinf(samples))
+    if infinite.size:
+        raise ValueError(f"{channel}: {infinite.size} samples are infinite, the first at {infinite[0]}")
+    if not missing.any():
+        return one, ""
+    first, count = int(missing.argmax()), int(missing.sum())
+    what = f"{channel}: {count} samples are NaN or blank"
+    if quantity(channel) not in FILLED:
+        raise ValueError(f"{what}, the first at {first}; only position, speed and force may have gaps filled")
+    starts, ends = np.flatnonzero(np.diff(missing, prepend=False, append=False)).reshape(-1, 2).T
+    # A gap is as long as its lost samples: three of them at 100 Hz are 30 ms.
+    if one.times_s is None:
+        clock = np.arange(samples.size) / one.rate_hz
+        lengths = (ends - starts) / one.rate_hz
+    else:
+        clock = one.times_s
+        lengths = clock[np.minimum(ends, clock.size - 1)] - clock[starts]
+    longest_ms = lengths.max() * 1000
+    if gap_ms == 0:
+        raise ValueError(
+            f"{what} in {starts.size} gaps, the first at {first}, the longest {longest_ms:.4g} ms; "
+            f"--fill-gaps {max(1, int(np.ceil(longest_ms)))} would fill them"
+        )
+    if missing[0] or missing[-1]:
+        end = "start" if missing[0] else "end"
+        raise ValueError(f"{channel}: NaN or blank at the {end}: nothing to draw a line from; cut the file there")
+    long = np.flatnonzero(lengths > gap_ms / 1000 * (1 + 1e-9))
+    if long.size:
+        i = int(long[0])
+        raise ValueError(
+            f"{channel}: {long.size} of {starts.size} gaps are longer than {gap_ms:g} ms, the first at "
+            f"sample {starts[i]} ({clock[starts[i]]:.4g} s) lasts {lengths[i] * 1000:.4g} ms"
+        )
+    without = samples.copy()
+    without[missing] = np.interp(clock[missing], clock[~missing], samples[~missing])
+    return Channel(without, one.rate_hz, one.times_s), (
+        f"{channel}: {starts.size} gaps ({count} samples, the longest {longest_ms:.4g} ms) were "
+        f"filled with straight lines, up to {gap_ms:g} ms allowed"
+    )
+
+
+def bridged(channel: str, one: Channel, gap_ms: float) -> tuple[Channel, str]:
+    """Return a channel with the rows that its times say are missing filled in, if asked, and a sentence."""
+    holes = one.holes()
+    if not holes.size or one.times_s is None or quantity(channel) not in FILLED:
+        return one, ""  # an acceleration at irregular times is refused before it is used
+    steps = np.diff(one.times_s)
+    period = float(np.median(steps))
+    lengths = steps[holes] - period  # as long as what was lost
+    longest = int(lengths.argmax())
+    places = f"{holes.size} place{'s' * (holes.size > 1)}"
+    worst, since = lengths[longest] * 1000, one.times_s[holes[longest]]
+    what = f"{channel}: rows are missing in {places}, the longest {worst:.4g} ms after {since:.4g} s"
+    if worst > gap_ms + 1e-6:
+        would = max(1, int(np.ceil(worst - 1e-6)))
+        raise ValueError(f"{what}; --fill-gaps {would} would draw straight lines there, or cut the file")
+    added = [
+        np.linspace(one.times_s[i], one.times_s[i + 1], round(steps[i] / period), endpoint=False)[1:] for i in holes
+    ]
+    times = np.sort(np.concatenate([one.times_s, *added]))
+    samples = np.interp(times, one.times_s, one.samples)
+    return Channel(samples, one.rate_hz, times), (
+        f"{what}; {times.size - one.times_s.size} samples on straight lines were put there, up to {gap_ms:g} ms allowed"
+    )

@@ -14,37 +14,20 @@ import numpy as np
 from foten.recording.recording import UNITS
 
 G = 9.80665  # m/s², standard gravity
-POUND_KG = 0.45359237
+POUND_N = 0.45359237 * G  # the weight of a pound, whose mass is exact
 FULL_SCALE = "of full scale"
 """The unit of integer samples of sound: fractions of full scale, which mean nothing until someone gives the factor."""
 
 _LENGTHS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3, "nm": 1e-6, "in": 25.4, "ft": 304.8}
 
 FACTORS: Mapping[str, Mapping[str, float]] = {
-    "acceleration": {
-        "m/s^2": 1.0,
-        "g": G,
-        "mg": G / 1000,
-        "Gal": 0.01,
-        **{f"{unit}/s^2": mm / 1000 for unit, mm in _LENGTHS_MM.items() if unit != "m"},
-    },
-    "speed": {
-        **{f"{unit}/s": mm for unit, mm in _LENGTHS_MM.items()},
-        "mm/min": 1 / 60,
-        "m/min": 1000 / 60,
-        "km/h": 1000 / 3.6,
-    },
+    "acceleration": {"m/s^2": 1.0, "g": G, "mg": G / 1000, "Gal": 0.01}
+    | {f"{unit}/s^2": mm / 1000 for unit, mm in _LENGTHS_MM.items()},
+    "speed": {f"{unit}/s": mm for unit, mm in _LENGTHS_MM.items()}
+    | {"mm/min": 1 / 60, "m/min": 1000 / 60, "km/h": 1000 / 3.6},
     "position": _LENGTHS_MM,
-    "force": {
-        "N": 1.0,
-        "mN": 1e-3,
-        "kN": 1000.0,
-        "gf": G / 1000,
-        "kgf": G,
-        "lbf": POUND_KG * G,
-        "ozf": POUND_KG * G / 16,
-        "dyn": 1e-5,
-    },
+    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3}
+    | {"gf": G / 1000, "kgf": G, "lbf": POUND_N, "ozf": POUND_N / 16, "dyn": 1e-5},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
 }
 """For each quantity, what a number in a unit is multiplied by to give the unit of `UNITS` (time: seconds)."""
@@ -55,50 +38,25 @@ _MASSES: Mapping[str, str] = {"g": "gf", "gram": "gf", "kg": "kgf", "lb": "lbf",
 _RAW = frozenset(["V", "mV", "uV", "A", "mA", "uA", "V/V", "mV/V", "count", "LSB", "ADC", "bit", "digit", "%"])
 """What converters and amplifiers give: nothing without a sensitivity."""
 
-_SPELLINGS: Mapping[str, str] = {
-    "s": "sec secs second seconds",
-    "ms": "msec msecs millisecond milliseconds",
-    "us": "usec usecs microsecond microseconds",
-    "ns": "nsec nsecs nanosecond nanoseconds",
-    "min": "mins minute minutes",
-    "h": "hr hrs hour hours",
-    "m": "meter meters metre metres",
-    "mm": "millimeter millimeters millimetre millimetres",
-    "cm": "centimeter centimeters centimetre centimetres",
-    "um": "micron microns micrometer micrometers micrometre micrometres",
-    "in": "inch inches",
-    "ft": "foot feet",
-    "m/s^2": "mps2",
-    "m/s": "mps",
-    "mm/s": "mmps",
-    "in/s": "ips",
-    "km/h": "kmh kph",
-    "g": "gn g0 gee gees gs g's",
-    "mg": "milli-g millig milligee milligees",
-    "Gal": "gals",
-    "N": "newton newtons",
-    "mN": "millinewton millinewtons",
-    "kN": "kilonewton kilonewtons",
-    "gf": "gram-force grams-force",
-    "kgf": "kp kilopond kiloponds kilogram-force kilograms-force",
-    "lbf": "lb-f lbsf pound-force pounds-force",
-    "ozf": "oz-f ounce-force ounces-force",
-    "dyn": "dyne dynes",
-    "gram": "grams",
-    "kg": "kgs kilogram kilograms",
-    "lb": "lbs pound pounds",
-    "oz": "ounce ounces",
-    "V": "volt volts",
-    "mV": "millivolt millivolts",
-    "A": "amp amps ampere amperes",
-    "mA": "milliamp milliamps",
-    "count": "counts",
-    "bit": "bits",
-    "digit": "digits",
-}
+_SPELLINGS = """
+    s: sec secs second seconds; ms: msec msecs millisecond milliseconds; us: usec usecs microsecond microseconds;
+    ns: nsec nsecs nanosecond nanoseconds; min: mins minute minutes; h: hr hrs hour hours;
+    m: meter meters metre metres; mm: millimeter millimeters millimetre millimetres; in: inch inches; ft: foot feet;
+    cm: centimeter centimeters centimetre centimetres; um: micron microns micrometer micrometers micrometre micrometres;
+    m/s^2: mps2; g: gn g0 gee gees gs g's; mg: milli-g millig milligee milligees; Gal: gals;
+    m/s: mps; mm/s: mmps; in/s: ips; km/h: kmh kph;
+    N: newton newtons; mN: millinewton millinewtons; kN: kilonewton kilonewtons; dyn: dyne dynes;
+    gf: gram-force grams-force; kgf: kp kilopond kiloponds kilogram-force kilograms-force;
+    lbf: lb-f lbsf pound-force pounds-force; ozf: oz-f ounce-force ounces-force;
+    gram: grams; kg: kgs kilogram kilograms; lb: lbs pound pounds; oz: ounce ounces;
+    V: volt volts; mV: millivolt millivolts; A: amp amps ampere amperes; mA: milliamp milliamps;
+    count: counts; bit: bits; digit: digits
+"""
 _UNITS = frozenset(unit for known in FACTORS.values() for unit in known) | set(_MASSES) | _RAW
 _WORDS = {unit.lower(): unit for unit in _UNITS} | {
-    spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings.split()
+    spelling: unit.strip()
+    for unit, spellings in (row.split(":") for row in _SPELLINGS.split(";"))
+    for spelling in spellings.split()
 }
 """What a word in small letters stands for; case counts only where M may be mega, not milli."""
 
@@ -179,11 +137,10 @@ def split_header(header: str, kind: str) -> tuple[str, str]:
 def _stated(bracket: str, words: str) -> str:
     """Return what brackets in a header state as a unit, or nothing of a remark."""
     words = words.strip()
-    if words.lower() in _REMARKS or is_unit(words):
-        return "" if words.lower() in _REMARKS else words
     several = words.split()
-    of_a_unit = any(is_unit(word) or word.lower() in ("unit", "units", "raw") for word in several)
-    return "" if bracket == "(" and len(several) > 1 and not of_a_unit else words
+    of_a_unit = any(is_unit(word) or word.lower() in ("unit", "units", "raw") for word in (words, *several))
+    is_remark = bracket == "(" and len(several) > 1 and not of_a_unit
+    return "" if is_remark or words.lower() in _REMARKS else words
 
 
 def _ends_a_name(text: str, kind: str) -> bool:
@@ -224,39 +181,30 @@ def factor_of(channel: str, header: str, stated: str = "", given: str | None = N
             )
         return 1.0, ""
     label = canonical(text)
-    if given is not None and label not in known and "*" in text:
-        return _sensitivity(channel, text, known, target)
     if label in known:
         factor = known[label]
-        overruled = canonical(of_file) if of_file and canonical(of_file) != label else ""
-        if overruled:
+        if of_file and canonical(of_file) != label:
             return factor, f"{channel} was taken as {label}, where its file states {of_file}"
         return factor, "" if factor == 1 else f"{channel} was converted from {label} to {target}"
+    if given is not None and "*" in text:
+        return _sensitivity(channel, text, known, target)
     if label == FULL_SCALE:
         raise ValueError(
             f"{channel}: the samples of {header} are fractions of full scale; say how many {target} full scale is, "
             f"e.g. --unit {channel}=*50"
         )
-    raise ValueError(_refusal(channel, header, text, label, known, target, given is None))
-
-
-def _refusal(
-    channel: str, header: str, text: str, label: str, known: Mapping[str, float], target: str, of_file: bool
-) -> str:
-    """Return why a unit is refused: what came, what is expected, what may be meant."""
-    kind = quantity(channel)
-    mass = _MASSES.get(label) if kind == "force" else None
-    if mass:
-        hint = f"that is a mass: if the sensor shows the weight on it, --unit {channel}={mass}"
+    if kind == "force" and label in _MASSES:
+        hint = f"that is a mass: if the sensor shows the weight on it, --unit {channel}={_MASSES[label]}"
     elif kind == "time":
         hint = f"for another, --unit {channel}=*FACTOR; or leave time out and give --rate"
     elif label in _RAW:
         hint = f"say how many {target} one {label} is, e.g. --unit {channel}={label}*4.9"
     else:
         hint = f"for a sensitivity write e.g. --unit {channel}=V*4.9 (4.9 {target} per volt)"
-    place = f" of column {header!r}" if of_file else ""
-    otherwise = f"; if it is no unit, --unit {channel}={target}" if of_file else ""
-    return f"{channel}: unit {text!r}{place} is not one of {', '.join(known)}; {hint}{otherwise}"
+    place, otherwise = "", ""
+    if given is None:
+        place, otherwise = f" of column {header!r}", f"; if it is no unit, --unit {channel}={target}"
+    raise ValueError(f"{channel}: unit {text!r}{place} is not one of {', '.join(known)}; {hint}{otherwise}")
 
 
 def _sensitivity(channel: str, text: str, known: Mapping[str, float], target: str) -> tuple[float, str]:
