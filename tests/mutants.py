@@ -75,8 +75,8 @@ MUTANTS = (
     Mutant(
         "a network's stroke begins without bound",
         NATIVE + "loop_window.c",
-        "step(m, l, c, &z, FOTEN_LOUDEST_BEGINNING, &cut);",
-        "step(m, l, c, &z, INFINITY, &cut);",
+        "m->predictor.window, FOTEN_LOUDEST_BEGINNING);",
+        "m->predictor.window, INFINITY);",
     ),
     Mutant(
         "a stroke begins without its zeros",
@@ -327,7 +327,7 @@ MUTANTS = (
     ),
     Mutant(
         "a file without proof is accepted",
-        NATIVE + "proof.c",
+        NATIVE + "model.c",
         "if (worst <= tolerance) return 1;",
         "return 1;",
         ("tests/test_texture_file.py", *KERNEL),

@@ -5,9 +5,6 @@
 
 #include "actuator.h"
 #include "constants.h"
-#include "filter.h"
-#include "foten.h"
-#include "isa.h"
 #include "loop.h"
 #include "resample.h"
 #include "stylus.h"
@@ -17,10 +14,11 @@ static const double FADE[2] = {FOTEN_FADE_SPEED, FOTEN_FADE_FORCE}; /* mm/s and 
 
 _Static_assert(ATOMIC_LLONG_LOCK_FREE == 2, "a condition is set without waiting: 64 bits have to be written at once");
 
-/* Counted by the rendering thread, and by whoever sets a condition; read from anywhere. */
+/* Counted by the rendering thread, and by whoever sets a condition; read from anywhere. Of speed and force, speed comes first. */
 enum { N, SPEED_BEYOND, FORCE_BEYOND, SPEED_CLAMPED, FORCE_CLAMPED, BELOW, SATURATED, REFUSED, LIMITED, LOST, COUNTS };
 
 struct foten_state {
+    void *memory; /* that it lies in, aligned */
     const foten_model *model;
     uint64_t seed, stream;
     int deterministic, smooth, fresh; /* fresh: the next sample begins the stream */
@@ -57,19 +55,14 @@ foten_status foten_model_load_with(const void *bytes, size_t n_bytes, foten_pred
     texture_file file;
     if (!model) return FOTEN_BAD_ARGUMENT;
     *model = NULL;
-    foten_status status = file_open(&file, bytes, n_bytes, why, why_size);
-    foten_model *m = status == FOTEN_OK ? calloc(1, sizeof *m) : NULL;
-    if (status == FOTEN_OK && !m) status = file_refuse(&file, FOTEN_NO_MEMORY, "no memory");
-    if (m) {
-        m->predictor.function = predictor;
-        m->predictor.user = user;
+    if (file_open(&file, bytes, n_bytes, why, why_size)) {
+        foten_model *m = calloc(1, sizeof *m);
+        if (!m) file_refuse(&file, FOTEN_NO_MEMORY, "no memory");
+        else if (model_read(m, &file, isa_here(), predictor, user) && model_prove(m, &file)) *model = m;
+        else foten_model_free(m);
     }
-    if (m) status = model_read(m, &file, isa_here());
-    if (m && status == FOTEN_OK) status = model_prove(m, &file);
     file_close(&file);
-    if (status == FOTEN_OK) *model = m;
-    else foten_model_free(m);
-    return status;
+    return file.status;
 }
 
 void foten_model_free(foten_model *model) {
@@ -78,16 +71,12 @@ void foten_model_free(foten_model *model) {
     free(model);
 }
 
-/* A state's parts in a block, at a rate; nothing yet where that only measures. */
+/* A state's parts in a block, at a rate; NULL where that only measures. */
 static foten_state *state_place(const foten_model *model, double rate, block *from) {
-    foten_state *s = block_take(from, 1, sizeof *s);
-    double *windows = block_take(from, (size_t)model->history * 3, sizeof *windows);
-    resampler *resampler = rate == model->rate_hz ? NULL : resampler_place(from, model->rate_hz, rate);
-    loop *loop = loop_place(model, from); /* last, so that a sanitizer notices what lies beyond its scratch memory */
-    if (!from->base) return NULL;
-    s->loop = loop;
-    s->windows = windows;
-    s->resampler = resampler;
+    foten_state measured, *s = block_take(from, 1, sizeof *s), *into = s ? s : &measured;
+    into->windows = block_take(from, (size_t)model->history * 3, sizeof *into->windows);
+    into->resampler = rate == model->rate_hz ? NULL : resampler_place(from, model->rate_hz, rate);
+    into->loop = loop_place(model, from); /* last, so that a sanitizer notices what lies beyond its scratch memory */
     return s;
 }
 
@@ -111,11 +100,9 @@ foten_state *foten_state_new(const foten_model *model, const foten_options *opti
     unsigned char *memory = malloc(n);
     if (!memory) return NULL;
     memset(memory, 0, n);
-    size_t shift = (size_t)(-(uintptr_t)memory & (ALIGNED - 1));
-    if (shift < 1) shift = ALIGNED; /* one byte before the block says where its memory begins */
-    block real = {memory + shift, 0};
-    real.base[-1] = (unsigned char)shift;
-    foten_state *s = state_place(model, rate, &real);
+    block aligned = {memory + (-(uintptr_t)memory & (ALIGNED - 1)), 0};
+    foten_state *s = state_place(model, rate, &aligned);
+    s->memory = memory;
     s->model = model;
     s->stream = o.stream;
     s->deterministic = o.deterministic;
@@ -126,9 +113,7 @@ foten_state *foten_state_new(const foten_model *model, const foten_options *opti
 }
 
 void foten_state_free(foten_state *state) {
-    if (!state) return;
-    unsigned char *base = (unsigned char *)state;
-    free(base - base[-1]);
+    if (state) free(state->memory);
 }
 
 void foten_reset(foten_state *s, uint64_t seed) {
@@ -139,7 +124,7 @@ void foten_reset(foten_state *s, uint64_t seed) {
     s->smoothed[0] = s->smoothed[1] = (memory){0, 0};
     loop_copy(s->model, s->loop, s->model->begin);
     if (s->resampler) resampler_reset(s->resampler);
-    actuator_reset(&s->actuator);
+    s->actuator.memory = (memory){0, 0};
 }
 
 foten_status foten_set_actuator(foten_state *s, const foten_actuator *of) {
@@ -157,33 +142,30 @@ static float given(foten_state *s, double sample) {
     loop_copy(s->model, s->loop, s->model->begin);
     s->fresh = 1;
     if (s->resampler) resampler_silence(s->resampler);
-    actuator_reset(&s->actuator);
+    s->actuator.memory = (memory){0, 0};
     return 0;
 }
 
 foten_status foten_start(foten_state *s, const float *acceleration, const float *speed, const float *force) {
     const foten_model *m = s->model;
-    double *windows = s->windows;
-    int finite = 1;
     for (int t = 0; t < m->history; t++) {
         const float sample[3] = {acceleration[t], speed[t], force[t]};
-        for (int k = 0; k < 3; k++) {
-            windows[3 * t + k] = (sample[k] - m->mean[k]) / m->sd[k];
-            finite &= isfinite(sample[k]);
-        }
+        for (int k = 0; k < 3; k++) s->windows[3 * t + k] = (sample[k] - m->mean[k]) / m->sd[k];
     }
-    if (finite) {
-        noise_source initial = {s->seed, s->stream, FOTEN_FIRST_INITIAL};
-        m->kind->start(m, s->loop, windows, m->history, 0);
-        if (m->of_noise) loop_take_noise(m, s->loop, s->deterministic ? NULL : &initial);
-        s->fresh = 0;
-    }
-    return finite ? FOTEN_OK : FOTEN_BAD_ARGUMENT;
+    noise_source initial = {s->seed, s->stream, FOTEN_FIRST_INITIAL};
+    foten_status status = foten_start_scaled(s, s->windows);
+    if (status == FOTEN_OK && m->of_noise) loop_take_noise(m, s->loop, s->deterministic ? NULL : &initial);
+    return status;
+}
+
+static int finite(const double *numbers, size_t n) {
+    for (size_t i = 0; i < n; i++)
+        if (!isfinite(numbers[i])) return 0;
+    return 1;
 }
 
 foten_status foten_start_scaled(foten_state *s, const double *windows) {
-    for (int i = 0; i < 3 * s->model->history; i++)
-        if (!isfinite(windows[i])) return FOTEN_BAD_ARGUMENT;
+    if (!finite(windows, 3 * (size_t)s->model->history)) return FOTEN_BAD_ARGUMENT;
     s->model->kind->start(s->model, s->loop, windows, s->model->history, 0);
     s->fresh = 0;
     return FOTEN_OK;
@@ -191,18 +173,15 @@ foten_status foten_start_scaled(foten_state *s, const double *windows) {
 
 void foten_run_scaled(foten_state *s, const double *conditions, const double *noise, double limit, size_t n, double *out) {
     for (size_t i = 0; i < n; i++) {
-        int cut;
         condition c = {{conditions[3 * i], conditions[3 * i + 1]}, conditions[3 * i + 2]};
-        out[i] = s->model->kind->step(s->model, s->loop, &c, noise ? noise + i : NULL, limit, &cut);
+        out[i] = s->model->kind->step(s->model, s->loop, &c, noise ? noise + i : NULL, limit);
     }
 }
 
 foten_status foten_predict(foten_state *s, const double *samples, size_t n, foten_prediction_part part, foten_prediction *out) {
     const foten_model *m = s->model;
     size_t window = (size_t)m->history;
-    if (m->of_noise || n < window) return FOTEN_BAD_ARGUMENT;
-    for (size_t i = 0; i < 3 * n; i++)
-        if (!isfinite(samples[i])) return FOTEN_BAD_ARGUMENT;
+    if (m->of_noise || n < window || !finite(samples, 3 * n)) return FOTEN_BAD_ARGUMENT;
     m->kind->start(m, s->loop, samples, m->history, 1);
     for (size_t t = window; t < n; t++) {
         m->kind->predict(m, s->loop, part, &out[t - window]);
@@ -224,20 +203,17 @@ static int accepted(foten_state *s, float *speed, float *force) {
 
 void foten_set_condition(foten_state *s, float speed, float force) {
     if (!accepted(s, &speed, &force)) return;
-    uint32_t halves[2];
-    memcpy(&halves[0], &speed, 4);
-    memcpy(&halves[1], &force, 4);
-    atomic_store_explicit(&s->condition, (uint64_t)halves[1] << 32 | halves[0], memory_order_release);
+    uint64_t both;
+    memcpy(&both, (const float[2]){speed, force}, sizeof both);
+    atomic_store_explicit(&s->condition, both, memory_order_release);
 }
 
 static void condition_set(const foten_state *s, double out[2]) {
     uint64_t both = atomic_load_explicit(&s->condition, memory_order_acquire);
-    uint32_t halves[2] = {(uint32_t)both, (uint32_t)(both >> 32)};
-    float speed, force;
-    memcpy(&speed, &halves[0], 4);
-    memcpy(&force, &halves[1], 4);
-    out[0] = speed;
-    out[1] = force;
+    float speed_force[2];
+    memcpy(speed_force, &both, sizeof both);
+    out[0] = speed_force[0];
+    out[1] = speed_force[1];
 }
 
 /* A sample of the texture's own rate, m/s2, under a speed and a force. */
@@ -246,13 +222,13 @@ static double sample_of(foten_state *s, const double speed_force[2]) {
     uint64_t n = counted(s, N);
     condition c;
     double factor = 1, kept[2];
-    int below = 0, beyond[2], furthest[2], cut;
+    int below = 0;
     for (int i = 0; i < 2; i++) {
         double x = speed_force[i], clamped = x < m->low[i] ? m->low[i] : x > m->high[i] ? m->high[i] : x;
         double fade = m->low[i] > FADE[i] ? m->low[i] : FADE[i];
         below |= x < m->low[i];
-        beyond[i] = x > m->high[i];
-        furthest[i] = x > FOTEN_FURTHEST * m->high[i];
+        count(s, SPEED_BEYOND + i, x > m->high[i]);
+        count(s, SPEED_CLAMPED + i, x > FOTEN_FURTHEST * m->high[i]);
         kept[i] = x < FOTEN_FURTHEST * m->high[i] ? x : FOTEN_FURTHEST * m->high[i];
         c.scaled[i] = (clamped - m->mean[1 + i]) / m->sd[1 + i];
         if (x < fade) factor *= x / fade;
@@ -266,16 +242,12 @@ static double sample_of(foten_state *s, const double speed_force[2]) {
     }
     int random = !s->deterministic && model_is_random(m);
     double noise = random ? noise_at(s->seed, s->stream, n) : 0;
-    double vibration = m->kind->step(m, s->loop, &c, random ? &noise : NULL, m->saturation, &cut);
+    double vibration = m->kind->step(m, s->loop, &c, random ? &noise : NULL, m->saturation);
     s->last[0] = speed_force[0];
     s->last[1] = speed_force[1];
     count(s, N, 1);
     count(s, BELOW, below);
-    count(s, SPEED_BEYOND, beyond[0]);
-    count(s, FORCE_BEYOND, beyond[1]);
-    count(s, SPEED_CLAMPED, furthest[0]);
-    count(s, FORCE_CLAMPED, furthest[1]);
-    count(s, SATURATED, cut);
+    count(s, SATURATED, s->loop->cut);
     if ((n + 1) % QUIET_EVERY == 0) m->kind->quiet(m, s->loop);
     return (vibration * m->sd[0] + m->mean[0]) * factor;
 }
@@ -298,12 +270,8 @@ static double sample_under(foten_state *s, foten_stylus *stylus) {
 static void render(foten_state *s, foten_stylus *stylus, float *out, size_t n) {
     if (stylus) stylus_block(stylus);
     for (size_t i = 0; i < n; i++) {
-        if (!s->resampler) {
-            out[i] = given(s, sample_under(s, stylus));
-            continue;
-        }
-        while (resampler_wants(s->resampler)) resampler_give(s->resampler, sample_under(s, stylus));
-        out[i] = given(s, resampler_take(s->resampler));
+        while (s->resampler && resampler_wants(s->resampler)) resampler_give(s->resampler, sample_under(s, stylus));
+        out[i] = given(s, s->resampler ? resampler_take(s->resampler) : sample_under(s, stylus));
     }
 }
 
@@ -314,21 +282,19 @@ size_t foten_render_stroke(foten_state *s, const float *speed, const float *forc
     double held[2];
     size_t rendered = 0;
     condition_set(s, held);
-    for (size_t i = 0; i < n; i++) {
+    for (size_t i = 0; i <= n; i++) {
+        /* What the last sample of the texture's still has to give, after a block that ended between two of them, comes first. */
+        while (s->resampler && !resampler_wants(s->resampler)) out[rendered++] = given(s, resampler_take(s->resampler));
+        if (i == n) break;
         float now[2] = {speed[i], force[i]};
         if (accepted(s, &now[0], &now[1])) {
             held[0] = now[0];
             held[1] = now[1];
         }
-        if (!s->resampler) {
-            out[rendered++] = given(s, sample_of(s, held));
-            continue;
-        }
-        /* What the last sample of the texture's still has to give, after a block that ended between two of them, comes first. */
-        while (!resampler_wants(s->resampler)) out[rendered++] = given(s, resampler_take(s->resampler));
-        resampler_give(s->resampler, sample_of(s, held));
+        double sample = sample_of(s, held);
+        if (s->resampler) resampler_give(s->resampler, sample);
+        else out[rendered++] = given(s, sample);
     }
-    while (s->resampler && !resampler_wants(s->resampler)) out[rendered++] = given(s, resampler_take(s->resampler));
     return rendered;
 }
 

@@ -9,16 +9,11 @@ struct piece { piece *before; };
 static size_t aligned(size_t n) { return (n + ALIGNED - 1) / ALIGNED * ALIGNED; }
 
 void *arena_take(arena *from, size_t n, size_t size) {
-    if (from->failed || (size && n > (SIZE_MAX / 2) / size)) {
-        from->failed = 1;
-        return NULL;
-    }
     size_t bytes = aligned(n * size + 1);
-    piece *new = malloc(sizeof *new + ALIGNED + bytes);
-    if (!new) {
-        from->failed = 1;
-        return NULL;
-    }
+    from->failed |= size && n > (SIZE_MAX / 2) / size;
+    piece *new = from->failed ? NULL : malloc(sizeof *new + ALIGNED + bytes);
+    from->failed = !new;
+    if (!new) return NULL;
     new->before = from->last;
     from->last = new;
     uintptr_t begin = ((uintptr_t)(new + 1) + ALIGNED - 1) & ~(uintptr_t)(ALIGNED - 1);

@@ -1,6 +1,5 @@
 /* Memory that is asked for piece by piece and given back at once. */
-#ifndef FOTEN_ARENA_H
-#define FOTEN_ARENA_H
+#pragma once
 #include <stddef.h>
 
 enum { ALIGNED = 64 }; /* bytes: a cache line, and the widest vector */
@@ -15,4 +14,3 @@ void arena_free(arena *from);
 /* The same in one block that is measured first: with base NULL nothing is given, and `used` grows. */
 typedef struct { unsigned char *base; size_t used; } block;
 void *block_take(block *from, size_t n, size_t size);
-#endif

@@ -12,23 +12,22 @@ static const double LARGEST_SATURATION = 1e4;     /* standard deviations */
 
 static const struct {
     const char *name;
-    int bit, window; /* its usual one */
-} MODELS[] = {{"foten-plus", CARD_PLUS, FOTEN_USUAL_PLUS_WINDOW},
-            {"foten", CARD_FOTEN, FOTEN_USUAL_WINDOW},
-            {"ten", CARD_TEN, FOTEN_USUAL_TEN_WINDOW},
-            {"ar", CARD_AR, FOTEN_USUAL_AR_WINDOW}};
-static const struct {
-    const char *name;
-    int of_noise, has_hop;
-} GRAPHS[] = {{"ten-mfcc", 0, 0}, {"ten-wavelet", 0, 0}, {"foten-d", 0, 0}, {"fnn", 0, 0}, {"dstn", 0, 0}, {"hapinf", 0, 0}, {"ldhtd", 0, 0},
-              {"ldhtd-hop", 0, 1}, {"dftnet", 1, 0}, {"gan", 1, 0}};
+    int bit, window, of_noise, has_hop; /* window: its usual one; 0: the card has to name it */
+} MODELS[] = {{"foten-plus", CARD_PLUS, FOTEN_USUAL_PLUS_WINDOW, 0, 0}, {"foten", CARD_FOTEN, FOTEN_USUAL_WINDOW, 0, 0},
+              {"ten", CARD_TEN, FOTEN_USUAL_TEN_WINDOW, 0, 0},          {"ar", CARD_AR, FOTEN_USUAL_AR_WINDOW, 0, 0},
+              {"ten-mfcc", CARD_GRAPH, 0, 0, 0},  {"ten-wavelet", CARD_GRAPH, 0, 0, 0}, {"foten-d", CARD_GRAPH, 0, 0, 0},
+              {"fnn", CARD_GRAPH, 0, 0, 0},       {"dstn", CARD_GRAPH, 0, 0, 0},        {"hapinf", CARD_GRAPH, 0, 0, 0},
+              {"ldhtd", CARD_GRAPH, 0, 0, 0},     {"ldhtd-hop", CARD_GRAPH, 0, 0, 1},   {"dftnet", CARD_GRAPH, 0, 1, 0},
+              {"gan", CARD_GRAPH, 0, 1, 0}};
 
+/* Counts, and switches, which are true or false. */
+enum { SWITCH = -1 };
 static const struct {
     const char *name;
     int of; /* which models have it */
     size_t at;
     int usual, least;
-} COUNTS[] = {
+} SIZES[] = {
     {"window", CARD_NETWORKS | CARD_AR | CARD_GRAPH, offsetof(card_sizes, network.window), 0, 2},
     {"d_model", CARD_NETWORKS, offsetof(card_sizes, network.d_model), FOTEN_USUAL_D_MODEL, 1},
     {"n_heads", CARD_NETWORKS, offsetof(card_sizes, network.n_heads), FOTEN_USUAL_N_HEADS, 1},
@@ -49,134 +48,113 @@ static const struct {
     {"ma", CARD_AR, offsetof(card_sizes, ma), 0, 0},
     {"n_models", CARD_AR, offsetof(card_sizes, n_models), 3, 3},
     {"n_triangles", CARD_AR, offsetof(card_sizes, n_triangles), 1, 1},
-};
-
-static const struct {
-    const char *name;
-    int of;
-    size_t at;
-    int usual;
-} SWITCHES[] = {
-    {"pre_norm", CARD_NETWORKS, offsetof(card_sizes, network.pre_norm), 1},
-    {"excitation", CARD_TEN | CARD_FOTEN | CARD_GRAPH, offsetof(card_sizes, excitation), 0},
-    {"condition_in_tokens", CARD_PLUS, offsetof(card_sizes, condition_in_tokens), 1},
-    {"network_in_loop", CARD_PLUS, offsetof(card_sizes, network_in_loop), 1},
-    {"gain_before_filter", CARD_PLUS, offsetof(card_sizes, gain_before_filter), 0},
-    {"residual_gain_before_filter", CARD_PLUS, offsetof(card_sizes, residual_gain_before_filter), 0},
+    {"pre_norm", CARD_NETWORKS, offsetof(card_sizes, network.pre_norm), 1, SWITCH},
+    {"excitation", CARD_TEN | CARD_FOTEN | CARD_GRAPH, offsetof(card_sizes, excitation), 0, SWITCH},
+    {"condition_in_tokens", CARD_PLUS, offsetof(card_sizes, condition_in_tokens), 1, SWITCH},
+    {"network_in_loop", CARD_PLUS, offsetof(card_sizes, network_in_loop), 1, SWITCH},
+    {"gain_before_filter", CARD_PLUS, offsetof(card_sizes, gain_before_filter), 0, SWITCH},
+    {"residual_gain_before_filter", CARD_PLUS, offsetof(card_sizes, residual_gain_before_filter), 0, SWITCH},
 };
 
 #define N(table) (int)(sizeof(table) / sizeof *(table))
 #define FIELD(s, offset) (*(int *)(void *)((char *)(s) + (offset)))
 
-static foten_status wrong_size(texture_file *file, const char *name) {
+static int wrong_size(texture_file *file, const char *name) {
     return file_refuse(file, FOTEN_BAD_FILE, "'%s' among the sizes in the card is none that this library can run", name);
 }
 
 /* Which model a file is of, and the window that it usually has. */
-static foten_status read_model(texture_file *file, int has_function, card_sizes *s, int *usual_window) {
+static int read_model(texture_file *file, int has_function, card_sizes *s, int *usual_window) {
     json model = json_member(file->card, "model");
     for (int i = 0; i < N(MODELS); i++)
         if (json_is_string(model, MODELS[i].name)) {
             s->model = MODELS[i].bit;
+            s->of_noise = MODELS[i].of_noise;
+            s->has_hop = MODELS[i].has_hop;
             *usual_window = MODELS[i].window;
-        }
-    for (int i = 0; i < N(GRAPHS); i++)
-        if (json_is_string(model, GRAPHS[i].name)) {
-            s->model = CARD_GRAPH;
-            s->of_noise = GRAPHS[i].of_noise;
-            s->has_hop = GRAPHS[i].has_hop;
         }
     if (!s->model)
         return file_refuse(file, FOTEN_BAD_FILE, "this library does not run the file's model, expected foten-plus, foten, ten or ar");
     if (s->model == CARD_GRAPH && !has_function)
-        return file_refuse(file, FOTEN_NO_PREDICTOR, "the file's model is a graph that something else has to run, ONNX Runtime from Python for one: foten_model_load_with");
-    return FOTEN_OK;
-}
-
-/* Two widths in a list, where there is one. */
-static int read_head(json list, int *first, int *second) {
-    long long widths[2];
-    json item;
-    const char *position = NULL;
-    int n = 0;
-    *first = FOTEN_USUAL_HEAD_1;
-    *second = FOTEN_USUAL_HEAD_2;
-    if (!list.begin) return 1;
-    for (; json_next(list, &position, NULL, &item); n++)
-        if (n == 2 || !json_integer(item, &widths[n]) || widths[n] < 1 || widths[n] > FOTEN_LARGEST_COUNT) return 0;
-    if (n != 2) return 0;
-    *first = (int)widths[0];
-    *second = (int)widths[1];
+        return file_refuse(file, FOTEN_NO_PREDICTOR,
+                           "the file's model is a graph that something else has to run, ONNX Runtime from Python for one: foten_model_load_with");
     return 1;
 }
 
-static foten_status check_graph(texture_file *file, json from, card_sizes *s) {
+/* Two widths in a list, where there is one. */
+static int read_head(json list, int widths[2]) {
+    json items[2];
+    long long width;
+    widths[0] = FOTEN_USUAL_HEAD_1;
+    widths[1] = FOTEN_USUAL_HEAD_2;
+    if (list.begin && json_items(list, items, 2) != 2) return 0;
+    for (int i = 0; list.begin && i < 2; i++) {
+        if (!json_integer(items[i], &width) || width < 1 || width > FOTEN_LARGEST_COUNT) return 0;
+        widths[i] = (int)width;
+    }
+    return 1;
+}
+
+static int check_graph(texture_file *file, json from, card_sizes *s) {
     long long hop = 1;
     json value = json_member(from, "hop");
     if (s->network.window > FOTEN_LONGEST_GRAPH_WINDOW || !s->network.window) return wrong_size(file, "window");
     if (s->of_noise && s->excitation) return wrong_size(file, "excitation");
     if (s->has_hop ? !json_integer(value, &hop) || hop < 1 || hop > s->network.window : value.begin != NULL) return wrong_size(file, "hop");
     s->hop = (int)hop;
-    return FOTEN_OK;
+    return 1;
 }
 
 /* What sizes have to be to one another. */
-static foten_status check_sizes(texture_file *file, card_sizes *s) {
+static int check_sizes(texture_file *file, card_sizes *s) {
     network_sizes *n = &s->network;
     if (n->window > FOTEN_LONGEST_WINDOW) return wrong_size(file, "window");
     if (s->model == CARD_AR) {
         if (s->order > FOTEN_HIGHEST_ORDER) return wrong_size(file, "order");
         if (s->ma > FOTEN_HIGHEST_ORDER) return wrong_size(file, "ma");
-        return n->window > s->order ? FOTEN_OK : wrong_size(file, "window");
+        return n->window > s->order || wrong_size(file, "window");
     }
     if (n->n_layers > MOST_LAYERS) return wrong_size(file, "n_layers");
     if (n->d_model % n->n_heads || (n->spectral_width > 1 && n->spectral_width % n->n_heads)) return wrong_size(file, "n_heads");
     n->n_inputs = s->model != CARD_PLUS ? 1 : s->condition_in_tokens ? 4 : 2;
     n->fourier = s->model != CARD_TEN;
-    return FOTEN_OK;
+    return 1;
 }
 
-foten_status card_read_sizes(texture_file *file, int has_function, card_sizes *s) {
-    json from = json_member(file->card, "sizes"), value, none = {NULL, NULL};
+/* A size, where models of that kind have it, counted. */
+static json size_named(json from, const char *name, int has, size_t *n_known) {
+    json value = has ? json_member(from, name) : (json){NULL, NULL};
+    *n_known += value.begin != NULL;
+    return value;
+}
+
+int card_read_sizes(texture_file *file, int has_function, card_sizes *s) {
+    json from = json_member(file->card, "sizes"), value;
     long long version;
     size_t n_known = 0;
     int usual_window = 0;
-    memset(s, 0, sizeof *s);
+    *s = (card_sizes){.correction_limit = FOTEN_USUAL_CORRECTION_LIMIT};
     if (!json_integer(json_member(file->card, "format_version"), &version))
         return file_refuse(file, FOTEN_BAD_FILE, "the card has no format version");
     if (version != FOTEN_FORMAT_VERSION)
         return file_refuse(file, FOTEN_BAD_FILE, "the file has format version %lld, expected %d: %s", version, FOTEN_FORMAT_VERSION,
                            version < FOTEN_FORMAT_VERSION ? "train it again with this foten" : "update foten");
     if (!from.begin || *from.begin != '{') return file_refuse(file, FOTEN_BAD_FILE, "the card has no 'sizes'");
-    foten_status status = read_model(file, has_function, s, &usual_window);
-    if (status != FOTEN_OK) return status;
-    for (int i = 0; i < N(COUNTS); i++) {
-        if (!(COUNTS[i].of & s->model)) continue;
-        long long count = i ? COUNTS[i].usual : usual_window;
-        value = json_member(from, COUNTS[i].name);
-        n_known += value.begin != NULL;
-        if (value.begin && !json_integer(value, &count)) return wrong_size(file, COUNTS[i].name);
-        if (count < COUNTS[i].least || count > FOTEN_LARGEST_COUNT) return wrong_size(file, COUNTS[i].name);
-        FIELD(s, COUNTS[i].at) = (int)count;
+    if (!read_model(file, has_function, s, &usual_window)) return 0;
+    for (int i = 0; i < N(SIZES); i++) {
+        if (!(SIZES[i].of & s->model)) continue;
+        int on = SIZES[i].usual, is_switch = SIZES[i].least == SWITCH;
+        long long count = i ? SIZES[i].usual : usual_window;
+        value = size_named(from, SIZES[i].name, 1, &n_known);
+        if (value.begin && !(is_switch ? json_boolean(value, &on) : json_integer(value, &count))) return wrong_size(file, SIZES[i].name);
+        if (!is_switch && (count < SIZES[i].least || count > FOTEN_LARGEST_COUNT)) return wrong_size(file, SIZES[i].name);
+        FIELD(s, SIZES[i].at) = is_switch ? on : (int)count;
     }
-    for (int i = 0; i < N(SWITCHES); i++) {
-        if (!(SWITCHES[i].of & s->model)) continue;
-        int on = SWITCHES[i].usual;
-        value = json_member(from, SWITCHES[i].name);
-        n_known += value.begin != NULL;
-        if (value.begin && !json_boolean(value, &on)) return wrong_size(file, SWITCHES[i].name);
-        FIELD(s, SWITCHES[i].at) = on;
-    }
-    value = s->model & (CARD_FOTEN | CARD_PLUS) ? json_member(from, "bins") : none;
-    n_known += value.begin != NULL;
+    value = size_named(from, "bins", s->model & (CARD_FOTEN | CARD_PLUS), &n_known);
     s->network.half_bins = json_is_string(value, "half");
     if (value.begin && !s->network.half_bins && !json_is_string(value, "all")) return wrong_size(file, "bins");
-    value = s->model & CARD_NETWORKS ? json_member(from, "head") : none;
-    n_known += value.begin != NULL;
-    if (!read_head(value, &s->network.first, &s->network.second)) return wrong_size(file, "head");
-    value = s->model == CARD_PLUS ? json_member(from, "correction_limit") : none;
-    n_known += value.begin != NULL;
-    s->correction_limit = FOTEN_USUAL_CORRECTION_LIMIT;
+    if (!read_head(size_named(from, "head", s->model & CARD_NETWORKS, &n_known), s->network.head)) return wrong_size(file, "head");
+    value = size_named(from, "correction_limit", s->model == CARD_PLUS, &n_known);
     if (value.begin && (!json_number(value, &s->correction_limit) || !(s->correction_limit > 0 && s->correction_limit < 1e6)))
         return wrong_size(file, "correction_limit");
     if (s->model == CARD_GRAPH) return check_graph(file, from, s);
@@ -187,13 +165,11 @@ foten_status card_read_sizes(texture_file *file, int has_function, card_sizes *s
 }
 
 static int numbers(json list, double *out, int n) {
-    json item;
-    const char *position = NULL;
-    int i = 0;
-    if (!list.begin || *list.begin != '[') return 0;
-    for (; json_next(list, &position, NULL, &item); i++)
-        if (i == n || !json_number(item, &out[i]) || !(fabs(out[i]) < 1e300)) return 0;
-    return i == n;
+    json items[3];
+    if (json_items(list, items, n) != n) return 0;
+    for (int i = 0; i < n; i++)
+        if (!json_number(items[i], &out[i]) || !(fabs(out[i]) < 1e300)) return 0;
+    return 1;
 }
 
 static int text_of(json value, arena *memory, char **out) {
@@ -203,11 +179,11 @@ static int text_of(json value, arena *memory, char **out) {
     return *out && json_string(value, *out, room) >= 0;
 }
 
-foten_status card_read(foten_model *m, texture_file *file, const card_sizes *s) {
+int card_read(foten_model *m, texture_file *file, const card_sizes *s) {
     json card = file->card;
     long long window;
     if (!text_of(json_member(card, "model"), &m->memory, &m->name) || !text_of(json_member(card, "texture"), &m->memory, &m->texture))
-        return m->memory.failed ? file_refuse(file, FOTEN_NO_MEMORY, "no memory") : file_refuse(file, FOTEN_BAD_FILE, "the card does not name a model and a texture");
+        return m->memory.failed ? 0 : file_refuse(file, FOTEN_BAD_FILE, "the card does not name a model and a texture");
     int most = s->order > s->residual_order ? s->order : s->residual_order;
     m->history = s->model == CARD_PLUS ? s->network.window + most + 1 : s->network.window;
     if (!json_integer(json_member(card, "window"), &window) || window != m->history)
@@ -223,7 +199,9 @@ foten_status card_read(foten_model *m, texture_file *file, const card_sizes *s) 
         return file_refuse(file, FOTEN_BAD_FILE, "the scaling in the card is not three means and three standard deviations");
     for (int i = 0; i < 3; i++)
         if (!(m->sd[i] > 0 && m->sd[i] <= LARGEST[i] && fabs(m->mean[i]) <= LARGEST[i]))
-            return file_refuse(file, FOTEN_BAD_FILE, "the card's scaling cannot be: a mean or a standard deviation is beyond %g, or a standard deviation is none", LARGEST[i]);
+            return file_refuse(file, FOTEN_BAD_FILE,
+                               "the card's scaling cannot be: a mean or a standard deviation is beyond %g, or a standard deviation is none",
+                               LARGEST[i]);
     static const char *const channels[] = {"speed", "force"};
     for (int i = 0; i < 2; i++) {
         double ends[2];
@@ -234,5 +212,5 @@ foten_status card_read(foten_model *m, texture_file *file, const card_sizes *s) 
         if (!json_number(json_member(beyond, channels[i]), &m->exponents[i]) || !(m->exponents[i] >= 0 && m->exponents[i] <= 2))
             return file_refuse(file, FOTEN_BAD_FILE, "the exponent of %s beyond its range is not from 0 to 2", channels[i]);
     }
-    return FOTEN_OK;
+    return 1;
 }

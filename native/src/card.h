@@ -1,6 +1,5 @@
 /* What a texture file's card says, checked. */
-#ifndef FOTEN_CARD_H
-#define FOTEN_CARD_H
+#pragma once
 
 #include "model.h"
 
@@ -17,8 +16,7 @@ typedef struct {
 } card_sizes;
 
 /* The format version and the sizes; `has_function`: whether somebody else's function runs graphs. */
-foten_status card_read_sizes(texture_file *file, int has_function, card_sizes *sizes);
+int card_read_sizes(texture_file *file, int has_function, card_sizes *sizes);
 
 /* Everything else, into the model. */
-foten_status card_read(foten_model *model, texture_file *file, const card_sizes *sizes);
-#endif
+int card_read(foten_model *model, texture_file *file, const card_sizes *sizes);

@@ -2,8 +2,12 @@
  *
  * A line is a name, a number, and in the comment the constant of the Python package that the number equals;
  * tests/test_kernel_constants.py compares them all. */
-#ifndef FOTEN_CONSTANTS_H
-#define FOTEN_CONSTANTS_H
+#pragma once
+
+/* What C does not have. */
+#define PI 3.14159265358979323846
+
+static inline double clip(double x, double limit) { return x > limit ? limit : x < -limit ? -limit : x; }
 
 /* The texture file and its proof. */
 #define FOTEN_FORMAT_VERSION 2 /* foten.families.texture_file.FORMAT_VERSION */
@@ -69,5 +73,3 @@
 #define FOTEN_LOUDEST_BEGINNING 50.0 /* foten.reference.window.LOUDEST_BEGINNING */
 #define FOTEN_SETTLED_AFTER 256 /* foten.reference.piecewise_ar.SETTLED_AFTER */
 #define FOTEN_LARGEST_INNOVATION 100.0 /* foten.reference.piecewise_ar.LARGEST_INNOVATION */
-
-#endif

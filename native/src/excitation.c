@@ -1,31 +1,46 @@
 #include "excitation.h"
 
 #include <math.h>
-#include <string.h>
 
-#include "clip.h"
 #include "constants.h"
 
+static void philox(uint32_t c[4], uint32_t k0, uint32_t k1) {
+    for (int round = 0; round < 10; round++) {
+        uint64_t product_0 = (uint64_t)FOTEN_PHILOX_MULTIPLIER_0 * c[0], product_1 = (uint64_t)FOTEN_PHILOX_MULTIPLIER_1 * c[2];
+        uint32_t c1 = c[1], c3 = c[3];
+        c[0] = (uint32_t)(product_1 >> 32) ^ c1 ^ k0;
+        c[1] = (uint32_t)product_1;
+        c[2] = (uint32_t)(product_0 >> 32) ^ c3 ^ k1;
+        c[3] = (uint32_t)product_0;
+        k0 += FOTEN_PHILOX_WEYL_0;
+        k1 += FOTEN_PHILOX_WEYL_1;
+    }
+}
+
+double noise_at(uint64_t seed, uint64_t stream, uint64_t n) {
+    uint32_t c[4] = {(uint32_t)n, (uint32_t)(n >> 32), (uint32_t)stream, (uint32_t)(stream >> 32)};
+    philox(c, (uint32_t)seed, (uint32_t)(seed >> 32));
+    int32_t total = 0;
+    for (int i = 0; i < 4; i++) total += (int32_t)(c[i] & 0xFFFFu) + (int32_t)(c[i] >> 16);
+    /* Built without contraction: these four operations are the same on every processor. */
+    double x = ((double)total - 262140.0) / FOTEN_NOISE_SUM_SD;
+    double square = x * x;
+    double factor = FOTEN_NOISE_CUBIC * square;
+    return x * (FOTEN_NOISE_LINEAR + factor);
+}
+
 int excitation_read(texture_file *file, arena *memory, int width, excitation *out) {
-    const double *values;
+    double volatility[2];
     if (!scale_read(file, memory, "excitation.", width, &out->sigma)) return 0;
-    if (!(values = table_take(file, memory, "excitation.", "tail.weight", 1, 5))) return 0;
-    memcpy(out->tail, values, sizeof out->tail);
-    if (!(values = table_take(file, memory, "excitation.", "tail.bias", 1, 0))) return 0;
-    out->tail_bias = *values;
-    if (!(values = table_take(file, memory, "excitation.", "largest", 2, 0))) return 0;
-    memcpy(out->largest, values, sizeof out->largest);
-    if (!(out->largest[0] >= 0 && out->largest[1] >= 0)) {
-        file_refuse(file, FOTEN_BAD_FILE, "tensor 'excitation.largest' is negative");
-        return 0;
-    }
-    if (!(values = table_take(file, memory, "excitation.", "volatility", 2, 0))) return 0;
-    out->volatility_kept = values[0];
-    out->volatility_sd = values[1];
-    if (!(values[0] >= 0 && values[0] <= 1 && values[1] >= 0)) {
-        file_refuse(file, FOTEN_BAD_FILE, "tensor 'excitation.volatility' is out of range");
-        return 0;
-    }
+    if (!file_copy(file, "excitation.", "tail.weight", (size_t[4]){1, 5}, out->tail)) return 0;
+    if (!file_copy(file, "excitation.", "tail.bias", (size_t[4]){1}, &out->tail_bias)) return 0;
+    if (!file_copy(file, "excitation.", "largest", (size_t[4]){2}, out->largest)) return 0;
+    if (!(out->largest[0] >= 0 && out->largest[1] >= 0)) return file_refuse(file, FOTEN_BAD_FILE, "tensor 'excitation.largest' is negative");
+    if (!file_copy(file, "excitation.", "volatility", (size_t[4]){2}, volatility)) return 0;
+    if (!(volatility[0] >= 0 && volatility[0] <= 1 && volatility[1] >= 0))
+        return file_refuse(file, FOTEN_BAD_FILE, "tensor 'excitation.volatility' is out of range");
+    out->volatility_kept = volatility[0];
+    out->volatility_sd = volatility[1];
     return 1;
 }
 

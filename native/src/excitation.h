@@ -1,8 +1,16 @@
-/* The excitation, the random part of a texture: a scale over speed and force, heavy tails and volatility. */
-#ifndef FOTEN_EXCITATION_H
-#define FOTEN_EXCITATION_H
+/* The excitation, the random part of a texture: the noise that foten.h defines, with a scale over speed and force, heavy tails and volatility. */
+#pragma once
+
+#include <stdint.h>
 
 #include "tables.h"
+
+double noise_at(uint64_t seed, uint64_t stream, uint64_t n);
+
+/* The numbers of a stream in turn, from `next` on. */
+typedef struct { uint64_t seed, stream, next; } noise_source;
+
+static inline double noise_next(noise_source *from) { return noise_at(from->seed, from->stream, from->next++); }
 
 typedef struct {
     scale sigma;
@@ -12,12 +20,9 @@ typedef struct {
 } excitation;
 
 /* Of one stream: sigma and h of the next sample, and the volatility, a logarithm. */
-typedef struct {
-    double sigma, tail, volatility;
-} excitation_state;
+typedef struct { double sigma, tail, volatility; } excitation_state;
 
 int excitation_read(texture_file *file, arena *memory, int width, excitation *out);
-
 void excitation_set_condition(const excitation *e, excitation_state *s, const double scaled[2]);
 
 /* By how much the next excitation is larger than usual. */
@@ -28,4 +33,3 @@ void excitation_draw(const excitation *e, excitation_state *s, double noise);
 
 /* The excitation of a standard normal number, where a unit of it moves the sample by `unit`; the volatility moves on. */
 double excitation_next(const excitation *e, excitation_state *s, double noise, double unit);
-#endif

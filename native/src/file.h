@@ -1,8 +1,5 @@
 /* A texture file in memory: its tensors and its card, checked. */
-#ifndef FOTEN_FILE_H
-#define FOTEN_FILE_H
-#include <stddef.h>
-
+#pragma once
 #include "arena.h"
 #include "foten.h"
 #include "json.h"
@@ -11,33 +8,30 @@
 typedef struct { json name, value; } entry;
 
 typedef struct {
-    const unsigned char *bytes; /* the file */
-    size_t n_bytes;
+    foten_status status;        /* what was wrong first, and in `why` the reason */
+    char *why;
+    size_t why_size;
     const unsigned char *data;  /* where the tensors lie */
     size_t n_data;
-    json header;
     entry *entries;             /* of the header, owned */
     size_t n_entries;
     char *text;                 /* of the card, owned */
     json card;
-    char *why;
-    size_t why_size;
     size_t n_taken;             /* tensors that something asked for */
 } texture_file;
 
-foten_status file_open(texture_file *file, const void *bytes, size_t n_bytes, char *why, size_t why_size);
+/* What returns an int here and below returns 0, what returns a pointer NULL, where the file is refused: status and reason are in it then. */
+int file_open(texture_file *file, const void *bytes, size_t n_bytes, char *why, size_t why_size);
 void file_close(texture_file *file);
 
-/* Say why, and return the status. */
-foten_status file_refuse(texture_file *file, foten_status status, const char *format, ...)
-#if defined(__GNUC__)
-    __attribute__((format(printf, 3, 4)))
-#endif
-    ;
+/* Returns 0; the first reason is the one. */
+__attribute__((format(printf, 3, 4))) int file_refuse(texture_file *file, foten_status status, const char *format, ...);
 
-/* The numbers of a tensor of that shape (dimensions up to the first 0), or NULL and a reason: it is missing, of another shape, holds
- * what is not finite, or there is no memory. */
-double *file_take(texture_file *file, const char *name, const size_t shape[4], arena *memory);
+/* The numbers of the tensor `prefix` `name`, which has that shape (dimensions up to the first 0) and holds only finite ones. */
+double *file_take(texture_file *file, arena *memory, const char *prefix, const char *name, const size_t shape[4]);
+
+/* The same, copied. */
+int file_copy(texture_file *file, const char *prefix, const char *name, const size_t shape[4], double *out);
 
 /* The shape of a tensor, its dimensions counted; -1 where there is none. */
 int file_shape(const texture_file *file, const char *name, size_t shape[4]);
@@ -45,6 +39,5 @@ int file_shape(const texture_file *file, const char *name, size_t shape[4]);
 /* Count a tensor as taken that somebody else reads, where there is one. */
 void file_leave(texture_file *file, const char *name);
 
-/* Whether every tensor was taken once; if not, a reason that names the model. */
+/* Whether every tensor was taken once; the reason names the model. */
 int file_all_taken(texture_file *file, const char *model);
-#endif

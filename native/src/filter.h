@@ -1,14 +1,16 @@
-/* The Butterworth low-pass of second order that recordings went through, as foten.dsp.filters has it, one sample at a time. */
-#ifndef FOTEN_FILTER_H
-#define FOTEN_FILTER_H
+/* Filters of second order, one sample at a time. */
+#pragma once
 
 #include <math.h>
+
+#include "constants.h"
 
 typedef struct { double b0, b1, b2, a1, a2; } section;
 typedef struct { double first, second; } memory;
 
+/* The Butterworth low-pass that recordings went through, as foten.dsp.filters has it. */
 static inline section lowpass(double cutoff_hz, double rate_hz) {
-    double w = tan(3.14159265358979323846 * cutoff_hz / rate_hz), damping = 2 * cos(3.14159265358979323846 / 4);
+    double w = tan(PI * cutoff_hz / rate_hz), damping = 2 * cos(PI / 4);
     double norm = 1 + damping * w + w * w, b = w * w / norm;
     return (section){b, 2 * b, b, 2 * (w * w - 1) / norm, (1 - damping * w + w * w) / norm};
 }
@@ -20,7 +22,3 @@ static inline double filtered(const section *s, memory *m, double x) {
     if (fabs(m->first) + fabs(m->second) < 1e-30) m->first = m->second = 0;
     return y;
 }
-
-/* What a memory is after x for ever. */
-static inline memory settled(const section *s, double x) { return (memory){(1 - s->b0) * x, (s->b2 - s->a2) * x}; }
-#endif

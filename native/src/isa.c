@@ -1,4 +1,4 @@
-#include "isa.h"
+#include "network.h"
 
 #include <stdatomic.h>
 #include <stdlib.h>
@@ -21,8 +21,9 @@ static const isa *const HERE[] = { /* the best first */
 static int runs(const isa *set) {
 #if defined(__x86_64__) && !defined(FOTEN_PORTABLE)
     __builtin_cpu_init();
-    if (set == &isa_avx512) return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("fma");
-    if (set == &isa_avx2) return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+    if (set != &isa_portable && !__builtin_cpu_supports("fma")) return 0;
+    if (set == &isa_avx512) return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512dq");
+    if (set == &isa_avx2) return __builtin_cpu_supports("avx2");
 #endif
     (void)set;
     return 1;

@@ -11,35 +11,31 @@ static const char *space(const char *p, const char *end) {
     return p;
 }
 
+/* What may follow a backslash but u, and what it stands for. */
+static const char ESCAPES[] = "\"\\/bfnrt", ESCAPED[] = "\"\\/\b\f\n\r\t";
+
 static int hex(const char *p, const char *end, unsigned *out) {
     if (end - p < 4) return 0;
-    unsigned value = 0;
+    *out = 0;
     for (int i = 0; i < 4; i++) {
-        char c = p[i];
-        unsigned digit = c >= '0' && c <= '9' ? (unsigned)(c - '0') : c >= 'a' && c <= 'f' ? (unsigned)(c - 'a' + 10)
-                       : c >= 'A' && c <= 'F' ? (unsigned)(c - 'A' + 10) : 16u;
-        if (digit > 15) return 0;
-        value = value * 16 + digit;
+        static const char digits[] = "0123456789abcdefABCDEF";
+        const char *digit = memchr(digits, p[i], 22);
+        if (!digit) return 0;
+        *out = *out * 16 + (unsigned)(digit - digits - (digit - digits > 15 ? 6 : 0));
     }
-    *out = value;
     return 1;
 }
 
 /* Each skips what it names and returns where it ends, or NULL where it is not well formed. */
 static const char *skip_string(const char *p, const char *end) {
+    unsigned code;
     if (p >= end || *p != '"') return NULL;
     for (p++; p < end; p++) {
         if ((unsigned char)*p < 0x20) return NULL;
         if (*p == '"') return p + 1;
         if (*p != '\\') continue;
-        if (++p >= end) return NULL;
-        if (*p == 'u') {
-            unsigned code;
-            if (!hex(p + 1, end, &code)) return NULL;
-            p += 4;
-        } else if (!memchr("\"\\/bfnrt", *p, 8)) {
-            return NULL;
-        }
+        if (++p >= end || (*p == 'u' ? !hex(p + 1, end, &code) : !memchr(ESCAPES, *p, 8))) return NULL;
+        if (*p == 'u') p += 4;
     }
     return NULL;
 }
@@ -128,10 +124,9 @@ int json_next(json list, const char **position, json *name, json *value) {
 json json_member(json object, const char *name) {
     json member = {NULL, NULL}, key, value;
     const char *position = NULL;
-    size_t n = strlen(name);
     if (!object.begin || *object.begin != '{') return member;
     while (json_next(object, &position, &key, &value))
-        if ((size_t)(key.end - key.begin) == n + 2 && !memcmp(key.begin + 1, name, n)) member = value;
+        if (json_is_string(key, name)) member = value;
     return member;
 }
 
@@ -143,14 +138,25 @@ size_t json_count(json list) {
     return n;
 }
 
+int json_items(json list, json *out, int room) {
+    json item;
+    const char *position = NULL;
+    int n = 0;
+    if (!list.begin || *list.begin != '[') return -1;
+    while (json_next(list, &position, NULL, &item)) {
+        if (n == room) return -1;
+        out[n++] = item;
+    }
+    return n;
+}
+
 /* Decimal to binary without strtod, which reads another decimal point in some countries. Exact where mantissa and power are. */
 int json_number(json value, double *out) {
     if (!value.begin || (*value.begin != '-' && (*value.begin < '0' || *value.begin > '9'))) return 0;
-    char text[64];
+    char text[64] = {0};
     size_t n = (size_t)(value.end - value.begin);
     if (n >= sizeof text) return 0;
     memcpy(text, value.begin, n);
-    text[n] = 0;
     uint64_t mantissa = 0;
     int power = 0, digits_so_far = 0, negative = text[0] == '-';
     const char *p = text + negative;
@@ -169,7 +175,7 @@ int json_number(json value, double *out) {
     while (power && x > 0 && x < 1e400L) { /* powers up to 27 are exact where a long double has 64 bits */
         int step = power > 27 ? 27 : power < -27 ? -27 : power;
         long double ten = 1;
-        for (int i = 0; i < (step < 0 ? -step : step); i++) ten *= 10;
+        for (int i = 0; i < abs(step); i++) ten *= 10;
         x = step < 0 ? x / ten : x * ten;
         power -= step;
     }
@@ -183,7 +189,7 @@ int json_integer(json value, long long *out) {
     double number;
     if (!json_number(value, &number) || number < -9007199254740992.0 || number > 9007199254740992.0) return 0;
     for (const char *p = value.begin; p < value.end; p++)
-        if (*p == '.' || *p == 'e' || *p == 'E') return 0;
+        if (strchr(".eE", *p)) return 0;
     *out = (long long)number;
     return 1;
 }
@@ -200,45 +206,33 @@ int json_is_string(json value, const char *text) {
 }
 
 static size_t utf8(unsigned code, char *out) {
-    if (code < 0x80) { out[0] = (char)code; return 1; }
-    if (code < 0x800) { out[0] = (char)(0xC0 | code >> 6); out[1] = (char)(0x80 | (code & 0x3F)); return 2; }
-    if (code < 0x10000) {
-        out[0] = (char)(0xE0 | code >> 12); out[1] = (char)(0x80 | (code >> 6 & 0x3F)); out[2] = (char)(0x80 | (code & 0x3F));
-        return 3;
-    }
-    out[0] = (char)(0xF0 | code >> 18); out[1] = (char)(0x80 | (code >> 12 & 0x3F));
-    out[2] = (char)(0x80 | (code >> 6 & 0x3F)); out[3] = (char)(0x80 | (code & 0x3F));
-    return 4;
+    static const unsigned FIRST[] = {0, 0, 0xC0, 0xE0, 0xF0};
+    size_t n = code < 0x80 ? 1 : code < 0x800 ? 2 : code < 0x10000 ? 3 : 4;
+    for (size_t i = n - 1; i > 0; i--, code >>= 6) out[i] = (char)(0x80 | (code & 0x3F));
+    out[0] = (char)(FIRST[n] | code);
+    return n;
+}
+
+/* What \uXXXX stands for, or two of them that are a pair; *p is at the u, and moves on. */
+static unsigned code_point(const char **p, const char *end) {
+    unsigned code, low;
+    hex(*p + 1, end, &code);
+    *p += 5;
+    if (code < 0xD800 || code >= 0xE000) return code;
+    int paired = code < 0xDC00 && end - *p >= 6 && (*p)[0] == '\\' && (*p)[1] == 'u' && hex(*p + 2, end, &low);
+    if (!paired || low < 0xDC00 || low >= 0xE000) return 0xFFFD;
+    *p += 6;
+    return 0x10000 + ((code - 0xD800) << 10) + (low - 0xDC00);
 }
 
 long long json_string(json value, char *out, size_t size) {
     if (!value.begin || *value.begin != '"') return -1;
-    const char *p = value.begin + 1, *end = value.end - 1;
     size_t n = 0;
-    while (p < end) {
-        char piece[4];
+    for (const char *p = value.begin + 1, *end = value.end - 1; p < end;) {
+        char piece[4] = {*p++};
         size_t length = 1;
-        if (*p != '\\') {
-            piece[0] = *p++;
-        } else {
-            char c = p[1];
-            p += 2;
-            if (c == 'u') {
-                unsigned code, low;
-                hex(p, end, &code);
-                p += 4;
-                if (code >= 0xD800 && code < 0xDC00 && end - p >= 6 && p[0] == '\\' && p[1] == 'u' && hex(p + 2, end, &low)
-                    && low >= 0xDC00 && low < 0xE000) {
-                    code = 0x10000 + ((code - 0xD800) << 10) + (low - 0xDC00);
-                    p += 6;
-                } else if (code >= 0xD800 && code < 0xE000) {
-                    code = 0xFFFD;
-                }
-                length = utf8(code, piece);
-            } else {
-                piece[0] = c == 'b' ? '\b' : c == 'f' ? '\f' : c == 'n' ? '\n' : c == 'r' ? '\r' : c == 't' ? '\t' : c;
-            }
-        }
+        if (piece[0] == '\\' && *p == 'u') length = utf8(code_point(&p, end), piece);
+        else if (piece[0] == '\\') piece[0] = ESCAPED[strchr(ESCAPES, *p++) - ESCAPES];
         if (n + length >= size) return -1;
         memcpy(out + n, piece, length);
         n += length;

@@ -1,6 +1,5 @@
 /* JSON in memory, read in place: a value is where it begins and ends. Nothing is allocated. */
-#ifndef FOTEN_JSON_H
-#define FOTEN_JSON_H
+#pragma once
 #include <stddef.h>
 
 typedef struct { const char *begin, *end; } json; /* begin is NULL where there is none */
@@ -21,4 +20,4 @@ int json_is_string(json value, const char *text);
 /* Copy a string, its escapes undone, as UTF-8 with a zero at the end; returns its length, or -1 where it is none or is too long. */
 long long json_string(json value, char *out, size_t size);
 size_t json_count(json list);
-#endif
+int json_items(json list, json *out, int room); /* of an array of at most `room`: how many; -1 for anything else */

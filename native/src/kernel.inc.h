@@ -1,6 +1,5 @@
 /* The network for one instruction set: included by each kernel_*.c, which defines
- *   LANES  floats in the vectors of linear maps,
- *   SHORT  floats in those of attention, where the lanes are queries: fewer waste less of 20,
+ *   LANES  floats in a vector,
  *   ROWS   tokens whose sums stay in registers at once: 5, 8 or 11.
  * The vectors are the compiler's own, so that the same lines become AVX-512, AVX2, NEON, wasm's SIMD or plain C. */
 
@@ -13,18 +12,14 @@
 
 typedef float vec __attribute__((vector_size(4 * LANES)));
 typedef int32_t vec_bits __attribute__((vector_size(4 * LANES)));
-typedef float lane __attribute__((vector_size(4 * SHORT)));
-typedef int32_t lane_bits __attribute__((vector_size(4 * SHORT)));
-typedef uint32_t lane_word __attribute__((vector_size(4 * SHORT)));
+typedef uint32_t vec_word __attribute__((vector_size(4 * LANES)));
 
 #define INLINE static inline __attribute__((always_inline))
 
 INLINE vec load(const float *p) { vec v; memcpy(&v, p, sizeof v); return v; }
 INLINE void store(float *p, vec v) { memcpy(p, &v, sizeof v); }
-INLINE lane load_lane(const float *p) { lane v; memcpy(&v, p, sizeof v); return v; }
-INLINE void store_lane(float *p, lane v) { memcpy(p, &v, sizeof v); }
 INLINE vec rectify(vec a) { return (vec)((vec_bits)a & (vec_bits)(a > 0.0f)); }
-INLINE lane larger(lane a, lane b) { lane_bits m = a > b; return (lane)(((lane_bits)a & m) | ((lane_bits)b & ~m)); }
+INLINE vec larger(vec a, vec b) { vec_bits m = a > b; return (vec)(((vec_bits)a & m) | ((vec_bits)b & ~m)); }
 
 INLINE float sum_of(vec v) {
     float f[LANES];
@@ -35,21 +30,21 @@ INLINE float sum_of(vec v) {
 }
 
 /* e^x for x up to 0, within 2 units in the last place; less than e^-50 is e^-50. */
-INLINE lane exp_of(lane x) {
-    lane least = {0};
+INLINE vec exp_of(vec x) {
+    vec least = {0};
     x = larger(x, least - 50.0f); /* e^-50 is nothing beside 1, and nothing that it is multiplied with is denormal */
-    lane shifted = x * 1.44269504f + 12582912.0f;
-    lane n = shifted - 12582912.0f;
-    lane r = x - n * 0.693359375f;
+    vec shifted = x * 1.44269504f + 12582912.0f;
+    vec n = shifted - 12582912.0f;
+    vec r = x - n * 0.693359375f;
     r = r - n * -2.12194440e-4f;
-    lane p = r * 1.9875691500e-4f + 1.3981999507e-3f;
+    vec p = r * 1.9875691500e-4f + 1.3981999507e-3f;
     p = p * r + 8.3334519073e-3f;
     p = p * r + 4.1665795894e-2f;
     p = p * r + 1.6666665459e-1f;
     p = p * r + 5.0000001201e-1f;
     p = p * (r * r) + r + 1.0f;
-    lane_word power = ((lane_word)shifted << 23) + 0x3F800000u; /* unsigned: of what is no number it may overflow */
-    return p * (lane)power;
+    vec_word power = ((vec_word)shifted << 23) + 0x3F800000u; /* unsigned: of what is no number it may overflow */
+    return p * (vec)power;
 }
 
 /* `rows` tokens times one panel; rows and vectors are constants where this is expanded. */
@@ -122,36 +117,36 @@ static void attend(const encoder *e, int n, int first, const float *multiplicity
     int size = e->width / e->heads, stride = 3 * e->stride;
     const float *packed = scratch + e->at.packed;
     float *query = scratch + e->at.query, *share = scratch + e->at.share, *weighted = scratch + e->at.weighted, *out = scratch + e->at.mixed;
-    for (int from = first; from < n; from += SHORT) {
-        int some = n - from < SHORT ? n - from : SHORT;
+    for (int from = first; from < n; from += LANES) {
+        int some = n - from < LANES ? n - from : LANES;
         for (int h = 0; h < e->heads; h++) {
             const float *q = packed + (size_t)from * stride + h * size;
             const float *k = packed + e->stride + h * size, *v = packed + 2 * e->stride + h * size;
             for (int d = 0; d < size; d++)
-                for (int j = 0; j < SHORT; j++) query[d * SHORT + j] = j < some ? q[j * stride + d] : 0.0f;
-            lane most = {0};
+                for (int j = 0; j < LANES; j++) query[d * LANES + j] = j < some ? q[j * stride + d] : 0.0f;
+            vec most = {0};
             most -= 1e30f;
             for (int j = 0; j < n; j++) {
-                lane s = {0};
-                for (int d = 0; d < size; d++) s += load_lane(query + d * SHORT) * k[j * stride + d];
-                store_lane(share + j * SHORT, s);
+                vec s = {0};
+                for (int d = 0; d < size; d++) s += load(query + d * LANES) * k[j * stride + d];
+                store(share + j * LANES, s);
                 most = larger(most, s);
             }
-            lane total = {0};
+            vec total = {0};
             for (int j = 0; j < n; j++) {
-                lane s = exp_of(load_lane(share + j * SHORT) - most);
+                vec s = exp_of(load(share + j * LANES) - most);
                 if (multiplicity) s *= multiplicity[j];
-                store_lane(share + j * SHORT, s);
+                store(share + j * LANES, s);
                 total += s;
             }
-            lane inverse = 1.0f / total;
+            vec inverse = 1.0f / total;
             for (int d = 0; d < size; d++) {
-                lane m = {0};
-                for (int j = 0; j < n; j++) m += load_lane(share + j * SHORT) * v[j * stride + d];
-                store_lane(weighted + d * SHORT, m * inverse);
+                vec m = {0};
+                for (int j = 0; j < n; j++) m += load(share + j * LANES) * v[j * stride + d];
+                store(weighted + d * LANES, m * inverse);
             }
             for (int j = 0; j < some; j++)
-                for (int d = 0; d < size; d++) out[(size_t)(from - first + j) * e->stride + h * size + d] = weighted[d * SHORT + j];
+                for (int d = 0; d < size; d++) out[(size_t)(from - first + j) * e->stride + h * size + d] = weighted[d * LANES + j];
         }
     }
 }

@@ -1,7 +1,5 @@
 #define LANES 4
-#define SHORT 4
 #define ROWS 5
 #include "kernel.inc.h"
-#include "isa.h"
 
-const isa isa_portable = {"portable", LANES, SHORT, predict};
+const isa isa_portable = {"portable", LANES, predict};

@@ -9,12 +9,11 @@ int lattice_read(texture_file *file, arena *memory, const char *prefix, int n_sp
     out->order = order;
     out->gain_before_filter = gain_before_filter;
     if (!speed_force_table_read(file, memory, prefix, "reflections", n_speed, n_force, order, &out->reflections)) return 0;
-    for (size_t i = 0; i < (size_t)n_speed * (size_t)n_force * (size_t)order; i++)
-        if (!(fabs(out->reflections.values[i]) < 1)) {
-            file_refuse(file, FOTEN_BAD_FILE, "a reflection is %g in size, expected less than 1: the lattice would not be stable",
-                        fabs(out->reflections.values[i]));
-            return 0;
-        }
+    for (size_t i = 0; i < (size_t)n_speed * (size_t)n_force * (size_t)order; i++) {
+        double size = fabs(out->reflections.values[i]);
+        if (!(size < 1))
+            return file_refuse(file, FOTEN_BAD_FILE, "a reflection is %g in size, expected less than 1: the lattice would not be stable", size);
+    }
     return scale_read(file, memory, level, level_width, &out->level);
 }
 

@@ -1,10 +1,8 @@
 /* The normalised lattice of foten.dsp.lattice: a linear filter as a chain of rotations, stable however its coefficients move. */
-#ifndef FOTEN_LATTICE_H
-#define FOTEN_LATTICE_H
+#pragma once
 
 #include <math.h>
 
-#include "arena.h"
 #include "constants.h"
 #include "tables.h"
 
@@ -33,12 +31,9 @@ static inline double gain_before(const lattice *of, const lattice_state *l) { re
 static inline double gain_after(const lattice *of, const lattice_state *l) { return of->gain_before_filter ? 1 : l->level; }
 
 static inline void lattice_place(lattice_state *l, int order, block *from) {
-    double *states = block_take(from, (size_t)order, sizeof *states), *reflections = block_take(from, (size_t)order, sizeof *reflections);
-    double *cosines = block_take(from, (size_t)order, sizeof *cosines);
-    if (!from->base) return;
-    l->states = states;
-    l->reflections = reflections;
-    l->cosines = cosines;
+    l->states = block_take(from, (size_t)order, sizeof *l->states);
+    l->reflections = block_take(from, (size_t)order, sizeof *l->reflections);
+    l->cosines = block_take(from, (size_t)order, sizeof *l->cosines);
 }
 
 static inline void lattice_clear(lattice_state *l, int order) {
@@ -90,4 +85,3 @@ static inline void lattice_quiet(lattice_state *l, int order) {
         if (!(fabs(l->states[i]) < 1e-100)) return;
     lattice_clear(l, order);
 }
-#endif

@@ -1,9 +1,7 @@
 /* A stream of a model at its own rate: its state, and a sample more. All scaled. */
-#ifndef FOTEN_LOOP_H
-#define FOTEN_LOOP_H
+#pragma once
 
 #include "model.h"
-#include "noise.h"
 
 /* All that must survive a sample: this, and the arrays that it points to, which follow it in one block. Each kind of loop uses its part. */
 struct loop {
@@ -14,6 +12,7 @@ struct loop {
     predictor_state predictor;   /* foten-plus, networks, graphs */
     mixture mixture;             /* piecewise AR */
     double *innovations;         /* piecewise AR: the last ones, the youngest first */
+    int cut;                     /* whether the last sample was */
 };
 
 /* What differs between the three kinds of loops. */
@@ -38,7 +37,7 @@ struct loop_kind {
     double (*scale)(const foten_model *model, const loop *l);
 
     /* The next sample, with a number of noise or without (NULL), cut to +-limit, and the condition that goes with it. */
-    double (*step)(const foten_model *model, loop *l, const condition *c, const double *noise, double limit, int *cut);
+    double (*step)(const foten_model *model, loop *l, const condition *c, const double *noise, double limit);
 
     /* Set numbers to zero that are too small to matter, before they become denormal and slow. */
     void (*quiet)(const foten_model *model, loop *l);
@@ -58,9 +57,16 @@ static inline int loop_moved(const loop *l, const condition *c) {
     return c->scaled[0] != l->condition.scaled[0] || c->scaled[1] != l->condition.scaled[1];
 }
 
-static inline double loop_cut(double sample, double limit, int *cut) {
+static inline double loop_cut(loop *l, double sample, double limit) {
     double played = clip(sample, limit);
-    *cut = played != sample;
+    l->cut = played != sample;
     return played;
 }
-#endif
+
+/* Run for n samples under a condition. */
+static inline void loop_run(const foten_model *model, loop *l, const condition *c, noise_source *noise, int n, double limit) {
+    for (int i = 0; i < n; i++) {
+        double z = noise_next(noise);
+        model->kind->step(model, l, c, &z, limit);
+    }
+}

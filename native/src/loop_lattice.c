@@ -8,8 +8,7 @@ static int longer_order(const foten_model *m) { return m->lattice.order > m->exc
 
 static void place(const foten_model *m, loop *l, block *from) {
     lattice_place(&l->lattice, longer_order(m), from);
-    double *coefficients = block_take(from, 2 * (size_t)m->tones.n, sizeof *coefficients);
-    if (from->base) l->tones.coefficients = coefficients;
+    l->tones.coefficients = block_take(from, 2 * (size_t)m->tones.n, sizeof *l->tones.coefficients);
     predictor_place(&m->predictor, &l->predictor, from);
 }
 
@@ -90,7 +89,7 @@ static double scale_of_noise(const foten_model *m, const loop *l) {
     return l->lattice.all_cosines * l->lattice.level * excitation_factor(&m->excitation, &l->excitation) * l->excitation.sigma;
 }
 
-static double step(const foten_model *m, loop *l, const condition *c, const double *noise, double limit, int *cut) {
+static double step(const foten_model *m, loop *l, const condition *c, const double *noise, double limit) {
     const lattice *of = m->excited_lattice;
     double e = m->network_in_loop ? correction(m, l) : 0;
     if (noise) e += excitation_next(&m->excitation, &l->excitation, *noise, l->lattice.all_cosines * l->lattice.level);
@@ -102,7 +101,7 @@ static double step(const foten_model *m, loop *l, const condition *c, const doub
         predictor_push(&m->predictor, &l->predictor, sample / l->lattice.level, c->scaled, e);
     }
     set_condition(m, l, c, 0);
-    return loop_cut(sample, limit, cut);
+    return loop_cut(l, sample, limit);
 }
 
 /* Draw the states, the volatility, and the phase of tones; run the network, where it is in the loop, for the length of its window. */
@@ -120,11 +119,7 @@ static void begin(const foten_model *m, loop *l, const condition *c, noise_sourc
         return;
     }
     predictor_fill(&m->predictor, &l->predictor, c->scaled);
-    for (int i = 0; m->network_in_loop && i < m->predictor.window; i++) {
-        int cut;
-        double z = noise_next(&noise);
-        step(m, l, c, &z, INFINITY, &cut);
-    }
+    if (m->network_in_loop) loop_run(m, l, c, &noise, m->predictor.window, INFINITY);
 }
 
 static void quiet(const foten_model *m, loop *l) {

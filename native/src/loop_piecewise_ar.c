@@ -9,10 +9,8 @@ static const double LEAST_SCALE = 1e-9; /* scaled; what varies by nothing at all
 static void place(const foten_model *m, loop *l, block *from) {
     size_t n = (size_t)m->piecewise_ar->ma;
     lattice_place(&l->lattice, m->piecewise_ar->order, from);
-    double *zeros = block_take(from, n, sizeof *zeros), *innovations = block_take(from, n, sizeof *innovations);
-    if (!from->base) return;
-    l->mixture.zeros = zeros;
-    l->innovations = innovations;
+    l->mixture.zeros = block_take(from, n, sizeof *l->mixture.zeros);
+    l->innovations = block_take(from, n, sizeof *l->innovations);
 }
 
 /* Mix the local models for the sample after one under a condition. */
@@ -75,12 +73,12 @@ static void predict(const foten_model *m, loop *l, foten_prediction_part part, f
     *out = (foten_prediction){expected(m, l), scale < LEAST_SCALE ? LEAST_SCALE : scale, 0};
 }
 
-static double step(const foten_model *m, loop *l, const condition *c, const double *noise, double limit, int *cut) {
+static double step(const foten_model *m, loop *l, const condition *c, const double *noise, double limit) {
     double e = noise ? *noise : 0;
     double sample = lattice_synthesise(&l->lattice, m->piecewise_ar->order, l->mixture.gain * (e + coloured(m, l)));
     remember(m, l, e);
     set_condition(m, l, c, 0);
-    return loop_cut(sample, limit, cut);
+    return loop_cut(l, sample, limit);
 }
 
 /* Draw states and innovations; with zeros, which colour what enters the lattice, run until it has settled. */
@@ -92,11 +90,7 @@ static void begin(const foten_model *m, loop *l, const condition *c, noise_sourc
     double size = l->mixture.gain * sqrt(power);
     for (int i = 0; i < m->piecewise_ar->order; i++) l->lattice.states[i] = size * noise_next(&noise);
     for (int k = 0; k < n_zeros; k++) l->innovations[k] = noise_next(&noise);
-    for (int i = 0; n_zeros && i < FOTEN_SETTLED_AFTER; i++) {
-        int cut;
-        double z = noise_next(&noise);
-        step(m, l, c, &z, INFINITY, &cut);
-    }
+    if (n_zeros) loop_run(m, l, c, &noise, FOTEN_SETTLED_AFTER, INFINITY);
 }
 
 static void quiet(const foten_model *m, loop *l) { lattice_quiet(&l->lattice, m->piecewise_ar->order); }

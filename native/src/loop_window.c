@@ -38,10 +38,10 @@ static double scale_of_noise(const foten_model *m, const loop *l) {
 }
 
 /* Nothing bounds a network on its own output, so it goes on from the cut sample. */
-static double step(const foten_model *m, loop *l, const condition *c, const double *noise, double limit, int *cut) {
+static double step(const foten_model *m, loop *l, const condition *c, const double *noise, double limit) {
     double sample = predictor_predict(&m->predictor, &l->predictor);
     if (noise && m->excited) sample += excitation_next(&m->excitation, &l->excitation, *noise, 1);
-    double played = loop_cut(sample, limit, cut);
+    double played = loop_cut(l, sample, limit);
     double fed_back = !m->of_noise ? played : noise ? *noise : 0;
     predictor_push(&m->predictor, &l->predictor, fed_back, c->scaled, 0);
     set_condition(m, l, c, 0);
@@ -63,11 +63,7 @@ static void begin(const foten_model *m, loop *l, const condition *c, noise_sourc
     set_condition(m, l, c, 1);
     predictor_set_condition(&m->predictor, &l->predictor, c->scaled);
     excitation_draw(&m->excitation, &l->excitation, noise_next(&noise));
-    for (int i = 0; i < m->predictor.window; i++) {
-        int cut;
-        double z = noise_next(&noise);
-        step(m, l, c, &z, FOTEN_LOUDEST_BEGINNING, &cut);
-    }
+    loop_run(m, l, c, &noise, m->predictor.window, FOTEN_LOUDEST_BEGINNING);
 }
 
 static void quiet(const foten_model *m, loop *l) { predictor_quiet(&m->predictor, &l->predictor); }

@@ -1,6 +1,8 @@
-#include "model.h"
+#include <math.h>
+#include <string.h>
 
 #include "card.h"
+#include "constants.h"
 #include "loop.h"
 
 static int read_plus(foten_model *m, texture_file *file, const card_sizes *s) {
@@ -46,11 +48,104 @@ static int read_tensors(foten_model *m, texture_file *file, const card_sizes *s,
     return s->model == CARD_GRAPH ? leave_graph(m, file, s) : read_network(m, file, s, isa);
 }
 
-foten_status model_read(foten_model *m, texture_file *file, const isa *isa) {
+int model_read(foten_model *m, texture_file *file, const isa *isa, foten_predictor function, void *user) {
     card_sizes sizes;
-    foten_status status = card_read_sizes(file, m->predictor.function != NULL, &sizes);
-    if (status == FOTEN_OK) status = card_read(m, file, &sizes);
-    if (status != FOTEN_OK) return status;
-    if (read_tensors(m, file, &sizes, isa)) return FOTEN_OK;
-    return file_refuse(file, m->memory.failed ? FOTEN_NO_MEMORY : FOTEN_BAD_FILE, "no memory");
+    m->predictor = (predictor){.function = function, .user = user};
+    if (card_read_sizes(file, function != NULL, &sizes) && card_read(m, file, &sizes) && read_tensors(m, file, &sizes, isa)) return 1;
+    return file_refuse(file, FOTEN_NO_MEMORY, "no memory"); /* where there is no reason yet */
+}
+
+loop *loop_place(const foten_model *m, block *from) {
+    loop measured, *l = block_take(from, 1, sizeof *l), *into = l ? l : &measured;
+    const network *network = m->predictor.network;
+    m->kind->place(m, into, from);
+    into->predictor.scratch = block_take(from, network ? network->scratch.n : 0, sizeof(float)); /* after all that must survive a sample */
+    return l;
+}
+
+void loop_copy(const foten_model *m, loop *to, const loop *from) {
+    block own = {(unsigned char *)to, 0};
+    memcpy(to, from, (size_t)((unsigned char *)to->predictor.scratch - own.base));
+    loop_place(m, &own); /* which sets the pointers anew, and nothing else */
+}
+
+/* The proof that a texture file carries: golden windows and steps, which have to come out as they did in training. */
+enum { GOLDEN_STEPS = 64, MOST_GOLDEN = 4096 };
+
+/* Of n golden windows or steps, how many are replayed: all, but to a fuzzer, whose time is short, two are as good as many. */
+static size_t replayed(size_t n) {
+#ifdef FOTEN_FUZZING
+    return n < 2 ? n : 2;
+#else
+    return n;
+#endif
+}
+
+/* Whether n numbers are near enough to those in the file; a reason in the file where they are not. */
+static int proven(texture_file *file, const char *what, const double *ours, const double *expected, size_t n, double tolerance) {
+    double worst = 0;
+    for (size_t i = 0; i < n; i++) {
+        double size = fabs(expected[i]) > 1 ? fabs(expected[i]) : 1, error = fabs(ours[i] - expected[i]) / size;
+        if (error > worst || isnan(error)) worst = error; /* than which nothing is larger */
+    }
+#ifdef FOTEN_FUZZING
+    tolerance = INFINITY; /* what a hostile file makes of the loop is to be reached */
+    worst = 0;
+#endif
+    if (worst <= tolerance) return 1;
+    static const char format[] = "the texture file fails its own proof: %s differs by %.2g scaled from what was trained, expected at most %g; "
+                         "is the file damaged?";
+    return file_refuse(file, FOTEN_NO_PROOF, format, what, worst, tolerance);
+}
+
+/* Replay the golden windows, with memory that is needed no longer then. */
+static int prove(foten_model *m, texture_file *file, arena *memory) {
+    size_t shape[4], length = (size_t)m->history;
+    if (file_shape(file, "golden.one_step", shape) != 1 || shape[0] < FOTEN_LEAST_GOLDEN || shape[0] > MOST_GOLDEN)
+        return file_refuse(file, FOTEN_BAD_FILE, "the file holds no golden windows, or not from %d to %d of them, which prove it",
+                           FOTEN_LEAST_GOLDEN, MOST_GOLDEN);
+    size_t n = shape[0];
+    const double *windows, *one_step, *conditions, *closed, *warm, *sigma = NULL;
+    if (!(windows = file_take(file, memory, "golden.", "windows", (size_t[4]){n, length, 3}))) return 0;
+    if (!(one_step = file_take(file, memory, "golden.", "one_step", (size_t[4]){n}))) return 0;
+    if (!(conditions = file_take(file, memory, "golden.", "condition", (size_t[4]){GOLDEN_STEPS, 2}))) return 0;
+    if (!(closed = file_take(file, memory, "golden.", "closed_loop", (size_t[4]){GOLDEN_STEPS}))) return 0;
+    if (!(warm = file_take(file, memory, "", "warm_start", (size_t[4]){length, 3}))) return 0;
+    if (m->excited && !(sigma = file_take(file, memory, "golden.", "sigma", (size_t[4]){n}))) return 0;
+    if (!file_all_taken(file, m->name)) return 0;
+
+    block size = {0};
+    loop_place(m, &size);
+    block kept = {arena_take(&m->memory, size.used, 1), 0}, tried = {arena_take(memory, size.used, 1), 0};
+    double *ours = arena_take(memory, n > GOLDEN_STEPS ? n : GOLDEN_STEPS, sizeof *ours);
+    if (!kept.base || !tried.base || !ours) return file_refuse(file, FOTEN_NO_MEMORY, "no memory");
+    m->begin = loop_place(m, &kept);
+    loop *l = loop_place(m, &tried);
+    for (size_t i = 0; i < replayed(n); i++) {
+        foten_prediction prediction;
+        m->kind->start(m, l, windows + i * length * 3, m->history, 1);
+        m->kind->predict(m, l, FOTEN_PREDICT_MODEL, &prediction);
+        ours[i] = prediction.sample;
+    }
+    if (!proven(file, "one step", ours, one_step, n, FOTEN_ONE_STEP_TOLERANCE)) return 0;
+    for (size_t i = 0; sigma && i < replayed(n); i++) {
+        m->kind->start(m, l, windows + i * length * 3, m->history, 0);
+        ours[i] = m->kind->scale(m, l);
+    }
+    if (sigma && !proven(file, "the excitation", ours, sigma, n, FOTEN_ONE_STEP_TOLERANCE)) return 0;
+    m->kind->start(m, m->begin, warm, m->history, 0);
+    loop_copy(m, l, m->begin);
+    for (size_t i = 0; i < replayed(GOLDEN_STEPS); i++) {
+        condition c = condition_of(&m->lattice.level, conditions + 2 * i);
+        double noise = noise_at(0, 0, i);
+        ours[i] = m->kind->step(m, l, &c, model_is_random(m) ? &noise : NULL, INFINITY);
+    }
+    return proven(file, "64 closed-loop steps", ours, closed, GOLDEN_STEPS, FOTEN_CLOSED_LOOP_TOLERANCE);
+}
+
+int model_prove(foten_model *m, texture_file *file) {
+    arena memory = {0};
+    int fits = prove(m, file, &memory);
+    arena_free(&memory);
+    return fits;
 }

@@ -1,12 +1,7 @@
 /* A texture file made ready: what every kind of model has, the parts of each kind, and the loop that a rendering begins with. */
-#ifndef FOTEN_MODEL_H
-#define FOTEN_MODEL_H
+#pragma once
 
-#include "arena.h"
-#include "clip.h"
 #include "excitation.h"
-#include "file.h"
-#include "foten.h"
 #include "lattice.h"
 #include "piecewise_ar.h"
 #include "predictor.h"
@@ -40,11 +35,10 @@ struct foten_model {
     loop *begin; /* after the warm start */
 };
 
-/* Read and check all of a texture file but the proof. The model may have a predictor's function, for graphs. */
-foten_status model_read(foten_model *model, texture_file *file, const isa *isa);
+/* Read and check all of a texture file but the proof. The function, for graphs, may be NULL. */
+int model_read(foten_model *model, texture_file *file, const isa *isa, foten_predictor function, void *user);
 
 /* Replay the golden windows of a file that was read, and keep the loop that renderings begin with. */
-foten_status model_prove(foten_model *model, texture_file *file);
+int model_prove(foten_model *model, texture_file *file);
 
 static inline int model_is_random(const foten_model *m) { return m->excited || m->of_noise; }
-#endif

@@ -1,9 +1,7 @@
 /* Piecewise AR: local linear models scattered over speed and force, mixed between the three around a condition. As foten.reference.piecewise_ar
  * says. */
-#ifndef FOTEN_PIECEWISE_AR_H
-#define FOTEN_PIECEWISE_AR_H
+#pragma once
 
-#include "arena.h"
 #include "file.h"
 
 typedef struct {
@@ -23,4 +21,3 @@ const piecewise_ar *piecewise_ar_read(texture_file *file, int order, int ma, int
 
 /* Mix them for a speed and a force, scaled. */
 void piecewise_ar_at(const piecewise_ar *models, const double scaled[2], mixture *out, double *reflections);
-#endif

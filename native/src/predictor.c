@@ -6,15 +6,8 @@
 static size_t n_numbers(const predictor *p) { return p->window ? (size_t)p->window * (size_t)p->n_inputs + 2 : 0; }
 
 void predictor_place(const predictor *p, predictor_state *s, block *from) {
-    float *window = block_take(from, n_numbers(p), sizeof *window), *pending = block_take(from, (size_t)p->hop, sizeof *pending);
-    if (!from->base) return;
-    s->window = window;
-    s->pending = pending;
-}
-
-void predictor_place_scratch(const predictor *p, predictor_state *s, block *from) {
-    float *scratch = block_take(from, p->network ? p->network->scratch.n : 0, sizeof *scratch);
-    if (from->base) s->scratch = scratch;
+    s->window = block_take(from, n_numbers(p), sizeof *s->window);
+    s->pending = block_take(from, (size_t)p->hop, sizeof *s->pending);
 }
 
 void predictor_clear(const predictor *p, predictor_state *s) {

@@ -1,6 +1,5 @@
 /* What predicts the next sample from a window: a network of this library, or a function of somebody else's. */
-#ifndef FOTEN_PREDICTOR_H
-#define FOTEN_PREDICTOR_H
+#pragma once
 
 #include "network.h"
 
@@ -21,9 +20,8 @@ typedef struct {
     int n_pending;
 } predictor_state;
 
-/* Scratch is placed by itself: it need not survive a sample. */
+/* All but the memory for a step, which need not survive a sample. */
 void predictor_place(const predictor *p, predictor_state *s, block *from);
-void predictor_place_scratch(const predictor *p, predictor_state *s, block *from);
 
 /* A window of zeros, or of nothing but a condition. */
 void predictor_clear(const predictor *p, predictor_state *s);
@@ -40,4 +38,3 @@ double predictor_predict(const predictor *p, predictor_state *s);
 
 /* Set numbers to zero that are too small to matter, before they become denormal and slow. */
 void predictor_quiet(const predictor *p, predictor_state *s);
-#endif

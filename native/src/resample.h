@@ -1,6 +1,5 @@
 /* From the texture's rate to that of a device. */
-#ifndef FOTEN_RESAMPLE_H
-#define FOTEN_RESAMPLE_H
+#pragma once
 
 #include <stddef.h>
 
@@ -24,4 +23,3 @@ double resampler_take(resampler *r);
 size_t resampler_most(const resampler *r, size_t n); /* samples that n given ones make, and those that wait, at most */
 double resampler_delay_s(const resampler *r);        /* of slow vibration */
 double resampler_rate(const resampler *r);           /* of what is taken [Hz] */
-#endif

@@ -1,37 +1,22 @@
 #include "tables.h"
 
 #include <math.h>
-#include <stdio.h>
-
 #include "constants.h"
 
 enum { MOST_VERTICES = 1 << 28 };
 
-const double *table_take(texture_file *file, arena *memory, const char *prefix, const char *name, size_t rows, size_t columns) {
-    char full[96];
-    snprintf(full, sizeof full, "%s%s", prefix, name);
-    size_t shape[4] = {rows, columns, 0, 0};
-    return file_take(file, full, shape, memory);
-}
-
 int speed_force_table_read(texture_file *file, arena *memory, const char *prefix, const char *values, int n_speed, int n_force, int width,
                            speed_force_table *out) {
+    long long vertices = (long long)n_speed * n_force;
     *out = (speed_force_table){.n_speed = n_speed, .n_force = n_force, .width = width};
-    if ((long long)n_speed * n_force > MOST_VERTICES) {
-        file_refuse(file, FOTEN_BAD_FILE, "the card has more vertices than can be");
-        return 0;
-    }
-    out->speed_knots = table_take(file, memory, prefix, "speed_knots", (size_t)n_speed, 0);
-    out->force_knots = out->speed_knots ? table_take(file, memory, prefix, "force_knots", (size_t)n_force, 0) : NULL;
-    out->values = out->force_knots ? table_take(file, memory, prefix, values, (size_t)n_speed * (size_t)n_force, (size_t)width) : NULL;
-    if (!out->values) return 0;
+    if (vertices > MOST_VERTICES) return file_refuse(file, FOTEN_BAD_FILE, "the card has more vertices than can be");
+    if (!(out->speed_knots = file_take(file, memory, prefix, "speed_knots", (size_t[4]){(size_t)n_speed}))) return 0;
+    if (!(out->force_knots = file_take(file, memory, prefix, "force_knots", (size_t[4]){(size_t)n_force}))) return 0;
+    if (!(out->values = file_take(file, memory, prefix, values, (size_t[4]){(size_t)vertices, (size_t)width}))) return 0;
     for (int i = 0; i < 2; i++) {
         const double *knots = i ? out->force_knots : out->speed_knots;
         for (int k = 1; k < (i ? n_force : n_speed); k++)
-            if (!(knots[k] > knots[k - 1])) {
-                file_refuse(file, FOTEN_BAD_FILE, "the knots of speed or force do not rise");
-                return 0;
-            }
+            if (!(knots[k] > knots[k - 1])) return file_refuse(file, FOTEN_BAD_FILE, "the knots of speed or force do not rise");
     }
     return 1;
 }
@@ -70,31 +55,18 @@ void speed_force_table_at(const speed_force_table *t, double speed, double force
 }
 
 int scale_read(texture_file *file, arena *memory, const char *prefix, int width, scale *out) {
-    const double *bias, *highest, *mean, *sd, *floor;
     out->width = width;
-    if (!(out->hidden = table_take(file, memory, prefix, "hidden.weight", (size_t)width, 4))) return 0;
-    if (!(out->hidden_bias = table_take(file, memory, prefix, "hidden.bias", (size_t)width, 0))) return 0;
-    if (!(out->out = table_take(file, memory, prefix, "out.weight", 1, (size_t)width))) return 0;
-    if (!(bias = table_take(file, memory, prefix, "out.bias", 1, 0))) return 0;
-    if (!(out->power_law = table_take(file, memory, prefix, "power_law.weight", 1, 5))) return 0;
-    if (!(highest = table_take(file, memory, prefix, "highest", 1, 0))) return 0;
-    if (!(mean = table_take(file, memory, prefix, "mean", 2, 0)) || !(sd = table_take(file, memory, prefix, "sd", 2, 0))) return 0;
-    if (!(floor = table_take(file, memory, prefix, "floor", 2, 0))) return 0;
-    out->out_bias = *bias;
-    out->highest = *highest;
-    if (!(*highest > 0)) {
-        file_refuse(file, FOTEN_BAD_FILE, "tensor '%shighest' is not positive", prefix);
-        return 0;
-    }
-    for (int i = 0; i < 2; i++) {
-        out->mean[i] = mean[i];
-        out->sd[i] = sd[i];
-        out->floor[i] = floor[i];
-        if (!(floor[i] > 0 && mean[i] + floor[i] > 0)) {
-            file_refuse(file, FOTEN_BAD_FILE, "tensor '%sfloor' is not positive", prefix);
-            return 0;
-        }
-    }
+    if (!(out->hidden = file_take(file, memory, prefix, "hidden.weight", (size_t[4]){(size_t)width, 4}))) return 0;
+    if (!(out->hidden_bias = file_take(file, memory, prefix, "hidden.bias", (size_t[4]){(size_t)width}))) return 0;
+    if (!(out->out = file_take(file, memory, prefix, "out.weight", (size_t[4]){1, (size_t)width}))) return 0;
+    if (!file_copy(file, prefix, "out.bias", (size_t[4]){1}, &out->out_bias)) return 0;
+    if (!file_copy(file, prefix, "power_law.weight", (size_t[4]){1, 5}, out->power_law)) return 0;
+    if (!file_copy(file, prefix, "highest", (size_t[4]){1}, &out->highest) || !file_copy(file, prefix, "mean", (size_t[4]){2}, out->mean)) return 0;
+    if (!file_copy(file, prefix, "sd", (size_t[4]){2}, out->sd) || !file_copy(file, prefix, "floor", (size_t[4]){2}, out->floor)) return 0;
+    if (!(out->highest > 0)) return file_refuse(file, FOTEN_BAD_FILE, "tensor '%shighest' is not positive", prefix);
+    for (int i = 0; i < 2; i++)
+        if (!(out->floor[i] > 0 && out->mean[i] + out->floor[i] > 0))
+            return file_refuse(file, FOTEN_BAD_FILE, "tensor '%sfloor' is not positive", prefix);
     return 1;
 }
 

@@ -1,15 +1,11 @@
 /* Numbers that follow speed and force: tables over both, and standard deviations. */
-#ifndef FOTEN_TABLES_H
-#define FOTEN_TABLES_H
+#pragma once
 
-#include "arena.h"
 #include "file.h"
 
 /* Speed and force of a sample as a model is given them: scaled, within the trained range, and the speed [mm/s] that moves tones, which may lie
  * beyond it. */
-typedef struct {
-    double scaled[2], path_speed;
-} condition;
+typedef struct { double scaled[2], path_speed; } condition;
 
 /* Values at the vertices of a grid, bilinear in speed and log force between them, constant outside. */
 typedef struct {
@@ -20,13 +16,9 @@ typedef struct {
 /* A standard deviation over speed and force: a power law with a small network's correction of its logarithm. */
 typedef struct {
     int width;
-    const double *hidden, *hidden_bias, *out, *power_law; /* (width, 4), (width), (width), (5) */
-    double out_bias, highest, mean[2], sd[2], floor[2];
+    const double *hidden, *hidden_bias, *out; /* (width, 4), (width), (width) */
+    double power_law[5], out_bias, highest, mean[2], sd[2], floor[2];
 } scale;
-
-/* A tensor of (rows, columns) numbers, or (rows) where columns is 0, named by a prefix and a name. Here and below: NULL or 0 where a tensor
- * is missing or out of range; the file has the reason. */
-const double *table_take(texture_file *file, arena *memory, const char *prefix, const char *name, size_t rows, size_t columns);
 
 int speed_force_table_read(texture_file *file, arena *memory, const char *prefix, const char *values, int n_speed, int n_force, int width,
                            speed_force_table *out);
@@ -47,4 +39,3 @@ condition condition_of(const scale *level, const double scaled[2]);
 
 /* x, y, x^2, x y, y^2 of logarithms. */
 void scale_powers(const double logs[2], double out[5]);
-#endif

@@ -2,23 +2,18 @@
 
 #include <math.h>
 
-#include "clip.h"
 #include "constants.h"
 
-static const double PI = 3.14159265358979323846;
-
 int tones_read(texture_file *file, arena *memory, int n, int n_speed, int n_force, tones *out) {
-    const double *motion;
+    double motion[3];
     out->n = n;
     if (!speed_force_table_read(file, memory, "tones.", "values", n_speed, n_force, 2 * n, &out->values)) return 0;
-    if (!(motion = table_take(file, memory, "tones.", "motion", 3, 0))) return 0;
+    if (!file_copy(file, "tones.", "motion", (size_t[4]){3}, motion)) return 0;
+    if (!(motion[0] >= 0 && fabs(motion[1]) <= 10 && motion[2] >= 0 && motion[2] <= 1))
+        return file_refuse(file, FOTEN_BAD_FILE, "tensor 'tones.motion' is out of range");
     out->increment = motion[0];
     out->jitter = motion[1];
     out->drawn_back = motion[2];
-    if (!(motion[0] >= 0 && fabs(motion[1]) <= 10 && motion[2] >= 0 && motion[2] <= 1)) {
-        file_refuse(file, FOTEN_BAD_FILE, "tensor 'tones.motion' is out of range");
-        return 0;
-    }
     return 1;
 }
 

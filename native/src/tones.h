@@ -1,6 +1,5 @@
 /* Tones of the path, of a surface that repeats: see foten.dsp.tones. */
-#ifndef FOTEN_TONES_H
-#define FOTEN_TONES_H
+#pragma once
 
 #include "tables.h"
 
@@ -38,4 +37,3 @@ void tones_draw(tones_state *s, double sine, double cosine);
 
 /* Take in an innovation, and the condition that goes with it. */
 void tones_push(const tones *t, tones_state *s, double innovation, const condition *c);
-#endif

@@ -25,6 +25,11 @@ void *__wrap_calloc(size_t n, size_t size) { return refused(n * size) ? NULL : _
 void *__wrap_realloc(void *p, size_t n) { return refused(n) ? NULL : __real_realloc(p, n); }
 void __wrap_free(void *p) { n_calls++; __real_free(p); }
 
+static int failed(const char *path, const char *what, long n, const char *why) {
+    fprintf(stderr, "%s: %s (%ld) %s\n", path, what, n, why);
+    return 1;
+}
+
 int main(int n_arguments, char **arguments) {
     static unsigned char bytes[1 << 24];
     static float out[4096], speed[1024], force[1024];
@@ -36,31 +41,19 @@ int main(int n_arguments, char **arguments) {
         char why[256];
         foten_model *model;
         n_calls = n_asked = 0;
-        if (foten_model_load(bytes, n, &model, why, sizeof why) != FOTEN_OK) {
-            fprintf(stderr, "%s: %s\n", arguments[i], why);
-            return 1;
-        }
-        if (n_calls == 0) {
-            fprintf(stderr, "the counter does not notice what loading allocates\n");
-            return 1;
-        }
+        if (foten_model_load(bytes, n, &model, why, sizeof why) != FOTEN_OK) return failed(arguments[i], "does not load", (long)n, why);
+        if (n_calls == 0) return failed(arguments[i], "the counter does not notice what loading allocates", n_calls, "");
         for (long k = 0, n_times = n_asked; k < n_times; k++) {
             foten_model *none;
             failing = k;
             n_asked = 0;
             foten_status status = foten_model_load(bytes, n, &none, why, sizeof why);
             failing = -1;
-            if (status != FOTEN_NO_MEMORY || strcmp(why, "no memory")) {
-                fprintf(stderr, "%s: without its memory number %ld it is said: %s\n", arguments[i], k, why);
-                return 1;
-            }
+            if (status != FOTEN_NO_MEMORY || strcmp(why, "no memory")) return failed(arguments[i], "said without a piece of memory", k, why);
         }
         foten_options options = {8 * foten_model_info(model).rate_hz, 0, 0, 0, 0};
         foten_state *own = foten_state_new(model, NULL);
-        if (asked != foten_model_info(model).state_bytes) {
-            fprintf(stderr, "%s: a state takes %zu bytes, and foten_info says %zu\n", arguments[i], asked, foten_model_info(model).state_bytes);
-            return 1;
-        }
+        if (asked != foten_model_info(model).state_bytes) return failed(arguments[i], "bytes are not what foten_info says", (long)asked, "");
         foten_state *other = foten_state_new(model, &options);
         foten_stylus *stylus = foten_stylus_new(model, NULL);
         foten_actuator actuator = {70, 0.25, 2, 0, 5};
@@ -80,10 +73,7 @@ int main(int n_arguments, char **arguments) {
         foten_render_stroke(own, speed, force, 1024, out);
         foten_reset(own, 3);
         foten_statistics(own);
-        if (n_calls) {
-            fprintf(stderr, "%s: %ld allocations while rendering\n", arguments[i], n_calls);
-            return 1;
-        }
+        if (n_calls) return failed(arguments[i], "allocations while rendering", n_calls, "");
         foten_stylus_free(stylus);
         foten_state_free(own);
         foten_state_free(other);

@@ -15,25 +15,22 @@ from foten.families.texture_file import Texture
 
 TINY = {"window": 3, "d_model": 1, "n_heads": 1, "n_layers": 1, "d_feedforward": 1, "head": (1, 1), "spectral_width": 1}
 PLUS = {**TINY, "excitation_width": 1, "order": 2}
+TEN = {name: size for name, size in TINY.items() if name != "spectral_width"}
+FNN = {"window": 24, "n_lags": 1, "first": 1, "second": 1}
+EXCITED = {"excitation": True, "excitation_width": 1}
 KINDS = {
     "foten": ("foten", TINY),
     "foten-wide": ("foten", {**TINY, "spectral_width": 2, "bins": "half"}),
     "foten-post": ("foten", {**TINY, "pre_norm": False, "n_layers": 2}),
-    "ten": ("ten", {name: size for name, size in TINY.items() if name != "spectral_width"}),
+    "ten": ("ten", TEN),
     "ar": ("ar", {"order": 3, "n_models": 4, "n_triangles": 3, "window": 4}),
     "ar-zeros": ("ar", {"order": 2, "ma": 3, "n_models": 5, "n_triangles": 4, "window": 9}),
     "plus": ("foten-plus", PLUS),
     "plus-table": ("foten-plus", {**PLUS, "n_speed": 2, "n_force": 2, "gain_before_filter": True}),
     "plus-silent": ("foten-plus", {**PLUS, "network_in_loop": False, "condition_in_tokens": False}),
-    "ten-excited": (
-        "ten",
-        {**{k: v for k, v in TINY.items() if k != "spectral_width"}, "excitation": True, "excitation_width": 1},
-    ),
-    "graph": ("fnn", {"window": 24, "n_lags": 1, "first": 1, "second": 1}),
-    "graph-excited": (
-        "fnn",
-        {"window": 24, "n_lags": 1, "first": 1, "second": 1, "excitation": True, "excitation_width": 1},
-    ),
+    "ten-excited": ("ten", {**TEN, **EXCITED}),
+    "graph": ("fnn", FNN),
+    "graph-excited": ("fnn", {**FNN, **EXCITED}),
     "graph-hop": (
         "ldhtd-hop",
         {"window": 8, "hop": 3, "recurrent": 1, "condition_width": 1, "d_model": 2, "n_heads": 1, "d_feedforward": 1},

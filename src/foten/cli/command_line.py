@@ -37,18 +37,8 @@ app = typer.Typer(
 )
 
 
-_EXTRAS = {
-    "scipy": "data",
-    "h5py": "data",
-    "matplotlib": "data",
-    "openpyxl": "data",
-    "nptdms": "data",
-    "pymatreader": "data",
-    "torch": "train",
-    "ray": "sweep",
-    "onnx": "onnx",
-    "onnxruntime": "onnx",
-}
+_EXTRAS = dict.fromkeys(("scipy", "h5py", "matplotlib", "openpyxl", "nptdms", "pymatreader"), "data")
+_EXTRAS |= {"torch": "train", "ray": "sweep", "onnx": "onnx", "onnxruntime": "onnx"}
 """Which extra installs a package that may be missing."""
 
 
@@ -72,18 +62,8 @@ def _global_options(
 # In the order in which --help lists them.
 app.command()(simulate)
 app.command("import")(import_)
-app.command()(inspect)
-app.command()(train)
-app.command()(evaluate)
-app.command()(render)
-app.command()(play)
-app.command()(bench)
-app.command()(doctor)
-app.command()(sweep)
-app.command()(tables)
-app.command()(figures)
-app.command()(info)
-app.command()(demo)
+for _command in (inspect, train, evaluate, render, play, bench, doctor, sweep, tables, figures, info, demo):
+    app.command()(_command)
 
 
 def main() -> None:
@@ -98,21 +78,21 @@ def _status(arguments: list[str]) -> int:
     """Return the exit status of one command; an expected failure is printed as one line."""
     if os.environ.get("FOTEN_DEBUG"):  # the whole traceback, for developers
         return app(arguments, standalone_mode=False) or 0
-    if not arguments:
-        arguments = ["--help"]
     try:
-        return app(arguments, standalone_mode=False) or 0
+        return app(arguments or ["--help"], standalone_mode=False) or 0
     except (Abort, KeyboardInterrupt):
         say("foten: interrupted")
         return 130
     except TyperException as error:
-        say(f"foten: {' '.join(error.format_message().split())}")
+        text = error.format_message()
     except ModuleNotFoundError as error:
         package = (error.name or "").split(".")[0]
         if package not in _EXTRAS:
             raise
-        say(f"foten: this needs {package}, which is not installed: pip install 'foten[{_EXTRAS[package]}]'")
-    except (ValueError, OSError) as error:
-        text = reason(error) if isinstance(error, OSError) else str(error) or type(error).__name__
-        say(f"foten: {' '.join(text.split())}")
+        text = f"this needs {package}, which is not installed: pip install 'foten[{_EXTRAS[package]}]'"
+    except OSError as error:
+        text = reason(error)
+    except ValueError as error:
+        text = str(error) or type(error).__name__
+    say(f"foten: {' '.join(text.split())}")
     return 2

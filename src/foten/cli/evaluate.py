@@ -2,30 +2,24 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
-from foten.atomic_write import atomic_write
-from foten.cli.console import JsonOption, print_json, say
+from foten.cli.console import JsonOption, TextureFile, check_folder, print_result, say, write_json
 
 
 def evaluate(
-    texture_file: Annotated[Path, typer.Argument(metavar="T.foten", help="A texture file.")],
-    recording_file: Annotated[
-        Path, typer.Argument(metavar="REC.h5", help="The recording it was trained on, or another.")
-    ],
-    report: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write DIR/report.html and DIR/evaluation.json.")
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Of the excitation.")] = 0,
+    texture_file: TextureFile,
+    recording_file: Annotated[Path, Argument(metavar="REC.h5", help="The recording it was trained on, or another.")],
+    report: Annotated[Path | None, Option(metavar="DIR", help="Write DIR/report.html and DIR/evaluation.json.")] = None,
+    seed: Annotated[int, Option(min=0, max=2**32 - 1, help="Of the excitation.")] = 0,
     trim: Annotated[
-        float | None, typer.Option(help="Of another recording, discarded at both ends (ms). [the trained one's]")
+        float | None, Option(help="Of another recording, discarded at both ends (ms). [the trained one's]")
     ] = None,
     block: Annotated[
-        float | None, typer.Option(help="Of another recording, what is scored as one (ms). [the trained one's]")
+        float | None, Option(help="Of another recording, what is scored as one (ms). [the trained one's]")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -36,27 +30,14 @@ def evaluate(
     from foten.experiments.truth import truth_for
     from foten.families.texture_file import read_texture
 
+    check_folder(report, "--report")
     texture, recording = read_texture(texture_file), load_recording(recording_file)
-    if report is not None and report.exists() and not report.is_dir():
-        raise ValueError(f"--report {report} is a file, expected a folder")
-    judgement = judge.evaluate(
-        texture,
-        recording,
-        truth_for(recording, texture, trim, block),
-        seed,
-        on_stage=lambda stage: say(f"{stage} …"),
-        trim_ms=trim,
-        block_ms=block,
-    )
+    truth = truth_for(recording, texture, trim, block)
+    judgement = judge.evaluate(texture, recording, truth, seed, lambda stage: say(f"{stage} …"), trim, block)
     if report is not None:
         from foten.evaluate.report import write_report
 
         report.mkdir(parents=True, exist_ok=True)
-        document = {"foten": __version__, **judgement.document}
-        with atomic_write(report / "evaluation.json") as part:
-            part.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+        write_json(report / "evaluation.json", {"foten": __version__, **judgement.document})
         say(f"wrote {write_report(judgement, texture, report)}")
-    if as_json:
-        print_json(judgement.document)
-    else:
-        print(judge.to_text(judgement.document))
+    print_result(judgement.document, judge.to_text(judgement.document), as_json)

@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from foten.cli.console import JsonOption, print_json
-from foten.cli.training_result import validation_summary
+from foten.cli.console import JsonOption, TextureFile, print_result
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from foten.families.texture_file import Texture
 
 
-def info(
-    texture_file: Annotated[Path, typer.Argument(metavar="T.foten", help="A texture file.")],
-    as_json: JsonOption = False,
-) -> None:
+def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
     """Show what a texture file holds, and prove it on its golden windows."""
     from foten.families.texture_file import read_texture
     from foten.runtime.native import NativeTexture
 
     texture = read_texture(texture_file)
     NativeTexture(texture.to_bytes())  # which replays the golden windows
-    if as_json:
-        print_json({"sha256": texture.sha256(), **texture.card})
-        return
     card = texture.card
     own = {name: t for name, t in texture.tensors.items() if not name.startswith(("golden.", "warm_start"))}
     if texture.sizes.in_graph:
@@ -50,8 +42,8 @@ def info(
         "sha256": texture.sha256(),
         "proof": "golden windows replayed",
     }
-    for name, value in rows.items():
-        print(f"{name:14s}{value}")
+    text = "\n".join(f"{name:14s}{value}" for name, value in rows.items())
+    print_result({"sha256": texture.sha256(), **card}, text, as_json)
 
 
 def _linear_part(texture: Texture) -> dict[str, str]:
@@ -76,3 +68,19 @@ def _linear_part(texture: Texture) -> dict[str, str]:
             f"{', gain before the filter' if sizes['residual_gain_before_filter'] else ''}"
         )
     return rows
+
+
+def validation_summary(card: Mapping[str, Any]) -> str:
+    """Return the validation errors that a card holds, in words."""
+    if card["split"] is None:
+        return "none here: its models were imported"
+    metrics = card["metrics"]
+    if metrics["validation_mae_scaled"] is not None:
+        text = f"{metrics['validation_mae_scaled']:.4f} sd one-step"
+        if metrics.get("validation_mae_scaled_hop") is not None:
+            text += f", {metrics['validation_mae_scaled_hop']:.4f} sd on the mean of a hop"
+        return text
+    distance = f"{metrics['validation_spectrum_db']:.2f} dB"
+    if card["model"] == "gan":
+        return f"mean spectra missed by {distance}"
+    return f"spectra of single frames missed by {distance}, of which chance alone is 4.3"

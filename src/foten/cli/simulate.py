@@ -3,40 +3,37 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
-from foten.cli.console import JsonOption, check_folders, print_json
+from foten.cli.console import JsonOption, check_folders, print_result
 
 
 def simulate(
-    key: Annotated[str | None, typer.Argument(help="Texture or linear process; --list shows them.")] = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="HDF5 file to write.")] = None,
-    seconds: Annotated[float, typer.Option(help="Length (s).")] = 64.0,
-    seed: Annotated[int, typer.Option(help="Of everything random that the next two leave out.")] = 0,
+    key: Annotated[str | None, Argument(help="Texture or linear process; --list shows them.")] = None,
+    output: Annotated[Path | None, Option("-o", "--output", help="HDF5 file to write.")] = None,
+    seconds: Annotated[float, Option(help="Length (s).")] = 64.0,
+    seed: Annotated[int, Option(help="Of everything random that the next two leave out.")] = 0,
     noise_seed: Annotated[
-        int | None, typer.Option(help="Of surface and sensors: another one, the same stroke again.")
+        int | None, Option(help="Of surface and sensors: another one, the same stroke again.")
     ] = None,
-    stroke_seed: Annotated[int | None, typer.Option(help="Of the hand.")] = None,
+    stroke_seed: Annotated[int | None, Option(help="Of the hand.")] = None,
     accelerometer_hz: Annotated[
         float | None,
-        typer.Option(
-            help="10000 over a whole number, by default 10000; for a linear process its rate, by default 1000."
-        ),
+        Option(help="10000 over a whole number, by default 10000; for a linear process its rate, by default 1000."),
     ] = None,
-    show_list: Annotated[bool, typer.Option("--list", help="Show the keys and stop.")] = False,
+    show_list: Annotated[bool, Option("--list", help="Show the keys and stop.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write a simulated recording with a known truth: raw sensors over a texture, or a linear process."""
     from foten.datasets import simulate as simulator
+    from foten.datasets.hdf5 import write_recording
 
     if show_list:
-        known: dict[str, Any] = {**simulator.TEXTURES, **simulator.LINEAR_FAMILY}
-        if as_json:
-            print_json({name: parameters.description for name, parameters in known.items()})
-        else:
-            print("\n".join(f"{name:18s}{parameters.description}" for name, parameters in known.items()))
+        known = {name: parameters.description for name, parameters in simulator.TEXTURES.items()}
+        known |= {name: process.description for name, process in simulator.LINEAR_FAMILY.items()}
+        print_result(known, "\n".join(f"{name:18s}{description}" for name, description in known.items()), as_json)
         return
     if key is None or output is None:
         raise ValueError("expected a key and -o FILE; --list shows the keys")
@@ -46,11 +43,6 @@ def simulate(
     recording = simulator.simulate(
         key, seconds, seed, noise_seed=noise_seed, stroke_seed=stroke_seed, accelerometer_hz=accelerometer_hz
     )
-    from foten.datasets.hdf5 import write_recording
-
     write_recording(recording, output)
-    if as_json:
-        simulation = dict(recording.simulation or {})
-        print_json({"output": str(output), "sha256": recording.sha256(), "simulation": simulation})
-    else:
-        print(f"{output}: {key}, {recording.duration_s:g} s, {', '.join(recording.channels)}")
+    result = {"output": str(output), "sha256": recording.sha256(), "simulation": dict(recording.simulation or {})}
+    print_result(result, f"{output}: {key}, {recording.duration_s:g} s, {', '.join(recording.channels)}", as_json)

@@ -4,38 +4,38 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-import typer
+from typer import Argument, Exit, Option
 
 from foten.atomic_write import atomic_write
-from foten.cli.console import JsonOption, print_json, say
+from foten.cli.console import JsonOption, check_folder, folder_option, print_result, say
+
+ResultsFolder = Annotated[Path, Argument(metavar="DIR", help="Results of foten sweep.")]
 
 
 def sweep(
     experiment_file: Annotated[
         str,
-        typer.Argument(
+        Argument(
             metavar="FILE.toml",
             help="Which methods learn which textures; or one of ours: table-1, table-2, figure-5, figure-5-delta; reduced: "
             "table-1-small, and for a glance paper-small-table-1, -table-2, -figure-5, -figure-5-delta.",
         ),
     ],
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of the results, one file a run.")
-    ],
+    output: Annotated[Path, folder_option("Folder of the results, one file a run.")],
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Runs at a time on this machine, a thread each. [its cores]")
+        int | None, Option(min=1, help="Runs at a time on this machine, a thread each. [its cores]")
     ] = None,
     address: Annotated[
-        str | None, typer.Option(help="Of a Ray cluster; auto for the one that this machine is part of.")
+        str | None, Option(help="Of a Ray cluster; auto for the one that this machine is part of.")
     ] = None,
     gpus_per_run: Annotated[
-        float, typer.Option(min=0.0, max=8.0, help="Share of a GPU that each run takes: 0.25 lets four share one.")
+        float, Option(min=0.0, max=8.0, help="Share of a GPU that each run takes: 0.25 lets four share one.")
     ] = 0.0,
     batched: Annotated[
         int,
-        typer.Option(
+        Option(
             "--batched",
             min=1,
             max=64,
@@ -43,7 +43,7 @@ def sweep(
             "paper's recipe. Weights differ from those of one by one in rounding.",
         ),
     ] = 1,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="List the runs and stop.")] = False,
+    dry_run: Annotated[bool, Option("--dry-run", help="List the runs and stop.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Train and judge every method of an experiment on every texture and split; goes on where it stopped."""
@@ -52,31 +52,26 @@ def sweep(
     experiment = read_experiment(experiment_path(experiment_file))
     runs = experiment.runs()
     if dry_run:
-        if as_json:
-            print_json([dataclasses.asdict(run) for run in runs])
-            return
-        for run in runs:
-            print(f"{run.label}, {run.texture}, split {run.split_seed}")
-        say(f"{len(runs)} runs")
+        listed = "\n".join(f"{run.label}, {run.texture}, split {run.split_seed}" for run in runs)
+        print_result([dataclasses.asdict(run) for run in runs], listed, as_json)
+        if not as_json:
+            say(f"{len(runs)} runs")
         return
-    if output.exists() and not output.is_dir():
-        raise ValueError(f"-o {output} is a file, expected a folder")
+    check_folder(output)
     from foten.experiments import sweep as sweeping
 
     n_done, n_failed = sweeping.sweep(experiment, output, workers, address, gpus_per_run, say, batched)
-    if as_json:
-        print_json({"output": str(output), "n_runs": len(runs), "n_done": n_done, "n_failed": n_failed})
-    else:
-        print(f"{len(runs)} runs, {n_done} now, {n_failed} failed; next: foten tables {output}")
+    result = {"output": str(output), "n_runs": len(runs), "n_done": n_done, "n_failed": n_failed}
+    print_result(result, f"{len(runs)} runs, {n_done} now, {n_failed} failed; next: foten tables {output}", as_json)
     if n_failed:
-        raise typer.Exit(1)
+        raise Exit(1)
 
 
 def tables(
-    results: Annotated[Path, typer.Argument(metavar="DIR", help="Results of foten sweep.")],
+    results: ResultsFolder,
     output: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             "-o",
             "--output",
             metavar="DIR",
@@ -86,42 +81,31 @@ def tables(
     as_json: JsonOption = False,
 ) -> None:
     """Set the results of a sweep beside references and beside the paper's figures."""
-    from foten.experiments.results import read_results, title_of
+    from foten.experiments.results import title_of
     from foten.experiments.tables import FIGURES, FORMATS, each_run, findings, table, written
 
-    if not results.is_dir():
-        raise ValueError(f"there is no folder {results}")
-    records = read_results(results)
+    records = _records(results)
+    check_folder(output)
     cells = {name: table(records, name) for name in FIGURES}
-    if output is not None:
-        if output.exists() and not output.is_dir():
-            raise ValueError(f"-o {output} is a file, expected a folder")
-        output.mkdir(parents=True, exist_ok=True)
-        for name, rows in cells.items():
-            for form in FORMATS:
-                with atomic_write(output / f"{name}.{form}") as part:
-                    part.write_text(written(rows, form), encoding="utf-8")
-        with atomic_write(output / "runs.csv") as part:
-            part.write_text(written(each_run(records), "csv"), encoding="utf-8")
     title, sentences = title_of(records), list(findings(records))
+    texts = {f"{name}.{form}": written(rows, form) for name, rows in cells.items() for form in FORMATS}
+    texts["runs.csv"] = written(each_run(records), "csv")
+    texts["findings.md"] = "\n\n".join([f"# {title}", *sentences]) + "\n"
     if output is not None:
-        with atomic_write(output / "findings.md") as part:
-            part.write_text("\n\n".join([f"# {title}", *sentences]) + "\n", encoding="utf-8")
-    if as_json:
-        print_json({"title": title, "tables": cells, "findings": sentences})
-        return
-    print(f"{title}\n")
-    print("\n".join([*(written(rows, "md") for rows in cells.values()), *sentences]))
+        output.mkdir(parents=True, exist_ok=True)
+        for name, text in texts.items():
+            with atomic_write(output / name) as part:
+                part.write_text(text, encoding="utf-8")
+    shown = [f"{title}\n", *(texts[f"{name}.md"] for name in cells), *sentences]
+    print_result({"title": title, "tables": cells, "findings": sentences}, "\n".join(shown), as_json)
 
 
 def figures(
-    results: Annotated[Path, typer.Argument(metavar="DIR", help="Results of foten sweep.")],
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Write each figure there, .png and .pdf.")
-    ],
+    results: ResultsFolder,
+    output: Annotated[Path, folder_option("Write each figure there, .png and .pdf.")],
     recordings: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             metavar="DIR",
             help="Of the recordings, from which Fig. 4 is drawn. [where they were when the sweep was started]",
         ),
@@ -130,13 +114,9 @@ def figures(
 ) -> None:
     """Draw the paper's figures from the results of a sweep: split, windows and losses, waveforms, spectra."""
     from foten.experiments.figures import figures as drawn
-    from foten.experiments.results import read_results
 
-    if not results.is_dir():
-        raise ValueError(f"there is no folder {results}")
-    records = read_results(results)
-    if output.exists() and not output.is_dir():
-        raise ValueError(f"-o {output} is a file, expected a folder")
+    records = _records(results)
+    check_folder(output)
     output.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, figure in drawn(records, recordings, say):
@@ -145,7 +125,12 @@ def figures(
             with atomic_write(path) as part:
                 figure.savefig(part, format=form, dpi=140)
             paths.append(str(path))
-    if as_json:
-        print_json({"figures": paths})
-    else:
-        print("\n".join(paths))
+    print_result({"figures": paths}, "\n".join(paths), as_json)
+
+
+def _records(results: Path) -> list[dict[str, Any]]:
+    from foten.experiments.results import read_results
+
+    if not results.is_dir():
+        raise ValueError(f"there is no folder {results}")
+    return read_results(results)

@@ -8,60 +8,55 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Exit, Option
 
-from foten.cli.console import JsonOption, check_folders
-from foten.cli.training_result import print_training_result
+from foten.cli.console import JsonOption, RecordingFile, check_folders, print_result
+from foten.cli.info import validation_summary
 
 if TYPE_CHECKING:
     from foten.recording.recording import Recording
+    from foten.train.job import Trained
 
 
 def train(
-    recording_file: Annotated[Path, typer.Argument(metavar="REC.h5", help="A recording that foten import wrote.")],
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="T.foten", help="The texture file to write.")],
+    recording_file: RecordingFile,
+    output: Annotated[Path, Option("-o", "--output", metavar="T.foten", help="The texture file to write.")],
     model: Annotated[
         str,
-        typer.Option(
+        Option(
             help="foten-plus (ours), foten (the paper's); its variants ten, ten-mfcc, ten-wavelet, foten-d; the systems it is "
             "compared with, re-implemented: ar (piecewise AR), fnn, dstn, hapinf, ldhtd, ldhtd-hop, dftnet, gan."
         ),
     ] = "foten-plus",
-    recipe: Annotated[str, typer.Option(help="default (ours) or paper (Adam 1e-3, batch 16, 100 epochs).")] = "default",
-    rate: Annotated[
-        float | None, typer.Option(help="Of the model (Hz); the acceleration's own at most. [1000]")
-    ] = None,
-    trim: Annotated[float | None, typer.Option(help="Discarded at both ends (ms). [2000]")] = None,
-    block: Annotated[float | None, typer.Option(help="Unit of the split (ms). [2000]")] = None,
+    recipe: Annotated[str, Option(help="default (ours) or paper (Adam 1e-3, batch 16, 100 epochs).")] = "default",
+    rate: Annotated[float | None, Option(help="Of the model (Hz); the acceleration's own at most. [1000]")] = None,
+    trim: Annotated[float | None, Option(help="Discarded at both ends (ms). [2000]")] = None,
+    block: Annotated[float | None, Option(help="Unit of the split (ms). [2000]")] = None,
     window: Annotated[
         int | None,
-        typer.Option(
-            help="m, samples that a prediction sees. [20; ten 25, ten-mfcc and ten-wavelet 30, dstn 40, fnn 144]"
-        ),
+        Option(help="m, samples that a prediction sees. [20; ten 25, ten-mfcc and ten-wavelet 30, dstn 40, fnn 144]"),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Of initial weights, order and dropout.")] = 0,
-    split: Annotated[str, typer.Option(help="regrouped by speed and force, or contiguous in time.")] = "regrouped",
-    split_seed: Annotated[int, typer.Option(min=0, help="Of the regrouped split.")] = 0,
-    epochs: Annotated[
-        int | None, typer.Option(help="At most; the recipe's by default. (Of gan, of 50 steps each.)")
-    ] = None,
-    loss: Annotated[str | None, typer.Option(help="huber, mse or mae. [huber]")] = None,
-    delta: Annotated[float | None, typer.Option(help="Huber threshold, scaled. [1.6]")] = None,
-    batch: Annotated[int | None, typer.Option(help="Windows a step; the recipe's by default.")] = None,
-    learning_rate: Annotated[float | None, typer.Option(help="Highest; the recipe's by default.")] = None,
+    seed: Annotated[int, Option(min=0, max=2**32 - 1, help="Of initial weights, order and dropout.")] = 0,
+    split: Annotated[str, Option(help="regrouped by speed and force, or contiguous in time.")] = "regrouped",
+    split_seed: Annotated[int, Option(min=0, help="Of the regrouped split.")] = 0,
+    epochs: Annotated[int | None, Option(help="At most; the recipe's by default. (Of gan, of 50 steps each.)")] = None,
+    loss: Annotated[str | None, Option(help="huber, mse or mae. [huber]")] = None,
+    delta: Annotated[float | None, Option(help="Huber threshold, scaled. [1.6]")] = None,
+    batch: Annotated[int | None, Option(help="Windows a step; the recipe's by default.")] = None,
+    learning_rate: Annotated[float | None, Option(help="Highest; the recipe's by default.")] = None,
     dropout: Annotated[
-        float | None, typer.Option(help="Share of hidden values; the recipe's by default. [0; paper 0.2]")
+        float | None, Option(help="Share of hidden values; the recipe's by default. [0; paper 0.2]")
     ] = None,
     excitation: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--excitation",
             help="Give a network the random part of foten-plus, which always has it: without one its free run falls silent.",
         ),
     ] = False,
     settings: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             "--set",
             metavar="SIZE=VALUE",
             help="Another size or reading of the network; repeatable: d_model, n_heads, n_layers, d_feedforward, head=[256,64], "
@@ -69,20 +64,19 @@ def train(
         ),
     ] = None,
     zero_phase: Annotated[
-        bool, typer.Option("--zero-phase", help="Filter forwards and backwards, as the paper offline.")
+        bool, Option("--zero-phase", help="Filter forwards and backwards, as the paper offline.")
     ] = False,
     force_units: Annotated[
-        bool, typer.Option("--force-units", help="Accept what no hand does: above 5 m/s, 1000 m/s² or 500 N.")
+        bool, Option("--force-units", help="Accept what no hand does: above 5 m/s, 1000 m/s² or 500 N.")
     ] = False,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on from the run folder's checkpoint.")] = False,
+    resume: Annotated[bool, Option("--resume", help="Go on from the run folder's checkpoint.")] = False,
     run_folder: Annotated[
-        Path | None, typer.Option("--run", metavar="DIR", help="Log, curves, split, checkpoint. [T.run]")
+        Path | None, Option("--run", metavar="DIR", help="Log, curves, split, checkpoint. [T.run]")
     ] = None,
-    texture: Annotated[str, typer.Option(help="Name in the card; the recording's by default.")] = "",
-    licence: Annotated[str, typer.Option(help="Licence of the texture, for the card.")] = "",
+    texture: Annotated[str, Option(help="Name in the card; the recording's by default.")] = "",
+    licence: Annotated[str, Option(help="Licence of the texture, for the card.")] = "",
     threads: Annotated[
-        int | None,
-        typer.Option(help="Share each batch among so many cores (on a GPU there is one share). [2; paper 1]"),
+        int | None, Option(help="Share each batch among so many cores (on a GPU there is one share). [2; paper 1]")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -103,43 +97,26 @@ def train(
     if output.suffix != ".foten":
         raise ValueError(f"a texture file is written as .foten, got -o {output.name}")
     check_folders([output, run_folder or output])
-    asked: dict[str, Any] = {
-        "epochs": epochs,
-        "loss": loss,
-        "delta": delta,
-        "batch": batch,
-        "learning_rate": learning_rate,
-        "dropout": dropout,
-        "threads": threads,
-    }
-    changed = OWN_RECIPES.get(model, {}) | {k: v for k, v in asked.items() if v is not None}
-    config = dataclasses.replace(RECIPES[recipe], seed=seed, **changed)
+    asked = _given(epochs=epochs, loss=loss, delta=delta, batch=batch, learning_rate=learning_rate)
+    asked |= _given(dropout=dropout, threads=threads)
+    config = dataclasses.replace(RECIPES[recipe], seed=seed, **OWN_RECIPES.get(model, {}) | asked)
     # The paper trains with 25 Hz and renders with 20 Hz.
-    cut: dict[str, Any] = {
-        "rate_hz": rate,
-        "trim_ms": trim,
-        "block_ms": block,
-        "lowpass_hz": 25.0 if recipe == "paper" else None,
-    }
-    preprocess_config = PreprocessConfig(
-        zero_phase=zero_phase, force_units=force_units, **{k: v for k, v in cut.items() if v is not None}
-    )
+    lowpass_hz = 25.0 if recipe == "paper" else None
+    cut = _given(rate_hz=rate, trim_ms=trim, block_ms=block, lowpass_hz=lowpass_hz)
+    preprocess_config = PreprocessConfig(zero_phase=zero_phase, force_units=force_units, **cut)
     own = _settings(settings or []) | ({"excitation": True} if excitation else {})
     recording = load_recording(recording_file)
     if model == "ar":
-        of_networks = {**asked, "window": window, "set": settings, "run": run_folder}
-        of_networks |= {
-            "resume": resume or None,
-            "seed": seed or None,
-            "recipe": recipe if recipe != "default" else None,
-            "excitation": excitation or None,
-        }
-        given = [name for name, value in of_networks.items() if value is not None]
-        if given:
-            raise ValueError(f"--{given[0].replace('_', '-')} is for networks, and --model ar is none: leave it out")
+        for_networks = asked | _given(
+            window=window, set=settings, run=run_folder, resume=resume or None, seed=seed or None
+        )
+        for_networks |= _given(recipe=recipe if recipe != "default" else None, excitation=excitation or None)
+        if for_networks:
+            name = next(iter(for_networks)).replace("_", "-")
+            raise ValueError(f"--{name} is for networks, and --model ar is none: leave it out")
     if excitation and FAMILIES[model].from_noise:
         raise ValueError(f"--excitation is for models that predict samples, and {model} is made of noise: leave it out")
-    check_used(model, [name for name, value in asked.items() if value is not None])
+    check_used(model, list(asked))
     sizes = sizes_of(model, own if window is None else {"window": window, **own})
     job = TrainingJob(
         recording, model, sizes, config, preprocess_config, split, split_seed, texture or recording.texture, licence
@@ -176,13 +153,57 @@ def train(
         for note in trained.progress.notes:
             display.note(note)
     write_texture(trained.texture, output)
-    interrupted = trained.progress.interrupted
+    outputs = str(output)
     if model != "ar":
         folder.close(trained)
-    made = None if model == "ar" else folder.path
-    print_training_result(trained.texture, trained.trace, output, recording_file, as_json, interrupted, made)
-    if interrupted:
-        raise typer.Exit(130)
+        outputs += f" and {folder.path}"
+    text = f"{_summary(trained)}\nwrote {outputs}; next: foten evaluate {output} {recording_file}"
+    print_result({"output": str(output), **_document(trained)}, text, as_json)
+    if trained.progress.interrupted:
+        raise Exit(130)
+
+
+def _given(**options: Any) -> dict[str, Any]:
+    """Return the options that were given, by name."""
+    return {name: value for name, value in options.items() if value is not None}
+
+
+def _document(trained: Trained) -> dict[str, Any]:
+    """Return the result of a training for programs."""
+    texture, trace = trained.texture, trained.trace
+    return {
+        "sha256": texture.sha256(),
+        "interrupted": trained.progress.interrupted,
+        "n_blocks": trace.n_blocks,
+        "n_samples_dropped": trace.n_dropped,
+        "n_samples_uncovered": trace.n_uncovered,
+        "split_sha256": texture.card["split_sha256"],
+        **texture.card["metrics"],
+    }
+
+
+def _summary(trained: Trained) -> str:
+    """Return the result of a training for people, in lines."""
+    card, trace = trained.texture.card, trained.trace
+    metrics, sizes, condition = card["metrics"], card["sizes"], card["warm_start"]["recorded"]
+    summary, origin = f"validation blocks: {validation_summary(card)}", "recorded"
+    if card["model"] == "ar":
+        summary += f", order {sizes['order']}, {sizes['n_models']} models from {metrics['n_pieces']} pieces"
+        summary += ", those around it counted"
+        if metrics["n_pieces_left_out"]:
+            summary += f", {metrics['n_pieces_left_out']} pieces that do not vibrate left out"
+        origin = "modelled"
+    else:
+        summary += f" (epoch {metrics['best_epoch']})"
+    if metrics.get("validation_mae_scaled_lattice") is not None:
+        summary += f", {metrics['validation_mae_scaled_lattice']:.4f} sd without its network"
+    lines = [summary]
+    if trace.n_uncovered:
+        lines.append(f"{trace.n_uncovered} samples that not every channel covers were left out")
+    if trace.n_dropped:
+        lines.append(f"{trace.n_dropped} samples at the end did not fill a block and were left out")
+    where = f"{condition['speed']:.0f} mm/s and {condition['force']:.2f} N"
+    return "\n".join([*lines, f"warm start {origin} at {where} (asked: 45 mm/s, 0.8 N)"])
 
 
 def _notes(recording: Recording, rate_hz: float) -> Iterator[str]:
