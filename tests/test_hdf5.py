@@ -4,7 +4,7 @@ import h5py
 import numpy as np
 import pytest
 
-from foten.datasets.hdf5 import load_recording, read_recording, write_recording
+from foten.datasets.hdf5 import load_recording, write_recording
 from foten.recording.recording import Channel, Recording
 
 
@@ -57,7 +57,7 @@ def test_a_file_as_matlab_writes_it_is_read(tmp_path):
         file.attrs["version"] = np.array([1.0])
         dataset = file.create_dataset("channels/speed", data=np.linspace(0, 90, 200)[None, :])
         dataset.attrs["rate_hz"], dataset.attrs["unit"] = np.array([500.0]), np.bytes_("mm/s")
-    channel = read_recording(tmp_path / "m.h5")["speed"]
+    channel = load_recording(tmp_path / "m.h5")["speed"]
     assert channel.rate_hz == 500
     np.testing.assert_array_equal(channel.samples, np.linspace(0, 90, 200))
 
@@ -102,7 +102,7 @@ def _spoil(path, spoil):
 def test_what_is_wrong_in_a_file_is_named(tmp_path, spoil, message):
     _spoil(tmp_path / "bad.h5", spoil)
     with pytest.raises(ValueError, match=message):
-        read_recording(tmp_path / "bad.h5")
+        load_recording(tmp_path / "bad.h5")
 
 
 def test_truncated_foreign_and_missing_files_are_refused(tmp_path):
@@ -110,13 +110,13 @@ def test_truncated_foreign_and_missing_files_are_refused(tmp_path):
     data = (tmp_path / "a.h5").read_bytes()
     (tmp_path / "cut.h5").write_bytes(data[: len(data) // 2])
     with pytest.raises(ValueError, match=r"cut.h5 is truncated"):
-        read_recording(tmp_path / "cut.h5")
+        load_recording(tmp_path / "cut.h5")
     (tmp_path / "text.h5").write_text("time,force\n0,1\n")
     with pytest.raises(ValueError, match="not an HDF5 file"):
-        read_recording(tmp_path / "text.h5")
+        load_recording(tmp_path / "text.h5")
     (tmp_path / "none.h5").touch()
     with pytest.raises(ValueError, match="empty"):
-        read_recording(tmp_path / "none.h5")
+        load_recording(tmp_path / "none.h5")
     with pytest.raises(FileNotFoundError, match="no such file"):
         load_recording(tmp_path / "absent.h5")
     (tmp_path / "denim.csv").write_text("0\n")
@@ -138,7 +138,7 @@ def test_truncated_foreign_and_missing_files_are_refused(tmp_path):
 def test_what_no_hand_does_is_refused(tmp_path, spoil, message):
     _spoil(tmp_path / "bad.h5", spoil)
     with pytest.raises(ValueError, match=message):
-        read_recording(tmp_path / "bad.h5")
+        load_recording(tmp_path / "bad.h5")
 
 
 def test_a_text_that_hdf5_cannot_hold_is_refused(tmp_path):
@@ -151,5 +151,5 @@ def test_a_text_that_hdf5_cannot_hold_is_refused(tmp_path):
 def test_texts_are_printable(tmp_path):
     recording = Recording({"force": Channel(np.ones(10), 100.0)}, texture="a\x1b[31m", notes="two\nlines")
     write_recording(recording, tmp_path / "a.h5")
-    back = read_recording(tmp_path / "a.h5")
+    back = load_recording(tmp_path / "a.h5")
     assert (back.texture, back.notes) == ("a?[31m", "two\nlines")

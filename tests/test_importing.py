@@ -10,7 +10,7 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat, wavfile
 
 from foten.cli.command_line import _status
-from foten.datasets.hdf5 import read_recording
+from foten.datasets.hdf5 import load_recording
 from foten.datasets.importing import DATASETS, import_recording
 from foten.datasets.options import ImportOptions, parse_pairs, parse_rates
 from foten.datasets.units import FACTORS
@@ -356,7 +356,7 @@ def test_the_command_writes_a_recording(tmp_path, capsys):
         "maximum": FORCE.max(),
     }
     assert "taken from the headers: --map time=t,acceleration=acc,speed=speed,force=force" in captured.err
-    recording = read_recording(tmp_path / "a.h5")
+    recording = load_recording(tmp_path / "a.h5")
     assert (recording.texture, recording.tool, recording.sha256()) == ("denim", "ball", document["sha256"])
     assert re.search(r"force is column force of a.csv \(sha256 [0-9a-f]{16}\)", "\n".join(recording.history))
     assert str(tmp_path) not in "\n".join(recording.history)  # a recording names files, not machines

@@ -13,7 +13,7 @@ import pytest
 from foten.cli.command_line import _status
 from foten.datasets import isolated
 from foten.datasets.binary import read_hdf5
-from foten.datasets.hdf5 import read_recording, write_recording
+from foten.datasets.hdf5 import load_recording, write_recording
 from foten.datasets.isolated import read_isolated
 from foten.families.texture_file import Texture, write_texture
 from foten.recording.recording import Channel, Recording
@@ -69,16 +69,16 @@ def test_a_library_that_dies_is_a_sentence(tmp_path: Path, recording: Path, monk
 
 
 def test_a_process_that_is_gone_is_replaced(recording: Path) -> None:
-    read_recording(recording)
+    load_recording(recording)
     isolated._close()
-    assert read_recording(recording)["force"].samples.size == FORCE.size
+    assert load_recording(recording)["force"].samples.size == FORCE.size
 
 
 def test_reading_is_quick(recording: Path) -> None:
-    read_recording(recording)
+    load_recording(recording)
     start = time.process_time()
     for _ in range(10):
-        read_recording(recording)
+        load_recording(recording)
     assert time.process_time() - start < 1.0  # of this process; the first one alone waits for the imports
 
 
@@ -151,7 +151,7 @@ def test_a_missing_library_is_named(recording: Path, monkeypatch: pytest.MonkeyP
 def test_the_process_ends_with_the_program(recording: Path) -> None:
     code = (
         "import sys; from pathlib import Path; from foten.datasets import isolated, hdf5; "
-        f"hdf5.read_recording(Path({str(recording)!r})); print(isolated._running[0].pid)"
+        f"hdf5.load_recording(Path({str(recording)!r})); print(isolated._running[0].pid)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     with pytest.raises(ProcessLookupError):

@@ -179,12 +179,12 @@ def test_bad_input_is_named() -> None:
 
 def test_the_command_writes_what_the_function_returns(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from foten.cli.command_line import _status
-    from foten.datasets.hdf5 import read_recording
+    from foten.datasets.hdf5 import load_recording
 
     path = tmp_path / "rec.h5"
     assert _status(["simulate", "linear-hum", "--seconds", "2", "--seed", "3", "-o", str(path)]) == 0
     expected = simulate("linear-hum", 2, seed=3)
-    stored = read_recording(path)
+    stored = load_recording(path)
     assert stored.sha256() == expected.sha256()
     assert stored.simulation == expected.simulation
     capsys.readouterr()

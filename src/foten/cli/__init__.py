@@ -1,5 +1,3 @@
 """The command line; each subcommand has its file."""
 
-from foten.cli.command_line import app, main
-
-__all__ = ["app", "main"]
+from foten.cli.command_line import main as main

@@ -14,14 +14,13 @@ import typer
 from typer.exceptions import Abort, TyperException
 
 from foten.atomic_write import reason
-from foten.cli.bench import bench
 from foten.cli.console import say
 from foten.cli.demo import demo
-from foten.cli.doctor import doctor
 from foten.cli.evaluate import evaluate
 from foten.cli.importing import import_
 from foten.cli.info import info
 from foten.cli.inspect import inspect
+from foten.cli.machine import bench, doctor
 from foten.cli.play import play
 from foten.cli.render import render
 from foten.cli.simulate import simulate

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from foten.cli.console import JsonOption, check_folders, print_json, say
 
@@ -14,20 +14,18 @@ from foten.cli.console import JsonOption, check_folders, print_json, say
 def import_(
     files: Annotated[
         list[Path],
-        typer.Argument(
+        Argument(
             help="CSV, TSV, .xlsx, .npz, .mat (v5 to v7.3), .tdms, .wav, .h5; or one .xml of linear models.",
             show_default=False,
         ),
     ],
     output: Annotated[
         Path,
-        typer.Option(
-            "-o", "--output", help="The recording to write, .h5; of models a texture, .foten.", show_default=False
-        ),
+        Option("-o", "--output", help="The recording to write, .h5; of models a texture, .foten.", show_default=False),
     ],
     mapping: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             "--map",
             help="CHANNEL=COLUMN,… with channels time, acceleration, speed, force, or by axis acceleration_x, position_x, "
             "force_x and so on (z is the surface normal). A column is a header name, or a number from 0; with several files "
@@ -37,7 +35,7 @@ def import_(
     ] = None,
     units: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             "--unit",
             help="CHANNEL=UNIT,… of the file: acceleration m/s^2, g, mg, mm/s^2; speed mm/s, cm/s, m/s; position mm, cm, m, "
             "um; force N, mN, gf; time s, ms, us, ns. CHANNEL=V*FACTOR or *FACTOR multiplies, for a sensitivity: "
@@ -46,25 +44,25 @@ def import_(
     ] = None,
     rate: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             "--rate",
             help="HZ for the channels whose file states no rate and has no time column, or CHANNEL=HZ,…, which comes before "
             "what the file states.",
         ),
     ] = None,
     fill_gaps: Annotated[
-        float, typer.Option("--fill-gaps", metavar="MS", help="Fill gaps of up to MS ms in position, speed and force.")
+        float, Option("--fill-gaps", metavar="MS", help="Fill gaps of up to MS ms in position, speed and force.")
     ] = 0.0,
     force_units: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--force-units", help="Accept what no hand does, spikes for example: above 5 m/s, 1000 m/s², 500 N or 10 m."
         ),
     ] = False,
-    texture: Annotated[str, typer.Option(help="What was stroked; the file's name by default.")] = "",
-    tool: Annotated[str, typer.Option(help="What it was stroked with.")] = "",
-    sensors: Annotated[str, typer.Option(help="Sensors, amplifiers, ranges.")] = "",
-    notes: Annotated[str, typer.Option(help="Anything else.")] = "",
+    texture: Annotated[str, Option(help="What was stroked; the file's name by default.")] = "",
+    tool: Annotated[str, Option(help="What it was stroked with.")] = "",
+    sensors: Annotated[str, Option(help="Sensors, amplifiers, ranges.")] = "",
+    notes: Annotated[str, Option(help="Anything else.")] = "",
     as_json: JsonOption = False,
 ) -> None:
     """Turn files of any origin into one recording, converting units and changing nothing else.
@@ -77,13 +75,18 @@ def import_(
     foten import Models_Denim.xml -o denim.foten: a model file of the Penn Haptic Texture Toolkit becomes a texture.
     """
     if any(file.suffix.lower() == ".xml" for file in files):
-        names = ("map", "unit", "rate", "fill-gaps", "force-units", "tool", "sensors")
-        values = (mapping, units, rate, fill_gaps, force_units, tool, sensors)
-        given = [name for name, value in zip(names, values, strict=True) if value]
-        if given:
-            raise ValueError(
-                f"--{given[0]} is for recordings, and an .xml holds models with units and rate: leave it out"
-            )
+        of_recordings = {
+            "map": mapping,
+            "unit": units,
+            "rate": rate,
+            "fill-gaps": fill_gaps,
+            "force-units": force_units,
+        }
+        for name, value in {**of_recordings, "tool": tool, "sensors": sensors}.items():
+            if value:
+                raise ValueError(
+                    f"--{name} is for recordings, and an .xml holds models with units and rate: leave it out"
+                )
         _import_models(files, output, texture, notes, as_json)
         return
     from foten.datasets.hdf5 import write_recording

@@ -7,7 +7,7 @@ from math import inf
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Exit, Option
 
 from foten.cli.console import JsonOption, print_json, say
 from foten.cli.render import print_outside_range, provenance, report_gaps
@@ -15,43 +15,35 @@ from foten.cli.render import print_outside_range, provenance, report_gaps
 
 def play(
     texture_file: Annotated[
-        Path | None, typer.Argument(metavar="T.foten", help="A texture file; by default one that comes with foten.")
+        Path | None, Argument(metavar="T.foten", help="A texture file; by default one that comes with foten.")
     ] = None,
-    to: Annotated[
-        str, typer.Option(help="sound, null, FILE.wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.")
-    ] = "sound",
+    to: Annotated[str, Option(help="sound, null, FILE.wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.")] = "sound",
     stroke: Annotated[
         Path | None,
-        typer.Option(
-            metavar="S.csv", help="As of 'foten render', over and over, without a pause; by default a circle."
-        ),
+        Option(metavar="S.csv", help="As of 'foten render', over and over, without a pause; by default a circle."),
     ] = None,
-    speed: Annotated[float | None, typer.Option(help="Constant speed (mm/s), with --force.")] = None,
-    force: Annotated[float | None, typer.Option(help="Constant force (N), with --speed.")] = None,
+    speed: Annotated[float | None, Option(help="Constant speed (mm/s), with --force.")] = None,
+    force: Annotated[float | None, Option(help="Constant force (N), with --speed.")] = None,
     seconds: Annotated[
-        float | None, typer.Option(min=0.0, help="How long (s); by default until Ctrl-C, and 10 s into a file.")
+        float | None, Option(min=0.0, help="How long (s); by default until Ctrl-C, and 10 s into a file.")
     ] = None,
     rate: Annotated[
-        float | None, typer.Option(help="Of the output (Hz); by default 48000 for sound, else 8000 or more.")
+        float | None, Option(help="Of the output (Hz); by default 48000 for sound, else 8000 or more.")
     ] = None,
-    actuator: Annotated[
-        Path | None, typer.Option(metavar="P.json", help="Profile of the actuator that is driven.")
-    ] = None,
+    actuator: Annotated[Path | None, Option(metavar="P.json", help="Profile of the actuator that is driven.")] = None,
     gain: Annotated[
         float | None,
-        typer.Option(
-            help="Full scale (sound) or volts (daq) for 1 m/s², or for 1 of the actuator's drive; of these alone."
-        ),
+        Option(help="Full scale (sound) or volts (daq) for 1 m/s², or for 1 of the actuator's drive; of these alone."),
     ] = None,
     device: Annotated[
-        str | None, typer.Option(help="Number or name of the sound card, as 'python -m sounddevice' lists them.")
+        str | None, Option(help="Number or name of the sound card, as 'python -m sounddevice' lists them.")
     ] = None,
     channel: Annotated[
-        int | None, typer.Option(min=0, help="Of the sound card that is played on, from 0; 0 by default.")
+        int | None, Option(min=0, help="Of the sound card that is played on, from 0; 0 by default.")
     ] = None,
-    lead_ms: Annotated[float | None, typer.Option(help="Rendered ahead of what is heard (ms); 10 by default.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the excitation.")] = 0,
-    deterministic: Annotated[bool, typer.Option("--deterministic", help="Without excitation.")] = False,
+    lead_ms: Annotated[float | None, Option(help="Rendered ahead of what is heard (ms); 10 by default.")] = None,
+    seed: Annotated[int, Option(min=0, help="Of the excitation.")] = 0,
+    deterministic: Annotated[bool, Option("--deterministic", help="Without excitation.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Play a texture live: to the sound card, a file, an NI-DAQ or another program."""
@@ -141,4 +133,4 @@ def play(
         if n := played.n_cut:
             print(f"{n} samples were beyond full scale and cut; a smaller --gain than {scale:.3g} keeps them")
     if played.interrupted:
-        raise typer.Exit(130)
+        raise Exit(130)

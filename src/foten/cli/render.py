@@ -6,9 +6,9 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Option
 
-from foten.cli.console import JsonOption, check_folders, print_json, say
+from foten.cli.console import JsonOption, TextureFile, check_folders, print_json, say
 
 if TYPE_CHECKING:
     from foten.families.texture_file import Texture
@@ -16,23 +16,21 @@ if TYPE_CHECKING:
 
 
 def render(
-    texture_file: Annotated[Path, typer.Argument(metavar="T.foten", help="A texture file.")],
-    output: Annotated[
-        list[Path], typer.Option("-o", "--output", help=".wav (float, m/s²), .csv, .npz or .png; repeatable.")
-    ],
+    texture_file: TextureFile,
+    output: Annotated[list[Path], Option("-o", "--output", help=".wav (float, m/s²), .csv, .npz or .png; repeatable.")],
     stroke: Annotated[
         Path | None,
-        typer.Option(metavar="S.csv", help="Header t (s), speed (mm/s) or x, y (mm), force (N) or pressure (0 to 1)."),
+        Option(metavar="S.csv", help="Header t (s), speed (mm/s) or x, y (mm), force (N) or pressure (0 to 1)."),
     ] = None,
     recording_file: Annotated[
-        Path | None, typer.Option("--recording", metavar="REC.h5", help="Take the hand of a recording.")
+        Path | None, Option("--recording", metavar="REC.h5", help="Take the hand of a recording.")
     ] = None,
-    speed: Annotated[float | None, typer.Option(help="Constant speed (mm/s).")] = None,
-    force: Annotated[float | None, typer.Option(help="Constant force (N).")] = None,
-    seconds: Annotated[float | None, typer.Option(help="How long, with --speed and --force (s).")] = None,
-    audible: Annotated[Path | None, typer.Option(metavar="FILE.wav", help="Also as sound, 48 kHz, 16 bits.")] = None,
-    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Of the excitation.")] = 0,
-    deterministic: Annotated[bool, typer.Option("--deterministic", help="Without excitation.")] = False,
+    speed: Annotated[float | None, Option(help="Constant speed (mm/s).")] = None,
+    force: Annotated[float | None, Option(help="Constant force (N).")] = None,
+    seconds: Annotated[float | None, Option(help="How long, with --speed and --force (s).")] = None,
+    audible: Annotated[Path | None, Option(metavar="FILE.wav", help="Also as sound, 48 kHz, 16 bits.")] = None,
+    seed: Annotated[int, Option(min=0, max=2**32 - 1, help="Of the excitation.")] = 0,
+    deterministic: Annotated[bool, Option("--deterministic", help="Without excitation.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Render vibration from a texture and a stroke."""

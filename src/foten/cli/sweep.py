@@ -71,12 +71,7 @@ def tables(
     results: ResultsFolder,
     output: Annotated[
         Path | None,
-        Option(
-            "-o",
-            "--output",
-            metavar="DIR",
-            help="Write each table as .md, .csv and .tex, and every run with its intervals as runs.csv.",
-        ),
+        folder_option("Write each table as .md, .csv and .tex, and every run with its intervals as runs.csv."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from foten.datasets.units import FACTORS, quantity
+from foten.dsp import Array
 from foten.recording.recording import LIMITS, UNITS, Channel
 
 LARGEST = 1e12  # of a sample in any unit; a converter of 32 bits counts to 4e9
@@ -24,7 +24,7 @@ _OFTEN = ("mg", "mm/s^2", "um", "um/s", "mN", "gf")
 """Units in which numbers come out too large; of them too it is guessed."""
 
 
-def check_size(where: str, samples: NDArray[np.float64]) -> None:
+def check_size(where: str, samples: Array) -> None:
     """Check that samples or times are not beyond `LARGEST`: their sums and squares stay finite."""
     largest = int(np.abs(samples).argmax())
     if abs(samples[largest]) > LARGEST:

@@ -9,10 +9,10 @@ from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
 from foten.datasets.columns import MOST_SAMPLES, Column, columns_of_array
 from foten.datasets.isolated import Contents, RefusedError
+from foten.dsp import Array
 from foten.untrusted import printable
 
 MOST_OBJECTS = 10_000  # groups and datasets of a file
@@ -31,7 +31,7 @@ def hdf5_contents(path: Path) -> Contents:
     except OSError as error:
         fault = "truncated: its end is missing" if "truncated" in str(error) else "not an HDF5 file, or is damaged"
         raise RefusedError(f"{path.name} is {fault}") from None
-    arrays: list[NDArray[np.float64]] = []
+    arrays: list[Array] = []
     objects: list[dict[str, Any]] = []
     left = MOST_SAMPLES
     with file:

@@ -15,9 +15,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.untrusted import check_regular
-
-Array = NDArray[np.float64]
 
 LARGEST_FILE = 20_000_000  # bytes; the toolkit's have a tenth of a million
 MOST_MODELS = 1000

@@ -85,28 +85,16 @@ def _smallest(samples: NDArray[np.float64]) -> NDArray[Any]:
 
 
 def load_recording(path: Path) -> Recording:
-    """Return the recording in a file: what every command that takes one calls.
-
-    Raises:
-        ValueError: another format, with the command that imports it; or a bad file, as `read_recording`.
-    """
-    if not path.exists():
-        raise FileNotFoundError(f"no such file: {path}")
-    if path.suffix.lower() not in (".h5", ".hdf5"):
-        raise ValueError(
-            f"{path.name} is not a foten recording (.h5); first run: foten import {path} -o {path.stem}.h5"
-        )
-    return read_recording(path)
-
-
-def read_recording(path: Path) -> Recording:
     """Return the recording that `write_recording`, or a program that keeps to the layout above, wrote.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: another format or version, truncated, a channel, unit, rate, time or sample that cannot be.
+        ValueError: another format, with the command that imports it; another version, truncated, a channel, unit, rate, time
+            or sample that cannot be.
     """
     name = path.name
+    if path.exists() and path.suffix.lower() not in (".h5", ".hdf5"):
+        raise ValueError(f"{name} is not a foten recording (.h5); first run: foten import {path} -o {path.stem}.h5")
     contents, arrays = read_isolated("HDF5", path)
     attributes = contents["attributes"]
     if attributes.get("format") != FORMAT:

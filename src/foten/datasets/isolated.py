@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.untrusted import brief, check_regular
 
-Contents = tuple[Any, list[NDArray[np.float64]]]
+Contents = tuple[Any, list[Array]]
 """What a file holds: a JSON value, and arrays that it refers to by their order."""
 
 READERS = {"HDF5": "foten.datasets.contents:hdf5_contents", "MATLAB": "foten.datasets.contents:matlab_contents"}
@@ -133,7 +133,7 @@ class RefusedError(ValueError):
 
 
 def _answer(answers: BinaryIO, kind: str, path: Path) -> None:
-    arrays: list[NDArray[np.float64]] = []
+    arrays: list[Array] = []
     try:
         contents, arrays = pkgutil.resolve_name(READERS[kind])(path)
         answer = {"contents": contents}

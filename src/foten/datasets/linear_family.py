@@ -8,11 +8,9 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.recording.recording import Recording
-
-Signal = NDArray[np.float64]
 
 REFERENCE_SPEED = 100.0  # mm/s
 MOST_NUMBERS, LARGEST = 64, 1e5  # of a texture's parameters
@@ -55,13 +53,18 @@ class LinearParameters:
     def __post_init__(self) -> None:
         object.__setattr__(self, "coefficients", tuple(self.coefficients))
         check_parameters(self)
-        radius = np.abs(np.roots([1.0, *(-a for a in self.coefficients)])).max()
+        radius = np.abs(np.roots(self.denominator)).max()
         if not radius < 0.995:
             raise ValueError(f"the largest pole has radius {radius:.4f}, expected less than 0.995")
         if self.level <= 0 or self.standstill_share <= 0:
             raise ValueError("level and standstill_share must be positive")
 
-    def sigma(self, speed: Signal, force: Signal) -> Signal:
+    @property
+    def denominator(self) -> Array:
+        """Return A(z) = 1 − Σ aᵢ z⁻ⁱ, shape (p + 1,)."""
+        return np.array([1.0, *(-a for a in self.coefficients)])
+
+    def sigma(self, speed: Array, force: Array) -> Array:
         """Return the standard deviation of the innovation [m/s²] at speeds [mm/s] and forces [N]."""
         stroked = self.standstill_share + np.maximum(speed, 0) / REFERENCE_SPEED
         return self.level * stroked**self.speed_exponent * np.maximum(force, 0) ** self.force_exponent
@@ -77,27 +80,17 @@ LINEAR_FAMILY: Mapping[str, LinearParameters] = MappingProxyType(
 )
 
 
-def linear_signal(parameters: LinearParameters, speed: Signal, force: Signal, rng: np.random.Generator) -> Signal:
+def linear_signal(parameters: LinearParameters, speed: Array, force: Array, rng: np.random.Generator) -> Array:
     """Return one realisation y [m/s²], shape (n,), already stationary at its first sample."""
     from scipy.signal import lfilter
 
     sigma = parameters.sigma(speed, force)
     scale = np.concatenate([np.full(BURN_IN, sigma[0]), sigma])
-    denominator = [1.0, *(-a for a in parameters.coefficients)]
-    return lfilter([1.0], denominator, scale * rng.standard_normal(scale.size))[BURN_IN:]
+    return lfilter([1.0], parameters.denominator, scale * rng.standard_normal(scale.size))[BURN_IN:]
 
 
-@dataclass(frozen=True)
-class LinearTruth:
-    """The process behind a recording of the linear family."""
-
-    coefficients: Signal  # a with y[n] = Σ aᵢ y[n-i] + σ(v, f) e[n], shape (p,)
-    rate_hz: float  # at which those samples follow each other
-    parameters: LinearParameters  # as stored in the recording
-
-
-def linear_truth(recording: Recording) -> LinearTruth:
-    """Return the process that made a simulated recording, from the parameters that it carries.
+def linear_truth(recording: Recording) -> LinearParameters:
+    """Return the process that made a simulated recording, at its rate, from the parameters that it carries.
 
     Raises:
         ValueError: the recording is no member of the linear family.
@@ -106,19 +99,12 @@ def linear_truth(recording: Recording) -> LinearTruth:
     if simulation is None or "coefficients" not in simulation["parameters"]:
         made_by = "no simulator" if simulation is None else f"the texture {simulation['key']!r}"
         raise ValueError(f"the truth is known for {', '.join(LINEAR_FAMILY)}; this recording comes from {made_by}")
-    parameters = LinearParameters(**simulation["parameters"])
-    return LinearTruth(np.array(parameters.coefficients), float(simulation["accelerometer_hz"]), parameters)
+    return LinearParameters(**simulation["parameters"])
 
 
 def one_step_bounds(
-    truth: LinearTruth,
-    speed: Signal,
-    force: Signal,
-    rate_hz: float,
-    highpass_b: Signal,
-    highpass_a: Signal,
-    window: int,
-) -> tuple[Signal, Signal]:
+    truth: LinearParameters, speed: Array, force: Array, highpass_b: Array, highpass_a: Array, window: int
+) -> tuple[Array, Array]:
     """Return the least expected absolute one-step error that the past of the high-passed signal allows.
 
     The high-passed signal is x = B(z) / (A_h(z) A(z)) σe. Its zeros lie on the unit circle at worst, so the whole past gives
@@ -128,9 +114,8 @@ def one_step_bounds(
     above it (64 s, six seeds, m = 20 and 40, each run within 0.9 %).
 
     Args:
-        truth: of the recording.
+        truth: of the recording; the signal is at the recording's rate.
         speed, force: at the predicted samples [mm/s], [N], shape (n,).
-        rate_hz: of the signal; it must be the truth's.
         highpass_b, highpass_a: numerator and denominator of the high-pass that preprocessing used; highpass_a[0] = 1.
         window: m, samples.
 
@@ -138,17 +123,15 @@ def one_step_bounds(
         Expected absolute errors [m/s²] given the infinite past and given the window, each of shape (n,).
 
     Raises:
-        ValueError: another rate than the truth's, or a filter that is not minimum-phase or not stable.
+        ValueError: the filter is not minimum-phase or not stable.
     """
     from scipy.linalg import solve_toeplitz
     from scipy.signal import lfilter
 
-    if not np.isclose(rate_hz, truth.rate_hz):
-        raise ValueError(f"the signal is at {rate_hz:g} Hz, the process at {truth.rate_hz:g} Hz; bounds need one rate")
     if np.abs(np.roots(highpass_b)).max(initial=0) > 1 + 1e-4:  # 1e-4: a double root computed to 1e-8
         raise ValueError("the high-pass has a zero outside the unit circle, expected minimum phase")
     # The autocovariance is that of the impulse response, cut off where its square has fallen to 1e-18.
-    denominator = np.convolve([1.0, *(-truth.coefficients)], highpass_a)
+    denominator = np.convolve(truth.denominator, highpass_a)
     radius = np.abs(np.roots(denominator)).max()
     if radius >= 1:
         raise ValueError("the high-pass is not stable")
@@ -157,5 +140,5 @@ def one_step_bounds(
     response = lfilter(highpass_b, denominator, impulse)
     r = np.array([response[: response.size - lag] @ response[lag:] for lag in range(window + 1)])
     s_m = float(np.sqrt(r[0] - solve_toeplitz(r[:-1], r[1:]) @ r[1:]))
-    mean_absolute = np.sqrt(2 / np.pi) * truth.parameters.sigma(speed, force)  # of a normal innovation
+    mean_absolute = np.sqrt(2 / np.pi) * truth.sigma(speed, force)  # of a normal innovation
     return abs(float(highpass_b[0])) * mean_absolute, s_m * mean_absolute

@@ -20,7 +20,6 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from foten.datasets.linear_family import (
     LINEAR_FAMILY,
@@ -30,9 +29,8 @@ from foten.datasets.linear_family import (
     linear_signal,
 )
 from foten.datasets.stroking import Stroking, stroking
+from foten.dsp import Array
 from foten.recording.recording import AXES, Channel, Recording
-
-Signal = NDArray[np.float64]
 
 VERSION = 1  # of the model; a change that moves a sample raises it
 RATE_HZ = 10_000.0  # of the physics, of the force sensor, and of the accelerometer by default
@@ -88,8 +86,6 @@ class TextureParameters:
         if not max(*self.modes_hz, self.contact_hz) < RATE_HZ / 2 or self.wavelength_mm < GRID_MM:
             raise ValueError(f"modes and contact lie below {RATE_HZ / 2:g} Hz, and waves are longer than {GRID_MM} mm")
 
-
-Parameters = TextureParameters | LinearParameters
 
 # fmt: off
 TEXTURES: Mapping[str, TextureParameters] = MappingProxyType({
@@ -151,14 +147,21 @@ def simulate(
     Raises:
         ValueError: an unknown key, or lengths, seeds and rates out of range.
     """
-    known: dict[str, Parameters] = {**TEXTURES, **LINEAR_FAMILY}
+    known: dict[str, TextureParameters | LinearParameters] = {**TEXTURES, **LINEAR_FAMILY}
     if key not in known:
         raise ValueError(f"unknown texture {key!r}, expected one of {', '.join(known)}")
-    if accelerometer_hz is None:
-        accelerometer_hz = RATE_HZ if key in TEXTURES else LINEAR_RATE_HZ
-    noise_seed = seed if noise_seed is None else noise_seed
-    stroke_seed = seed if stroke_seed is None else stroke_seed
-    return _simulate(key, known[key], float(seconds), seed, noise_seed, stroke_seed, float(accelerometer_hz))
+    default_hz = RATE_HZ if key in TEXTURES else LINEAR_RATE_HZ
+    simulation = {
+        "key": key,
+        "seconds": float(seconds),
+        "seed": seed,
+        "noise_seed": seed if noise_seed is None else noise_seed,
+        "stroke_seed": seed if stroke_seed is None else stroke_seed,
+        "accelerometer_hz": float(default_hz if accelerometer_hz is None else accelerometer_hz),
+        "version": VERSION,
+        "parameters": json.loads(json.dumps(asdict(known[key]))),  # lists, as they come back from a file
+    }
+    return _simulate(simulation)
 
 
 def second_realisation(recording: Recording, noise_seed: int) -> Recording:
@@ -176,35 +179,24 @@ def second_realisation(recording: Recording, noise_seed: int) -> Recording:
         raise ValueError("only a simulated recording has a second realisation; this one is not simulated")
     if simulation.get("version") != VERSION:
         raise ValueError(f"simulated by version {simulation.get('version')}, this is {VERSION}: simulate it again")
-    kind = LinearParameters if "coefficients" in simulation["parameters"] else TextureParameters
     try:
-        parameters = kind(**simulation["parameters"])
-        seconds, rate_hz = float(simulation["seconds"]), float(simulation["accelerometer_hz"])
-        seed, stroke_seed = int(simulation["seed"]), int(simulation["stroke_seed"])
-        return _simulate(str(simulation["key"]), parameters, seconds, seed, noise_seed, stroke_seed, rate_hz)
+        return _simulate({**simulation, "noise_seed": noise_seed})
     except (KeyError, TypeError) as error:
         raise ValueError(f"its parameters are those of another simulator ({error}): simulate it again") from error
 
 
-def _simulate(
-    key: str, parameters: Parameters, seconds: float, seed: int, noise_seed: int, stroke_seed: int, rate_hz: float
-) -> Recording:
+def _simulate(simulation: Mapping[str, Any]) -> Recording:
+    seconds, rate_hz = float(simulation["seconds"]), float(simulation["accelerometer_hz"])
+    _, noise_seed, stroke_seed = (int(simulation[name]) for name in ("seed", "noise_seed", "stroke_seed"))
+    key = str(simulation["key"])
+    kind = LinearParameters if "coefficients" in simulation["parameters"] else TextureParameters
+    parameters = kind(**simulation["parameters"])
     if not 1 <= seconds <= 3600:
         raise ValueError(f"{seconds:g} s asked for, expected 1 to 3600")
     if not 100 <= rate_hz <= RATE_HZ:
         raise ValueError(f"the accelerometer is at {rate_hz:g} Hz, expected 100 to {RATE_HZ:g}")
     if min(noise_seed, stroke_seed) < 0:
         raise ValueError("a seed is negative, expected 0 or more")
-    simulation: dict[str, Any] = {
-        "key": key,
-        "seconds": seconds,
-        "seed": seed,
-        "noise_seed": noise_seed,
-        "stroke_seed": stroke_seed,
-        "accelerometer_hz": rate_hz,
-        "version": VERSION,
-        "parameters": json.loads(json.dumps(asdict(parameters))),  # lists, as they come back from a file
-    }
     # The key's bytes keep two textures of one seed apart; the stroke they share, and can be compared on.
     rng = np.random.default_rng([noise_seed, 2, *key.encode()])
     if isinstance(parameters, LinearParameters):
@@ -223,7 +215,7 @@ def _simulate(
     return Recording(channels, texture=key, tool=tool, sensors=sensors, notes="simulated", simulation=simulation)
 
 
-def _roughness(parameters: TextureParameters, length_mm: float, rng: np.random.Generator) -> Signal:
+def _roughness(parameters: TextureParameters, length_mm: float, rng: np.random.Generator) -> Array:
     """Return the roughness along a path on a grid of GRID_MM, of unit expected power."""
     from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
@@ -240,15 +232,14 @@ def _roughness(parameters: TextureParameters, length_mm: float, rng: np.random.G
     cells = parameters.wavelength_mm * np.maximum(0.3, 1 + parameters.jitter * rng.standard_normal(n_cells))
     edges = np.concatenate([[0.0], np.cumsum(cells)]) - rng.uniform(0, parameters.wavelength_mm)
     phase = 2 * np.pi * np.interp(np.arange(n) * GRID_MM, edges, np.arange(n_cells + 1))
-    lattice = np.zeros(n)
-    for order, gain in enumerate(parameters.harmonics, start=1):
-        lattice += gain * np.cos(order * phase + rng.uniform(0, 2 * np.pi))
+    orders = enumerate(parameters.harmonics, start=1)
+    lattice = sum(gain * np.cos(order * phase + rng.uniform(0, 2 * np.pi)) for order, gain in orders)
     lattice /= np.sqrt(0.5 * sum(gain**2 for gain in parameters.harmonics))
     share = parameters.lattice_share
     return np.sqrt(share) * lattice + np.sqrt(1 - share) * noise
 
 
-def vibration(parameters: TextureParameters, stroke: Stroking, rng: np.random.Generator) -> Signal:
+def vibration(parameters: TextureParameters, stroke: Stroking, rng: np.random.Generator) -> Array:
     """Return the tool's vibration before any sensor [m/s²], axes x, y, z, shape (n, 3); none at rest."""
     from scipy.signal import butter, lfilter, sosfilt
 
@@ -257,8 +248,7 @@ def vibration(parameters: TextureParameters, stroke: Stroking, rng: np.random.Ge
     excitation = np.interp(path_mm, np.arange(roughness.size) * GRID_MM, roughness)
 
     # Impacts are Poisson in the path, so they follow the speed: sparse clicks when slow, a hiss when fast.
-    impacts_per_sample = parameters.impacts_per_mm * stroke.speed / stroke.rate_hz
-    counts = rng.poisson(impacts_per_sample)
+    counts = rng.poisson(parameters.impacts_per_mm * stroke.speed / stroke.rate_hz)
     at_reference = parameters.impacts_per_mm * REFERENCE_SPEED / stroke.rate_hz
     # White up to 5 kHz, of which the contact passes contact_hz; scaled so that this part has the stated rms.
     passed = parameters.contact_hz / (stroke.rate_hz / 2)
@@ -276,7 +266,7 @@ def vibration(parameters: TextureParameters, stroke: Stroking, rng: np.random.Ge
     return axes
 
 
-def _resonance(frequency_hz: float, damping: float, rate_hz: float) -> tuple[Signal, Signal]:
+def _resonance(frequency_hz: float, damping: float, rate_hz: float) -> tuple[Array, Array]:
     """Return a band-pass of unit gain at its centre: a damped mode, 2ζω₀s / (s² + 2ζω₀s + ω₀²), bilinear."""
     from scipy.signal import bilinear
 

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-Signal = NDArray[np.float64]
+from foten.dsp import Array
 
 _LOCK = threading.Lock()
 
@@ -35,13 +34,13 @@ class Stroking:
     """One stroking, sampled."""
 
     rate_hz: float  # samples a second
-    position: Signal  # of the tip on the plate [mm], shape (n, 2)
-    velocity: Signal  # of the tip [mm/s], shape (n, 2)
-    force: Signal  # normal force [N], shape (n,), always positive
-    tilt: Signal  # how far the tool leans along x and y [rad], shape (n, 2)
+    position: Array  # of the tip on the plate [mm], shape (n, 2)
+    velocity: Array  # of the tip [mm/s], shape (n, 2)
+    force: Array  # normal force [N], shape (n,), always positive
+    tilt: Array  # how far the tool leans along x and y [rad], shape (n, 2)
 
     @property
-    def speed(self) -> Signal:
+    def speed(self) -> Array:
         """Return the tangential speed [mm/s], shape (n,)."""
         return np.hypot(self.velocity[:, 0], self.velocity[:, 1])
 
@@ -103,7 +102,7 @@ def _stroking(seconds: float, seed: int, rate_hz: float) -> Stroking:
     return stroke
 
 
-def _movement(start: Signal, rng: np.random.Generator) -> tuple[Signal, float]:
+def _movement(start: Array, rng: np.random.Generator) -> tuple[Array, float]:
     """Return the displacement [mm] and the duration [s] of the next movement; its target is on the plate."""
     slow, fast = PEAK_SPEED_MM_S
     peak = slow * (fast / slow) ** (rng.random() ** SKEW)
@@ -118,7 +117,7 @@ def _movement(start: Signal, rng: np.random.Generator) -> tuple[Signal, float]:
     return length * directions[chosen], max(PEAK_TO_MEAN * length / peak, STROKE_S[0])
 
 
-def _wander(times_s: Signal, seconds: float, cutoff_hz: float, rng: np.random.Generator) -> Signal:
+def _wander(times_s: Array, seconds: float, cutoff_hz: float, rng: np.random.Generator) -> Array:
     """Return smooth noise of about unit variance: a cubic spline through white knots at twice the cutoff."""
     from scipy.interpolate import CubicSpline
 

@@ -10,11 +10,11 @@ import re
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from foten.datasets.columns import Column
 from foten.datasets.options import ImportOptions
 from foten.datasets.units import factor_of, quantity
+from foten.dsp import Array
 from foten.recording.recording import Channel
 
 JITTER = 0.01  # of a period: less, and times are called regular
@@ -23,7 +23,7 @@ FILLED = ("position", "speed", "force")  # the hand, which is slow; an accelerat
 
 def times_of(
     channel: str, column: Column, clocks: Sequence[Column], options: ImportOptions
-) -> tuple[NDArray[np.float64] | None, str]:
+) -> tuple[Array | None, str]:
     """Return the times [s] of a channel's samples from the time column beside it, or None; and a sentence on their unit."""
     own = [clock for clock in clocks if clock.file == column.file]
     fitting = [clock for clock in own if clock.n_rows == column.n_rows]
@@ -57,7 +57,7 @@ def times_of(
 
 
 def rate_and_source(
-    channel: str, column: Column, times: NDArray[np.float64] | None, options: ImportOptions, columns: Sequence[Column]
+    channel: str, column: Column, times: Array | None, options: ImportOptions, columns: Sequence[Column]
 ) -> tuple[float, str]:
     """Return a channel's rate [Hz], and a sentence where it overrides what the file states."""
     stated = column.rate_hz
@@ -86,7 +86,7 @@ def rate_and_source(
     )
 
 
-def rate_of(times: NDArray[np.float64]) -> float:
+def rate_of(times: Array) -> float:
     """Return the rate of regular times, whole where their rounding allows it; else 1 / median step."""
     even = (times.size - 1) / (times[-1] - times[0])
     slack = 2 * _last_digit(times) / (times[-1] - times[0]) + 1e-9
@@ -96,7 +96,7 @@ def rate_of(times: NDArray[np.float64]) -> float:
     return float(round(even)) if round(even) and abs(round(even) / even - 1) <= slack else float(even)
 
 
-def _last_digit(times: NDArray[np.float64]) -> float:
+def _last_digit(times: Array) -> float:
     """Return the power of ten that all times are multiples of, 0 where there is none down to 1 ns."""
     for digits in range(10):
         scaled = times * 10.0**digits
@@ -106,7 +106,7 @@ def _last_digit(times: NDArray[np.float64]) -> float:
     return float(np.spacing(np.float32(np.abs(times).max())))  # single precision somewhere on the way
 
 
-def irregular(times: NDArray[np.float64], rate_hz: float) -> str:
+def irregular(times: Array, rate_hz: float) -> str:
     """Return why times that count from the recording's start are not i / rate, or nothing."""
     period = 1 / rate_hz
     tolerance = max(JITTER * period, min(_last_digit(times), period / 2))

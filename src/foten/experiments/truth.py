@@ -56,5 +56,4 @@ def linear_bounds(recording: Recording, trace: Trace, highpass_hz: float, window
     """
     (b0, b1, b2, a1, a2), *_ = butterworth("highpass", highpass_hz, trace.rate_hz)
     numerator, denominator = np.array([b0, b1, b2]), np.array([1.0, a1, a2])
-    truth = linear_truth(recording)
-    return one_step_bounds(truth, trace.speed, trace.force, trace.rate_hz, numerator, denominator, window)
+    return one_step_bounds(linear_truth(recording), trace.speed, trace.force, numerator, denominator, window)

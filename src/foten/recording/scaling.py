@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.recording.trace import CHANNELS, Trace
 
 
@@ -22,15 +22,15 @@ class Scaling:
             if not np.isfinite(mean) or not np.isfinite(sd) or sd <= 0:
                 raise ValueError(f"{name} has mean {mean} and standard deviation {sd}, expected finite and > 0")
 
-    def scale(self, samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    def scale(self, samples: Array) -> Array:
         """Return samples (…, 3) in their units as scaled samples (…, 3)."""
         return (samples - np.array(self.mean)) / np.array(self.sd)
 
-    def scale_channel(self, channel: int, samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    def scale_channel(self, channel: int, samples: Array) -> Array:
         """Return one channel (0 acceleration, 1 speed, 2 force), any shape, scaled."""
         return (samples - self.mean[channel]) / self.sd[channel]
 
-    def unscale_acceleration(self, scaled: NDArray[np.float64]) -> NDArray[np.float64]:
+    def unscale_acceleration(self, scaled: Array) -> Array:
         """Return scaled acceleration, any shape, in m/s²."""
         return scaled * self.sd[0] + self.mean[0]
 

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from foten.atomic_write import atomic_write
+from foten.dsp import Array
 from foten.recording.inspection.hand import HAND_HZ
 from foten.recording.inspection.values import CELL_S, NOTE, Finding, Inspection
 from foten.recording.recording import UNITS, Channel, Recording
@@ -73,7 +73,7 @@ def _mark(axes: Any, findings: list[Finding]) -> None:
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
 
 
-def _keep_readable(axes: Any, samples: NDArray[np.float64], unit: str) -> None:
+def _keep_readable(axes: Any, samples: Array, unit: str) -> None:
     """Limit the axis to the usual values where a few spikes are far beyond them, and write their size on it."""
     low, high = np.quantile(samples, [0.002, 0.998])
     margin = max(high - low, 1e-12)
@@ -84,7 +84,7 @@ def _keep_readable(axes: Any, samples: NDArray[np.float64], unit: str) -> None:
         axes.text(0.995, 0.03, cut, transform=axes.transAxes, ha="right", fontsize=8, bbox=box)
 
 
-def _envelope(channel: Channel) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _envelope(channel: Channel) -> tuple[Array, Array, Array]:
     """Return times and the lowest and highest sample in each of `_COLUMNS` columns."""
     starts = np.linspace(0, channel.samples.size, _COLUMNS, endpoint=False).astype(np.int64)
     low, high = np.minimum.reduceat(channel.samples, starts), np.maximum.reduceat(channel.samples, starts)

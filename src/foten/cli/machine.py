@@ -1,0 +1,35 @@
+"""`foten bench` and `foten doctor`: what this machine has for rendering, and how fast it is."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Annotated
+
+from typer import Exit, Option
+
+from foten.cli.console import JsonOption, TextureFile, print_result
+
+
+def bench(
+    texture_file: TextureFile,
+    n: Annotated[int, Option("-n", min=1000, help="Samples to time.")] = 20_000,
+    as_json: JsonOption = False,
+) -> None:
+    """Time a sample of a texture in each instruction set of this processor."""
+    from foten.runtime import bench as timing
+
+    if not texture_file.exists():
+        raise FileNotFoundError(f"no such file: {texture_file}")
+    times = timing.time_all(texture_file, n)
+    print_result([asdict(one) for one in times], timing.as_table(times), as_json)
+
+
+def doctor(as_json: JsonOption = False) -> None:
+    """Look at what this machine has for rendering, and say what is missing."""
+    from foten.runtime import doctor as examination
+
+    checks, marks = examination.checks(), {True: "✓", False: "✗", None: " "}
+    lines = [f"{marks[check.fine]} {check.name:14s}{check.result}" for check in checks]
+    print_result([asdict(check) for check in checks], "\n".join(lines), as_json)
+    if any(check.fine is False for check in checks):
+        raise Exit(1)
