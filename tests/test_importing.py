@@ -36,7 +36,7 @@ def _import(path, **options):
     mapping = tuple(parse_pairs([options.pop("map", "")], "--map"))
     units = dict(parse_pairs([options.pop("unit", "")], "--unit"))
     rate_hz, rates_hz = parse_rates([str(options.pop("rate", ""))])
-    return import_recording(paths, ImportOptions(mapping, units, rate_hz, rates_hz, **options)).recording
+    return import_recording(paths, ImportOptions(mapping, units, rate_hz, rates_hz, **options))[0]
 
 
 def _write(path):
@@ -90,12 +90,11 @@ def test_every_format_gives_the_same_recording(tmp_path, suffix):
 
 def test_headers_that_leave_no_doubt_need_no_map(tmp_path):
     path = _csv(tmp_path / "a.csv", "Time (s),Accel [g],Velocity,Normal Force,friction", TIME, ACC, SPEED, FORCE, FORCE)
-    imported = import_recording([path], ImportOptions())
-    recording = imported.recording
+    recording, decisions = import_recording([path], ImportOptions())
     assert set(recording.channels) == {"acceleration", "speed", "force"}
     np.testing.assert_allclose(recording["acceleration"].samples, ACC * 9.80665, rtol=1e-15)  # the header says g
     assert recording["force"].rate_hz == 1000
-    assert "left out: friction" in imported.decisions
+    assert "left out: friction" in decisions
     assert "acceleration was converted from g to m/s^2" in recording.history
 
 
@@ -206,14 +205,14 @@ def test_a_rate_that_is_not_used_is_said_once_per_file(tmp_path):
     wavfile.write(tmp_path / "b.wav", 44_100, SPEED.repeat(40).astype(np.float32))
     mapping = (("time", "a:t"), ("acceleration", "a:acc"), ("force", "a:force"), ("speed", "b:0"))
     options = ImportOptions(mapping, rate_hz=500.0)
-    imported = import_recording([path, tmp_path / "b.wav"], options)
-    assert imported.recording["force"].rate_hz == 1000
-    assert imported.decisions == (
+    imported, decisions = import_recording([path, tmp_path / "b.wav"], options)
+    assert imported["force"].rate_hz == 1000
+    assert decisions == [
         "rate 500 Hz not used: a.csv has a time column, 1000 Hz",
         "rate 500 Hz not used: b.wav states 44100 Hz",
-    )
-    decisions = import_recording([path], ImportOptions(mapping[:3], rate_hz=1000.0)).decisions
-    assert decisions == ("without speed (or position) and force nothing can be learned from this recording",)
+    ]
+    decisions = import_recording([path], ImportOptions(mapping[:3], rate_hz=1000.0))[1]
+    assert decisions == ["without speed (or position) and force nothing can be learned from this recording"]
 
 
 def test_wav_for_acceleration_beside_a_table(tmp_path):

@@ -291,7 +291,7 @@ def test_missing_channels_and_slow_accelerometers_are_problems():
 @needs_good
 @pytest.mark.parametrize("texture", ["copper", "fabric", "leather", "wood"])
 def test_no_false_alarm_on_real_recordings(texture):
-    recording = import_recording([GOOD / f"{texture}.npz"], ImportOptions(rate_hz=10_000)).recording
+    recording = import_recording([GOOD / f"{texture}.npz"], ImportOptions(rate_hz=10_000))[0]
     inspection = inspect_recording(recording)
     assert inspection.problems == ()
     notes = {code for code, _ in _codes(inspection, "note")}
@@ -307,7 +307,7 @@ def test_a_hostile_recording_is_seen_through(k):
     if k == 5:
         with pytest.raises(ValueError, match=r"speed reaches 39788.1 mm/s at sample 143.*spikes"):
             import_recording(paths, ImportOptions(mapping, rate_hz=1000))
-    recording = import_recording(paths, ImportOptions(mapping, rate_hz=1000, force_units=True)).recording
+    recording = import_recording(paths, ImportOptions(mapping, rate_hz=1000, force_units=True))[0]
     assert all(channel.samples.size == 10_000 for channel in recording.channels.values())  # the first row too
     inspection = inspect_recording(recording)
     for name in ("speed", "force"):

@@ -180,7 +180,7 @@ def _files(tmp_path, unit):
 def test_every_format_states_units_and_every_one_counts(tmp_path):
     for path, column in _files(tmp_path, "lbf"):
         options = ImportOptions((("force", column),), rate_hz=1000.0)
-        samples = import_recording([path], options).recording["force"].samples
+        samples = import_recording([path], options)[0]["force"].samples
         np.testing.assert_allclose(samples, SAMPLES * LBF_N, err_msg=path.name)
     for path, column in _files(tmp_path, "V"):
         with pytest.raises(ValueError, match=r"unit 'V' of column .* is not one of N"):
@@ -192,9 +192,7 @@ def test_a_matrix_has_a_unit_for_each_column(tmp_path):
         file["ft"] = np.stack([SAMPLES, SAMPLES], axis=1)
         file["ft"].attrs["units"] = ["lbf", "furlong"]
     options = ImportOptions((("force", "ft.0"),), rate_hz=1000.0)
-    np.testing.assert_allclose(
-        import_recording([tmp_path / "a.h5"], options).recording["force"].samples, SAMPLES * LBF_N
-    )
+    np.testing.assert_allclose(import_recording([tmp_path / "a.h5"], options)[0]["force"].samples, SAMPLES * LBF_N)
     with pytest.raises(ValueError, match="furlong"):
         import_recording([tmp_path / "a.h5"], ImportOptions((("force", "ft.1"),), rate_hz=1000.0))
 
@@ -217,6 +215,6 @@ def test_the_command_refuses_a_unit_in_one_line(tmp_path, capsys):
 def test_a_unit_of_time_is_said_too(tmp_path):
     rows = [f"{k},{value}" for k, value in enumerate(SAMPLES)]
     (tmp_path / "a.csv").write_text("\n".join(["t [ms],force", *rows]))
-    recording = import_recording([tmp_path / "a.csv"], ImportOptions()).recording
+    recording = import_recording([tmp_path / "a.csv"], ImportOptions())[0]
     assert recording["force"].rate_hz == 1000
     assert "time was converted from ms to s" in recording.history

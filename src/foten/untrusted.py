@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import stat
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -19,13 +18,11 @@ def check_regular(path: Path) -> None:
         FileNotFoundError: there is none.
         ValueError: it is a folder, a pipe, a device or a socket.
     """
-    try:
-        mode = path.stat().st_mode
-    except FileNotFoundError:
-        raise FileNotFoundError(f"no such file: {path}") from None
-    if stat.S_ISDIR(mode):
+    if not path.exists():
+        raise FileNotFoundError(f"no such file: {path}")
+    if path.is_dir():
         raise ValueError(f"{path} is a folder, expected a file")
-    if not stat.S_ISREG(mode):
+    if not path.is_file():
         raise ValueError(f"{path} is a pipe or a device, expected a file")
 
 

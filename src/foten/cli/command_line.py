@@ -15,15 +15,13 @@ from typer.exceptions import Abort, TyperException
 
 from foten.atomic_write import reason
 from foten.cli.console import say
-from foten.cli.demo import demo
-from foten.cli.evaluate import evaluate
+from foten.cli.evaluate import evaluate, info
 from foten.cli.importing import import_
-from foten.cli.info import info
 from foten.cli.inspect import inspect
 from foten.cli.machine import bench, doctor
 from foten.cli.play import play
 from foten.cli.render import render
-from foten.cli.simulate import simulate
+from foten.cli.simulate import demo, simulate
 from foten.cli.sweep import figures, sweep, tables
 from foten.cli.train import train
 

@@ -1,13 +1,18 @@
-"""`foten evaluate`."""
+"""`foten evaluate` and `foten info`: how good a texture file is, and what it holds."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
 from foten.cli.console import JsonOption, TextureFile, check_folder, print_result, say, write_json
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from foten.families.texture_file import Texture
 
 
 def evaluate(
@@ -41,3 +46,77 @@ def evaluate(
         write_json(report / "evaluation.json", {"foten": __version__, **judgement.document})
         say(f"wrote {write_report(judgement, texture, report)}")
     print_result(judgement.document, judge.to_text(judgement.document), as_json)
+
+
+def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
+    """Show what a texture file holds, and prove it on its golden windows."""
+    from foten.families.texture_file import read_texture
+    from foten.runtime.native import NativeTexture
+
+    texture = read_texture(texture_file)
+    NativeTexture(texture.to_bytes())  # which replays the golden windows
+    card = texture.card
+    own = {name: t for name, t in texture.tensors.items() if not name.startswith(("golden.", "warm_start"))}
+    if texture.sizes.in_graph:
+        cost, holds = card["metrics"]["multiply_adds"], f"{own['graph'].size:,} bytes for ONNX Runtime"
+    else:
+        cost = texture.sizes.multiply_adds()
+        holds = f"{sum(t.size for t in own.values())} numbers"
+    rows = {
+        "texture": card["texture"] or "(unnamed)",
+        "model": f"{card['model']}, {holds}, predicts from {card['window']} samples",
+        **_linear_part(texture),
+        "cost": f"{cost:,} multiply-adds a rendered sample",
+        "rate": f"{texture.rate_hz:g} Hz",
+        "trained speed": "{:.4g} to {:.4g} mm/s".format(*texture.trained_range("speed")),
+        "trained force": "{:.3g} to {:.3g} N".format(*texture.trained_range("force")),
+        "acceleration": f"{texture.scaling.sd[0]:.4g} m/s² standard deviation",
+        "delay": f"{card['delay_ms']:.1f} ms, of the {card['lowpass_hz']:g} Hz low-pass of speed and force",
+        "excitation": "yes" if texture.has_excitation else "no",
+        "validation": validation_summary(card),
+        "licence": card["licence"] or "(not stated)",
+        "sha256": texture.sha256(),
+        "proof": "golden windows replayed",
+    }
+    text = "\n".join(f"{name:14s}{value}" for name, value in rows.items())
+    print_result({"sha256": texture.sha256(), **card}, text, as_json)
+
+
+def _linear_part(texture: Texture) -> dict[str, str]:
+    """Return what `info` says of the local models, or of the lattice and the tones; nothing of a model that has none."""
+    sizes, metrics = texture.card["sizes"], texture.card["metrics"]
+    if texture.card["model"] == "ar":
+        zeros = f", {sizes['ma']} zeros" if sizes["ma"] else ""
+        return {"models": f"{sizes['n_models']} of order {sizes['order']}{zeros}, in {sizes['n_triangles']} triangles"}
+    if texture.card["model"] != "foten-plus":
+        return {}
+    vertices = sizes["n_speed"] * sizes["n_force"]
+    over = "for all speeds and forces" if vertices == 1 else f"over {vertices} speeds and forces"
+    gain = ", gain before the filter" if sizes["gain_before_filter"] else ""
+    rows = {"lattice": f"{sizes['order']} samples, {over}{gain}", "tones": "none"}
+    in_loop = sizes["network_in_loop"] and not sizes["n_tones"]
+    rows["network"] = "in the loop" if in_loop else "predicts, and is not in the loop"
+    if sizes["n_tones"]:
+        length = (metrics.get("linear_part") or {}).get("wavelength_mm")
+        every = f", the surface repeats every {length:.3g} mm" if length else ""
+        rows["tones"] = (
+            f"{sizes['n_tones']} multiples{every}; for the residual a lattice of {sizes['residual_order']} samples"
+            f"{', gain before the filter' if sizes['residual_gain_before_filter'] else ''}"
+        )
+    return rows
+
+
+def validation_summary(card: Mapping[str, Any]) -> str:
+    """Return the validation errors that a card holds, in words."""
+    if card["split"] is None:
+        return "none here: its models were imported"
+    metrics = card["metrics"]
+    if metrics["validation_mae_scaled"] is not None:
+        text = f"{metrics['validation_mae_scaled']:.4f} sd one-step"
+        if metrics.get("validation_mae_scaled_hop") is not None:
+            text += f", {metrics['validation_mae_scaled_hop']:.4f} sd on the mean of a hop"
+        return text
+    distance = f"{metrics['validation_spectrum_db']:.2f} dB"
+    if card["model"] == "gan":
+        return f"mean spectra missed by {distance}"
+    return f"spectra of single frames missed by {distance}, of which chance alone is 4.3"

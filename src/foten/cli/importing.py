@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from typer import Argument, Option
 
-from foten.cli.console import JsonOption, check_folders, print_json, say
+from foten.cli.console import JsonOption, check_folders, print_result, say
 
 
 def import_(
@@ -100,11 +100,11 @@ def import_(
     rate_hz, rates_hz = parse_rates(rate or [])
     units_of = dict(parse_pairs(units or [], "--unit"))
     pairs = tuple(parse_pairs(mapping or [], "--map"))
-    imported = import_recording(files, ImportOptions(pairs, units_of, rate_hz, rates_hz, fill_gaps, force_units))
-    for decision in imported.decisions:
+    options = ImportOptions(pairs, units_of, rate_hz, rates_hz, fill_gaps, force_units)
+    imported, decisions = import_recording(files, options)
+    for decision in decisions:
         say(decision)
-    texture = texture or output.stem
-    recording = replace(imported.recording, texture=texture, tool=tool, sensors=sensors, notes=notes)
+    recording = replace(imported, texture=texture or output.stem, tool=tool, sensors=sensors, notes=notes)
     write_recording(recording, output)
     channels: dict[str, dict[str, Any]] = {
         name: {
@@ -118,18 +118,13 @@ def import_(
         }
         for name, channel in recording.channels.items()
     }
-    if as_json:
-        document = {"file": str(output), "sha256": recording.sha256(), "channels": channels}
-        print_json(document | {"history": list(recording.history)})
-        return
-    for name, of_channel in channels.items():
-        print(
-            "{name:<15} {n_samples:>9} samples at {rate_hz:>8g} Hz, {duration_s:7.3f} s, {minimum:.4g} to {maximum:.4g} "
-            "{unit}".format(name=name, **of_channel)
-        )
-    for line in recording.history:
-        print(f"  {line}")
-    print(f"wrote {output}; next: foten inspect {output}")
+    row = (
+        "{:<15} {n_samples:>9} samples at {rate_hz:>8g} Hz, {duration_s:7.3f} s, {minimum:.4g} to {maximum:.4g} {unit}"
+    )
+    lines = [row.format(name, **of_channel) for name, of_channel in channels.items()]
+    lines += [f"  {line}" for line in recording.history]
+    document = {"file": str(output), "sha256": recording.sha256(), "channels": channels, "history": recording.history}
+    print_result(document, "\n".join([*lines, f"wrote {output}; next: foten inspect {output}"]), as_json)
 
 
 def _import_models(files: list[Path], output: Path, texture: str, notes: str, as_json: bool) -> None:
@@ -151,14 +146,13 @@ def _import_models(files: list[Path], output: Path, texture: str, notes: str, as
         say(decision)
     write_texture(imported, output)
     card, sizes = imported.card, imported.card["sizes"]
-    if as_json:
-        of_card = {key: card[key] for key in ("texture", "rate_hz", "sizes", "trained_range", "notes")}
-        print_json({"file": str(output), "sha256": imported.sha256(), "imported_sha256": digest} | of_card)
-        return
-    ends = {channel: card["trained_range"][channel][1] for channel in ("speed", "force")}
-    print(
+    of_card = {key: card[key] for key in ("texture", "rate_hz", "sizes", "trained_range", "notes")}
+    document = {"file": str(output), "sha256": imported.sha256(), "imported_sha256": digest} | of_card
+    speed, force = imported.trained_range("speed")[1], imported.trained_range("force")[1]
+    text = (
         f"{card['texture'] or files[0].stem}: {sizes['n_models']} models of order {sizes['order']} at {card['rate_hz']:g} Hz, "
-        f"{sizes['ma']} zeros each, up to {ends['speed']:.0f} mm/s and {ends['force']:.1f} N"
+        f"{sizes['ma']} zeros each, up to {speed:.0f} mm/s and {force:.1f} N\n"
+        "the licence of the model file holds for the texture too: see its notice before you pass it on\n"
+        f"wrote {output}; next: foten render {output} --speed 80 --force 0.8 --seconds 3 -o {output.stem}.wav"
     )
-    print("the licence of the model file holds for the texture too: see its notice before you pass it on")
-    print(f"wrote {output}; next: foten render {output} --speed 80 --force 0.8 --seconds 3 -o {output.stem}.wav")
+    print_result(document, text, as_json)

@@ -104,14 +104,10 @@ def play(
                 "block_largest_ms": 1000 * statistics.block.largest_s,
                 "n_missed": statistics.n_missed,
                 "n_underruns": statistics.n_underruns,
-                "n_device_underruns": played.n_device_underruns,
-                "n_late": played.n_late,
                 "n_lacking": statistics.n_lacking,
                 "ring_least_ms": statistics.least_ms if statistics.least_ms < inf else None,
                 "gain": scale,
-                "n_cut": played.n_cut,
-                "delays_ms": played.delays_ms,
-                "interrupted": played.interrupted,
+                **{name: value for name, value in vars(played).items() if name not in ("statistics", "counted")},
                 **counted,
             }
         )

@@ -1,4 +1,4 @@
-"""`foten simulate`."""
+"""`foten simulate` and `foten demo`: what needs neither data nor hardware."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from foten.cli.console import JsonOption, check_folders, print_result
+from foten.cli.console import JsonOption, check_folders, folder_option, print_result, say
 
 
 def simulate(
@@ -46,3 +46,19 @@ def simulate(
     write_recording(recording, output)
     result = {"output": str(output), "sha256": recording.sha256(), "simulation": dict(recording.simulation or {})}
     print_result(result, f"{output}: {key}, {recording.duration_s:g} s, {', '.join(recording.channels)}", as_json)
+
+
+def demo(
+    output: Annotated[Path, folder_option("Folder for everything it makes.")] = Path("demo"),
+    key: Annotated[str, Option("--texture", help="Simulated texture; foten simulate --list.")] = "towel",
+    seconds: Annotated[float, Option(help="Length of the recording (s).")] = 44.0,
+    epochs: Annotated[int, Option(help="Of training.")] = 5,
+    seed: Annotated[int, Option(min=0, max=2**31, help="Of everything.")] = 0,
+    threads: Annotated[int, Option(help="Share each batch among so many cores (on a GPU there is one share).")] = 2,
+    as_json: JsonOption = False,
+) -> None:
+    """Go once through everything without data or hardware: simulate, train, judge, render."""
+    from foten.experiments.demo import run_demo
+
+    paths = {name: str(path) for name, path in run_demo(output, key, seconds, epochs, seed, threads, say).items()}
+    print_result(paths, "\n".join(f"{name:10s}{path}" for name, path in paths.items()), as_json)

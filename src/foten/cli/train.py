@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Exit, Option
 
 from foten.cli.console import JsonOption, RecordingFile, check_folders, print_result
-from foten.cli.info import validation_summary
+from foten.cli.evaluate import validation_summary
 
 if TYPE_CHECKING:
     from foten.recording.recording import Recording

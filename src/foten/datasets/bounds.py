@@ -44,8 +44,7 @@ def check_length(where: str, channel: Channel) -> None:
 
 def check_overlap(channels: Mapping[str, Channel]) -> None:
     """Check that no channel starts when another has ended."""
-    starts = {name: 0.0 if c.times_s is None else float(c.times_s[0]) for name, c in channels.items()}
-    ends = {name: starts[name] + c.duration_s for name, c in channels.items()}
+    starts, ends = ({name: one.span_s[k] for name, one in channels.items()} for k in (0, 1))
     late, early = max(starts, key=lambda name: starts[name]), min(ends, key=lambda name: ends[name])
     if starts[late] >= ends[early]:
         raise ValueError(

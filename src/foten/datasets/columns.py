@@ -67,11 +67,7 @@ def with_units(columns: list[Column], texts: Mapping[str, str | list[str]]) -> l
     """Return columns with the units that texts beside them state.
 
     A text `force_unit`, `force.units` or `units.force` is the unit of `force`; one that is called `unit` alone is that of
-    everything beside it. A list of texts has one for each column of a matrix.
-
-    Args:
-        columns: as a file has them, without units.
-        texts: by name, as the columns are called; `.` or `/` lead into a struct or a group.
+    everything beside it; `.` or `/` lead into a struct or a group. A list of texts has one for each column of a matrix.
     """
     by_name = {name.lower(): text for name, text in texts.items()}
     return [replace(column, unit=_unit_beside(column.name.lower(), by_name)) for column in columns]

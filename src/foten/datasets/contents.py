@@ -129,16 +129,14 @@ def matlab_contents(path: Path) -> Contents:
     columns: list[Column] = []
     texts: dict[str, Any] = {}
     left = MOST_SAMPLES
-    in_hdf5 = h5py.is_hdf5(
-        path
-    )  # the reader returns its variables in the order of a set, which differs from run to run
     waiting: list[tuple[str, Any]] = [("", read_mat(str(path)))]
     while waiting:
         name, value = waiting.pop()
         if isinstance(value, dict):
-            names = sorted(value) if in_hdf5 else list(value)
-            fields = [key for key in reversed(names) if not key.startswith(("__", "#"))]
-            waiting += [(f"{name}.{key}" if name else key, value[key]) for key in fields]
+            # Of HDF5 they come in the order of a set, which differs from run to run.
+            names = sorted(value) if h5py.is_hdf5(path) else value
+            fields = [key for key in names if not key.startswith(("__", "#"))]
+            waiting += [(f"{name}.{key}" if name else key, value[key]) for key in reversed(fields)]
             continue
         if isinstance(value, bytes | str) or (isinstance(value, list) and all(isinstance(v, str) for v in value)):
             texts[printable(name)] = _plain(np.array(value))

@@ -51,11 +51,9 @@ def read_models(path: Path) -> HattModels:
             f"{path.name} has {path.stat().st_size} bytes, expected a model file of at most {LARGEST_FILE}"
         )
     try:
-        root = Xml.fromstring(path.read_bytes())
+        return _models(Xml.fromstring(path.read_bytes()))
     except Xml.ParseError as error:
         raise ValueError(f"{path.name}: this is not XML, or it is truncated ({error})") from error
-    try:
-        return _models(root)
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error
 

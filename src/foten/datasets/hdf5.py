@@ -63,7 +63,10 @@ def write_recording(recording: Recording, path: Path) -> None:
     with h5py.File("in memory", "w", driver="core", backing_store=False) as file:
         file.attrs.update({"format": FORMAT, "version": VERSION} | texts)
         for name, channel in sorted(recording.channels.items()):
-            dataset = _store(file, f"channels/{name}", _smallest(channel.samples))
+            with np.errstate(over="ignore"):
+                single = channel.samples.astype(np.float32)
+            samples = single if np.array_equal(single, channel.samples) else channel.samples
+            dataset = _store(file, f"channels/{name}", samples)
             dataset.attrs["rate_hz"], dataset.attrs["unit"] = float(channel.rate_hz), UNITS[name]
             if channel.times_s is not None:
                 _store(file, f"times_s/{name}", channel.times_s)
@@ -76,12 +79,6 @@ def write_recording(recording: Recording, path: Path) -> None:
 def _store(file: Any, name: str, samples: NDArray[Any]) -> Any:
     options = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "track_times": False}
     return file.create_dataset(name, data=samples, **options)
-
-
-def _smallest(samples: NDArray[np.float64]) -> NDArray[Any]:
-    with np.errstate(over="ignore"):
-        single = samples.astype(np.float32)
-    return single if np.array_equal(single, samples) else samples
 
 
 def load_recording(path: Path) -> Recording:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,14 +38,6 @@ DATASETS: dict[str, Callable[[Path], list[Column]]] = {
 SLOWEST_HZ = 40.0  # of an acceleration: half of it is the lowest frequency that training keeps
 
 
-@dataclass(frozen=True)
-class Import:
-    """A recording, and what was decided on the way: sentences for the user."""
-
-    recording: Recording
-    decisions: tuple[str, ...]
-
-
 def read_columns(path: Path) -> list[Column]:
     """Return the columns of any file that `DATASETS` can read.
 
@@ -68,8 +60,8 @@ def read_columns(path: Path) -> list[Column]:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # infinite and absurd samples are refused, in a sentence
-def import_recording(paths: Sequence[Path], options: ImportOptions) -> Import:
-    """Return the recording that some files hold, and what was decided on the way.
+def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Recording, list[str]]:
+    """Return the recording that some files hold, and what was decided on the way: sentences for the user.
 
     A mapped `time` column serves the channels of its own file that have as many rows; give it once per file. Times of several
     files are taken to be one clock; they count from the start of the acceleration, or else from the earliest.
@@ -143,7 +135,7 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> Import:
         decisions.append("there is no acceleration: strokes can be rendered from this recording, nothing learned")
     elif not {"speed", "position"} & kinds or "force" not in kinds:
         decisions.append("without speed (or position) and force nothing can be learned from this recording")
-    return Import(Recording(channels, history=tuple(history)), tuple(decisions))
+    return Recording(channels, history=tuple(history)), decisions
 
 
 def _for_axes(options: ImportOptions, picked: Mapping[str, object]) -> ImportOptions:
@@ -159,7 +151,7 @@ def _for_axes(options: ImportOptions, picked: Mapping[str, object]) -> ImportOpt
 
 def _origin(channels: Mapping[str, Channel]) -> float:
     """Return the file time [s] that becomes 0: where the acceleration starts, which must stay on its grid."""
-    starts = {name: float(one.times_s[0]) for name, one in channels.items() if one.times_s is not None}
+    starts = {name: one.span_s[0] for name, one in channels.items() if one.times_s is not None}
     fast = [start for name, start in starts.items() if quantity(name) == "acceleration"]
     return min(fast or starts.values(), default=0.0)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -75,9 +74,9 @@ _MEMBERS = (  # key, description, level, pole pairs
     ("linear-twin", "AR(4), two narrow peaks at 120 and 300 Hz", 0.3, (0.12, 0.985), (0.3, 0.98)),
     ("linear-cloth", "AR(8), broadband, four weak resonances", 0.6, (0.06, 0.6), (0.17, 0.75), (0.27, 0.8), (0.4, 0.7)),
 )
-LINEAR_FAMILY: Mapping[str, LinearParameters] = MappingProxyType(
-    {key: LinearParameters(description, from_poles(*poles), level) for key, description, level, *poles in _MEMBERS}
-)
+LINEAR_FAMILY: Mapping[str, LinearParameters] = {
+    key: LinearParameters(description, from_poles(*poles), level) for key, description, level, *poles in _MEMBERS
+}
 
 
 def linear_signal(parameters: LinearParameters, speed: Array, force: Array, rng: np.random.Generator) -> Array:

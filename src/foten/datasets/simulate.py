@@ -16,7 +16,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -88,7 +87,7 @@ class TextureParameters:
 
 
 # fmt: off
-TEXTURES: Mapping[str, TextureParameters] = MappingProxyType({
+TEXTURES: Mapping[str, TextureParameters] = {
     key: TextureParameters(*row) for key, row in {
         #       description, level, speed and force exponent,
         #       wavelength, lattice share, harmonics, jitter, corner, hurst, impacts per mm, impacts ratio, contact, modes,
@@ -118,7 +117,7 @@ TEXTURES: Mapping[str, TextureParameters] = MappingProxyType({
         "styrofoam": ("beads that squeak and crackle: broadband, heavy-tailed", 2.0, 0.5, 0.40,
                 4.0, 0.10, (1.0, 0.5), 0.200, 0.5, 0.3, 1.2, 1.30, 550.0, (130.0, 320.0), (0.30, 0.30), 0.40),
     }.items()
-})
+}
 # fmt: on
 
 
@@ -165,11 +164,9 @@ def simulate(
 
 
 def second_realisation(recording: Recording, noise_seed: int) -> Recording:
-    """Return the same stroke over a fresh piece of the same texture, with fresh sensor noise.
+    """Return the stroke and texture of a simulated recording, by the parameters that it carries, with fresh surface and noise.
 
-    Args:
-        recording: a simulated one; the parameters are those that it carries.
-        noise_seed: of the new realisation; the recording's own gives the recording back.
+    The recording's own `noise_seed` gives the recording back.
 
     Raises:
         ValueError: the recording is not simulated, or by another version of the model.

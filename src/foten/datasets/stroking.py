@@ -50,12 +50,7 @@ def stroking(seconds: float, seed: int, rate_hz: float) -> Stroking:
 
     Each movement has the minimum-jerk profile 10u³ - 15u⁴ + 6u⁵; adding overlapping ones bends the path
     as hands do. No sum of two leaves the plate: it lies between three targets. Speed and force hold nothing
-    above about 10 Hz; the median speed is near 100 mm/s.
-
-    Args:
-        seconds: length of the stroking.
-        seed: of everything random here.
-        rate_hz: samples a second; it changes the sampling, not the motion.
+    above about 10 Hz; the median speed is near 100 mm/s. The rate changes the sampling, not the motion.
     """
     with _LOCK:  # several realisations of one stroke are simulated at once, and share it
         return _stroking(seconds, seed, rate_hz)

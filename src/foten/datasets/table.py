@@ -76,9 +76,8 @@ def read_excel(path: Path) -> list[Column]:
         raise ValueError(f"{path.name} has no filled cell")
     columns: list[Column] = []
     for title, rows in sheets:
-        where = path.name if len(sheets) == 1 else f"{path.name}, sheet {title}"
+        where, prefix = (path.name, "") if len(sheets) == 1 else (f"{path.name}, sheet {title}", f"{title}.")
         width = max(map(_width, rows))
-        prefix = "" if len(sheets) == 1 else f"{title}."
         of_sheet = _table([[*row[:width], *[None] * (width - len(row))] for row in rows], where)
         columns += [replace(column, name=f"{prefix}{column.name}") for column in of_sheet]
     return columns
@@ -104,13 +103,10 @@ def _is_blank(cell: Any) -> bool:
 
 
 def _is_number(cell: Any) -> bool:
-    if isinstance(cell, bool) or cell is None:
-        return False
-    try:
+    with contextlib.suppress(TypeError, ValueError, OverflowError):
         float(cell)
-    except (TypeError, ValueError, OverflowError):
-        return False
-    return True
+        return not isinstance(cell, bool)
+    return False
 
 
 def _table(rows: list[list[Any]], where: str, remarks: frozenset[int] = frozenset()) -> list[Column]:

@@ -63,11 +63,9 @@ def rate_and_source(
     stated = column.rate_hz
     if channel in options.rates_hz:
         rate = options.rates_hz[channel]
-        overrides = stated is not None and abs(rate - stated) > 1e-6 * rate
-        return (
-            rate,
-            f"{channel} has the rate given, {rate:g} Hz; {column.file.name} states {stated:g} Hz" if overrides else "",
-        )
+        if stated is None or abs(rate - stated) <= 1e-6 * rate:
+            return rate, ""
+        return rate, f"{channel} has the rate given, {rate:g} Hz; {column.file.name} states {stated:g} Hz"
     if times is not None:
         if times.size < 2:
             raise ValueError(f"{channel} has 1 sample, expected a recording")
@@ -134,11 +132,8 @@ def filled(channel: str, one: Channel, gap_ms: float) -> tuple[Channel, str]:
         raise ValueError(f"{what}, the first at {first}; only position, speed and force may have gaps filled")
     starts, ends = np.flatnonzero(np.diff(missing, prepend=False, append=False)).reshape(-1, 2).T
     # A gap is as long as its lost samples: three of them at 100 Hz are 30 ms.
-    if one.times_s is None:
-        clock = np.arange(samples.size) / one.rate_hz
-        lengths = (ends - starts) / one.rate_hz
-    else:
-        clock = one.times_s
+    clock, lengths = one.times, (ends - starts) / one.rate_hz
+    if one.times_s is not None:
         lengths = clock[np.minimum(ends, clock.size - 1)] - clock[starts]
     longest_ms = lengths.max() * 1000
     if gap_ms == 0:
@@ -156,8 +151,7 @@ def filled(channel: str, one: Channel, gap_ms: float) -> tuple[Channel, str]:
             f"{channel}: {long.size} of {starts.size} gaps are longer than {gap_ms:g} ms, the first at "
             f"sample {starts[i]} ({clock[starts[i]]:.4g} s) lasts {lengths[i] * 1000:.4g} ms"
         )
-    without = samples.copy()
-    without[missing] = np.interp(clock[missing], clock[~missing], samples[~missing])
+    without = np.where(missing, np.interp(clock, clock[~missing], samples[~missing]), samples)
     return Channel(without, one.rate_hz, one.times_s), (
         f"{channel}: {starts.size} gaps ({count} samples, the longest {longest_ms:.4g} ms) were "
         f"filled with straight lines, up to {gap_ms:g} ms allowed"

@@ -5,6 +5,7 @@ Each unit that a reader meets passes `factor_of`: it is converted or refused, an
 
 from __future__ import annotations
 
+import contextlib
 import re
 import unicodedata
 from collections.abc import Mapping
@@ -113,11 +114,7 @@ def split_header(header: str, kind: str) -> tuple[str, str]:
     """Return a header without its unit, and the unit as it is written: `Acc [g]`, `acc_g`, `Acc / g` → `Acc`, `g`.
 
     What stands in brackets is a unit, whatever it is, but for a remark in parentheses. The end of a name is one where it
-    is known as such.
-
-    Args:
-        header: of a column.
-        kind: the quantity that the column is taken for.
+    is known as such, for the quantity (`kind`) that the column is taken for.
     """
     name = _BRACKETS.sub("", header).strip()
     brackets = [_stated(match["open"], match["words"]) for match in _BRACKETS.finditer(header)]
@@ -210,11 +207,9 @@ def factor_of(channel: str, header: str, stated: str = "", given: str | None = N
 def _sensitivity(channel: str, text: str, known: Mapping[str, float], target: str) -> tuple[float, str]:
     """Return the factor of `LABEL*FACTOR`, and a sentence."""
     label, _, number = text.rpartition("*")
-    label = canonical(label)
-    try:
+    label, factor = canonical(label), float("nan")
+    with contextlib.suppress(ValueError):
         factor = float(number)
-    except ValueError:
-        factor = float("nan")
     if not np.isfinite(factor) or factor == 0:
         raise ValueError(f"{channel}: unit {text!r}: {number!r} is not a factor, e.g. {channel}=V*4.9")
     if label in known and label != target:

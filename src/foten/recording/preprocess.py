@@ -119,10 +119,9 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None) -> 
     vibration = np.stack(
         [settled(highpass, decimate(axis.samples, axis.rate_hz, rate)[start:stop], trim) for axis in axes]
     )
+    acceleration = vibration[0]
     if len(axes) > 1:
         acceleration = dft321(vibration.reshape(len(axes), -1, config.block).swapaxes(0, 1)).ravel()
-    else:
-        acceleration = vibration[0]
     moved, pressed = hand_of(recording, rate)
     speed = speed_of(np.stack([settled(lowpass, row, trim + delay) for row in moved]))
     force = np.maximum(settled(lowpass, pressed, trim + delay), 0.0)
@@ -164,7 +163,15 @@ def hand_of(recording: Recording, rate_hz: float) -> tuple[Array, Array]:
     """
     start, stop = _common(recording, rate_hz)
     for name in (*recording.movement, *recording.normal_force):
-        _check_holes(name, recording[name])
+        holes = recording[name].holes()
+        if holes.size:
+            times = recording[name].times
+            lengths = np.diff(times)[holes]
+            longest = int(lengths.argmax())
+            raise ValueError(
+                f"{name} has {holes.size} holes in its times, the longest {1000 * lengths[longest]:.4g} ms after "
+                f"{times[holes[longest]]:.4g} s; import the recording again with --fill-gaps MS, or cut it"
+            )
     rows = np.stack([_slow(recording[name], rate_hz, stop)[start:] for name in recording.movement])
     if "speed" not in recording:
         rows = velocity(rows, rate_hz)
@@ -188,17 +195,6 @@ def hand_of(recording: Recording, rate_hz: float) -> tuple[Array, Array]:
 def pressing(force: Channel) -> Array:
     """Return a force as captured, pressing positive [N], shape (n,); a low-pass would hide short losses of contact."""
     return -force.samples if np.median(force.samples) < 0 else force.samples
-
-
-def _check_holes(name: str, channel: Channel) -> None:
-    holes = channel.holes()
-    if holes.size:
-        lengths = np.diff(channel.times)[holes]
-        longest = int(lengths.argmax())
-        raise ValueError(
-            f"{name} has {holes.size} holes in its times, the longest {1000 * lengths[longest]:.4g} ms after "
-            f"{channel.times[holes[longest]]:.4g} s; import the recording again with --fill-gaps MS, or cut it"
-        )
 
 
 def _check_size(quantity: str, largest: float) -> None:

@@ -60,17 +60,12 @@ def check_signs(recording: Recording) -> Iterable[Finding]:
         speed = recording["speed"]
         negative = np.flatnonzero(speed.samples < 0)
         if negative.size:
-            lowest = speed.samples.min()
-            text = (
-                f"speed is negative in {counted(negative.size, 'sample')}, down to {lowest:.4g} mm/s: a speed has no sign; "
-                "is it one axis of a velocity?"
-            )
-            severity = PROBLEM if lowest < -WRONG_SIGN[0] else NOTE
-            yield Finding(severity, "sign", "speed", text, places(speed, negative))
+            lowest, where = speed.samples.min(), counted(negative.size, "sample")
+            text = f"speed is negative in {where}, down to {lowest:.4g} mm/s: a speed has no sign; is it one axis of a velocity?"
+            yield Finding(PROBLEM if lowest < -WRONG_SIGN[0] else NOTE, "sign", "speed", text, places(speed, negative))
     for name in recording.normal_force:
         if np.median(recording[name].samples) < 0:
-            text = f"{name} is negative when pressing; pressing is counted positive"
-            yield Finding(NOTE, "sign", name, text)
+            yield Finding(NOTE, "sign", name, f"{name} is negative when pressing; pressing is counted positive")
         low = float(np.quantile(pressing(recording[name]), 0.001))
         if low < -0.2:
             text = f"{name} goes down to {low:.3g} N: has the sensor an offset, or does the tool pull?"
@@ -102,18 +97,16 @@ def coverage_of(hand: Hand) -> Coverage | None:
     stroking = (hand.speed > MOVING_MM_S) & (hand.force > CONTACT_N)
     if stroking.sum() < 2:
         return None
-    speed, force = hand.speed[stroking], hand.force[stroking]
-    speed_range, force_range = (tuple(np.quantile(x, [0.001, 0.999]).tolist()) for x in (speed, force))
-
-    def edges(high: float, cell: float, usual: float) -> Array:
+    conditions, cells, ranges = (hand.speed[stroking], hand.force[stroking]), [], []
+    for samples, cell, usual in zip(conditions, (CELL_MM_S, CELL_N), (USUAL_MM_S, USUAL_N), strict=True):
+        low, high = np.quantile(samples, [0.001, 0.999]).tolist()
+        ranges.append((low, high))
         # A spike must not stretch the range until all else is in one cell.
         top = min(max(usual, high), 2 * usual)
-        return np.arange(0, np.ceil(top / cell - 1e-9) + 1) * cell
-
-    cells = edges(speed_range[1], CELL_MM_S, USUAL_MM_S), edges(force_range[1], CELL_N, USUAL_N)
-    counts, *_ = np.histogram2d(speed, force, bins=cells)
-    beyond_s = (speed.size - counts.sum()) / TRAINING_HZ
-    return Coverage(*cells, counts / TRAINING_HZ, beyond_s, speed_range, force_range)
+        cells.append(np.arange(0, np.ceil(top / cell - 1e-9) + 1) * cell)
+    counts, *_ = np.histogram2d(*conditions, bins=cells)
+    beyond_s = (stroking.sum() - counts.sum()) / TRAINING_HZ
+    return Coverage(cells[0], cells[1], counts / TRAINING_HZ, beyond_s, ranges[0], ranges[1])
 
 
 def check_ranges(coverage: Coverage) -> Iterable[Finding]:

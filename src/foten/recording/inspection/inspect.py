@@ -23,10 +23,8 @@ def inspect_recording(recording: Recording) -> Inspection:
     findings += sampling.check_durations(recording)
     for name, channel in recording.channels.items():
         findings += one_channel.check_units(name, channel, recording)
-        findings += sampling.check_gaps(name, channel)
-        findings += one_channel.check_spikes(name, channel)
-        findings += one_channel.check_clipping(name, channel)
-        findings += sampling.check_repeats(name, channel)
+        of_one = (sampling.check_gaps, one_channel.check_spikes, one_channel.check_clipping, sampling.check_repeats)
+        findings += [finding for check in of_one for finding in check(name, channel)]
     findings += sampling.check_order(recording)
     psd = {}
     for name, channel in recording.channels.items():

@@ -12,6 +12,25 @@ from foten.recording.inspection.values import NOTE, PROBLEM, ChannelReport, Find
 from foten.recording.recording import UNITS, Channel, Recording
 
 FRAME_S = 0.05  # in which the level of an acceleration is measured
+_GUESSES = {
+    "speed": (
+        (5, "peaks at {:.3g}, expected mm/s up to about 350; was it given in m/s?"),
+        (1500, "peaks at {:.4g}, expected mm/s up to about 350; is it a raw reading?"),
+    ),
+    "position": (
+        (1, "moves by {:.3g}, expected mm, tens to hundreds; was it given in m?"),
+        (2000, "moves by {:.4g}, expected mm, tens to hundreds; was it given in um?"),
+    ),
+    "force": (
+        (0.03, "peaks at {:.3g}, expected N up to about 10; was it given in kN or V?"),
+        (30, "peaks at {:.4g}, expected N up to about 10; was it given in mN or gf?"),
+    ),
+    "acceleration": (
+        (0.02, "peaks at {:.3g} m/s², which hardly any hand feels; was it given in g or V?"),
+        (500, "peaks at {:.4g} m/s², expected up to about 100; was it given in mm/s² or mg?"),
+    ),
+}
+"""The least and the largest usual size of a quantity in its unit, and what is said beyond."""
 
 
 def check_units(name: str, channel: Channel, recording: Recording) -> Iterable[Finding]:
@@ -22,33 +41,18 @@ def check_units(name: str, channel: Channel, recording: Recording) -> Iterable[F
         text = f"{name} is {x[0]:g} {unit} throughout; is the right column mapped?"
         yield Finding(severity, "constant", name, text)
         return
-    peak = float(np.quantile(np.abs(x), 0.999))
-    guess = ""
-    if name == "speed":
-        if peak < 5:
-            guess = f"peaks at {peak:.3g}, expected mm/s up to about 350; was it given in m/s?"
-        elif peak > 1500:
-            guess = f"peaks at {peak:.4g}, expected mm/s up to about 350; is it a raw reading?"
-    elif name.startswith("position"):
-        # A stroke along one axis leaves the others constant: only the one that moves most shows the unit.
-        moved = _moved(channel)
-        if moved < max(_moved(axis) for axis in recording.axes("position")):
-            return
-        if moved < 1:
-            guess = f"moves by {moved:.3g}, expected mm, tens to hundreds; was it given in m?"
-        elif moved > 2000:
-            guess = f"moves by {moved:.4g}, expected mm, tens to hundreds; was it given in um?"
-    elif name.startswith("force"):
-        if peak > 30:
-            guess = f"peaks at {peak:.4g}, expected N up to about 10; was it given in mN or gf?"
-        elif peak < 0.03 and name in ("force", "force_z"):
-            guess = f"peaks at {peak:.3g}, expected N up to about 10; was it given in kN or V?"
-    elif 0.9 < abs(x.mean()) < 1.1 and x.std() < abs(x.mean()):
+    kind, guess = name.split("_")[0], ""
+    (least, too_small), (most, too_large) = _GUESSES[kind]
+    size = _moved(channel) if kind == "position" else float(np.quantile(np.abs(x), 0.999))
+    # A stroke along one axis leaves the others constant: only the one that moves most shows the unit.
+    if kind == "position" and size < max(_moved(axis) for axis in recording.axes("position")):
+        return
+    if kind == "acceleration" and 0.9 < abs(x.mean()) < 1.1 and x.std() < abs(x.mean()):
         guess = f"has a mean of {x.mean():.3g}, which is gravity in g; was it given in g?"
-    elif peak < 0.02:
-        guess = f"peaks at {peak:.3g} m/s², which hardly any hand feels; was it given in g or V?"
-    elif peak > 500:
-        guess = f"peaks at {peak:.4g} m/s², expected up to about 100; was it given in mm/s² or mg?"
+    elif size < least and name not in ("force_x", "force_y"):
+        guess = too_small.format(size)
+    elif size > most:
+        guess = too_large.format(size)
     if guess:
         yield Finding(PROBLEM, "units", name, f"{name} {guess}")
 
@@ -95,17 +99,16 @@ def check_clipping(name: str, channel: Channel) -> Iterable[Finding]:
     # A coarse or slow sensor repeats every value; clipping makes its extremes much flatter than that.
     others = lengths[(values != x.max()) & (values != x.min())]
     usual = float(np.quantile(others, 0.99)) if others.size > 20 else 1.0
-    for extreme, what in ((float(x.max()), "highest"), (float(x.min()), "lowest")):
+    for extreme, what in ((x.max(), "highest"), (x.min(), "lowest")):
         if extreme == 0 or (name == "speed" and extreme < MOVING_MM_S):
             continue  # a natural bound
         at = np.flatnonzero((values == extreme) & (lengths >= 3))
-        cut = at[np.array([_leaves_steeply(x, starts[i], ends[i], quantum) for i in at], dtype=bool)]
+        cut = [i for i in at if _leaves_steeply(x, starts[i], ends[i], quantum)]
         flat = lengths[cut]
         if flat.size and flat.max() >= 3 * usual and (flat.size > 1 or flat.max() >= 5):
             text = (
                 f"{name} is clipped: it stays at its {what} value, {extreme:.5g} {UNITS[name]}, for "
-                f"{counted(int(flat.sum()), 'sample')} in {counted(flat.size, 'place')}: the sensor or its amplifier was at "
-                "its limit"
+                f"{counted(flat.sum(), 'sample')} in {counted(flat.size, 'place')}: the sensor or its amplifier was at its limit"
             )
             yield Finding(PROBLEM, "clipping", name, text, places(channel, starts[cut]))
 
@@ -153,9 +156,7 @@ def noise_floor(name: str, channel: Channel, hand: Hand | None) -> tuple[float, 
 
 def check_noise(reports: Iterable[ChannelReport]) -> Iterable[Finding]:
     """Yield a problem for an acceleration hardly above its noise, and a note where the noise has only a bound."""
-    for report in reports:
-        if not report.name.startswith("acceleration"):
-            continue
+    for report in (report for report in reports if report.name.startswith("acceleration")):
         vibration = float(np.sqrt(max(report.rms**2 - report.mean**2, 0.0)))
         if report.noise_floor_from != "rest":
             text = (
@@ -194,8 +195,7 @@ def check_whiteness(name: str, channel: Channel) -> Iterable[Finding]:
         for period in range(2, min(250, x.size // 40))
     }
     largest = max(explained.values())
-    patterned = largest > 0.05
-    without = x
+    without, patterned = x, largest > 0.05
     if patterned:
         period = next(p for p, part in explained.items() if part >= 0.9 * largest)
         n = x.size // period

@@ -11,7 +11,7 @@ from foten.atomic_write import atomic_write
 from foten.dsp import Array
 from foten.recording.inspection.hand import HAND_HZ
 from foten.recording.inspection.values import CELL_S, NOTE, Finding, Inspection
-from foten.recording.recording import UNITS, Channel, Recording
+from foten.recording.recording import UNITS, Recording
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,7 +46,9 @@ def overview(recording: Recording, inspection: Inspection) -> Figure:
         if channel.samples.size <= 2 * _COLUMNS:
             axes.plot(channel.times, channel.samples, color=colour, linewidth=0.8)
         else:
-            axes.fill_between(*_envelope(channel), color=colour, linewidth=0.4, edgecolor=colour)
+            starts = np.linspace(0, channel.samples.size, _COLUMNS, endpoint=False).astype(np.int64)
+            low, high = (extreme.reduceat(channel.samples, starts) for extreme in (np.minimum, np.maximum))
+            axes.fill_between(channel.times[starts], low, high, color=colour, linewidth=0.4, edgecolor=colour)
         axes.set_ylabel(f"{name.replace('_', ' ')}\n[{UNITS[name].replace('^2', '²')}]")
         axes.grid(alpha=0.25)
         axes.margins(x=0.01)
@@ -84,13 +86,6 @@ def _keep_readable(axes: Any, samples: Array, unit: str) -> None:
         axes.text(0.995, 0.03, cut, transform=axes.transAxes, ha="right", fontsize=8, bbox=box)
 
 
-def _envelope(channel: Channel) -> tuple[Array, Array, Array]:
-    """Return times and the lowest and highest sample in each of `_COLUMNS` columns."""
-    starts = np.linspace(0, channel.samples.size, _COLUMNS, endpoint=False).astype(np.int64)
-    low, high = np.minimum.reduceat(channel.samples, starts), np.maximum.reduceat(channel.samples, starts)
-    return channel.times[starts], low, high
-
-
 def coverage(recording: Recording, inspection: Inspection) -> Figure | None:
     """Return the seconds spent at each speed and force, or None without both channels."""
     from matplotlib.colors import LogNorm
@@ -102,10 +97,8 @@ def coverage(recording: Recording, inspection: Inspection) -> Figure | None:
     shown = np.ma.masked_less(cells.seconds.T, 1e-9)
     norm = LogNorm(CELL_S / 10, max(float(cells.seconds.max()), 10 * CELL_S))
     mesh = axes.pcolormesh(cells.speed_edges, cells.force_edges, shown, cmap="viridis", norm=norm)
-    for edge in cells.speed_edges:
-        axes.axvline(edge, color="white", linewidth=0.6)
-    for edge in cells.force_edges:
-        axes.axhline(edge, color="white", linewidth=0.6)
+    axes.vlines(cells.speed_edges, *cells.force_edges[[0, -1]], color="white", linewidth=0.6)
+    axes.hlines(cells.force_edges, *cells.speed_edges[[0, -1]], color="white", linewidth=0.6)
     figure.colorbar(mesh, label="time spent [s]")
     axes.set(xlabel="scanning speed [mm/s]", ylabel="normal force [N]", facecolor="#eeeeee")
     visited = f"{cells.covered} of {cells.seconds.size} cells visited for {CELL_S * 1000:g} ms or more"
@@ -139,13 +132,9 @@ def density(recording: Recording, inspection: Inspection) -> Figure | None:
 
 def write_pictures(recording: Recording, inspection: Inspection, folder: Path) -> list[Path]:
     """Write overview.png, coverage.png and psd.png, those that the channels allow, and return their paths."""
-    drawn = {
-        "overview.png": overview(recording, inspection),
-        "coverage.png": coverage(recording, inspection),
-        "psd.png": density(recording, inspection),
-    }
     written = []
-    for name, figure in drawn.items():
+    for name, draw in (("overview.png", overview), ("coverage.png", coverage), ("psd.png", density)):
+        figure = draw(recording, inspection)
         if figure is not None:
             with atomic_write(folder / name) as part:
                 figure.savefig(part, format="png", metadata={"Software": None, "Source": inspection.recording_sha256})

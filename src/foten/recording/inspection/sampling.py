@@ -80,8 +80,7 @@ def check_gaps(name: str, channel: Channel) -> Iterable[Finding]:
         )
         severity = PROBLEM if name.startswith("acceleration") or steps[longest] > 0.1 else NOTE
         yield Finding(severity, "gaps", name, text, places(channel, gaps))
-    jitter = float(np.median(np.abs(steps - usual)))
-    if jitter > 0.05 * usual:
+    if (jitter := np.median(np.abs(steps - usual))) > 0.05 * usual:
         text = f"{name}: its sampling period of {usual * 1000:.4g} ms varies by {jitter / usual:.0%}"
         yield Finding(NOTE, "jitter", name, text)
 
@@ -97,10 +96,8 @@ def check_repeats(name: str, channel: Channel) -> Iterable[Finding]:
         return
     usual = int(np.median(steps))
     if usual >= 2 and np.mean(steps == usual) > 0.8:
-        text = (
-            f"{name} changes only every {usual} samples: it was captured at {channel.rate_hz / usual:.4g} Hz "
-            "and each value repeated"
-        )
+        captured_hz = channel.rate_hz / usual
+        text = f"{name} changes only every {usual} samples: it was captured at {captured_hz:.4g} Hz and each value repeated"
         yield Finding(NOTE, "repeated", name, text)
         return
     # A quantised slow signal pauses often and briefly; a sensor that fell silent pauses rarely and long.
@@ -152,7 +149,14 @@ def check_order(recording: Recording) -> Iterable[Finding]:
         ]
         piece = _piece(at)
         if name not in many or not (shared or piece or size > 0.1):
-            yield _single_jumps(name, channel, at, least)
+            severity, guess = NOTE, ""
+            if name.startswith("position"):  # a jump of a position becomes a speed that was not there
+                severity, guess = PROBLEM, "; were lost markers written as 0? Blank them and import with --fill-gaps"
+            text = (
+                f"{name} jumps by more than {least:.3g} {UNITS[name]} between two samples in {counted(at.size, 'place')}, "
+                f"faster than a hand moves{guess}"
+            )
+            yield Finding(severity, "jumps", name, text, places(channel, at))
             continue
         text = (
             f"{name}: the rows are probably not in time order: {at.size} jumps larger than {least:.3g} {UNITS[name]} between "
@@ -163,17 +167,6 @@ def check_order(recording: Recording) -> Iterable[Finding]:
         if shared:
             text += f"; {np.isin(at, many[shared[0]]).mean():.0%} of them at the same rows as in {shared[0]}"
         yield Finding(PROBLEM, "order", name, text, places(channel, at))
-
-
-def _single_jumps(name: str, channel: Channel, at: NDArray[np.int64], least: float) -> Finding:
-    severity, guess = NOTE, ""
-    if name.startswith("position"):  # a jump of a position becomes a speed that was not there
-        severity, guess = PROBLEM, "; were lost markers written as 0? Blank them and import with --fill-gaps"
-    text = (
-        f"{name} jumps by more than {least:.3g} {UNITS[name]} between two samples in {counted(at.size, 'place')}, "
-        f"faster than a hand moves{guess}"
-    )
-    return Finding(severity, "jumps", name, text, places(channel, at))
 
 
 def _jumps(name: str, channel: Channel) -> tuple[NDArray[np.int64], float, float]:
