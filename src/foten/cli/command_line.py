@@ -16,13 +16,10 @@ from typer.exceptions import Abort, TyperException
 from foten.atomic_write import reason
 from foten.cli.console import say
 from foten.cli.evaluate import evaluate, info
-from foten.cli.importing import import_
-from foten.cli.inspect import inspect
+from foten.cli.experiments import demo, figures, sweep, tables
 from foten.cli.machine import bench, doctor
-from foten.cli.play import play
-from foten.cli.render import render
-from foten.cli.simulate import demo, simulate
-from foten.cli.sweep import figures, sweep, tables
+from foten.cli.recordings import import_, inspect, simulate
+from foten.cli.render import play, render
 from foten.cli.train import train
 
 app = typer.Typer(

@@ -120,7 +120,10 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
             raise ValueError(f"{slow}; {hint} (--force-units imports it)")
         channels[channel] = Channel(column.samples if factor == 1 else column.samples * factor, rate_hz, times)
 
-    origin = _origin(channels)
+    # What becomes time 0: where the acceleration starts, which must stay on its grid.
+    starts = {name: one.span_s[0] for name, one in channels.items() if one.times_s is not None}
+    of_acceleration = [start for name, start in starts.items() if quantity(name) == "acceleration"]
+    origin = min(of_acceleration or starts.values(), default=0.0)
     if origin:
         history.append(f"times count from {origin:.9g} s in the files")
     for channel, one in channels.items():
@@ -147,13 +150,6 @@ def _for_axes(options: ImportOptions, picked: Mapping[str, object]) -> ImportOpt
         return axes | {channel: value for channel, value in given.items() if channel not in served}
 
     return replace(options, units=spread(options.units), rates_hz=spread(options.rates_hz))
-
-
-def _origin(channels: Mapping[str, Channel]) -> float:
-    """Return the file time [s] that becomes 0: where the acceleration starts, which must stay on its grid."""
-    starts = {name: one.span_s[0] for name, one in channels.items() if one.times_s is not None}
-    fast = [start for name, start in starts.items() if quantity(name) == "acceleration"]
-    return min(fast or starts.values(), default=0.0)
 
 
 def _counted_from(origin: float, channel: str, one: Channel) -> tuple[Channel, str]:

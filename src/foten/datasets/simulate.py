@@ -14,6 +14,7 @@ plate: going back meets new roughness of the same kind.
 from __future__ import annotations
 
 import json
+import threading
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -31,6 +32,7 @@ from foten.datasets.stroking import Stroking, stroking
 from foten.dsp import Array
 from foten.recording.recording import AXES, Channel, Recording
 
+_LOCK = threading.Lock()
 VERSION = 1  # of the model; a change that moves a sample raises it
 RATE_HZ = 10_000.0  # of the physics, of the force sensor, and of the accelerometer by default
 LINEAR_RATE_HZ = 1000.0  # of the linear family by default
@@ -196,8 +198,9 @@ def _simulate(simulation: Mapping[str, Any]) -> Recording:
         raise ValueError("a seed is negative, expected 0 or more")
     # The key's bytes keep two textures of one seed apart; the stroke they share, and can be compared on.
     rng = np.random.default_rng([noise_seed, 2, *key.encode()])
+    with _LOCK:  # several realisations of one stroke are simulated at once, and share it
+        stroke = stroking(seconds, stroke_seed, rate_hz if kind is LinearParameters else RATE_HZ)
     if isinstance(parameters, LinearParameters):
-        stroke = stroking(seconds, stroke_seed, rate_hz)
         acceleration = linear_signal(parameters, stroke.speed, stroke.force, rng)
         signals = {"acceleration": acceleration, "speed": stroke.speed, "force": stroke.force}
         channels = {name: Channel(samples, rate_hz) for name, samples in signals.items()}
@@ -206,7 +209,7 @@ def _simulate(simulation: Mapping[str, Any]) -> Recording:
         decimation = round(RATE_HZ / rate_hz)
         if RATE_HZ / decimation != rate_hz:
             raise ValueError(f"{rate_hz:g} Hz is not {RATE_HZ:g} Hz divided by a whole number")
-        channels = _sensor_channels(parameters, stroking(seconds, stroke_seed, RATE_HZ), decimation, rng)
+        channels = _sensor_channels(parameters, stroke, decimation, rng)
         tool = "simulated rigid tool, 2 mm steel ball"
         sensors = "simulated ADXL335, force at 10 kHz, position at 120 Hz"
     return Recording(channels, texture=key, tool=tool, sensors=sensors, notes="simulated", simulation=simulation)
@@ -238,7 +241,7 @@ def _roughness(parameters: TextureParameters, length_mm: float, rng: np.random.G
 
 def vibration(parameters: TextureParameters, stroke: Stroking, rng: np.random.Generator) -> Array:
     """Return the tool's vibration before any sensor [m/s²], axes x, y, z, shape (n, 3); none at rest."""
-    from scipy.signal import butter, lfilter, sosfilt
+    from scipy.signal import bilinear, butter, lfilter, sosfilt
 
     path_mm = np.cumsum(stroke.speed) / stroke.rate_hz
     roughness = _roughness(parameters, path_mm[-1], rng)
@@ -258,17 +261,12 @@ def vibration(parameters: TextureParameters, stroke: Stroking, rng: np.random.Ge
     firm = stroke.force / (stroke.force + 1.0)  # half at 1 N, where both modes weigh 1
     axes = np.zeros((excitation.size, 3))
     for mode, weight in enumerate((1.5 - firm, 2 * firm)):
-        b, a = _resonance(parameters.modes_hz[mode], parameters.damping[mode], stroke.rate_hz)
+        # A damped mode, 2ζω₀s / (s² + 2ζω₀s + ω₀²), bilinear: a band-pass of unit gain at its centre.
+        omega = 2 * stroke.rate_hz * np.tan(np.pi * parameters.modes_hz[mode] / stroke.rate_hz)
+        width = 2 * parameters.damping[mode] * omega
+        b, a = bilinear([width, 0], [1, width, omega**2], stroke.rate_hz)
         axes += (weight * lfilter(b, a, excitation))[:, None] * AXIS_GAINS[:, mode]
     return axes
-
-
-def _resonance(frequency_hz: float, damping: float, rate_hz: float) -> tuple[Array, Array]:
-    """Return a band-pass of unit gain at its centre: a damped mode, 2ζω₀s / (s² + 2ζω₀s + ω₀²), bilinear."""
-    from scipy.signal import bilinear
-
-    omega = 2 * rate_hz * np.tan(np.pi * frequency_hz / rate_hz)
-    return bilinear([2 * damping * omega, 0], [1, 2 * damping * omega, omega**2], rate_hz)
 
 
 def _sensor_channels(

@@ -5,15 +5,12 @@ Seen from any rate it is the same motion, because every part of it is a formula 
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from foten.dsp import Array
-
-_LOCK = threading.Lock()
 
 PLATE_MM = 100.0  # Sec. III-b: 100 x 100 mm
 MARGIN_MM = 12.0  # targets stay this far from the edge, so that curved strokes do too
@@ -45,6 +42,7 @@ class Stroking:
         return np.hypot(self.velocity[:, 0], self.velocity[:, 1])
 
 
+@lru_cache(maxsize=1)
 def stroking(seconds: float, seed: int, rate_hz: float) -> Stroking:
     """Return a human-like stroking: overlapping point-to-point movements under a wandering force.
 
@@ -52,12 +50,6 @@ def stroking(seconds: float, seed: int, rate_hz: float) -> Stroking:
     as hands do. No sum of two leaves the plate: it lies between three targets. Speed and force hold nothing
     above about 10 Hz; the median speed is near 100 mm/s. The rate changes the sampling, not the motion.
     """
-    with _LOCK:  # several realisations of one stroke are simulated at once, and share it
-        return _stroking(seconds, seed, rate_hz)
-
-
-@lru_cache(maxsize=1)
-def _stroking(seconds: float, seed: int, rate_hz: float) -> Stroking:
     rng = np.random.default_rng([seed, 1])  # 1: the hand; the texture and the sensors draw from other streams
     n = round(seconds * rate_hz)
     target = rng.uniform(MARGIN_MM, PLATE_MM - MARGIN_MM, 2)

@@ -73,6 +73,8 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
         ValueError: there is none, a file is no result, two are of one method on one texture and split, or two recordings have
             one name.
     """
+    if not folder.is_dir():
+        raise ValueError(f"there is no folder {folder}")
     results: list[dict[str, Any]] = []
     seen: dict[tuple[str, str, int], str] = {}
     digests: dict[str, str] = {}

@@ -43,9 +43,9 @@ def check_units(name: str, channel: Channel, recording: Recording) -> Iterable[F
         return
     kind, guess = name.split("_")[0], ""
     (least, too_small), (most, too_large) = _GUESSES[kind]
-    size = _moved(channel) if kind == "position" else float(np.quantile(np.abs(x), 0.999))
+    size = swing(x, 0.001) if kind == "position" else float(np.quantile(np.abs(x), 0.999))
     # A stroke along one axis leaves the others constant: only the one that moves most shows the unit.
-    if kind == "position" and size < max(_moved(axis) for axis in recording.axes("position")):
+    if kind == "position" and size < max(swing(axis.samples, 0.001) for axis in recording.axes("position")):
         return
     if kind == "acceleration" and 0.9 < abs(x.mean()) < 1.1 and x.std() < abs(x.mean()):
         guess = f"has a mean of {x.mean():.3g}, which is gravity in g; was it given in g?"
@@ -55,10 +55,6 @@ def check_units(name: str, channel: Channel, recording: Recording) -> Iterable[F
         guess = too_large.format(size)
     if guess:
         yield Finding(PROBLEM, "units", name, f"{name} {guess}")
-
-
-def _moved(channel: Channel) -> float:
-    return swing(channel.samples, 0.001)
 
 
 def check_spikes(name: str, channel: Channel) -> Iterable[Finding]:

@@ -1,4 +1,7 @@
-"""`foten import`: recordings, and models that others have fitted."""
+"""`foten simulate`, `foten import` and `foten inspect`: where recordings come from, and what they hold.
+
+`foten import` takes models that others have fitted, too.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,56 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from typer import Argument, Option
+from typer import Argument, Exit, Option
 
-from foten.cli.console import JsonOption, check_folders, print_result, say
+from foten.cli.console import (
+    JsonOption,
+    RecordingFile,
+    check_folder,
+    check_folders,
+    folder_option,
+    print_result,
+    say,
+    write_json,
+)
+
+
+def simulate(
+    key: Annotated[str | None, Argument(help="Texture or linear process; --list shows them.")] = None,
+    output: Annotated[Path | None, Option("-o", "--output", help="HDF5 file to write.")] = None,
+    seconds: Annotated[float, Option(help="Length (s).")] = 64.0,
+    seed: Annotated[int, Option(help="Of everything random that the next two leave out.")] = 0,
+    noise_seed: Annotated[
+        int | None, Option(help="Of surface and sensors: another one, the same stroke again.")
+    ] = None,
+    stroke_seed: Annotated[int | None, Option(help="Of the hand.")] = None,
+    accelerometer_hz: Annotated[
+        float | None,
+        Option(help="10000 over a whole number, by default 10000; for a linear process its rate, by default 1000."),
+    ] = None,
+    show_list: Annotated[bool, Option("--list", help="Show the keys and stop.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a simulated recording with a known truth: raw sensors over a texture, or a linear process."""
+    from foten.datasets import simulate as simulator
+    from foten.datasets.hdf5 import write_recording
+
+    if show_list:
+        known = {name: parameters.description for name, parameters in simulator.TEXTURES.items()}
+        known |= {name: process.description for name, process in simulator.LINEAR_FAMILY.items()}
+        print_result(known, "\n".join(f"{name:18s}{description}" for name, description in known.items()), as_json)
+        return
+    if key is None or output is None:
+        raise ValueError("expected a key and -o FILE; --list shows the keys")
+    check_folders([output])
+    if output.suffix.lower() not in (".h5", ".hdf5"):
+        raise ValueError(f"a recording is written as .h5, got -o {output.name}")
+    recording = simulator.simulate(
+        key, seconds, seed, noise_seed=noise_seed, stroke_seed=stroke_seed, accelerometer_hz=accelerometer_hz
+    )
+    write_recording(recording, output)
+    result = {"output": str(output), "sha256": recording.sha256(), "simulation": dict(recording.simulation or {})}
+    print_result(result, f"{output}: {key}, {recording.duration_s:g} s, {', '.join(recording.channels)}", as_json)
 
 
 def import_(
@@ -156,3 +206,28 @@ def _import_models(files: list[Path], output: Path, texture: str, notes: str, as
         f"wrote {output}; next: foten render {output} --speed 80 --force 0.8 --seconds 3 -o {output.stem}.wav"
     )
     print_result(document, text, as_json)
+
+
+def inspect(
+    recording_file: RecordingFile,
+    output: Annotated[Path | None, folder_option("Write inspect.json, overview.png, coverage.png, psd.png.")] = None,
+    strict: Annotated[bool, Option("--strict", help="Exit 1 where there is a problem.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Say what a recording holds and what is wrong with it: units, coverage, clipping, gaps, order."""
+    from foten import __version__
+    from foten.datasets.hdf5 import load_recording
+    from foten.recording.inspection import inspect_recording, write_pictures
+
+    check_folder(output)
+    recording = load_recording(recording_file)
+    inspection = inspect_recording(recording)
+    document = {"foten": __version__, "file": recording_file.name, **inspection.to_dict()}
+    if output is not None:
+        output.mkdir(parents=True, exist_ok=True)
+        write_json(output / "inspect.json", document)
+        for path in write_pictures(recording, inspection, output):
+            say(f"wrote {path}")
+    print_result(document, inspection.to_text(), as_json)
+    if strict and inspection.problems:
+        raise Exit(1)

@@ -1,10 +1,10 @@
-"""`foten sweep`, and `foten tables` and `foten figures`, which read its results."""
+"""`foten sweep`, `foten tables` and `foten figures`, which read its results, and `foten demo`."""
 
 from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from typer import Argument, Exit, Option
 
@@ -76,10 +76,10 @@ def tables(
     as_json: JsonOption = False,
 ) -> None:
     """Set the results of a sweep beside references and beside the paper's figures."""
-    from foten.experiments.results import title_of
+    from foten.experiments.results import read_results, title_of
     from foten.experiments.tables import FIGURES, FORMATS, each_run, findings, table, written
 
-    records = _records(results)
+    records = read_results(results)
     check_folder(output)
     cells = {name: table(records, name) for name in FIGURES}
     title, sentences = title_of(records), list(findings(records))
@@ -109,8 +109,9 @@ def figures(
 ) -> None:
     """Draw the paper's figures from the results of a sweep: split, windows and losses, waveforms, spectra."""
     from foten.experiments.figures import figures as drawn
+    from foten.experiments.results import read_results
 
-    records = _records(results)
+    records = read_results(results)
     check_folder(output)
     output.mkdir(parents=True, exist_ok=True)
     paths = []
@@ -123,9 +124,17 @@ def figures(
     print_result({"figures": paths}, "\n".join(paths), as_json)
 
 
-def _records(results: Path) -> list[dict[str, Any]]:
-    from foten.experiments.results import read_results
+def demo(
+    output: Annotated[Path, folder_option("Folder for everything it makes.")] = Path("demo"),
+    key: Annotated[str, Option("--texture", help="Simulated texture; foten simulate --list.")] = "towel",
+    seconds: Annotated[float, Option(help="Length of the recording (s).")] = 44.0,
+    epochs: Annotated[int, Option(help="Of training.")] = 5,
+    seed: Annotated[int, Option(min=0, max=2**31, help="Of everything.")] = 0,
+    threads: Annotated[int, Option(help="Share each batch among so many cores (on a GPU there is one share).")] = 2,
+    as_json: JsonOption = False,
+) -> None:
+    """Go once through everything without data or hardware: simulate, train, judge, render."""
+    from foten.experiments.demo import run_demo
 
-    if not results.is_dir():
-        raise ValueError(f"there is no folder {results}")
-    return read_results(results)
+    paths = {name: str(path) for name, path in run_demo(output, key, seconds, epochs, seed, threads, say).items()}
+    print_result(paths, "\n".join(f"{name:10s}{path}" for name, path in paths.items()), as_json)
