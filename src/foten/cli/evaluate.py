@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,8 +11,6 @@ from typer import Argument, Option
 from foten.cli.console import JsonOption, TextureFile, check_folder, print_result, say, write_json
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from foten.families.texture_file import Texture
 
 

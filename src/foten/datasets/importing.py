@@ -127,7 +127,12 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
     if origin:
         history.append(f"times count from {origin:.9g} s in the files")
     for channel, one in channels.items():
-        one, on_clock = _counted_from(origin, channel, one)
+        on_clock = ""
+        if one.times_s is not None:
+            times = one.times_s - origin
+            why = irregular(times, one.rate_hz)
+            one = replace(one, times_s=times if why else None)
+            on_clock = f"{channel} keeps its own times: {why}" if why else ""
         one, on_samples = filled(channel, one, options.fill_gaps_ms)
         channels[channel], on_rows = bridged(channel, one, options.fill_gaps_ms)
         history += [said for said in (on_clock, on_samples, on_rows) if said]
@@ -150,12 +155,3 @@ def _for_axes(options: ImportOptions, picked: Mapping[str, object]) -> ImportOpt
         return axes | {channel: value for channel, value in given.items() if channel not in served}
 
     return replace(options, units=spread(options.units), rates_hz=spread(options.rates_hz))
-
-
-def _counted_from(origin: float, channel: str, one: Channel) -> tuple[Channel, str]:
-    """Return a channel whose times count from the origin, without them where they are regular; and a sentence."""
-    if one.times_s is None:
-        return one, ""
-    times = one.times_s - origin
-    why = irregular(times, one.rate_hz)
-    return replace(one, times_s=times if why else None), f"{channel} keeps its own times: {why}" if why else ""

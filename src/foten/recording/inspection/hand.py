@@ -33,11 +33,7 @@ class Hand:
 
 
 def hand_in(recording: Recording) -> Hand | None:
-    """Return speed and force, None where one of them is missing or they share too little time.
-
-    Raises:
-        ValueError: training would refuse them, see `hand_of`.
-    """
+    """Return speed and force, None where one is missing or they share too little time; refused is what `hand_of` refuses."""
     moved, pressed = recording.movement, recording.normal_force
     if not moved or not pressed:
         return None
