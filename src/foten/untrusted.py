@@ -50,13 +50,11 @@ def _inside(value: Any) -> Iterable[Any]:
 
 
 def check_numbers(value: Any, what: str) -> None:
-    """Check that each number in a JSON value is one that a float64 or an int64 holds: finite, and not too large."""
-    waiting = [value]
-    while waiting:
-        one = waiting.pop()
-        waiting += _inside(one)
-        if isinstance(one, int | float) and not abs(one) < 2**63:
-            raise ValueError(f"{what} holds a number that is not finite, or not below 2^63")
+    """Check that each number in a parsed JSON value is one that a float64 or an int64 holds: finite, and not too large."""
+    for inner in _inside(value):
+        check_numbers(inner, what)
+    if isinstance(value, int | float) and not abs(value) < 2**63:
+        raise ValueError(f"{what} holds a number that is not finite, or not below 2^63")
 
 
 def printable(text: str) -> str:
