@@ -13,7 +13,7 @@ from foten.dsp.level import FRAME_MS, frame_levels, frame_means
 from foten.families.conditions import FADE_FORCE, FADE_SPEED
 from foten.families.foten_plus import FotenPlusSizes
 from foten.families.texture_file import Texture
-from foten.networks.foten_plus import Corrector
+from foten.networks.foten import Corrector
 from foten.networks.scale import Excitation
 from foten.reference.network import Network
 from foten.runtime.native import NativeTexture
