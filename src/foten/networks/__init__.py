@@ -17,11 +17,7 @@ from foten.networks.ldhtd_hop import LdhtdHop
 
 NETWORKS: dict[str, Callable[[Any], nn.Module]] = {
     "foten-plus": Corrector,
-    "foten": Foten,
-    "ten": Foten,
-    "ten-mfcc": Foten,
-    "ten-wavelet": Foten,
-    "foten-d": Foten,
+    **dict.fromkeys(("foten", "ten", "ten-mfcc", "ten-wavelet", "foten-d"), Foten),
     "fnn": Fnn,
     "dstn": Dstn,
     "hapinf": Hapinf,

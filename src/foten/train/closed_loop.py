@@ -34,18 +34,14 @@ SETTLING_STREAM, DISTANCE_STREAM, VOLATILITY_STREAM = 2**32, 2**33, 2**34
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """A model whose excitation is being fitted.
-
-    Attributes:
-        power: mean squares under a steady condition (k, 2) scaled, (k,) each: of what a unit of σ adds, and of the tones.
-        response: squares of the impulse response between excitation and output, shape (n,), of a lattice with the gain before
-            the filter; None where a change of σ shows at once.
-    """
+    """A model whose excitation is being fitted."""
 
     blocks: ScaledBlocks
     history: int  # samples that a run begins from
     kernel: Callable[[Excitation], NativeTexture]  # the model with an excitation, ready to render
+    # Mean squares under a steady condition (k, 2) scaled, (k,) each: of what a unit of σ adds, and of the tones.
     power: Callable[[Array], tuple[Array, Array]]
+    # Squares of the impulse response from excitation to output, (n,), with the gain before a lattice; else σ shows at once.
     response: Array | None = None
     limit: float = math.inf  # that samples are cut to; infinite for what is bounded by itself
 

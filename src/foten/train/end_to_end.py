@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,6 @@ from foten.families.graphs import HapinfSizes
 from foten.families.texture_file import Texture
 from foten.networks import build
 from foten.networks.noise_filter import log_magnitudes
-from foten.networks.scale import Excitation
-from foten.runtime.native import NativeTexture
 from foten.runtime.onnx_predictor import GRAPH
 from foten.train.adversarial import fit_adversarial
 from foten.train.blocks import ScaledBlocks
@@ -79,14 +78,11 @@ class EndToEndTask(NetworkTask):
         sizes, config = self.job.sizes, self.job.config
         assert isinstance(sizes, WithExcitation)
 
-        def kernel(excitation: Excitation) -> NativeTexture:
-            given = {**tensors, **tensors_of(excitation, "excitation.")}
-            return draft.texture(sizes, given, {**metrics, "validation_mae_scaled": 0.0}).kernel
-
         def power(condition: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
             # What the network makes of the excitation is not known; where it is a filter, it is as loud in the same measure.
             return np.ones(len(condition)), np.zeros(len(condition))
 
+        kernel = partial(draft.kernel, sizes, tensors)
         loop = ClosedLoop(self.blocks, sizes.history, kernel, power, limit=self.blocks.saturation)
         both = np.concatenate([windows.train, windows.validation])
         missed = windows.samples[both, 0] - predict(self.network, windows, both)
@@ -105,38 +101,23 @@ class AdversarialTask(EndToEndTask):
         return fit_adversarial(self.network, m, self.blocks, config, on_epoch, checkpoint, resume)
 
 
-def _prepared(job: TrainingJob) -> tuple[ScaledBlocks, TrainingWindows]:
-    """Return blocks and windows, checked, and seed what follows."""
+def prepare_end_to_end(job: TrainingJob, on_stage: Stage) -> EndToEndTask:
+    """Return a network, and the windows or frames that it is to be fitted to."""
     blocks, m = job.blocks(), job.sizes.window
     check_block(blocks, m)
     torch.manual_seed(job.config.seed)
-    return blocks, TrainingWindows(blocks.flat, *blocks.targets(m), m)
-
-
-def prepare_one_step(job: TrainingJob, on_stage: Stage) -> EndToEndTask:
-    """Return a network and the windows that it is to be fitted to."""
-    blocks, windows = _prepared(job)
+    windows = TrainingWindows(blocks.flat, *blocks.targets(m), m)
     if job.model == "ldhtd":
-        windows = distilled(windows, windows.window, job.config, on_stage)
-    network = build(job.model, job.sizes).to(pick_device())
-    if job.sizes.n_ahead > 1:
+        windows = distilled(windows, m, job.config, on_stage)
+    network = renderer = build(job.model, job.sizes)
+    if job.model == "gan":  # stays on the CPU
+        return AdversarialTask(job=job, blocks=blocks, network=network, windows=windows, renderer=renderer)
+    renderer.to(pick_device())
+    if job.model == "dftnet":
+        network, windows = renderer.spectrum, log_spectra(windows, blocks)
+    elif job.sizes.n_ahead > 1:
         windows = multi_step(windows, blocks, job.sizes.n_ahead)
-    return EndToEndTask(job=job, blocks=blocks, network=network, windows=windows, renderer=network)
-
-
-def prepare_dftnet(job: TrainingJob, on_stage: Stage) -> EndToEndTask:
-    """Return the network of spectra and the frames that it is to be fitted to."""
-    blocks, windows = _prepared(job)
-    renderer = build(job.model, job.sizes).to(pick_device())
-    windows = log_spectra(windows, blocks)
-    return EndToEndTask(job=job, blocks=blocks, network=renderer.spectrum, windows=windows, renderer=renderer)
-
-
-def prepare_gan(job: TrainingJob, on_stage: Stage) -> AdversarialTask:
-    """Return the generator, on the CPU."""
-    blocks, windows = _prepared(job)
-    network = build(job.model, job.sizes)
-    return AdversarialTask(job=job, blocks=blocks, network=network, windows=windows, renderer=network)
+    return EndToEndTask(job=job, blocks=blocks, network=network, windows=windows, renderer=renderer)
 
 
 def distilled(windows: TrainingWindows, m: int, config: TrainConfig, on_stage: Stage) -> TrainingWindows:
