@@ -84,10 +84,8 @@ def settle_level(loop: ClosedLoop, excitation: Excitation, seed: int) -> list[fl
     power of all misses, as far as that is beyond chance, off its constant; three times over.
 
     The loop runs under the speed and force of the training and validation blocks, the first fifth not counted; σ, adjusted in
-    place, stays within its range over the training blocks; the seed is that of the noise.
-
-    Returns:
-        By how much the closed loop is louder than the recording before each adjustment [dB].
+    place, stays within its range over the training blocks. Returned is by how much the loop was louder than the recording
+    before each adjustment [dB].
     """
     blocks, m, settled = loop.blocks, loop.history, loop.settled
     rate, known = blocks.trace.rate_hz, list(blocks.known)
@@ -158,8 +156,6 @@ def fit_volatility(loop: ClosedLoop, excitation: Excitation, seed: int) -> None:
     How long it lasts, of `LASTING_S`, is what describes best how much more uneven the powers of frames of 2 to 40 ms are
     than those of the free run: short changes average out in long frames. Real wood was 1.6 times as uneven at all lengths, copper
     1.4 times in 2 ms and 1.1 in 40 ms.
-
-    The excitation, whose level is settled, is changed in place; the seed is that of the noise.
     """
     rate = loop.blocks.trace.rate_hz
     recorded, runs = loop.free_runs(excitation, loop.blocks.known, seed, VOLATILITY_STREAM, N_RUNS)
@@ -184,11 +180,7 @@ def _level_variance(recorded: Array, runs: Array, moving: NDArray[np.bool_], rat
     a frame, is so in both and does not count, as it does in a kurtosis. Linear processes, which have no volatility, came to
     0.00 ± 0.01; simulated cardboard and smooth rubber, whose levels are not quite right, to 0.01; the real copper, leather,
     wood and fabric to 0.03, 0.04, 0.16 and 0.45.
-
-    Args:
-        recorded: shape (n_blocks, n).
-        runs: shape (n_runs, n_blocks, n).
-        moving: where frames count, shape (n_blocks, n).
+    Shapes (n_blocks, n), (n_runs, n_blocks, n) and, where frames count, (n_blocks, n).
     """
     least = 1e-8 * float(np.square(recorded).mean())
     recorded, runs, moving = (_framed(signal, LEVEL_FRAME_MS, rate_hz) for signal in (recorded, runs, moving))

@@ -97,11 +97,7 @@ class FotenPlusTask(NetworkTask):
 
 
 def prepare_foten_plus(job: TrainingJob, on_stage: Stage) -> FotenPlusTask:
-    """Return the linear part with its excitation as a texture, and the windows that a network is to be fitted to.
-
-    Raises:
-        ValueError: the recording does not fit the configuration; the message names the option.
-    """
+    """Return the linear part with its excitation as a texture, and the windows that a network is to be fitted to."""
     assert isinstance(job.sizes, FotenPlusSizes)
     blocks = job.blocks()
     check_block(blocks, job.sizes.window)

@@ -55,9 +55,7 @@ class LinearPart:
 
         The first sample of each block gives zeros: nothing comes before it. A sample's level and reflection coefficients are
         those of the condition before it: a prediction knows no others (Eq. 1).
-
-        Args:
-            residual: of what the tones leave, where there are tones, and not of the acceleration.
+        A `residual` is what the tones leave of the acceleration, where there are tones.
         """
         samples, before = blocks.samples[:, 1:, 0], blocks.path_conditions()[:, :-1]
         lattice = Lattice(self.tensors, "lattice.", self.sizes.gain_before_filter)

@@ -23,11 +23,7 @@ PREPARE: Mapping[str, Callable[[TrainingJob, Stage], Task]] = {
 
 
 def prepare(job: TrainingJob, on_stage: Stage = lambda stage: None) -> Task:
-    """Return a job's network, what it is to be fitted to, and what is playable without it.
-
-    Raises:
-        ValueError: the recording does not fit the configuration; the message names the option.
-    """
+    """Return a job's network, what it is to be fitted to, and what is playable without it."""
     if job.sizes.in_graph:  # what is missing is said before training, not after
         import onnx  # noqa: F401
         import onnxruntime  # noqa: F401
@@ -46,7 +42,6 @@ def train(
 
     Args:
         on_epoch, checkpoint, resume: as `fit` has them.
-        on_stage: called with what is being done beside epochs.
         on_playable: called with a valid texture as soon as there is one, long before the network is fitted.
 
     Raises:
