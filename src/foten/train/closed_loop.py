@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -14,7 +13,7 @@ from scipy.signal import fftconvolve
 
 from foten.dsp import Array
 from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length, welch
-from foten.dsp.level import frame_levels, frame_means
+from foten.dsp.level import frame_levels, frame_means, framed
 from foten.dsp.noise import gaussian
 from foten.networks.scale import Excitation
 from foten.runtime.loops import run_loops
@@ -183,8 +182,8 @@ def _level_variance(recorded: Array, runs: Array, moving: NDArray[np.bool_], rat
     Shapes (n_blocks, n), (n_runs, n_blocks, n) and, where frames count, (n_blocks, n).
     """
     least = 1e-8 * float(np.square(recorded).mean())
-    recorded, runs, moving = (_framed(signal, LEVEL_FRAME_MS, rate_hz) for signal in (recorded, runs, moving))
-    levels, ours = (0.5 * np.log(np.square(framed).mean(axis=-1) + least) for framed in (recorded, runs))
+    recorded, runs, moving = (framed(signal, LEVEL_FRAME_MS, rate_hz) for signal in (recorded, runs, moving))
+    levels, ours = (0.5 * np.log(np.square(one).mean(axis=-1) + least) for one in (recorded, runs))
     beyond = np.square(levels - ours.mean(axis=0)) - ours.var(axis=0, ddof=1) * (1 + 1 / len(ours))
     counts = moving.all(axis=-1)
     parts = np.stack([np.where(counts, beyond, 0.0).sum(axis=1), counts.sum(axis=1)])
@@ -207,7 +206,7 @@ def _lasts_s(recorded: Array, rendered: Array, rate_hz: float) -> float:
     """Return how long the loudness stays up that recorded blocks have beyond rendered ones, (n_blocks, any) each [s]."""
 
     def unevenness(blocks: Array, frame_ms: float) -> float:
-        powers = np.square(_framed(blocks, frame_ms, rate_hz)).mean(axis=-1)
+        powers = np.square(framed(blocks, frame_ms, rate_hz)).mean(axis=-1)
         return float(np.square(powers).mean() / powers.mean() ** 2)
 
     more = np.array([unevenness(recorded, ms) / unevenness(rendered, ms) - 1 for ms in FRAMES_MS])
@@ -220,10 +219,3 @@ def _lasts_s(recorded: Array, rendered: Array, rate_hz: float) -> float:
         return float(np.square(more - size * left).sum())
 
     return min(LASTING_S, key=missed)
-
-
-def _framed(signal: NDArray[Any], frame_ms: float, rate_hz: float) -> NDArray[Any]:
-    """Return a signal in frames, without what fills none: (…, n) → (…, n_frames, frame)."""
-    frame = max(1, round(frame_ms * rate_hz / 1000))
-    n = signal.shape[-1] // frame
-    return signal[..., : n * frame].reshape(*signal.shape[:-1], n, frame)
