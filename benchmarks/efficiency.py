@@ -35,7 +35,7 @@ from foten.families import FAMILIES, FotenPlusSizes
 from foten.families.texture_file import Texture
 from foten.networks import build
 from foten.networks.dftnet import Dftnet
-from foten.networks.foten_plus import Corrector
+from foten.networks.foten import Corrector
 from foten.networks.gan import Gan
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
@@ -45,10 +45,10 @@ from foten.runtime.onnx_predictor import GRAPH, OnnxPredictor
 from foten.train.adversarial import STEPS, fit_adversarial
 from foten.train.blocks import ScaledBlocks, scaled_blocks
 from foten.train.config import OWN_RECIPES, RECIPES
+from foten.train.end_to_end import log_spectra, multi_step
 from foten.train.export import graph_of, proved, tensors_of
 from foten.train.fit import TrainingWindows, fit, reproducible
 from foten.train.job import TrainingJob
-from foten.train.targets import log_spectra, multi_step
 from main_table import between
 
 MODELS = (

@@ -447,8 +447,8 @@ MUTANTS = (
     Mutant(
         "a prediction knows the condition of its own sample",
         PACKAGE + "train/blocks.py",
-        "return np.concatenate([channel[:, :1], channel[:, :-1]], axis=1)",
-        "return channel",
+        "(np.concatenate([one[:, :1], one[:, :-1]], axis=1) for one in channels)",
+        "channels",
         ("tests/test_linear_part.py",),
     ),
     Mutant(

@@ -34,14 +34,13 @@ def moving_blocks(n_blocks: int = 5, block: int = 300) -> ScaledBlocks:
 
 def test_a_prediction_knows_the_condition_of_the_sample_before_and_a_blocks_first_its_own() -> None:
     blocks = moving_blocks()
-    speed, force = blocks.condition_before()
-    scaled = blocks.scaled_condition_before().reshape(5, 300, 2)
+    speed, force, scaled = blocks.condition_before()
     for channel, before in ((blocks.trace.speed, speed), (blocks.trace.force, force)):
         recorded = blocks.trace.blocks(channel)
         np.testing.assert_array_equal(before[:, 1:], recorded[:, :-1])
         np.testing.assert_array_equal(before[:, 0], recorded[:, 0])
     physical = SCALING.scale(np.stack([0 * speed, speed, force], axis=2).reshape(-1, 3))
-    np.testing.assert_allclose(scaled.reshape(-1, 2), physical[:, 1:], atol=1e-12)
+    np.testing.assert_allclose(scaled, physical[:, 1:], atol=1e-12)
 
 
 @pytest.mark.parametrize("before", [False, True])
@@ -61,7 +60,7 @@ def test_innovations_are_what_the_kernel_misses(before: bool) -> None:
         (e * unit)[:, m:][:, settled], (blocks.samples[:, m:, 0] - predicted)[:, settled], atol=1e-5
     )
     level = LinearPart(sizes, tensors, None, {}).excited_lattice.level
-    under = level(blocks.scaled_condition_before()).reshape(5, 300)
+    under = level(blocks.condition_before()[2]).reshape(5, 300)
     np.testing.assert_allclose((x * under)[:, 1:], blocks.samples[:, 1:, 0], atol=1e-9)
 
 

@@ -23,10 +23,10 @@ from foten.train import adversarial
 from foten.train.adversarial import fit_adversarial
 from foten.train.blocks import ScaledBlocks, scaled_blocks
 from foten.train.config import TrainConfig
+from foten.train.end_to_end import distilled, log_spectra, multi_step
 from foten.train.epochs import Epoch, Progress
 from foten.train.export import multiply_adds
 from foten.train.fit import TrainingWindows, fit
-from foten.train.targets import distilled, log_spectra, multi_step
 
 GRAPHS = [model for model, sizes in FAMILIES.items() if sizes.in_graph]
 
@@ -166,7 +166,7 @@ def test_recurrent_layers_are_counted() -> None:
 
 
 def test_an_interrupted_teacher_ends_the_training(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("foten.train.targets.fit", lambda *_: Progress(interrupted=True))
+    monkeypatch.setattr("foten.train.end_to_end.fit", lambda *_: Progress(interrupted=True))
     windows = TrainingWindows(np.zeros((100, 3)), np.arange(20, 60), np.arange(60, 100), 20)
     with pytest.raises(KeyboardInterrupt):
         distilled(windows, 20, TrainConfig(), lambda stage: None)

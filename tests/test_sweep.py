@@ -18,10 +18,9 @@ from conftest import TINY, experiment
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
-from foten.experiments.comparison import rows_of
 from foten.experiments.experiment import read_experiment
 from foten.experiments.figures import figures
-from foten.experiments.results import PAPER, read_results, title_of
+from foten.experiments.results import PAPER, read_results, rows_of, title_of
 from foten.experiments.sweep import _kept, sweep
 from foten.experiments.tables import each_run, findings, table, written
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from foten.dsp import Array
 
@@ -21,6 +24,11 @@ def frame_levels(blocks: Array, rate_hz: float, reference: float) -> Array:
 
 def frame_means(blocks: Array, rate_hz: float) -> Array:
     """Return the mean in the same frames: blocks (…, n) → (…, frames)."""
-    frame = max(1, round(FRAME_MS * rate_hz / 1000))
-    n_frames = blocks.shape[-1] // frame
-    return blocks[..., : n_frames * frame].reshape(*blocks.shape[:-1], n_frames, frame).mean(axis=-1)
+    return framed(blocks, FRAME_MS, rate_hz).mean(axis=-1)
+
+
+def framed(signal: NDArray[Any], frame_ms: float, rate_hz: float) -> NDArray[Any]:
+    """Return a signal in frames, without what fills none: (…, n) → (…, n_frames, frame)."""
+    frame = max(1, round(frame_ms * rate_hz / 1000))
+    n = signal.shape[-1] // frame
+    return signal[..., : n * frame].reshape(*signal.shape[:-1], n, frame)

@@ -51,7 +51,6 @@ def sweep(
         workers: runs at a time on this machine; one for each core by default. Each has one thread.
         address: of a Ray cluster, "auto" for the one that this machine is part of; None starts Ray here.
         gpus_per_run: share of a GPU that each run takes.
-        say: called with messages for the user, and a line after each run.
         n_batched: largest number of textures that are trained as one batched model, of the models in `BATCHED`.
 
     Raises:

@@ -8,8 +8,19 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from foten.experiments.comparison import Row, as_in_paper, compared, complete, rows_of
-from foten.experiments.results import FIGURES, PAPER, Results, experiments_of, label_of, name_of
+from foten.experiments.results import (
+    FIGURES,
+    PAPER,
+    Results,
+    Row,
+    as_in_paper,
+    compared,
+    complete,
+    experiments_of,
+    label_of,
+    name_of,
+    rows_of,
+)
 
 FORMATS = ("md", "csv", "tex")
 _LATEX = str.maketrans(

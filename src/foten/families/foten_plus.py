@@ -25,6 +25,7 @@ Source: ours; the network is Sec. IV.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from foten.families.excitation import excitation_shapes, scale_cost, scale_shapes
 from foten.families.foten import SpectralSizes
@@ -52,6 +53,7 @@ class FotenPlusSizes(SpectralSizes):
     n_residual_speed: int = 1  # its vertices over speed
     n_residual_force: int = 1  # and over force
     residual_gain_before_filter: bool = False
+    excited: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -68,11 +70,6 @@ class FotenPlusSizes(SpectralSizes):
     def n_inputs(self) -> int:
         """Return how many numbers of each sample the tokens hold: acceleration and innovation, speed and force."""
         return 4 if self.condition_in_tokens else 2
-
-    @property
-    def excited(self) -> bool:
-        """Return whether there is an excitation: always."""
-        return True
 
     @property
     def renders_with_network(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from foten.families.sizes import Shapes, Sizes, check_count
 
@@ -18,17 +19,13 @@ class PiecewiseArSizes(Sizes):
     ma: int = 0  # q, of what the innovations go through before
     n_models: int = 3
     n_triangles: int = 1
+    excited: ClassVar[bool] = True  # by white noise of each model's variance
 
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("order", "ma"):
             check_count(name, getattr(self, name), 0, HIGHEST_ORDER)
         check_count("window", self.window, self.order + 1)
-
-    @property
-    def excited(self) -> bool:
-        """Return whether there is an excitation: white noise of each model's variance."""
-        return True
 
     def tensor_shapes(self) -> Shapes:
         """Return the tensors of the models and of the mesh between them."""

@@ -9,8 +9,7 @@ from foten.families.sizes import Sizes
 from foten.networks.dftnet import Dftnet
 from foten.networks.dstn import Dstn
 from foten.networks.fnn import Fnn
-from foten.networks.foten import Foten
-from foten.networks.foten_plus import Corrector
+from foten.networks.foten import Corrector, Foten
 from foten.networks.gan import Gan
 from foten.networks.hapinf import Hapinf
 from foten.networks.ldhtd import Ldhtd
@@ -18,11 +17,7 @@ from foten.networks.ldhtd_hop import LdhtdHop
 
 NETWORKS: dict[str, Callable[[Any], nn.Module]] = {
     "foten-plus": Corrector,
-    "foten": Foten,
-    "ten": Foten,
-    "ten-mfcc": Foten,
-    "ten-wavelet": Foten,
-    "foten-d": Foten,
+    **dict.fromkeys(("foten", "ten", "ten-mfcc", "ten-wavelet", "foten-d"), Foten),
     "fnn": Fnn,
     "dstn": Dstn,
     "hapinf": Hapinf,

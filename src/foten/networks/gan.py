@@ -11,7 +11,7 @@ from torch.nn.functional import conv1d, leaky_relu
 from torch.nn.utils.parametrizations import spectral_norm
 
 from foten.families.graphs import GanSizes
-from foten.networks.noise_filter import NoiseFilter, hann
+from foten.networks.noise_filter import NoiseFilter
 
 LATENTS = 5  # numbers of noise that a frame is made from
 
@@ -36,7 +36,7 @@ class Gan(nn.Module):
         self.filter = NoiseFilter(n)
         turns = 2 * math.pi * torch.arange(n, dtype=torch.float64) / n
         waves = [wave(k * turns) for k in (1, 2) for wave in (torch.cos, torch.sin)]
-        kernels = torch.stack([torch.ones_like(turns), *waves]) * hann(n)
+        kernels = torch.stack([torch.ones_like(turns), *waves]) * torch.hann_window(n, dtype=torch.float64)
         kernels = kernels / kernels.square().sum(1, keepdim=True).sqrt()
         self.register_buffer("kernels", kernels[:, None].float(), persistent=False)
 

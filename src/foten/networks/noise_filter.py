@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -12,14 +10,9 @@ FAINTEST = 1e-4  # of |X|, scaled; below it a logarithm is of the sensor
 _LIMIT = 10.0  # of log |X|, scaled: beyond it is no vibration
 
 
-def hann(n: int) -> Tensor:
-    """Return the periodic window, shape (n,), float64."""
-    return 0.5 - 0.5 * torch.cos(2 * math.pi * torch.arange(n, dtype=torch.float64) / n)
-
-
 def log_magnitudes(frames: Tensor) -> Tensor:
     """Return log |X| of frames under a Hann window: (..., n) scaled → (..., n // 2 + 1)."""
-    window = hann(frames.shape[-1]).to(frames)
+    window = torch.hann_window(frames.shape[-1], dtype=torch.float64).to(frames)
     return torch.fft.rfft(frames * window).abs().clamp(min=FAINTEST).log()
 
 
@@ -31,19 +24,16 @@ class NoiseFilter(nn.Module):
     is that, so that a model of logarithms is not 2.5 dB too soft. The filter has as many taps as the frame has samples, and no
     phase. Equal to overlapping frames of these magnitudes and random phases, one begun at every sample. What is narrower than a
     few bins is as broad as the window leaves it, and looked at through a window broader still.
-
-    Args:
-        n: samples of a frame.
     """
 
     def __init__(self, n: int) -> None:
         super().__init__()
-        bins = np.arange(n // 2 + 1)
+        bins = np.arange(n // 2 + 1)  # of a frame of n samples
         alone = (bins == 0) | (2 * bins == n)
         turns = np.outer(np.arange(n) - n // 2, bins) / n
         cosines = np.where(alone, 1.0, 2.0) * np.cos(2 * np.pi * turns) / n
         scatter = 0.5 * (np.euler_gamma + np.where(alone, np.log(2.0), 0.0))
-        power = float(np.square(hann(n).numpy()).sum())
+        power = float(torch.hann_window(n, dtype=torch.float64).square().sum())
         self.register_buffer("cosines", torch.from_numpy(cosines).float(), persistent=False)
         self.register_buffer("offset", torch.from_numpy(scatter - 0.5 * np.log(power)).float(), persistent=False)
 

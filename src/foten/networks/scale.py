@@ -7,8 +7,6 @@ from torch import Tensor, nn
 
 from foten.families.excitation import HEAVIEST_TAIL
 
-NO_TAIL = -30.0  # of which the logistic function is zero
-
 
 class Scale(nn.Module):
     """A standard deviation that follows the hand: of a vibration, or of what a prediction of it misses.
@@ -60,20 +58,13 @@ class Excitation(Scale):
     def __init__(self, width: int) -> None:
         super().__init__(width)
         self.tail = nn.Linear(5, 1)
+        nn.init.zeros_(self.tail.weight)
+        nn.init.constant_(self.tail.bias, -30.0)  # of which the logistic function is zero
         # No excitation is larger than the largest innovation, in units of σ and in scaled acceleration: in a fast and firm
         # stroke a rare shock of a slow one would be beyond all that was recorded.
         self.register_buffer("largest", torch.full((2,), 1e6))
         # Of `dsp.noise.Volatility`: what is kept of it in a sample, and its standard deviation.
         self.register_buffer("volatility", torch.zeros(2))
-        self.forget()
-
-    @torch.no_grad()
-    def forget(self) -> None:
-        """Let it have neither tails nor volatility nor bound."""
-        self.tail.weight.zero_()
-        self.tail.bias.fill_(NO_TAIL)
-        self.largest.fill_(1e6)
-        self.volatility.zero_()
 
     def tails(self, condition: Tensor) -> Tensor:
         """Return h, from 0 to `HEAVIEST_TAIL`: z·exp(h z²/2) is excitation, z Gaussian; (b, 2) scaled → (b,)."""

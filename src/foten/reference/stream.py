@@ -16,10 +16,7 @@ class Prediction(NamedTuple):
     sample: Array
     scale: Array | None = None  # by how much a unit of excitation moves it; None for no excitation
     tail: Array | None = None  # h of z·exp(h z²/2); None for Gaussian noise
-    largest: tuple[float, float] = (
-        np.inf,
-        np.inf,
-    )  # of the excitation, in units of the scale and of scaled acceleration
+    largest: tuple[float, float] = (np.inf, np.inf)  # excitation, in units of the scale and of scaled acceleration
 
     def excited(self, noise: Array) -> Array:
         """Return the sample with excitation from standard normal noise, shape (s,)."""
@@ -73,7 +70,6 @@ def run(stream: Stream, condition: Array, noise: Array | None, limit: float = np
     the lattice.
 
     Args:
-        stream: changed.
         condition: of each sample, shape (s, n, 3).
         noise: standard normal, shape (s, n); None for the deterministic loop.
         limit: of the saturator.

@@ -85,8 +85,6 @@ def fit_adversarial(
     generator is given besides how far the mean over the frames is from that of the recorded spectrogram under the same hand.
     An epoch is `STEPS` steps; its losses are means of absolute differences of mean log magnitudes [nat], as `validation_mae`
     is. Ctrl-C ends the loop and keeps the best so far; before there is one, it goes on to the caller.
-
-    Of the configuration, what `config.UNUSED` names is not heeded.
     """
     train, validation = (_Crops(network, m, blocks, some) for some in (blocks.split.train, blocks.split.validation))
     judge = Discriminator()

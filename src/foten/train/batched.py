@@ -42,13 +42,10 @@ def fit_batched(
 ) -> list[Progress | ValueError]:
     """Train networks in place, each to its best validation loss, as `fit` does; return each log, or why it could not be fitted.
 
-    Args:
-        networks: of one architecture, windows (b, m, c) → (b,), on one device.
-        data: what each is fitted to, with as many training windows as the others.
-        configs: alike but for their seeds; of one thread.
+    The networks are of one architecture, windows (b, m, c) → (b,), on one device.
 
     Raises:
-        ValueError: they do not fit together.
+        ValueError: their configurations differ in more than the seed, or have threads, or there are more windows of one.
     """
     config = configs[0]
     alike = {(repr({**vars(one), "seed": 0}), len(of.train)) for one, of in zip(configs, data, strict=True)}

@@ -58,27 +58,19 @@ class ScaledBlocks:
         block = self.trace.block
         return targets(self.split.train, block, m), targets(self.split.validation, block, m)
 
-    def condition_before(self) -> tuple[Array, Array]:
-        """Return the speed [mm/s] and force [N] of the sample before, which a prediction knows: (n_blocks, block) each.
+    def condition_before(self) -> tuple[Array, Array, Array]:
+        """Return the condition of the sample before, which a prediction knows; of a block's first, never predicted, its own.
 
-        Of a block's first sample, which nothing in its block comes before and which is never predicted, its own.
+        Speed [mm/s] and force [N], (n_blocks, block) each, and both scaled, one sample after the other, (n, 2).
         """
-        trace = self.trace
-        return _before(trace.blocks(trace.speed)), _before(trace.blocks(trace.force))
-
-    def scaled_condition_before(self) -> Array:
-        """Return the same scaled, one sample after the other, shape (n, 2)."""
-        return _before(self.samples[..., 1:]).reshape(-1, 2)
+        channels = self.trace.blocks(self.trace.speed), self.trace.blocks(self.trace.force), self.samples[..., 1:]
+        speed, force, scaled = (np.concatenate([one[:, :1], one[:, :-1]], axis=1) for one in channels)
+        return speed, force, scaled.reshape(-1, 2)
 
     def path_conditions(self) -> Array:
         """Return speed and force, scaled, and the speed [mm/s], as the kernel's loop takes them: (n_blocks, block, 3)."""
         speed = self.trace.blocks(self.trace.speed)
         return np.concatenate([self.samples[..., 1:], speed[..., None]], axis=2)
-
-
-def _before(channel: Array) -> Array:
-    """Return each block's samples, its first one twice and without its last: (n_blocks, block, …)."""
-    return np.concatenate([channel[:, :1], channel[:, :-1]], axis=1)
 
 
 def scaled_blocks(trace: Trace, split: Split) -> ScaledBlocks:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -14,7 +13,7 @@ from scipy.signal import fftconvolve
 
 from foten.dsp import Array
 from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length, welch
-from foten.dsp.level import frame_levels, frame_means
+from foten.dsp.level import frame_levels, frame_means, framed
 from foten.dsp.noise import gaussian
 from foten.networks.scale import Excitation
 from foten.runtime.loops import run_loops
@@ -34,18 +33,14 @@ SETTLING_STREAM, DISTANCE_STREAM, VOLATILITY_STREAM = 2**32, 2**33, 2**34
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """A model whose excitation is being fitted.
-
-    Attributes:
-        power: mean squares under a steady condition (k, 2) scaled, (k,) each: of what a unit of σ adds, and of the tones.
-        response: squares of the impulse response between excitation and output, shape (n,), of a lattice with the gain before
-            the filter; None where a change of σ shows at once.
-    """
+    """A model whose excitation is being fitted."""
 
     blocks: ScaledBlocks
     history: int  # samples that a run begins from
     kernel: Callable[[Excitation], NativeTexture]  # the model with an excitation, ready to render
+    # Mean squares under a steady condition (k, 2) scaled, (k,) each: of what a unit of σ adds, and of the tones.
     power: Callable[[Array], tuple[Array, Array]]
+    # Squares of the impulse response from excitation to output, (n,), with the gain before a lattice; else σ shows at once.
     response: Array | None = None
     limit: float = math.inf  # that samples are cut to; infinite for what is bounded by itself
 
@@ -88,10 +83,8 @@ def settle_level(loop: ClosedLoop, excitation: Excitation, seed: int) -> list[fl
     power of all misses, as far as that is beyond chance, off its constant; three times over.
 
     The loop runs under the speed and force of the training and validation blocks, the first fifth not counted; σ, adjusted in
-    place, stays within its range over the training blocks; the seed is that of the noise.
-
-    Returns:
-        By how much the closed loop is louder than the recording before each adjustment [dB].
+    place, stays within its range over the training blocks. Returned is by how much the loop was louder than the recording
+    before each adjustment [dB].
     """
     blocks, m, settled = loop.blocks, loop.history, loop.settled
     rate, known = blocks.trace.rate_hz, list(blocks.known)
@@ -162,8 +155,6 @@ def fit_volatility(loop: ClosedLoop, excitation: Excitation, seed: int) -> None:
     How long it lasts, of `LASTING_S`, is what describes best how much more uneven the powers of frames of 2 to 40 ms are
     than those of the free run: short changes average out in long frames. Real wood was 1.6 times as uneven at all lengths, copper
     1.4 times in 2 ms and 1.1 in 40 ms.
-
-    The excitation, whose level is settled, is changed in place; the seed is that of the noise.
     """
     rate = loop.blocks.trace.rate_hz
     recorded, runs = loop.free_runs(excitation, loop.blocks.known, seed, VOLATILITY_STREAM, N_RUNS)
@@ -188,15 +179,11 @@ def _level_variance(recorded: Array, runs: Array, moving: NDArray[np.bool_], rat
     a frame, is so in both and does not count, as it does in a kurtosis. Linear processes, which have no volatility, came to
     0.00 ± 0.01; simulated cardboard and smooth rubber, whose levels are not quite right, to 0.01; the real copper, leather,
     wood and fabric to 0.03, 0.04, 0.16 and 0.45.
-
-    Args:
-        recorded: shape (n_blocks, n).
-        runs: shape (n_runs, n_blocks, n).
-        moving: where frames count, shape (n_blocks, n).
+    Shapes (n_blocks, n), (n_runs, n_blocks, n) and, where frames count, (n_blocks, n).
     """
     least = 1e-8 * float(np.square(recorded).mean())
-    recorded, runs, moving = (_framed(signal, LEVEL_FRAME_MS, rate_hz) for signal in (recorded, runs, moving))
-    levels, ours = (0.5 * np.log(np.square(framed).mean(axis=-1) + least) for framed in (recorded, runs))
+    recorded, runs, moving = (framed(signal, LEVEL_FRAME_MS, rate_hz) for signal in (recorded, runs, moving))
+    levels, ours = (0.5 * np.log(np.square(one).mean(axis=-1) + least) for one in (recorded, runs))
     beyond = np.square(levels - ours.mean(axis=0)) - ours.var(axis=0, ddof=1) * (1 + 1 / len(ours))
     counts = moving.all(axis=-1)
     parts = np.stack([np.where(counts, beyond, 0.0).sum(axis=1), counts.sum(axis=1)])
@@ -219,7 +206,7 @@ def _lasts_s(recorded: Array, rendered: Array, rate_hz: float) -> float:
     """Return how long the loudness stays up that recorded blocks have beyond rendered ones, (n_blocks, any) each [s]."""
 
     def unevenness(blocks: Array, frame_ms: float) -> float:
-        powers = np.square(_framed(blocks, frame_ms, rate_hz)).mean(axis=-1)
+        powers = np.square(framed(blocks, frame_ms, rate_hz)).mean(axis=-1)
         return float(np.square(powers).mean() / powers.mean() ** 2)
 
     more = np.array([unevenness(recorded, ms) / unevenness(rendered, ms) - 1 for ms in FRAMES_MS])
@@ -232,10 +219,3 @@ def _lasts_s(recorded: Array, rendered: Array, rate_hz: float) -> float:
         return float(np.square(more - size * left).sum())
 
     return min(LASTING_S, key=missed)
-
-
-def _framed(signal: NDArray[Any], frame_ms: float, rate_hz: float) -> NDArray[Any]:
-    """Return a signal in frames, without what fills none: (…, n) → (…, n_frames, frame)."""
-    frame = max(1, round(frame_ms * rate_hz / 1000))
-    n = signal.shape[-1] // frame
-    return signal[..., : n * frame].reshape(*signal.shape[:-1], n, frame)

@@ -107,11 +107,7 @@ UNUSED: dict[str, tuple[str, ...]] = {
 
 
 def check_used(model: str, given: Iterable[str]) -> None:
-    """Check that settings which somebody gave mean something to a model.
-
-    Raises:
-        ValueError: one means nothing to it.
-    """
+    """Refuse settings that somebody gave and that mean nothing to a model."""
     for name in given:
         if name in UNUSED.get(model, ()):
             option = name.replace("_", "-")

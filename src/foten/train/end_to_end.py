@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,21 +18,23 @@ from numpy.typing import NDArray
 from torch import nn
 
 from foten.families.excitation import WithExcitation
+from foten.families.graphs import HapinfSizes
 from foten.families.texture_file import Texture
 from foten.networks import build
-from foten.networks.scale import Excitation
-from foten.runtime.native import NativeTexture
+from foten.networks.noise_filter import log_magnitudes
 from foten.runtime.onnx_predictor import GRAPH
 from foten.train.adversarial import fit_adversarial
 from foten.train.blocks import ScaledBlocks
 from foten.train.closed_loop import ClosedLoop
+from foten.train.config import TrainConfig
 from foten.train.epochs import Epoch, Progress
 from foten.train.excitation import fit_excitation
 from foten.train.export import N_GOLDEN, Draft, Tensors, graph_of, in_float64, multiply_adds, tensors_of
-from foten.train.fit import TrainingWindows, pick_device, predict
+from foten.train.fit import TrainingWindows, fit, pick_device, predict
 from foten.train.foten_plus import check_block
 from foten.train.job import NetworkTask, Stage, TrainingJob
-from foten.train.targets import distilled, log_spectra, multi_step
+
+_AT_ONCE = 65536  # frames
 
 
 @dataclass(kw_only=True)
@@ -75,14 +78,11 @@ class EndToEndTask(NetworkTask):
         sizes, config = self.job.sizes, self.job.config
         assert isinstance(sizes, WithExcitation)
 
-        def kernel(excitation: Excitation) -> NativeTexture:
-            given = {**tensors, **tensors_of(excitation, "excitation.")}
-            return draft.texture(sizes, given, {**metrics, "validation_mae_scaled": 0.0}).kernel
-
         def power(condition: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
             # What the network makes of the excitation is not known; where it is a filter, it is as loud in the same measure.
             return np.ones(len(condition)), np.zeros(len(condition))
 
+        kernel = partial(draft.kernel, sizes, tensors)
         loop = ClosedLoop(self.blocks, sizes.history, kernel, power, limit=self.blocks.saturation)
         both = np.concatenate([windows.train, windows.validation])
         missed = windows.samples[both, 0] - predict(self.network, windows, both)
@@ -101,35 +101,61 @@ class AdversarialTask(EndToEndTask):
         return fit_adversarial(self.network, m, self.blocks, config, on_epoch, checkpoint, resume)
 
 
-def _prepared(job: TrainingJob) -> tuple[ScaledBlocks, TrainingWindows]:
-    """Return blocks and windows, checked, and seed what follows."""
+def prepare_end_to_end(job: TrainingJob, on_stage: Stage) -> EndToEndTask:
+    """Return a network, and the windows or frames that it is to be fitted to."""
     blocks, m = job.blocks(), job.sizes.window
     check_block(blocks, m)
     torch.manual_seed(job.config.seed)
-    return blocks, TrainingWindows(blocks.flat, *blocks.targets(m), m)
-
-
-def prepare_one_step(job: TrainingJob, on_stage: Stage) -> EndToEndTask:
-    """Return a network and the windows that it is to be fitted to."""
-    blocks, windows = _prepared(job)
+    windows = TrainingWindows(blocks.flat, *blocks.targets(m), m)
     if job.model == "ldhtd":
-        windows = distilled(windows, windows.window, job.config, on_stage)
-    network = build(job.model, job.sizes).to(pick_device())
-    if job.sizes.n_ahead > 1:
+        windows = distilled(windows, m, job.config, on_stage)
+    network = renderer = build(job.model, job.sizes)
+    if job.model == "gan":  # stays on the CPU
+        return AdversarialTask(job=job, blocks=blocks, network=network, windows=windows, renderer=renderer)
+    renderer.to(pick_device())
+    if job.model == "dftnet":
+        network, windows = renderer.spectrum, log_spectra(windows, blocks)
+    elif job.sizes.n_ahead > 1:
         windows = multi_step(windows, blocks, job.sizes.n_ahead)
-    return EndToEndTask(job=job, blocks=blocks, network=network, windows=windows, renderer=network)
+    return EndToEndTask(job=job, blocks=blocks, network=network, windows=windows, renderer=renderer)
 
 
-def prepare_dftnet(job: TrainingJob, on_stage: Stage) -> EndToEndTask:
-    """Return the network of spectra and the frames that it is to be fitted to."""
-    blocks, windows = _prepared(job)
-    renderer = build(job.model, job.sizes).to(pick_device())
-    windows = log_spectra(windows, blocks)
-    return EndToEndTask(job=job, blocks=blocks, network=renderer.spectrum, windows=windows, renderer=renderer)
+def distilled(windows: TrainingWindows, m: int, config: TrainConfig, on_stage: Stage) -> TrainingWindows:
+    """Return windows whose targets in training lie half-way to what a teacher predicts, those of validation as they were.
+
+    The mean of the squared errors against the recording and against the teacher, 0.5 (y − s)² + 0.5 (t − s)², differs from the
+    squared error against their mean by what s has no part in.
+    """
+    on_stage("training the teacher, hapinf")
+    teacher = build("hapinf", HapinfSizes(window=m, n_start=min(10, m))).to(pick_device())
+    if fit(teacher, windows, config).interrupted:
+        raise KeyboardInterrupt  # of a half-distilled student nothing is kept
+    target = windows.samples[:, 0].copy()
+    target[windows.train] = 0.5 * (target[windows.train] + predict(teacher, windows, windows.train))
+    return replace(windows, target=target)
 
 
-def prepare_gan(job: TrainingJob, on_stage: Stage) -> AdversarialTask:
-    """Return the generator, on the CPU."""
-    blocks, windows = _prepared(job)
-    network = build(job.model, job.sizes)
-    return AdversarialTask(job=job, blocks=blocks, network=network, windows=windows, renderer=network)
+def log_spectra(windows: TrainingWindows, blocks: ScaledBlocks) -> TrainingWindows:
+    """Return windows whose targets are the log magnitudes of frames around every fourth sample or so, (n, m // 2 + 1), float32.
+
+    A window ends before the middle of its frame.
+    """
+    m, block = windows.window, blocks.trace.block
+    acceleration = torch.from_numpy(blocks.samples[..., 0]).float()
+    target = np.zeros((len(windows.samples), m // 2 + 1), dtype=np.float32)
+    framed = []
+    for n in (windows.train, windows.validation):
+        within = n % block
+        framed.append(n[((within - m) % max(1, m // 25) == 0) & (within - m // 2 + m <= block)])
+        for some in np.split(framed[-1], range(_AT_ONCE, len(framed[-1]), _AT_ONCE)):
+            around = torch.from_numpy(some % block - m // 2)[:, None] + torch.arange(m)
+            target[some] = log_magnitudes(acceleration[torch.from_numpy(some // block)[:, None], around]).numpy()
+    return replace(windows, train=framed[0], validation=framed[1], target=target)
+
+
+def multi_step(windows: TrainingWindows, blocks: ScaledBlocks, n_ahead: int) -> TrainingWindows:
+    """Return windows whose targets are a sample and those after it, (n, n_ahead), of which none is of another block."""
+    x, block = windows.samples[:, 0], blocks.trace.block
+    target = np.lib.stride_tricks.sliding_window_view(np.append(x, np.zeros(n_ahead - 1)), n_ahead)
+    train, validation = (n[n % block + n_ahead <= block] for n in (windows.train, windows.validation))
+    return replace(windows, train=train, validation=validation, target=np.ascontiguousarray(target))

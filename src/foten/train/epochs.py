@@ -175,11 +175,7 @@ def save_progress(path: Path, config: TrainConfig, parts: Mapping[str, Stateful]
 
 
 def load_progress(path: Path, config: TrainConfig, parts: Mapping[str, Stateful]) -> Progress:
-    """Return the log of a checkpoint, and put every part into its state.
-
-    Raises:
-        ValueError: it is damaged, or was written under another configuration.
-    """
+    """Return the log of a checkpoint, and put every part into its state; refuse one that is damaged or of other settings."""
     try:
         saved = torch.load(path, weights_only=True, map_location="cpu")
     except (pickle.UnpicklingError, RuntimeError, EOFError, OSError) as error:

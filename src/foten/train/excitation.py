@@ -60,9 +60,7 @@ def fit_excitation(
     """Return an excitation: scale, tails and bound, then level and volatility in the closed loop.
 
     Args:
-        width: hidden units of its scale.
         innovations: what is left to the excitation at the training, then the validation indices, in its unit.
-        windows: whose indices these are.
         useless_from: None is returned for a free run so far away (`nearness`) before anything is settled in the loop.
     """
     torch.manual_seed(config.seed)
@@ -116,10 +114,8 @@ def fit_scale(scale: Scale, windows: TrainingWindows, scaling: Scaling, residual
     mostly chance. It did not cure the level errors of the real wood (−4.4 dB on one split before and after).
 
     Args:
-        scale: fitted in place.
         windows: the speed and force that go with each residual are those of the last sample of its window.
         residual: what it is the scale of, in the unit that it is to have, at the training, then the validation indices, (n,).
-        seed: of the initial weights.
 
     Returns:
         The mean negative log-likelihood of the validation blocks [nat].
@@ -184,12 +180,8 @@ def fit_tail(excitation: Excitation, windows: TrainingWindows, residual: Array) 
     and kept if the validation blocks are more likely with them. A Student t and two Gaussians are about as likely
     (`benchmarks/innovations.py`); this one is a smooth function of one Gaussian number, which a stream of noise is made of.
 
-    Args:
-        excitation: changed in place.
-        windows, residual: as of `fit_scale`.
-
-    Returns:
-        What the tails gain in the mean negative log-likelihood of the validation blocks [nat]; 0 where they are not kept.
+    Arguments are as of `fit_scale`. Returned is what the tails gain in the mean negative log-likelihood of the validation
+    blocks [nat], 0 where they are not kept.
     """
     condition, u = _conditions(windows), torch.from_numpy(residual / _sigma(excitation, windows)).double()
     train, validation = slice(0, len(windows.train)), slice(len(windows.train), None)

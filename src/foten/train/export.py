@@ -50,9 +50,13 @@ class Draft:
     model: str
     blocks: ScaledBlocks
     card: dict[str, Any]  # entries beyond model, sizes and scaling
-    network: Callable[[Array], Array] | None = (
-        None  # of a graph, in float64: windows (b, m, 3) scaled → (b, n_ahead) scaled
-    )
+    # Of a graph, in float64: windows (b, m, 3) scaled → (b, n_ahead) scaled.
+    network: Callable[[Array], Array] | None = None
+
+    def kernel(self, sizes: Sizes, tensors: Tensors, excitation: nn.Module) -> NativeTexture:
+        """Return what renders a texture with an excitation that is being fitted."""
+        tensors = {**tensors, **tensors_of(excitation, "excitation.")}
+        return self.texture(sizes, tensors, {"validation_mae_scaled": 0.0}).kernel
 
     def texture(
         self, sizes: Sizes, tensors: Tensors, metrics: dict[str, Any], n_golden: int = MIN_GOLDEN

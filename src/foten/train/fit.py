@@ -143,16 +143,8 @@ def fit(
 
     parts: dict[str, Stateful] = {"network": network, "optimiser": optimiser}
     with ThreadPoolExecutor(n_threads) as pool:
-        return run_epochs(
-            network,
-            config,
-            parts,
-            one_epoch,
-            lambda: validated(network, of, criterion, pool.map),
-            on_epoch,
-            checkpoint,
-            resume,
-        )
+        validate = partial(validated, network, of, criterion, pool.map)
+        return run_epochs(network, config, parts, one_epoch, validate, on_epoch, checkpoint, resume)
 
 
 def epoch_seed(seed: int, epoch: int) -> int:
@@ -194,13 +186,9 @@ def validated(
     network: nn.Module,
     of: DeviceWindows,
     criterion: Callable[[Tensor, Tensor], Tensor],
-    over: Callable[..., Iterator[tuple[float, float]]] = map,
+    over: Callable[..., Iterator[tuple[float, float]]] = map,  # over batches; or that of a pool of threads
 ) -> tuple[float, float]:
-    """Return a network's loss and mean absolute error on the validation windows, the latter scaled.
-
-    Args:
-        over: maps a function over batches, as `map` or that of a pool of threads.
-    """
+    """Return a network's loss and mean absolute error on the validation windows, the latter scaled."""
     network.eval()
 
     def sums(batch: Tensor) -> tuple[float, float]:

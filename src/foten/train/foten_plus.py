@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,8 @@ from foten.dsp.level import FRAME_MS, frame_levels, frame_means
 from foten.families.conditions import FADE_FORCE, FADE_SPEED
 from foten.families.foten_plus import FotenPlusSizes
 from foten.families.texture_file import Texture
-from foten.networks.foten_plus import Corrector
-from foten.networks.scale import Excitation
+from foten.networks.foten import Corrector
 from foten.reference.network import Network
-from foten.runtime.native import NativeTexture
 from foten.train.blocks import ScaledBlocks
 from foten.train.closed_loop import ClosedLoop
 from foten.train.config import TrainConfig
@@ -98,11 +97,7 @@ class FotenPlusTask(NetworkTask):
 
 
 def prepare_foten_plus(job: TrainingJob, on_stage: Stage) -> FotenPlusTask:
-    """Return the linear part with its excitation as a texture, and the windows that a network is to be fitted to.
-
-    Raises:
-        ValueError: the recording does not fit the configuration; the message names the option.
-    """
+    """Return the linear part with its excitation as a texture, and the windows that a network is to be fitted to."""
     assert isinstance(job.sizes, FotenPlusSizes)
     blocks = job.blocks()
     check_block(blocks, job.sizes.window)
@@ -140,12 +135,7 @@ def _rendering(part: LinearPart, network: Corrector, draft: Draft, config: Train
 
 
 def _loop(part: LinearPart, draft: Draft, network: Corrector) -> ClosedLoop:
-    given = {**part.tensors, **tensors_of(network, "network.")}
-
-    def kernel(excitation: Excitation) -> NativeTexture:
-        tensors = {**given, **tensors_of(excitation, "excitation.")}
-        return draft.texture(part.sizes, tensors, {"validation_mae_scaled": 0.0}).kernel
-
+    kernel = partial(draft.kernel, part.sizes, {**part.tensors, **tensors_of(network, "network.")})
     history, block = part.sizes.history, draft.blocks.trace.block
     return ClosedLoop(draft.blocks, history, kernel, part.power, part.response(block - history))
 

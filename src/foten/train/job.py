@@ -87,9 +87,7 @@ class Task:
     job: TrainingJob
     blocks: ScaledBlocks
     playable: Texture | None = None  # a texture already, whose network adds nothing yet
-    linear_mae: float | None = (
-        None  # one-step validation error of what is playable, scaled, where a network may lower it
-    )
+    linear_mae: float | None = None  # its one-step validation error, scaled, where a network may lower it
 
     def fit(self, on_epoch: Callable[[Epoch], None], checkpoint: Path | None, resume: bool) -> Progress:
         """Fit what is to be fitted, in place; nothing here."""

@@ -35,9 +35,8 @@ class LinearPart:
 
     sizes: FotenPlusSizes  # of lattices and tones; the network is not in the loop
     tensors: Tensors  # theirs, by the names in a texture file
-    phase: (
-        Array | None
-    )  # of the fundamental at every sample [rad], (n_blocks, block); None where the surface does not repeat
+    # Of the fundamental at every sample [rad], (n_blocks, block); None where the surface does not repeat.
+    phase: Array | None
     tried: dict[str, Any]  # on the way
 
     @property
@@ -56,9 +55,7 @@ class LinearPart:
 
         The first sample of each block gives zeros: nothing comes before it. A sample's level and reflection coefficients are
         those of the condition before it: a prediction knows no others (Eq. 1).
-
-        Args:
-            residual: of what the tones leave, where there are tones, and not of the acceleration.
+        A `residual` is what the tones leave of the acceleration, where there are tones.
         """
         samples, before = blocks.samples[:, 1:, 0], blocks.path_conditions()[:, :-1]
         lattice = Lattice(self.tensors, "lattice.", self.sizes.gain_before_filter)
@@ -109,15 +106,8 @@ def fit_linear_parts(
     on_stage("fitting level and lattice")
     rate, acceleration = blocks.trace.rate_hz, blocks.flat[:, 0]
     fitted, data, tensors = _levelled_lattice("lattice.", acceleration, sizes, blocks, config)
-    order, n_speed, n_force = _counts(fitted.table)
-    sizes = replace(
-        sizes,
-        order=order,
-        n_speed=n_speed,
-        n_force=n_force,
-        gain_before_filter=fitted.gain_before_filter,
-        network_in_loop=False,
-    )
+    counts = _counts(fitted.table, "order", "n_speed", "n_force")
+    sizes = replace(sizes, **counts, gain_before_filter=fitted.gain_before_filter, network_in_loop=False)
     plain = LinearPart(sizes, tensors, None, {"lattices": fitted.tried, "wavelength_mm": None})
     length = wavelength(data, rate) if config.tones else None
     if length is None:
@@ -127,18 +117,10 @@ def fit_linear_parts(
     # Of what the tones leave when the phase is known as well as it can be.
     residual = acceleration - (tones.played * data.unit).ravel()
     beside, _, own = _levelled_lattice("residual.", residual, sizes, blocks, config)
-    order, n_speed, n_force = _counts(beside.table)
-    n_coefficients, n_tone_speed, n_tone_force = _counts(tones.table)
-    sizes = replace(
-        sizes,
-        n_tones=n_coefficients // 2,
-        n_tone_speed=n_tone_speed,
-        n_tone_force=n_tone_force,
-        residual_order=order,
-        n_residual_speed=n_speed,
-        n_residual_force=n_force,
-        residual_gain_before_filter=beside.gain_before_filter,
-    )
+    counts = _counts(beside.table, "residual_order", "n_residual_speed", "n_residual_force")
+    counts |= _counts(tones.table, "n_tones", "n_tone_speed", "n_tone_force")
+    counts["n_tones"] //= 2  # of which each has two coefficients
+    sizes = replace(sizes, **counts, residual_gain_before_filter=beside.gain_before_filter)
     motion = np.array([2 * np.pi / (tones.wavelength_mm * rate), tones.unevenness, 1 / (DRAWN_BACK_S * rate)])
     tensors = {**tensors, **_table_tensors("tones.", tones.table, "values"), "tones.motion": motion, **own}
     report = {
@@ -158,8 +140,8 @@ def _levelled_lattice(
     scale = Scale(sizes.excitation_width).requires_grad_(False)
     both = np.concatenate([windows.train, windows.validation])
     fit_scale(scale, windows, blocks.scaling, signal[both], config.seed)
-    of_level, (speed, force) = tensors_of(scale, f"{prefix}level."), blocks.condition_before()
-    level = LevelOf(of_level, f"{prefix}level.")(blocks.scaled_condition_before())
+    of_level, (speed, force, before) = tensors_of(scale, f"{prefix}level."), blocks.condition_before()
+    level = LevelOf(of_level, f"{prefix}level.")(before)
     x, unit = (signal / level).reshape(speed.shape), level.reshape(speed.shape)
     data = LatticeData(x, unit, speed, force, blocks.split.train, blocks.split.validation)
     max_order = max(1, min(blocks.trace.block // 8, config.max_order))
@@ -167,9 +149,10 @@ def _levelled_lattice(
     return fitted, data, _table_tensors(prefix, fitted.table, "reflections") | of_level
 
 
-def _counts(table: SpeedForceTable) -> tuple[int, int, int]:
+def _counts(table: SpeedForceTable, *names: str) -> dict[str, Any]:
     """Return how many values a vertex has, and how many vertices there are over speed and over force."""
-    return table.values.shape[1], len(table.speed_knots), len(table.force_knots)
+    counts = table.values.shape[1], len(table.speed_knots), len(table.force_knots)
+    return dict(zip(names, counts, strict=True))
 
 
 def _table_tensors(prefix: str, table: SpeedForceTable, values: str) -> Tensors:

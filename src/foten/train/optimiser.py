@@ -20,9 +20,7 @@ class Optimiser:
     Matrices move along the orthogonal factor of their momentum, so that no direction is slow: a network of 64 s of simulated mesh
     gained 7.6 % in 1200 steps, and 1.0 % by AdamW at the better of two rates (`benchmarks/training.py`).
 
-    Args:
-        parameters: by name; in stacks of several networks' where `stacked`, along their first dimension.
-        config: which optimiser, and its rates.
+    Where `stacked`, each parameter is that of several networks, along its first dimension.
 
     Source: Jordan et al., "Muon: an optimizer for hidden layers in neural networks" (2024), the iteration and its coefficients;
     for the paper's recipe Adam, Sec. IV-e.

@@ -57,10 +57,6 @@ def local_texture(models: LocalModels, scaling: Scaling, card: dict[str, Any]) -
 
     The proof is each model's own difference equation in direct form, which the kernel, a lattice, has to reproduce.
 
-    Args:
-        scaling: of the trace that they were fitted to.
-        card: what is known beyond model, sizes and scaling.
-
     Raises:
         ValueError: they make no stable texture, or the kernel does not reproduce them.
     """
@@ -150,9 +146,6 @@ def imported_texture(models: HattModels, digest: str, name: str = "", notes: str
         digest: SHA-256 of the file.
         name: of the texture; the material's by default.
         notes: for the card, after where the models came from.
-
-    Raises:
-        ValueError: they make no stable texture.
     """
     n, p, q = len(models.points), models.ar.shape[1] - 1, models.ma.shape[1] - 1
     for what, order in (("AR", p), ("MA", q)):

@@ -6,8 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from foten.families.texture_file import Texture
+from foten.networks import NETWORKS
 from foten.train.batched import fit_batched
-from foten.train.end_to_end import prepare_dftnet, prepare_gan, prepare_one_step
+from foten.train.end_to_end import prepare_end_to_end
 from foten.train.epochs import Epoch, Progress
 from foten.train.fit import reproducible
 from foten.train.foten_plus import prepare_foten_plus
@@ -15,23 +16,14 @@ from foten.train.job import NetworkTask, Stage, Task, Trained, TrainingJob
 from foten.train.piecewise_ar import prepare_piecewise_ar
 
 PREPARE: Mapping[str, Callable[[TrainingJob, Stage], Task]] = {
+    **dict.fromkeys(NETWORKS, prepare_end_to_end),
     "foten-plus": prepare_foten_plus,
-    "dftnet": prepare_dftnet,
-    "gan": prepare_gan,
     "ar": prepare_piecewise_ar,
-    **dict.fromkeys(
-        ("foten", "ten", "ten-mfcc", "ten-wavelet", "foten-d", "fnn", "dstn", "hapinf", "ldhtd", "ldhtd-hop"),
-        prepare_one_step,
-    ),
 }
 
 
 def prepare(job: TrainingJob, on_stage: Stage = lambda stage: None) -> Task:
-    """Return a job's network, what it is to be fitted to, and what is playable without it.
-
-    Raises:
-        ValueError: the recording does not fit the configuration; the message names the option.
-    """
+    """Return a job's network, what it is to be fitted to, and what is playable without it."""
     if job.sizes.in_graph:  # what is missing is said before training, not after
         import onnx  # noqa: F401
         import onnxruntime  # noqa: F401
@@ -50,7 +42,6 @@ def train(
 
     Args:
         on_epoch, checkpoint, resume: as `fit` has them.
-        on_stage: called with what is being done beside epochs.
         on_playable: called with a valid texture as soon as there is one, long before the network is fitted.
 
     Raises:

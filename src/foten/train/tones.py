@@ -18,9 +18,8 @@ from foten.train.lattice import LatticeData, VertexWeights, fit_lattice_of, vert
 
 SHORTEST_MM = 0.2
 LEAST_PERIODS = 3.0  # in a stretch: so many of a window's own lobes lie at the lowest spatial frequencies
-STANDS_OUT = (
-    3.0  # times its surroundings, for a wavelength to be tried; irregular cloth has 4, surfaces without one 1.3
-)
+# Times its surroundings, for a wavelength to be tried; irregular cloth has 4, surfaces without one 1.3.
+STANDS_OUT = 3.0
 TWICE_CHANCE = 2.0  # the largest that noise would reach
 OF_THE_PATH = 1.2  # times what stands out over time: a hum at a steady speed repeats over both
 MAX_TONES = 6

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import false_discovery_control
 
-from foten.experiments.comparison import Row, compared, holm
+from foten.experiments.results import Row, compared, holm
 
 
 def test_holm_is_at_least_as_strict_as_the_false_discovery_rate_and_never_above_bonferroni() -> None:
