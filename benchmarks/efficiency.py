@@ -35,7 +35,7 @@ from foten.families import FAMILIES, FotenPlusSizes
 from foten.families.texture_file import Texture
 from foten.networks import build
 from foten.networks.dftnet import Dftnet
-from foten.networks.foten import Corrector
+from foten.networks.foten_plus import Corrector
 from foten.networks.gan import Gan
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording

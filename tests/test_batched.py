@@ -17,7 +17,7 @@ from foten.experiments.run import execute
 from foten.experiments.sweep import _groups, _guarded
 from foten.families import FAMILIES, TenSizes
 from foten.networks import build
-from foten.networks.foten import Corrector
+from foten.networks.foten_plus import Corrector
 from foten.train.batched import BATCHED, fit_batched
 from foten.train.config import RECIPES, TrainConfig
 from foten.train.epochs import Progress

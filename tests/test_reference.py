@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from conftest import SMALL, exported, resonance, sizes_with, untrained
 from foten.families import FAMILIES, FotenPlusSizes
-from foten.families.foten import TransformerSizes
+from foten.families.ten import TransformerSizes
 from foten.reference import model_of
 from foten.reference.foten_plus import FotenPlus
 from foten.reference.network import Network

@@ -5,10 +5,11 @@ from dataclasses import fields
 from typing import Any
 
 from foten.families import graphs
-from foten.families.foten import FotenSizes, TenSizes
+from foten.families.foten import FotenSizes
 from foten.families.foten_plus import FotenPlusSizes
 from foten.families.piecewise_ar import PiecewiseArSizes
 from foten.families.sizes import Sizes, shortened
+from foten.families.ten import TenSizes
 
 FAMILIES: dict[str, type[Sizes]] = {
     "foten-plus": FotenPlusSizes,

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from foten.families.excitation import WithExcitation
-from foten.families.foten import SpectralSizes, TransformerSizes
+from foten.families.foten import SpectralSizes
 from foten.families.sizes import Sizes, check_heads
+from foten.families.ten import TransformerSizes
 
 
 @dataclass(frozen=True)

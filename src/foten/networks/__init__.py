@@ -9,7 +9,8 @@ from foten.families.sizes import Sizes
 from foten.networks.dftnet import Dftnet
 from foten.networks.dstn import Dstn
 from foten.networks.fnn import Fnn
-from foten.networks.foten import Corrector, Foten
+from foten.networks.foten import Foten
+from foten.networks.foten_plus import Corrector
 from foten.networks.gan import Gan
 from foten.networks.hapinf import Hapinf
 from foten.networks.ldhtd import Ldhtd

@@ -1,4 +1,4 @@
-"""The paper's network (Sec. IV), windows in, next samples out; and that of foten-plus, the same with its answer bounded."""
+"""The paper's network (Sec. IV): windows in, next samples out."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import torch
 from torch import Tensor, nn
 
 from foten.dsp.spectrum import WEAKEST_BIN, dft_matrices, last_sample_row, position_encoding
-from foten.families.foten import SpectralSizes, TransformerSizes
-from foten.families.foten_plus import FotenPlusSizes
+from foten.families.foten import SpectralSizes
 from foten.families.graphs import FotenDSizes, TenMfccSizes, TenWaveletSizes
+from foten.families.ten import TransformerSizes
 from foten.networks.dropout import Dropout
 from foten.networks.features import MfccBranch, WaveletBranch
 from foten.networks.transformer import DecoderLayer, EncoderLayer
@@ -132,20 +132,3 @@ class Foten(nn.Module):
         hidden = self.dropout(torch.relu(self.head_1(fused)))
         hidden = self.dropout(torch.relu(self.head_2(hidden)))
         return self.head_3(hidden)[:, 0]
-
-
-class Corrector(Foten):
-    """What of the next innovation can be predicted, L · tanh(FoTEN / L): windows (b, m, 4) of x, speed, force, e → (b,).
-
-    The head's last layer starts at zero, so training starts at the lattice's error.
-    """
-
-    def __init__(self, sizes: FotenPlusSizes) -> None:
-        super().__init__(sizes)
-        self.limit = sizes.correction_limit
-        nn.init.zeros_(self.head_3.weight)
-        nn.init.zeros_(self.head_3.bias)
-
-    def forward(self, windows: Tensor) -> Tensor:
-        """Return the correction, within ±`correction_limit`, in units of the innovation."""
-        return self.limit * torch.tanh(super().forward(windows) / self.limit)

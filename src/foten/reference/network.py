@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from foten.dsp import Array
 from foten.dsp.spectrum import WEAKEST_BIN, dft_matrices, position_encoding
-from foten.families.foten import SpectralSizes, TransformerSizes
+from foten.families.foten import SpectralSizes
+from foten.families.ten import TransformerSizes
 
 
 class Weights(dict[str, Array]):

@@ -14,7 +14,7 @@ from foten.dsp.level import FRAME_MS, frame_levels, frame_means
 from foten.families.conditions import FADE_FORCE, FADE_SPEED
 from foten.families.foten_plus import FotenPlusSizes
 from foten.families.texture_file import Texture
-from foten.networks.foten import Corrector
+from foten.networks.foten_plus import Corrector
 from foten.reference.network import Network
 from foten.train.blocks import ScaledBlocks
 from foten.train.closed_loop import ClosedLoop
