@@ -26,7 +26,7 @@ import numpy as np
 from foten.atomic_write import atomic_write
 from foten.datasets.simulate import ACCELEROMETER_NOISE, TEXTURES, vibration
 from foten.datasets.stroking import Stroking, stroking
-from foten.dsp.level import FRAME_MS, frame_levels, frame_means
+from foten.dsp.distance import FRAME_MS, frame_levels, frame_means
 from foten.families import FotenPlusSizes
 from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess

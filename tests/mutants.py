@@ -376,7 +376,7 @@ MUTANTS = (
     ),
     Mutant(
         "the best AR is fitted on validation blocks too",
-        PACKAGE + "evaluate/references.py",
+        PACKAGE + "evaluate/one_step.py",
         "fitted = fit_linear(samples, train, block, order, scheduled)",
         "fitted = fit_linear(samples, (*train, *validation), block, order, scheduled)",
         ("tests/test_evaluate.py",),

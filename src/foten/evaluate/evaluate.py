@@ -10,8 +10,7 @@ import numpy as np
 
 from foten.dsp import Array
 from foten.evaluate import free_run as runs
-from foten.evaluate.one_step import excitation_scores, one_step, predict
-from foten.evaluate.references import Linear, best_linear, first_scored, fit_linear
+from foten.evaluate.one_step import Linear, best_linear, excitation_scores, first_scored, fit_linear, one_step, predict
 from foten.families.conditions import FADE_FORCE, FADE_SPEED
 from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -69,10 +68,8 @@ def trace_for(
     config = PreprocessConfig(**texture.card["preprocess"])
     cut: dict[str, Any] = {k: v for k, v in {"trim_ms": trim_ms, "block_ms": block_ms}.items() if v is not None}
     if cut and recording.sha256() == texture.card["recording_sha256"]:
-        raise ValueError(
-            "the texture was trained on this recording and is judged on the blocks of its split; "
-            "--trim and --block are for others"
-        )
+        own = "the texture was trained on this recording and is judged on the blocks of its split"
+        raise ValueError(f"{own}; --trim and --block are for others")
     return preprocess(recording, replace(config, **cut))
 
 
@@ -87,12 +84,7 @@ def evaluate(
 ) -> Judgement:
     """Return every figure of a texture on the test blocks of the recording it was trained on, or on all of another.
 
-    Args:
-        recording: any; the trained one is recognised by its digest.
-        truth: of a simulated recording.
-        seed: of the excitation.
-        on_stage: called with the name of each stage.
-        trim_ms, block_ms: how another recording is cut; None for as the trained one was.
+    The trained one is recognised by its digest; `trim_ms` and `block_ms` are as of `trace_for`, `seed` is the excitation's.
 
     Raises:
         ValueError: the recording is too short, or the split does not fit it.
@@ -103,9 +95,8 @@ def evaluate(
     if trace.recording_sha256 == texture.card["recording_sha256"]:
         split = Split.from_fields(texture.card["split"])
         if (split.n_blocks, split.block) != (trace.n_blocks, trace.block):
-            raise ValueError(
-                f"the split is of {split.n_blocks} blocks of {split.block}, the recording gives {trace.n_blocks} of {trace.block}"
-            )
+            given = f"the recording gives {trace.n_blocks} of {trace.block}"
+            raise ValueError(f"the split is of {split.n_blocks} blocks of {split.block}, {given}")
     blocks = tuple(range(trace.n_blocks)) if split is None else split.test
     samples = texture.scaling.scale(trace.stacked())
     reasons: dict[str, str] = {}

@@ -119,7 +119,7 @@ class Stylus:
 
     def render_into(self, out: NDArray[np.float32]) -> None:
         """Fill an array (n,) with the next samples [m/s², or an actuator's drive] at the output rate, without allocation."""
-        self._renderer.native_state.render_stylus(self._pointer, out)
+        self._renderer.native_state.render(out, self._pointer)
 
     def render(self, n: int) -> NDArray[np.float32]:
         """Return n samples [m/s², or an actuator's drive] at the output rate."""

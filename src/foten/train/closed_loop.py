@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
 from foten.dsp import Array
-from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length, welch
-from foten.dsp.level import frame_levels, frame_means
+from foten.dsp.distance import frame_levels, frame_means, log_spectral_distance, scored_bins, segment_length, welch
 from foten.dsp.noise import gaussian
 from foten.networks.scale import Excitation
 from foten.runtime.loops import run_loops

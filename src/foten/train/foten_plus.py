@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from foten.dsp.level import FRAME_MS, frame_levels, frame_means
+from foten.dsp.distance import FRAME_MS, frame_levels, frame_means
 from foten.families.conditions import FADE_FORCE, FADE_SPEED
 from foten.families.foten_plus import FotenPlusSizes
 from foten.families.texture_file import Texture

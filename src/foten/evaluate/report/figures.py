@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from foten.dsp import Array
-from foten.dsp.distance import HIGHEST_HZ, LOWEST_HZ
-from foten.dsp.level import FRAME_MS, frame_levels
+from foten.dsp.distance import FRAME_MS, HIGHEST_HZ, LOWEST_HZ, frame_levels
 from foten.evaluate.evaluate import Judgement
 from foten.evaluate.metrics import band_edges
 from foten.evaluate.report import signals

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import struct
 import wave
@@ -65,22 +66,22 @@ def write_audible(path: Path, acceleration: Array, rate_hz: float) -> float:
     sound = interpolate(acceleration, audible_factor(rate_hz))
     peak = float(np.abs(sound).max(initial=0.0))
     gain = AUDIBLE_PEAK / peak if peak > 0 else 1.0
-    pcm = np.round(sound * gain * 32767).astype("<i2").tobytes()
-
-    with atomic_write(path) as part, wave.open(str(part), "wb") as file:
-        file.setnchannels(1)
-        file.setsampwidth(2)
-        file.setframerate(AUDIBLE_HZ)
-        file.writeframes(pcm)
+    with atomic_write(path) as part:
+        part.write_bytes(pcm_wav(sound * gain, AUDIBLE_HZ))
     return gain
 
 
-def audible_factor(rate_hz: float) -> Fraction:
-    """Return 48 kHz over a rate, to 100 ppm.
+def pcm_wav(samples: Array, rate_hz: int) -> bytes:
+    """Return a mono WAV of 16 bits, of samples (n,) whose full scale is 1."""
+    buffer = io.BytesIO()
+    with wave.open(buffer, "wb") as file:
+        file.setparams((1, 2, rate_hz, samples.size, "NONE", ""))
+        file.writeframes(np.round(samples * 32767).astype("<i2").tobytes())
+    return buffer.getvalue()
 
-    Raises:
-        ValueError: the rate is above 48 kHz, or in no simple ratio to it.
-    """
+
+def audible_factor(rate_hz: float) -> Fraction:
+    """Return 48 kHz over a rate, to 100 ppm, or raise ValueError where that is below 1 or no simple ratio."""
     if rate_hz > AUDIBLE_HZ:
         raise ValueError(f"the model's rate is {rate_hz:g} Hz, expected at most {AUDIBLE_HZ} Hz for sound")
     return rate_ratio(float(AUDIBLE_HZ), rate_hz, tolerance=1e-4)
