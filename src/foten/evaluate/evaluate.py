@@ -102,7 +102,14 @@ def evaluate(
     reasons: dict[str, str] = {}
     kernel = NativeTexture(texture.to_bytes())
     on_stage("one-step")
-    fitted = {} if split is None else _linear_references(samples, split)
+    fitted: dict[str, Linear | None] = {}
+    if split is not None:
+        train, block = split.train, split.block
+        fitted = {
+            "ar": fit_linear(samples, train, block, ANCHOR_ORDER),
+            "ar_scheduled": fit_linear(samples, train, block, ANCHOR_ORDER, scheduled=True),
+            "ar_best": best_linear(samples, train, split.validation, block),
+        }
     one = _one_step(texture, kernel, trace, samples, blocks, fitted, truth, reasons)
     on_stage("free run")
     free, synthesized = _free_run(texture, kernel, trace, blocks, split, fitted.get("ar"), truth, seed, reasons)
@@ -125,15 +132,6 @@ def evaluate(
         "validation": {name: texture.card["metrics"].get(f"validation_{name}") for name in validation},
     }
     return Judgement(document, trace, blocks, synthesized)
-
-
-def _linear_references(samples: Array, split: Split) -> dict[str, Linear | None]:
-    train, block = split.train, split.block
-    return {
-        "ar": fit_linear(samples, train, block, ANCHOR_ORDER),
-        "ar_scheduled": fit_linear(samples, train, block, ANCHOR_ORDER, scheduled=True),
-        "ar_best": best_linear(samples, train, split.validation, block),
-    }
 
 
 def _one_step(

@@ -59,9 +59,8 @@ def _session(graph: bytes) -> Any:
         import onnx
         import onnxruntime
     except ImportError as error:
-        raise ValueError(
-            "this texture's model runs in ONNX Runtime, which is not installed: pip install 'foten[onnx]'"
-        ) from error
+        missing = "this texture's model runs in ONNX Runtime, which is not installed"
+        raise ValueError(f"{missing}: pip install 'foten[onnx]'") from error
     try:
         model = onnx.load_from_string(graph)
     except Exception as error:  # protobuf's, whichever of its implementations is installed

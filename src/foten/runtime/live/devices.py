@@ -21,15 +21,13 @@ _DAQ_BUFFERED_MS = 20.0
 class SoundSink:
     """The sound card, or an amplifier on it that drives an actuator.
 
-    `n_device_underruns` counts what the card itself found missing.
+    `n_device_underruns` counts what the card itself found missing. Where PortAudio or the device is missing, OSError says in one
+    line what to do.
 
     Args:
         gain: full scale for one of what is rendered; what goes beyond full scale is cut, and counted in `n_cut`.
         device: its name, or its number as an int, as `python -m sounddevice` lists them; None for the usual one.
         channel: that is played on, from 0; those before it are silent.
-
-    Raises:
-        OSError: PortAudio or the device is missing; one line says what to do.
     """
 
     patient = False
@@ -98,7 +96,7 @@ class SoundSink:
 
 
 def sound_library() -> Any:
-    """Return the package sounddevice, or raise OSError where it or PortAudio is missing; one line says what to do."""
+    """Return the package sounddevice, or raise OSError where it or PortAudio is missing."""
     try:
         import sounddevice
     except ImportError as error:
@@ -235,9 +233,8 @@ def _nidaqmx() -> Any:
         import nidaqmx.errors
         import nidaqmx.stream_writers
     except ImportError as error:
-        raise OSError(
-            "an NI-DAQ needs the package nidaqmx and National Instruments' driver: pip install 'foten[daq]'"
-        ) from error
+        missing = "an NI-DAQ needs the package nidaqmx and National Instruments' driver"
+        raise OSError(f"{missing}: pip install 'foten[daq]'") from error
     return nidaqmx
 
 

@@ -26,11 +26,9 @@ SPECTROGRAM_DB = 60.0  # its range below the loudest
 def write_rendered(
     path: Path, acceleration: Array, speed: Array, force: Array, rate_hz: float, about: Mapping[str, Any]
 ) -> None:
-    """Write a rendered stroke in the format that the suffix names: .wav (float32, m/s²), .csv, .npz or .png.
+    """Write a rendered stroke [m/s², mm/s, N], shapes (n,), in the format of the suffix: .wav (float32), .csv, .npz or .png.
 
-    Args:
-        acceleration, speed, force: [m/s², mm/s, N], shape (n,) each.
-        about: what made it (texture, seed, stroke), kept in the file where its format has room.
+    What made it (`about`: texture, seed, stroke) is kept in the file where its format has room.
     """
     check_suffix(path)
     with atomic_write(path) as part:
@@ -58,10 +56,9 @@ def check_suffix(path: Path) -> None:
 
 
 def write_audible(path: Path, acceleration: Array, rate_hz: float) -> float:
-    """Write the vibration as sound, 48 kHz and 16 bits, its peak at 0.7 of full scale.
+    """Write the vibration as sound, 48 kHz and 16 bits, its peak at 0.7 of full scale, and return the gain [full scale per m/s²].
 
-    Returns:
-        The gain, full scale per m/s²: sounds of two textures compare only at the same one.
+    Sounds of two textures compare only at the same gain.
     """
     sound = interpolate(acceleration, audible_factor(rate_hz))
     peak = float(np.abs(sound).max(initial=0.0))
