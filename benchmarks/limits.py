@@ -29,7 +29,7 @@ from scipy import ndimage, signal
 from foten.atomic_write import atomic_write
 from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length, welch
 from foten.evaluate.free_run import scored, synthesize_linear
-from foten.evaluate.references import FIRST_SCORED, ORDERS, first_scored, fit_linear
+from foten.evaluate.one_step import FIRST_SCORED, ORDERS, first_scored, fit_linear
 from foten.recording.preprocess import preprocess
 from foten.recording.scaling import fit_scaling
 from foten.recording.split import split_blocks

@@ -31,8 +31,7 @@ from foten.dsp.distance import welch as spectra
 from foten.dsp.level import frame_levels
 from foten.dsp.perception import RATES_HZ, carried
 from foten.evaluate.free_run import scored, synthesize, synthesize_linear
-from foten.evaluate.one_step import predict
-from foten.evaluate.references import ORDERS, first_scored, fit_linear
+from foten.evaluate.one_step import ORDERS, first_scored, fit_linear, predict
 from foten.experiments.figures import waveforms
 from foten.experiments.results import read_results
 from foten.experiments.truth import linear_bounds

@@ -274,7 +274,7 @@ MUTANTS = (
         PACKAGE + "train/blocks.py",
         "fit_scaling(trace, split.train)",
         "fit_scaling(trace, (*split.train, *split.test))",
-        ("tests/test_pipeline.py", "tests/test_scaling.py", "tests/test_blocks.py"),
+        ("tests/test_pipeline.py", "tests/test_scaling.py", ),
     ),
     Mutant(
         "the warm start is the loudest window",
@@ -376,7 +376,7 @@ MUTANTS = (
     ),
     Mutant(
         "the best AR is fitted on validation blocks too",
-        PACKAGE + "evaluate/references.py",
+        PACKAGE + "evaluate/one_step.py",
         "fitted = fit_linear(samples, train, block, order, scheduled)",
         "fitted = fit_linear(samples, (*train, *validation), block, order, scheduled)",
         ("tests/test_evaluate.py",),

@@ -20,8 +20,8 @@ from conftest import exported
 from foten.cli.command_line import _status
 from foten.runtime import bench
 from foten.runtime.actuator import ActuatorProfile, write_profile
+from foten.runtime.live import devices
 from foten.runtime.live import play as playing
-from foten.runtime.live import sound
 from foten.runtime.live.live import LiveStatistics
 from foten.runtime.live.play import Played
 from foten.runtime.renderer import Renderer
@@ -124,7 +124,7 @@ def test_without_portaudio_it_says_what_to_install(
     def missing() -> None:
         raise OSError("PortAudio is not here: apt install libportaudio2")
 
-    monkeypatch.setattr(sound, "sound_library", missing)
+    monkeypatch.setattr(devices, "sound_library", missing)
     assert _status(["play", str(file), "--seconds", "0.1"]) == 2
     assert "libportaudio2" in one_line(capsys)
 

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from conftest import SCALING, SMALL, exported, sizes_with
 from foten.evaluate.evaluate import Judgement, evaluate
 from foten.evaluate.free_run import synthesize_linear
-from foten.evaluate.references import ORDERS, Linear, best_linear
+from foten.evaluate.one_step import ORDERS, Linear, best_linear
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Channel, Recording
 from foten.recording.split import Split

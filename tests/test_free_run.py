@@ -8,7 +8,7 @@ from scipy.special import polygamma
 
 from conftest import SCALING, resonance
 from foten.evaluate.free_run import free_run, nearest_training_blocks, scored, synthesize, synthesize_linear
-from foten.evaluate.references import fit_linear
+from foten.evaluate.one_step import fit_linear
 from foten.families.texture_file import ONE_STEP_TOLERANCE, Texture
 from foten.recording.scaling import Scaling
 from foten.recording.trace import Trace

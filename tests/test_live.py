@@ -21,12 +21,11 @@ from scipy.signal import butter, lfilter
 
 from foten.families.texture_file import Texture
 from foten.runtime.actuator import ActuatorProfile
-from foten.runtime.live import sound as sound_module
-from foten.runtime.live.daq import DaqSink
+from foten.runtime.live import devices
+from foten.runtime.live.devices import DaqSink, SoundSink
 from foten.runtime.live.live import Live, LiveStatistics, Ring, Timing
 from foten.runtime.live.paced import NullSink, OscSink, UdpSink, WavSink
 from foten.runtime.live.play import along, circling, gain_for, rate_for, rendering, sink_of
-from foten.runtime.live.sound import SoundSink
 from foten.runtime.renderer import Renderer
 from foten.runtime.stroke import Stroke
 
@@ -363,7 +362,7 @@ class FakeSound:
 @pytest.fixture
 def sound(monkeypatch: pytest.MonkeyPatch) -> FakeSound:
     fake = FakeSound()
-    monkeypatch.setattr(sound_module, "sound_library", lambda: fake)
+    monkeypatch.setattr(devices, "sound_library", lambda: fake)
     return fake
 
 

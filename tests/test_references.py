@@ -4,7 +4,7 @@ from scipy.signal import lfilter
 
 from conftest import resonance
 from foten.dsp.ar import spectral_radius
-from foten.evaluate.references import MAX_POLE, ORDERS, Linear, best_linear, first_scored, fit_linear
+from foten.evaluate.one_step import MAX_POLE, ORDERS, Linear, best_linear, first_scored, fit_linear
 
 BLOCK = 400
 

@@ -14,10 +14,9 @@ import pytest
 
 from foten.evaluate.evaluate import FREE_RUN_KEYS, Judgement
 from foten.evaluate.free_run import free_run, scored
-from foten.evaluate.one_step import one_step
-from foten.evaluate.references import fit_linear
-from foten.evaluate.report import figures, signals, write_report
-from foten.evaluate.report.page import page
+from foten.evaluate.one_step import fit_linear, one_step
+from foten.evaluate.report import figures, signals
+from foten.evaluate.report.page import page, write_report
 from foten.evaluate.report.signals import AUDIO_HZ, sounds
 from foten.evaluate.report.tables import REFERENCES
 from foten.evaluate.report.verdict import cautions, reason, verdict

@@ -39,7 +39,7 @@ def evaluate(
     truth = truth_for(recording, texture, trim, block)
     judgement = judge.evaluate(texture, recording, truth, seed, lambda stage: say(f"{stage} …"), trim, block)
     if report is not None:
-        from foten.evaluate.report import write_report
+        from foten.evaluate.report.page import write_report
 
         report.mkdir(parents=True, exist_ok=True)
         write_json(report / "evaluation.json", {"foten": __version__, **judgement.document})

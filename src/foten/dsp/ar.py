@@ -33,10 +33,8 @@ def stabilised(taps: Array, radius: float) -> Array:
 def levinson(moments: Array) -> tuple[Array, Array]:
     """Return the reflections of autoregressions, as `dsp.lattice` has them (p, b), and the variance that orders 0 … p leave.
 
-    The recursion of Levinson and Durbin.
-
-    Args:
-        moments: autocovariances at lags 0 … p, shape (p + 1, b); biased ones give stable autoregressions.
+    From autocovariances at lags 0 … p, shape (p + 1, b), by the recursion of Levinson and Durbin; biased ones give stable
+    autoregressions.
     """
     p, b = moments.shape[0] - 1, moments.shape[1]
     a, reflections, errors = np.zeros((p + 1, b)), np.zeros((p, b)), np.empty((p + 1, b))

@@ -15,9 +15,7 @@ f and b has unit variance, whatever k is (for β = 1): level and colour are apar
 
 for *any* k(v[n], f[n]) in (−1, 1), slow, fast or switched at every sample: the sum of squares of the state is a Lyapunov
 function that all filters share. Without input it falls at least by β² a sample; with |e| ≤ E it ends up below E²/(1 − β²).
-Filters of the direct form have no such function in general (two AR(2) with poles at 0.98, switched, grow by 1.24 a sample),
-and to find one that some of them share would shrink them towards each other: the tones of a mesh, which move with speed,
-would be gone.
+Filters of the direct form have no such function in general: two AR(2) with poles at 0.98, switched, grow by 1.24 a sample.
 
 The leak moves every pole inwards by β. Convex combinations of reflection coefficients stay in (−1, 1), so a table over speed and
 force may be interpolated at will.
@@ -42,8 +40,8 @@ def check_reflections(reflections: Array) -> None:
     """Refuse reflections of which one is 1 or more in size."""
     largest = float(np.abs(reflections).max(initial=0.0))
     if not largest < 1:
-        message = f"a reflection is {largest:.6g} in size, expected less than 1: the lattice would not be stable"
-        raise ValueError(message)
+        expected = "expected less than 1: the lattice would not be stable"
+        raise ValueError(f"a reflection is {largest:.6g} in size, {expected}")
 
 
 def analyse(x: Array, reflections: Array) -> tuple[Array, Array, Array]:
@@ -78,10 +76,8 @@ def rotate_back(f: Array, b: Array, k: Array) -> tuple[Array, Array, Array]:
 def predict(states: Array, reflections: Array) -> tuple[Array, Array]:
     """Return the next sample without innovation, and by how much a unit of innovation moves it, (s,) each.
 
-    All sections at once: with f_p = 0, f₀ = −Σ k_i β b_{i−1} Π_{j<i} c_j.
-
-    Args:
-        states, reflections: b₀ … b_{p−1} after the last sample, and k₁ … k_p of the next, shape (p, s).
+    From b₀ … b_{p−1} after the last sample and k₁ … k_p of the next, shapes (p, s), all sections at once: with f_p = 0,
+    f₀ = −Σ k_i β b_{i−1} Π_{j<i} c_j.
     """
     cosines = np.sqrt(1 - reflections * reflections)
     gains = np.cumprod(cosines, axis=0)

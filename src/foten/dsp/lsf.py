@@ -63,11 +63,10 @@ def _times(polynomials: Array, factor: Sequence[float | Array]) -> Array:
     return out
 
 
-def spread_out(frequencies: Array, gap: float = LEAST_GAP) -> Array:
-    """Return the same angles, rising by at least `gap` and as far from 0 and π: (…, p) → (…, p)."""
-    p = frequencies.shape[-1]
-    steps = gap * np.arange(1, p + 1)
+def spread_out(frequencies: Array) -> Array:
+    """Return the same angles, rising by at least `LEAST_GAP` and as far from 0 and π: (…, p) → (…, p)."""
+    steps = LEAST_GAP * np.arange(1, frequencies.shape[-1] + 1)
     up = np.maximum.accumulate(frequencies - steps, axis=-1).clip(min=0.0) + steps
-    down = up + gap * np.arange(p, 0, -1) - np.pi
+    down = up + steps[::-1] - np.pi
     highest = np.minimum.accumulate(down[..., ::-1], axis=-1)[..., ::-1].clip(max=0.0)
-    return np.asarray(highest + np.pi - gap * np.arange(p, 0, -1))
+    return np.asarray(highest + np.pi - steps[::-1])

@@ -12,10 +12,9 @@ HALF_WIDTH = 24  # samples on each side of one that is interpolated
 
 
 def rate_ratio(target_hz: float, source_hz: float, tolerance: float = 1e-9) -> Fraction:
-    """Return target over source rate as a small fraction, up to a relative error; 1e-4 is inaudible.
+    """Return target over source rate as a small fraction, up to a relative error, of which 1e-4 is inaudible.
 
-    Raises:
-        ValueError: the rates are not in a ratio of integers up to 1000.
+    ValueError where the rates are in no ratio of integers up to 1000.
     """
     ratio = Fraction(target_hz / source_hz).limit_denominator(1000)
     if ratio.numerator == 0 or abs(float(ratio) * source_hz - target_hz) > tolerance * target_hz:

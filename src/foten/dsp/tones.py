@@ -66,9 +66,8 @@ def _waves(coefficients: Array, phase: Array) -> tuple[Array, Array, NDArray[np.
 def fitted_phase(samples: Array, coefficients: Array, travelled: Array) -> Array:
     """Return the phase [rad] (s,), of a few candidates, at which the tone is nearest a window, where `travelled` is zero.
 
-    Args:
-        samples, coefficients: in the same unit, shapes (s, n) and (s, n, 2 n_tones).
-        travelled: what the path alone adds to the phase up to each sample [rad], shape (s, n).
+    Samples (s, n) and coefficients (s, n, 2 n_tones) are in one unit; `travelled` is what the path alone adds to the phase up to
+    each sample [rad], shape (s, n).
     """
     candidates = 2 * np.pi * np.arange(N_CANDIDATES) / N_CANDIDATES
     missed = [np.square(samples - tone(coefficients, travelled + phase)).sum(axis=1) for phase in candidates]

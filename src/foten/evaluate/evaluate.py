@@ -10,8 +10,7 @@ import numpy as np
 
 from foten.dsp import Array
 from foten.evaluate import free_run as runs
-from foten.evaluate.one_step import excitation_scores, one_step, predict
-from foten.evaluate.references import Linear, best_linear, first_scored, fit_linear
+from foten.evaluate.one_step import Linear, best_linear, excitation_scores, first_scored, fit_linear, one_step, predict
 from foten.families.conditions import FADE_FORCE, FADE_SPEED
 from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -69,10 +68,8 @@ def trace_for(
     config = PreprocessConfig(**texture.card["preprocess"])
     cut: dict[str, Any] = {k: v for k, v in {"trim_ms": trim_ms, "block_ms": block_ms}.items() if v is not None}
     if cut and recording.sha256() == texture.card["recording_sha256"]:
-        raise ValueError(
-            "the texture was trained on this recording and is judged on the blocks of its split; "
-            "--trim and --block are for others"
-        )
+        own = "the texture was trained on this recording and is judged on the blocks of its split"
+        raise ValueError(f"{own}; --trim and --block are for others")
     return preprocess(recording, replace(config, **cut))
 
 
@@ -87,12 +84,7 @@ def evaluate(
 ) -> Judgement:
     """Return every figure of a texture on the test blocks of the recording it was trained on, or on all of another.
 
-    Args:
-        recording: any; the trained one is recognised by its digest.
-        truth: of a simulated recording.
-        seed: of the excitation.
-        on_stage: called with the name of each stage.
-        trim_ms, block_ms: how another recording is cut; None for as the trained one was.
+    The trained one is recognised by its digest; `trim_ms` and `block_ms` are as of `trace_for`, `seed` is the excitation's.
 
     Raises:
         ValueError: the recording is too short, or the split does not fit it.
@@ -103,15 +95,21 @@ def evaluate(
     if trace.recording_sha256 == texture.card["recording_sha256"]:
         split = Split.from_fields(texture.card["split"])
         if (split.n_blocks, split.block) != (trace.n_blocks, trace.block):
-            raise ValueError(
-                f"the split is of {split.n_blocks} blocks of {split.block}, the recording gives {trace.n_blocks} of {trace.block}"
-            )
+            given = f"the recording gives {trace.n_blocks} of {trace.block}"
+            raise ValueError(f"the split is of {split.n_blocks} blocks of {split.block}, {given}")
     blocks = tuple(range(trace.n_blocks)) if split is None else split.test
     samples = texture.scaling.scale(trace.stacked())
     reasons: dict[str, str] = {}
     kernel = NativeTexture(texture.to_bytes())
     on_stage("one-step")
-    fitted = {} if split is None else _linear_references(samples, split)
+    fitted: dict[str, Linear | None] = {}
+    if split is not None:
+        train, block = split.train, split.block
+        fitted = {
+            "ar": fit_linear(samples, train, block, ANCHOR_ORDER),
+            "ar_scheduled": fit_linear(samples, train, block, ANCHOR_ORDER, scheduled=True),
+            "ar_best": best_linear(samples, train, split.validation, block),
+        }
     one = _one_step(texture, kernel, trace, samples, blocks, fitted, truth, reasons)
     on_stage("free run")
     free, synthesized = _free_run(texture, kernel, trace, blocks, split, fitted.get("ar"), truth, seed, reasons)
@@ -134,15 +132,6 @@ def evaluate(
         "validation": {name: texture.card["metrics"].get(f"validation_{name}") for name in validation},
     }
     return Judgement(document, trace, blocks, synthesized)
-
-
-def _linear_references(samples: Array, split: Split) -> dict[str, Linear | None]:
-    train, block = split.train, split.block
-    return {
-        "ar": fit_linear(samples, train, block, ANCHOR_ORDER),
-        "ar_scheduled": fit_linear(samples, train, block, ANCHOR_ORDER, scheduled=True),
-        "ar_best": best_linear(samples, train, split.validation, block),
-    }
 
 
 def _one_step(

@@ -12,7 +12,7 @@ from foten.dsp.distance import log_spectral_distance, scored_bins, segment_lengt
 from foten.dsp.level import frame_levels, frame_means
 from foten.dsp.noise import gaussian
 from foten.evaluate import metrics
-from foten.evaluate.references import Linear
+from foten.evaluate.one_step import Linear
 from foten.recording.scaling import Scaling
 from foten.recording.trace import Trace
 from foten.runtime.loops import on_all_cores
@@ -35,12 +35,10 @@ def synthesize(
     seed: int = 0,
     n_seeds: int = N_SEEDS,
 ) -> tuple[Array, int]:
-    """Return the free run under recorded speed and force, and how often the saturator cut it.
+    """Return the free run under recorded speed and force [m/s²], and how often the saturator cut it.
 
-    Rendered as for a user, by the kernel; each block goes on from its own recorded window.
-
-    Returns:
-        Acceleration [m/s²], shape (n_seeds, n_blocks, block); without excitation n_seeds is 1.
+    Rendered as for a user, by the kernel; each block goes on from its own recorded window. The shape is (n_seeds, n_blocks,
+    block); without excitation n_seeds is 1.
     """
     n_seeds, m = n_seeds if excitation else 1, texture.info.window
     channels = trace.picked(blocks)
@@ -61,12 +59,9 @@ def synthesize(
 def synthesize_linear(
     predictor: Linear, trace: Trace, blocks: tuple[int, ...], scaling: Scaling, seed: int = 0, n_seeds: int = N_SEEDS
 ) -> Array:
-    """Return the free run of a linear predictor with white noise of one scale: the anchor to beat.
+    """Return the free run of a linear predictor with white noise of one scale [m/s²], shape (n_seeds, n_blocks, block).
 
-    The filter 1/A, started from the recorded window of each block.
-
-    Returns:
-        Acceleration [m/s²], shape (n_seeds, n_blocks, block).
+    The anchor to beat: the filter 1/A, started from the recorded window of each block.
     """
     from scipy.signal import lfilter, lfiltic
 
@@ -105,9 +100,8 @@ def free_run(
     """Return the free-run figures of synthesized blocks beside recorded ones.
 
     Args:
-        recorded: [m/s²], shape (n_blocks, block), whole blocks; the first fifth of each is not scored.
+        recorded, speed, force: [m/s², mm/s, N], shape (n_blocks, block), whole blocks; the first fifth of each is not scored.
         synthesized: [m/s²], shape (n_seeds, n_blocks, block).
-        speed: [mm/s], shape (n_blocks, block); force: [N], likewise.
         sd: training standard deviation of the acceleration [m/s²].
         n_given: samples at the start of each synthesized block that are the recorded window it started from.
 

@@ -23,12 +23,8 @@ def goodness_of_fit(recorded: Array, synthesized: Array) -> Array:
     Blind to gain and phase: report it beside an absolute error. On raw bins two independent realisations of one noise
     reach π/4, not 1.
 
-    Args:
-        recorded: acceleration [m/s²], shape (…, n).
-        synthesized: acceleration [m/s²], shape (…, n).
-
-    Returns:
-        Scores in [0, 1], shape (…); 1 when the spectra are proportional, 0 when one is all zero.
+    Accelerations [m/s²], shapes (…, n), give scores in [0, 1], shape (…): 1 when the spectra are proportional, 0 when one is all
+    zero.
 
     Source: Eq. 13.
     """
@@ -59,7 +55,6 @@ def kurtosis(samples: Array) -> float:
     """Return Pearson's kurtosis over all samples: 3 for a Gaussian, more for a spiky vibration; 0 for silence."""
     squares = np.square(samples - samples.mean())
     variance = float(squares.mean())
-    # Not centred**4: a general power made this eight times slower, and intervals call it thousands of times.
     return float(np.square(squares).mean()) / variance**2 if variance > 0 else 0.0
 
 
@@ -101,12 +96,11 @@ def intervals(
 ) -> dict[str, Any]:
     """Return the 95 % percentile interval of each figure, resampling blocks with replacement.
 
-    Samples within a block are correlated and do not count as independent.
+    Samples within a block are correlated and do not count as independent. With fewer than 4 blocks there are too few different
+    resamples, and the result is empty.
 
     Args:
         figures: block numbers → figures, each a number, a list of numbers, or None where a resample has none.
-        n_blocks: blocks to resample; with fewer than 4 there are too few different resamples and the result is empty.
-        seed: of the resamples.
 
     Returns:
         By figure [low, high]; for a list one such pair for each entry, None where no resample has a number.

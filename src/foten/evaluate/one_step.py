@@ -1,19 +1,29 @@
-"""One-step scores: predict each sample of the test blocks from recorded history."""
+"""One-step scores: predict each sample of the test blocks from recorded history, by a model and by what it has to beat.
+
+Beside zero and persistence those are linear predictors, fitted on the training blocks.
+"""
 
 from __future__ import annotations
 
+import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
+from foten.dsp.ar import MAX_POLE, solved, stabilised
 from foten.dsp.noise import innovation_likelihood
 from foten.evaluate.metrics import goodness_of_fit, intervals
-from foten.recording.windows import stretches
+from foten.recording.windows import stretches, targets
 from foten.runtime.loops import Prediction, predict_blocks
 from foten.runtime.native import NativeTexture, PredictionPart
 
+ORDERS = (5, 10, 20, 40, 80, 160, 240)
+FIRST_SCORED = 320  # samples of each block that no method is scored on: more than the history of any
 _HALF, _NINE_TENTHS = 0.6744897501960817, 1.6448536269514722  # quantiles of a standard normal, |z| < …
 
 
@@ -21,8 +31,7 @@ def one_step(recorded: Array, predicted: Array, sd: float) -> dict[str, Any]:
     """Return the one-step figures of a predictor over the scored samples of some blocks.
 
     Args:
-        recorded: acceleration, scaled, shape (n_blocks, k); the same samples for every method that is compared.
-        predicted: likewise.
+        recorded, predicted: scaled acceleration, shape (n_blocks, k); the same samples for every method that is compared.
         sd: training standard deviation of the acceleration [m/s²].
 
     Returns:
@@ -51,9 +60,7 @@ def excitation_scores(
     which a rendering uses, with the network or without. It is not known where a rendering has tones (`dsp.tones`).
 
     Args:
-        texture: with an excitation.
-        samples: scaled, shape (t, 3).
-        n: indices to score, whole rows of consecutive samples, shape (n_blocks, k).
+        samples, n: scaled, shape (t, 3), and the indices to score, rows of consecutive ones, shape (n_blocks, k).
         counted: which of them lie where the rendering does not fade, shape (n_blocks, k); elsewhere the recording is its
             sensors' noise.
 
@@ -81,3 +88,92 @@ def excitation_scores(
         }
 
     return {**figures(np.arange(len(n))), "intervals": intervals(figures, len(n))}
+
+
+@dataclass(frozen=True)
+class Linear:
+    """AR(p) with a constant, each coefficient optionally affine in speed and force; all scaled."""
+
+    coefficients: Array  # shape (p + 1,) or, scheduled, (3, p + 1): global, times speed, times force
+    noise_sd: float  # standard deviation of its error on the training blocks
+
+    @property
+    def window(self) -> int:
+        """Return the order p."""
+        return self.coefficients.shape[-1] - 1
+
+    @property
+    def scheduled(self) -> bool:
+        """Return whether the coefficients follow speed and force."""
+        return self.coefficients.ndim == 2
+
+    def predict(self, samples: Array, n: NDArray[np.int64]) -> Array:
+        """Return one-step predictions of scaled samples (t, 3) at rows of consecutive indices: (s, k) → (s, k)."""
+        designs = (_design(row, self.window, self.scheduled) for row in stretches(samples, n, self.window))
+        return np.stack([design @ self.coefficients.ravel() for design in designs])
+
+    def stable(self) -> Linear:
+        """Return an unscheduled predictor with its poles inside 0.9995, for a closed loop."""
+        return Linear(np.append(stabilised(self.coefficients[:-1], MAX_POLE), self.coefficients[-1]), self.noise_sd)
+
+
+def first_scored(block: int) -> int:
+    """Return the first sample of a block that methods are scored on: the same for all, and at most half of a block."""
+    return max(20, min(FIRST_SCORED, block // 2))
+
+
+def fit_linear(
+    samples: Array, blocks: tuple[int, ...], block: int, order: int, scheduled: bool = False
+) -> Linear | None:
+    """Return AR(order) by least squares over whole blocks of scaled samples (n, 3).
+
+    None where the blocks hold fewer than twice as many windows as coefficients.
+    """
+    n_coefficients = (order + 1) * (3 if scheduled else 1)
+    n = len(blocks) * (block - order)
+    if block <= order or n < 2 * n_coefficients:
+        return None
+    gram, moment, power = np.zeros((n_coefficients,) * 2), np.zeros(n_coefficients), 0.0
+    for number in blocks:
+        one = samples[number * block : (number + 1) * block]
+        design, target = _design(one, order, scheduled), one[order:, 0]
+        gram += design.T @ design
+        moment += design.T @ target
+        power += float(target @ target)
+    coefficients = solved(gram, moment)
+    missed = power - 2 * coefficients @ moment + coefficients @ gram @ coefficients
+    shaped = coefficients.reshape(3, order + 1) if scheduled else coefficients
+    return Linear(shaped, math.sqrt(max(0.0, float(missed)) / n))
+
+
+def _design(block: Array, order: int, scheduled: bool) -> Array:
+    """Return history and a constant, then both times speed and force of the sample before, for a block (n, 3) from `order` on."""
+    history = np.lib.stride_tricks.sliding_window_view(block[:-1, 0], order)
+    design = np.column_stack([history, np.ones(len(history))])
+    if not scheduled:
+        return design
+    condition = block[order - 1 : -1, 1:]
+    return np.concatenate([design, design * condition[:, :1], design * condition[:, 1:]], axis=1)
+
+
+def best_linear(samples: Array, train: tuple[int, ...], validation: tuple[int, ...], block: int) -> Linear | None:
+    """Return the AR of any order of `ORDERS`, scheduled or not, with the lowest absolute error on the validation blocks.
+
+    Orders beyond what is left out of every block (`first_scored`) are not tried.
+    """
+    first = first_scored(block)
+    if not validation or block <= first:
+        return None
+    n = targets(validation, block, first).reshape(len(validation), -1)
+
+    def judged(kind: tuple[int, bool]) -> tuple[float, Linear] | None:
+        order, scheduled = kind
+        fitted = fit_linear(samples, train, block, order, scheduled)
+        if fitted is None:
+            return None
+        return float(np.abs(samples[n, 0] - fitted.predict(samples, n)).mean()), fitted
+
+    kinds = product([order for order in ORDERS if order <= first], (False, True))
+    with ThreadPoolExecutor() as pool:  # NumPy's products release the interpreter's lock
+        candidates = [one for one in pool.map(judged, kinds) if one is not None]
+    return min(candidates, key=lambda one: one[0])[1] if candidates else None

@@ -11,7 +11,7 @@ from foten.atomic_write import atomic_write
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
-from foten.evaluate.report import write_report
+from foten.evaluate.report.page import write_report
 from foten.experiments.truth import truth_for
 from foten.families import FotenPlusSizes
 from foten.families.texture_file import write_texture

@@ -73,12 +73,7 @@ def write_profile(profile: ActuatorProfile, path: Path) -> None:
 
 
 def read_profile(path: Path) -> ActuatorProfile:
-    """Return the profile in a file.
-
-    Raises:
-        FileNotFoundError: there is none.
-        ValueError: it is no profile, or a figure cannot be.
-    """
+    """Return the profile in a file, or raise ValueError where it is none, or a figure cannot be."""
     check_regular(path)
     try:
         content: Any = parse_json(path.read_bytes())
@@ -108,9 +103,8 @@ def sweep(
     if not 0 < seconds < math.inf or not 0 < rate_hz < math.inf:
         raise ValueError(f"the sweep lasts {seconds} s at {rate_hz} Hz, expected positive numbers")
     if not 0 < low_hz < high_hz < rate_hz / 2:
-        raise ValueError(
-            f"the sweep runs from {low_hz:g} to {high_hz:g} Hz, expected to lie between 0 and {rate_hz / 2:g} Hz"
-        )
+        expected = f"expected to lie between 0 and {rate_hz / 2:g} Hz"
+        raise ValueError(f"the sweep runs from {low_hz:g} to {high_hz:g} Hz, {expected}")
     t = np.arange(round(seconds * rate_hz)) / rate_hz
     slope = math.log(high_hz / low_hz) / seconds
     out = amplitude * np.sin(2 * np.pi * low_hz / slope * np.expm1(slope * t))
@@ -137,21 +131,17 @@ def identify(
     hundredths says that the actuator is not such a resonator, or was driven too hard.
 
     Args:
-        drive: what was played, shape (n,).
-        acceleration: of the stylus [m/s²], recorded beside it, shape (n,); one may begin earlier than the other.
-        rate_hz: of both.
+        drive, acceleration: what was played, and the stylus's beside it [m/s²], shape (n,); one may begin before the other.
         low_hz, high_hz: that the sweep ran through.
         name, unit, limit: as the profile is to have them; the limit is what amplifier and coil bear, and can't be measured.
 
     Raises:
-        ValueError: the shapes differ, a number is not finite, nothing was measured between the frequencies, or it is not the
-            answer to that drive.
+        ValueError: what was recorded cannot be, or is not the answer to that drive.
     """
     drive, acceleration = (np.asarray(signal, dtype=np.float64) for signal in (drive, acceleration))
     if drive.shape != acceleration.shape or drive.ndim != 1 or drive.size < 64:
-        raise ValueError(
-            f"drive has shape {drive.shape} and acceleration {acceleration.shape}, expected (n,) both, 64 samples or more"
-        )
+        shapes = f"drive has shape {drive.shape} and acceleration {acceleration.shape}"
+        raise ValueError(f"{shapes}, expected (n,) both, 64 samples or more")
     if not (np.isfinite(drive).all() and np.isfinite(acceleration).all()):
         raise ValueError("the drive or the acceleration holds NaN or infinity; were samples lost?")
     n = 2 * drive.size  # room for what rings on behind the end
@@ -159,9 +149,8 @@ def identify(
     hertz = np.fft.rfftfreq(n, 1 / rate_hz)
     used = (hertz >= low_hz) & (hertz <= high_hz)
     if not used.any() or not np.abs(x[used]).max() > 0 or not np.abs(y[used]).max() > 0:
-        raise ValueError(
-            f"nothing was driven or measured between {low_hz:g} and {high_hz:g} Hz; is the recording silent?"
-        )
+        nothing = f"nothing was driven or measured between {low_hz:g} and {high_hz:g} Hz"
+        raise ValueError(f"{nothing}; is the recording silent?")
     lag = int(np.abs(np.fft.irfft(np.where(used, y * np.conj(x), 0.0), n)).argmax())
     near = (lag if lag < n // 2 else lag - n) / rate_hz
     x, y, s = x[used], y[used], np.asarray(2j * np.pi * hertz[used], dtype=np.complex128)

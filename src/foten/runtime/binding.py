@@ -7,9 +7,6 @@ from ctypes import POINTER, Structure, c_char_p, c_double, c_float, c_int, c_siz
 from functools import cache
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 ABI = 4  # FOTEN_ABI of the header that this follows
 NO_MEMORY, NO_PREDICTOR = 3, 5
 
@@ -124,10 +121,3 @@ def library() -> ctypes.CDLL:
 def isa() -> str:
     """Return the instruction set that the kernel uses here."""
     return str(library().foten_isa().decode())
-
-
-def noise(seed: int, stream: int, first: int, n: int) -> NDArray[np.float64]:
-    """Return the kernel's own noise, shape (n,); the numbers of `foten.dsp.noise.gaussian`."""
-    out = np.empty(n)
-    library().foten_noise(seed, stream, first, n, out.ctypes)
-    return out

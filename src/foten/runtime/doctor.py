@@ -19,7 +19,7 @@ import numpy as np
 import foten
 from foten.runtime.bench import reason
 from foten.runtime.binding import isa, library
-from foten.runtime.live.sound import sound_library
+from foten.runtime.live.devices import sound_library
 from foten.runtime.renderer import EXAMPLE
 
 

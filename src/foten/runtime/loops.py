@@ -8,8 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from foten.dsp import Array
 from foten.runtime.binding import library
 from foten.runtime.native import NativeState, NativeTexture, PredictionPart
 
@@ -21,12 +21,8 @@ def on_all_cores(work: Callable[[int], None], n: int) -> None:
 
 
 def run_loops(
-    texture: NativeTexture,
-    windows: NDArray[np.float64],
-    condition: NDArray[np.float64],
-    noise: NDArray[np.float64] | None,
-    limit: float = np.inf,
-) -> NDArray[np.float64]:
+    texture: NativeTexture, windows: Array, condition: Array, noise: Array | None, limit: float = np.inf
+) -> Array:
     """Return n samples of each stream of a texture's loop by itself, shape (s, n), without fade and growth; all scaled.
 
     Args:
@@ -53,14 +49,12 @@ def run_loops(
 class Prediction(NamedTuple):
     """What is expected of samples, and the distribution of what is missed; scaled, of one shape."""
 
-    sample: NDArray[np.float64]
-    scale: NDArray[
-        np.float64
-    ]  # 0 where it is not known: a rendering predicts from something else, or has no excitation
-    tail: NDArray[np.float64]
+    sample: Array
+    scale: Array  # 0 where it is not known: a rendering predicts from something else, or has no excitation
+    tail: Array
 
 
-def predict_blocks(texture: NativeTexture, blocks: NDArray[np.float64], part: PredictionPart = "model") -> Prediction:
+def predict_blocks(texture: NativeTexture, blocks: Array, part: PredictionPart = "model") -> Prediction:
     """Return one-step predictions of recorded blocks, scaled (s, n, 3), from sample `window` on: (s, n − window) each.
 
     Args:

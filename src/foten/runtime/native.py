@@ -36,11 +36,7 @@ class NativeInfo:
 
 
 class NativeTexture:
-    """A texture file made ready for the kernel; any number of states may share it.
-
-    Raises:
-        ValueError: the file's bytes are not as they are to be; the message says in what.
-    """
+    """A texture file made ready for the kernel, or ValueError with what is wrong in it; any number of states may share it."""
 
     def __init__(self, data: bytes) -> None:
         self.pointer, why = c_void_p(), ctypes.create_string_buffer(512)
@@ -113,12 +109,10 @@ class NativeState:
         """Begin again with a seed, as if the first hand had been there for long."""
         library().foten_reset(self.pointer, seed)
 
-    def start(
-        self, acceleration: NDArray[np.floating], speed: NDArray[np.floating], force: NDArray[np.floating]
-    ) -> None:
-        """Go on from a recorded window [m/s², mm/s, N], each of shape (window,)."""
+    def start(self, *window: NDArray[np.floating]) -> None:
+        """Go on from a recorded window: acceleration, speed and force [m/s², mm/s, N], each of shape (window,)."""
         n = self._texture.info.window
-        columns = [np.ascontiguousarray(column, dtype=np.float32) for column in (acceleration, speed, force)]
+        columns = [np.ascontiguousarray(column, dtype=np.float32) for column in window]
         if any(column.shape != (n,) for column in columns):
             raise ValueError(f"the window has shapes {[column.shape for column in columns]}, expected ({n},) each")
         if library().foten_start(self.pointer, *(column.ctypes for column in columns)) != 0:
@@ -136,16 +130,14 @@ class NativeState:
         """Set where the hand is [mm/s, N], from any thread; what is negative is 0, what is not finite left out; both count."""
         library().foten_set_condition(self.pointer, speed, force)
 
-    def render(self, out: NDArray[np.float32]) -> None:
-        """Fill an array with acceleration [m/s²] at the state's rate, under the hand that was last set."""
-        _check_writable(out)
-        library().foten_render(self.pointer, out.ctypes, out.size)
-        self._texture.raise_failed()
-
-    def render_stylus(self, stylus: c_void_p, out: NDArray[np.float32]) -> None:
-        """Fill an array with acceleration [m/s²] at the state's rate, under the hand of the kernel's stylus."""
-        _check_writable(out)
-        library().foten_render_stylus(self.pointer, stylus, out.ctypes, out.size)
+    def render(self, out: NDArray[np.float32], stylus: c_void_p | None = None) -> None:
+        """Fill an array with acceleration [m/s²] at the state's rate, under the hand last set, or the kernel's stylus."""
+        if out.dtype != np.float32 or not out.flags.c_contiguous or not out.flags.writeable:
+            raise ValueError(f"the array is {out.dtype}, expected float32 without gaps, to be written to")
+        if stylus is None:
+            library().foten_render(self.pointer, out.ctypes, out.size)
+        else:
+            library().foten_render_stylus(self.pointer, stylus, out.ctypes, out.size)
         self._texture.raise_failed()
 
     def render_stroke(self, speed: NDArray[np.floating], force: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -189,8 +181,3 @@ def _asked(data: bytes, failed: list[BaseException]) -> ctypes._FuncPointer:
             failed.append(error)
 
     return binding.PREDICTOR(answer)
-
-
-def _check_writable(array: NDArray[np.float32]) -> None:
-    if array.dtype != np.float32 or not array.flags.c_contiguous or not array.flags.writeable:
-        raise ValueError(f"the array is {array.dtype}, expected float32 without gaps, to be written to")

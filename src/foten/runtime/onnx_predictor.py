@@ -23,11 +23,10 @@ _OPERATORS = re.compile(
 
 
 class OnnxPredictor:
-    """A network in ONNX Runtime, on one thread, in float32.
+    """A network in ONNX Runtime, on one thread, in float32: windows (b, m, 3) → (b,), or (b, n_ahead) where n_ahead > 1.
 
     Raises:
-        ValueError: onnxruntime is not installed, or the graph is damaged or another one than windows (b, m, 3) → (b,), or
-            (b, n_ahead) of a model that predicts more than a sample at once.
+        ValueError: onnxruntime is not installed, or the graph is damaged or another one.
     """
 
     def __init__(self, sizes: Sizes, tensors: Mapping[str, NDArray[Any]]) -> None:
@@ -36,9 +35,8 @@ class OnnxPredictor:
         inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
         named = [(one.name, one.type) for one in (*inputs, *outputs)]
         if named != [(INPUT, "tensor(float)"), (OUTPUT, "tensor(float)")] or inputs[0].shape[1:] != [self.window, 3]:
-            raise ValueError(
-                f"the graph takes {[(one.name, one.shape) for one in inputs]}, expected windows (b, {self.window}, 3)"
-            )
+            taken = [(one.name, one.shape) for one in inputs]
+            raise ValueError(f"the graph takes {taken}, expected windows (b, {self.window}, 3)")
         given = self._session.run([OUTPUT], {INPUT: np.zeros((2, self.window, 3), dtype=np.float32)})[0].shape
         expected = (2,) if self.n_ahead == 1 else (2, self.n_ahead)
         if given != expected:
@@ -61,9 +59,8 @@ def _session(graph: bytes) -> Any:
         import onnx
         import onnxruntime
     except ImportError as error:
-        raise ValueError(
-            "this texture's model runs in ONNX Runtime, which is not installed: pip install 'foten[onnx]'"
-        ) from error
+        missing = "this texture's model runs in ONNX Runtime, which is not installed"
+        raise ValueError(f"{missing}: pip install 'foten[onnx]'") from error
     try:
         model = onnx.load_from_string(graph)
     except Exception as error:  # protobuf's, whichever of its implementations is installed

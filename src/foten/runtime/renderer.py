@@ -96,14 +96,12 @@ class Renderer:
         return float(self.render(speed_mm_s, force_n, 1)[0])
 
     def render(self, speed_mm_s: ArrayLike, force_n: ArrayLike, n: int | None = None) -> NDArray[np.float32]:
-        """Return acceleration [m/s²] at the output rate, going on from the last call.
+        """Return acceleration [m/s²] at the output rate, going on from the last call, shape (n,).
 
         Args:
-            speed_mm_s, force_n: a number each, held for n samples; or, one or both, arrays (k,) at the texture's own rate.
+            speed_mm_s, force_n: a number each, held for n samples; or, one or both, arrays (k,) at the texture's own rate, for
+                k · rate / texture_rate samples, give or take one that the next call has.
             n: how many samples of the output, where the hand is held.
-
-        Returns:
-            Shape (n,); for arrays k · rate / texture_rate samples, give or take one that the next call has.
 
         Raises:
             ValueError: a speed or force is negative, NaN or infinite; neither arrays nor n were given, or both.
@@ -111,9 +109,8 @@ class Renderer:
         speed, force = (np.asarray(value, dtype=np.float32) for value in (speed_mm_s, force_n))
         for name, value, unit in (("speed", speed, "mm/s"), ("force", force, "N")):
             if not np.isfinite(value).all() or (value < 0).any():
-                raise ValueError(
-                    f"a {name} is negative, NaN or infinite, expected a finite number of {unit}, 0 or more"
-                )
+                wrong = f"a {name} is negative, NaN or infinite"
+                raise ValueError(f"{wrong}, expected a finite number of {unit}, 0 or more")
         if speed.ndim == 0 and force.ndim == 0:
             if n is None or n < 0:
                 raise ValueError(f"n is {n}, expected how many samples to render under a hand that is held")

@@ -96,9 +96,8 @@ def read_stroke(path: Path, rate_hz: float, calibration: PressureCalibration | N
     if force.min() < 0 or ("speed" in columns and columns["speed"].min() < 0):
         raise ValueError(f"{path.name}: speed and force are magnitudes, found one below zero")
     if times[-1] > LONGEST_S or (times.size > 50 and np.median(np.diff(times)) >= 0.5):
-        raise ValueError(
-            f"{path.name} has {times.size} rows over {times[-1]:g} s, expected at most an hour; is t in ms?"
-        )
+        span = f"{path.name} has {times.size} rows over {times[-1]:g} s"
+        raise ValueError(f"{span}, expected at most an hour; is t in ms?")
     n_lifted = 0
     if "speed" not in columns:
         times, positions, force, n_lifted = _lifted(times, np.stack([columns["x"], columns["y"]]), force)

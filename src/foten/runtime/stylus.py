@@ -59,9 +59,8 @@ def fit_pressure(pressure: Array, force: Array) -> PressureCalibration:
     used = (pressure > 0) & (force > 0)
     p, f = pressure[used], force[used]
     if p.size < 3 or np.ptp(p) < 0.1:
-        raise ValueError(
-            f"{p.size} pairs over {np.ptp(p) if p.size else 0:.2g} of pressure, expected three or more, over 0.1 or more"
-        )
+        pairs = f"{p.size} pairs over {np.ptp(p) if p.size else 0:.2g} of pressure"
+        raise ValueError(f"{pairs}, expected three or more, over 0.1 or more")
     powers = np.stack([p, np.ones_like(p)])  # the force is exp(b p + ln a)
     estimate, damping = np.polyfit(p, np.log(f), 1), 1e-3
     missed = np.exp(estimate @ powers) - f
@@ -119,7 +118,7 @@ class Stylus:
 
     def render_into(self, out: NDArray[np.float32]) -> None:
         """Fill an array (n,) with the next samples [m/s², or an actuator's drive] at the output rate, without allocation."""
-        self._renderer.native_state.render_stylus(self._pointer, out)
+        self._renderer.native_state.render(out, self._pointer)
 
     def render(self, n: int) -> NDArray[np.float32]:
         """Return n samples [m/s², or an actuator's drive] at the output rate."""

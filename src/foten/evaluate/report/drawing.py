@@ -73,10 +73,7 @@ def style_colorbar(bar: Any, label: str) -> None:
 def inline_svg(figure: Figure, name: str, description: str) -> str:
     """Return a figure as an SVG element for an HTML page; the same figure gives the same text.
 
-    Args:
-        figure: of `new_figure`.
-        name: of letters, unique on the page: the prefix of the figure's identifiers.
-        description: for those who do not see it.
+    The name, of letters and unique on the page, is the prefix of its identifiers; the description is for those who do not see it.
     """
     import matplotlib
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import wave
 from fractions import Fraction
 
 import numpy as np
@@ -15,6 +13,7 @@ from foten.dsp.level import frame_levels
 from foten.dsp.resample import decimate, interpolate
 from foten.evaluate.evaluate import Judgement
 from foten.evaluate.free_run import scored
+from foten.runtime.live.sinks import pcm_wav
 
 N_WAVEFORM = 400  # samples
 N_BLOCKS_SHOWN = 12  # over time; more would be narrower than a frame
@@ -97,7 +96,7 @@ def sounds(judgement: Judgement, name: str) -> tuple[bytes, bytes, float]:
     ]
     peak = max(float(np.abs(samples).max()) for samples in pair)
     full_scale = peak / _PEAK if peak > 0 else 1.0
-    first, second = (_wav(samples / full_scale) for samples in pair)
+    first, second = (pcm_wav(samples / full_scale, AUDIO_HZ) for samples in pair)
     return first, second, full_scale
 
 
@@ -112,13 +111,3 @@ def _audible(block: Array, rate_hz: float) -> Array:
     samples[:n] *= ramp
     samples[len(samples) - n :] *= ramp[::-1]
     return samples
-
-
-def _wav(samples: Array) -> bytes:
-    buffer = io.BytesIO()
-    with wave.open(buffer, "wb") as file:
-        file.setnchannels(1)
-        file.setsampwidth(2)
-        file.setframerate(AUDIO_HZ)
-        file.writeframes(np.round(samples * 32767).astype("<i2").tobytes())
-    return buffer.getvalue()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 from foten.evaluate.evaluate import RUNS
 from foten.evaluate.report.signals import LABELS
@@ -21,45 +21,30 @@ REFERENCES = {
     "bound_window": ("bound of a window", "the best of any predictor that sees as many samples as the model"),
 }
 """One-step references: name and explanation."""
-
-
-class _Figure(NamedTuple):
-    name: str
-    unit: str
-    better: str
-    what: str
-
-
 FREE_RUN_FIGURES = {
-    "lsd_db": _Figure(
-        "log-spectral distance", "dB", "lower", "RMS over frequency of the difference in dB, mean of blocks; sees gain"
-    ),
-    "lsd_long_db": _Figure(
-        "… of pooled spectra", "dB", "lower", "the same on spectra pooled over all blocks: bias without scatter"
-    ),
-    "gfc_raw": _Figure(
-        "GFC, raw bins",
-        "0 to 1",
-        "higher",
-        "cosine of amplitude spectra (Eq. 13); two true realisations reach π/4 = 0.785; blind to gain",
-    ),
-    "gfc_welch": _Figure(
-        "GFC, smoothed", "0 to 1", "higher", "the same on Welch spectra: the shape of the spectrum; blind to gain"
-    ),
-    "level_bias_db": _Figure(
-        "level bias", "dB", "nearer 0", "mean level difference in frames of 40 ms: too loud (+) or too soft (−)"
-    ),
-    "level_error_db": _Figure("level error", "dB", "lower", "mean absolute level difference of the same frames"),
-    "level_corr": _Figure(
-        "level correlation", "−1 to 1", "higher", "whether the level rises and falls with the recording's"
-    ),
-    "kurtosis": _Figure("kurtosis", "", "nearer recorded", "3 for a Gaussian, more for a spiky vibration"),
-    "max_sd": _Figure(
-        "largest sample", "sd", "no outlier", "peak over the training standard deviation: shows a loop that bursts"
-    ),
-    "modulation_db": _Figure(
-        "envelope spectrum", "dB", "lower", "log-spectral distance of the envelope, 2 to 50 Hz: roughness and rhythm"
-    ),
+    "lsd_db": ("log-spectral distance", "dB", "lower"),
+    "lsd_long_db": ("… of pooled spectra", "dB", "lower"),
+    "gfc_raw": ("GFC, raw bins", "0 to 1", "higher"),
+    "gfc_welch": ("GFC, smoothed", "0 to 1", "higher"),
+    "level_bias_db": ("level bias", "dB", "nearer 0"),
+    "level_error_db": ("level error", "dB", "lower"),
+    "level_corr": ("level correlation", "−1 to 1", "higher"),
+    "kurtosis": ("kurtosis", "", "nearer recorded"),
+    "max_sd": ("largest sample", "sd", "no outlier"),
+    "modulation_db": ("envelope spectrum", "dB", "lower"),
+}
+"""Figures of a free run: name, unit, and what is better."""
+_MEANINGS = {
+    "lsd_db": "RMS over frequency of the difference in dB, mean of blocks; sees gain",
+    "lsd_long_db": "the same on spectra pooled over all blocks: bias without scatter",
+    "gfc_raw": "cosine of amplitude spectra (Eq. 13); two true realisations reach π/4 = 0.785; blind to gain",
+    "gfc_welch": "the same on Welch spectra: the shape of the spectrum; blind to gain",
+    "level_bias_db": "mean level difference in frames of 40 ms: too loud (+) or too soft (−)",
+    "level_error_db": "mean absolute level difference of the same frames",
+    "level_corr": "whether the level rises and falls with the recording's",
+    "kurtosis": "3 for a Gaussian, more for a spiky vibration",
+    "max_sd": "peak over the training standard deviation: shows a loop that bursts",
+    "modulation_db": "log-spectral distance of the envelope, 2 to 50 Hz: roughness and rhythm",
 }
 
 
@@ -153,11 +138,11 @@ def free_run_section(document: Mapping[str, Any]) -> str:
     cells, body = _Cells("b"), []
     kurtosis = (document[run].get("kurtosis_recorded") for run in RUNS)
     recorded = next((f" Recorded: {value:.2f}." for value in kurtosis if value is not None), "")
-    for key, (name, unit, better, what) in FREE_RUN_FIGURES.items():
+    for key, (name, unit, better) in FREE_RUN_FIGURES.items():
         title = html.escape(name) + (f" <i>[{html.escape(unit)}]</i>" if unit else "")
         values = "".join(_free_run_cell(document, cells, run, key) for run in RUNS)
         body.append(
-            f'<tr id="free_run.{key}"><th scope="row">{title}<small>{html.escape(what)}.'
+            f'<tr id="free_run.{key}"><th scope="row">{title}<small>{html.escape(_MEANINGS[key])}.'
             f"{recorded if key == 'kurtosis' else ''}</small></th>"
             f'<td class="better">{better}</td>{values}</tr>'
         )

@@ -26,21 +26,15 @@ class Paced:
     """A sink that takes a block every so often, in a thread of its own; what it does with it is a subclass's.
 
     After a machine has stood still it goes on at its pace: what it did not take meanwhile it does not take at once, which would
-    empty the ring; `n_late` counts such blocks.
-
-    Args:
-        rate_hz: at which samples are taken.
-        block_ms: taken at once.
-        ratio: of simulated time to real time; infinite for as fast as possible.
+    empty the ring; `n_late` counts such blocks. `ratio` is of simulated time to real time; infinite for as fast as possible.
     """
 
     patient = False
 
     def __init__(self, rate_hz: float, block_ms: float = PACKET_MS, ratio: float = 1.0) -> None:
         if not rate_hz > 0 or not block_ms > 0 or not ratio > 0:
-            raise ValueError(
-                f"a rate of {rate_hz} Hz in blocks of {block_ms} ms at {ratio} times, expected positive numbers"
-            )
+            given = f"a rate of {rate_hz} Hz in blocks of {block_ms} ms at {ratio} times"
+            raise ValueError(f"{given}, expected positive numbers")
         self.rate_hz = float(rate_hz)
         self.n_at_once = max(1, round(block_ms * rate_hz / 1000))
         self.n_late = 0
@@ -89,10 +83,7 @@ class NullSink(Paced):
 class WavSink(Paced):
     """A WAV file of 32-bit floats, as they are, written as fast as they are rendered; the file is there when it stops.
 
-    Args:
-        rate_hz: a whole number of samples a second.
-        about: kept in the file as a comment.
-        n: samples after which it is full; None for as many as come.
+    It is full after `n` samples, None for as many as come, and keeps `about` as a comment.
     """
 
     patient = True
@@ -178,8 +169,3 @@ class OscSink(UdpSink):
 
     def _head(self, n_bytes: int) -> bytes:
         return b"/foten\0\0,ifb\0\0\0\0" + struct.pack(">ifI", self._n & 0x7FFFFFFF, self.rate_hz, n_bytes)
-
-
-def check_gain(gain: float) -> None:
-    if not math.isfinite(gain):
-        raise ValueError(f"the gain is {gain}, expected a finite number")

@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from foten.dsp import Array
 from foten.recording.preprocess import condition
 from foten.runtime.actuator import ActuatorProfile
-from foten.runtime.live.daq import DaqSink
+from foten.runtime.live.devices import SOUND_RATE_HZ, DaqSink, SoundSink
 from foten.runtime.live.live import Live, LiveStatistics, Read, Samples, Sink
 from foten.runtime.live.paced import NullSink, OscSink, UdpSink, WavSink
-from foten.runtime.live.sound import SOUND_RATE_HZ, SoundSink
 from foten.runtime.renderer import Renderer
 from foten.runtime.stroke import Stroke
 

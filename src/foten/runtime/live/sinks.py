@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import struct
 import wave
@@ -25,11 +26,9 @@ SPECTROGRAM_DB = 60.0  # its range below the loudest
 def write_rendered(
     path: Path, acceleration: Array, speed: Array, force: Array, rate_hz: float, about: Mapping[str, Any]
 ) -> None:
-    """Write a rendered stroke in the format that the suffix names: .wav (float32, m/s²), .csv, .npz or .png.
+    """Write a rendered stroke [m/s², mm/s, N], shapes (n,), in the format of the suffix: .wav (float32), .csv, .npz or .png.
 
-    Args:
-        acceleration, speed, force: [m/s², mm/s, N], shape (n,) each.
-        about: what made it (texture, seed, stroke), kept in the file where its format has room.
+    What made it (`about`: texture, seed, stroke) is kept in the file where its format has room.
     """
     check_suffix(path)
     with atomic_write(path) as part:
@@ -57,30 +56,29 @@ def check_suffix(path: Path) -> None:
 
 
 def write_audible(path: Path, acceleration: Array, rate_hz: float) -> float:
-    """Write the vibration as sound, 48 kHz and 16 bits, its peak at 0.7 of full scale.
+    """Write the vibration as sound, 48 kHz and 16 bits, its peak at 0.7 of full scale, and return the gain [full scale per m/s²].
 
-    Returns:
-        The gain, full scale per m/s²: sounds of two textures compare only at the same one.
+    Sounds of two textures compare only at the same gain.
     """
     sound = interpolate(acceleration, audible_factor(rate_hz))
     peak = float(np.abs(sound).max(initial=0.0))
     gain = AUDIBLE_PEAK / peak if peak > 0 else 1.0
-    pcm = np.round(sound * gain * 32767).astype("<i2").tobytes()
-
-    with atomic_write(path) as part, wave.open(str(part), "wb") as file:
-        file.setnchannels(1)
-        file.setsampwidth(2)
-        file.setframerate(AUDIBLE_HZ)
-        file.writeframes(pcm)
+    with atomic_write(path) as part:
+        part.write_bytes(pcm_wav(sound * gain, AUDIBLE_HZ))
     return gain
 
 
-def audible_factor(rate_hz: float) -> Fraction:
-    """Return 48 kHz over a rate, to 100 ppm.
+def pcm_wav(samples: Array, rate_hz: int) -> bytes:
+    """Return a mono WAV of 16 bits, of samples (n,) whose full scale is 1."""
+    buffer = io.BytesIO()
+    with wave.open(buffer, "wb") as file:
+        file.setparams((1, 2, rate_hz, samples.size, "NONE", ""))
+        file.writeframes(np.round(samples * 32767).astype("<i2").tobytes())
+    return buffer.getvalue()
 
-    Raises:
-        ValueError: the rate is above 48 kHz, or in no simple ratio to it.
-    """
+
+def audible_factor(rate_hz: float) -> Fraction:
+    """Return 48 kHz over a rate, to 100 ppm, or raise ValueError where that is below 1 or no simple ratio."""
     if rate_hz > AUDIBLE_HZ:
         raise ValueError(f"the model's rate is {rate_hz:g} Hz, expected at most {AUDIBLE_HZ} Hz for sound")
     return rate_ratio(float(AUDIBLE_HZ), rate_hz, tolerance=1e-4)
