@@ -48,7 +48,11 @@ def _pieces(texts: Sequence[str]) -> list[str]:
 
 
 def parse_pairs(texts: Sequence[str], option: str) -> list[tuple[str, str]]:
-    """Return `A=B,C=D` texts as pairs."""
+    """Return `A=B,C=D` texts as pairs.
+
+    Raises:
+        ValueError: a piece without `=`.
+    """
     pairs = []
     for piece in _pieces(texts):
         key, _, value = piece.partition("=")
@@ -61,7 +65,11 @@ def parse_pairs(texts: Sequence[str], option: str) -> list[tuple[str, str]]:
 
 
 def parse_rates(texts: Sequence[str]) -> tuple[float | None, dict[str, float]]:
-    """Return `HZ` and `CHANNEL=HZ` texts as the rate for all and the rates by channel."""
+    """Return `HZ` and `CHANNEL=HZ` texts as the rate for all and the rates by channel.
+
+    Raises:
+        ValueError: not a number.
+    """
     overall, by_channel = None, {}
     for piece in _pieces(texts):
         channel, equals, number = piece.rpartition("=")

@@ -87,7 +87,12 @@ def _mean_errors(results: Results, *settings: tuple[str, str]) -> dict[tuple[Any
 
 
 def split(result: Mapping[str, Any], recordings: Path | None = None) -> Figure:
-    """Return a recording's acceleration, speed and force over the blocks of its split, as Fig. 4."""
+    """Return a recording's acceleration, speed and force over the blocks of its split, as Fig. 4.
+
+    Raises:
+        FileNotFoundError: the recording is missing.
+        ValueError: it is another one than was learned from.
+    """
     run = Run(**result["run"])
     if run.seconds is None and recordings is not None:
         run = replace(run, texture=str(recordings / Path(run.texture).name))

@@ -51,7 +51,11 @@ class Sizes:
         return {}
 
     def multiply_adds(self) -> int:
-        """Return the multiplications and additions in pairs that a rendered sample costs; refuse a graph, whose card has them."""
+        """Return the multiplications and additions in pairs that a rendered sample costs; refuse a graph, whose card has them.
+
+        Raises:
+            ValueError: it is run as a graph, whose card has them.
+        """
         raise ValueError("what a graph costs is in its card, under metrics")
 
     def to_card(self) -> dict[str, Any]:

@@ -69,7 +69,12 @@ def time_steps(path: Path, n: int) -> StepTimes:
 
 
 def time_all(path: Path, n: int) -> list[StepTimes]:
-    """Return the times in each instruction set that this processor has, the best first; each in a process of its own."""
+    """Return the times in each instruction set that this processor has, the best first; each in a process of its own.
+
+    Raises:
+        ValueError: the file is none that renders.
+        OSError: one of the processes came to an end.
+    """
     if NativeTexture(path.read_bytes()).info.hop:
         # ONNX Runtime takes the instructions that it likes, whatever the kernel around it does.
         return [replace(time_steps(path, n), isa="onnxruntime")]

@@ -98,7 +98,11 @@ _SIGNATURES = {
 
 @cache
 def library() -> ctypes.CDLL:
-    """Return the library that was built with this package, or raise OSError where there is none that loads."""
+    """Return the library that was built with this package, or raise OSError where there is none that loads.
+
+    Raises:
+        OSError: there is none, or it does not load.
+    """
     # An editable install has the library in another folder than the sources; a package's path knows both.
     import foten.runtime
 

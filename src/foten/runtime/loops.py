@@ -30,6 +30,9 @@ def run_loops(
         condition: speed and force of each sample, and the speed that tones go by [mm/s], shape (s, n, 3).
         noise: standard normal, shape (s, n); None for the deterministic loop.
         limit: that samples are cut to.
+
+    Raises:
+        ValueError: a window holds NaN or infinity.
     """
     out = np.empty(condition.shape[:2])
 

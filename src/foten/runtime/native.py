@@ -100,7 +100,11 @@ class NativeState:
         return library().foten_statistics(self.pointer)
 
     def set_actuator(self, actuator: NativeActuator | None) -> None:
-        """Render what drives an actuator from now on, or acceleration again."""
+        """Render what drives an actuator from now on, or acceleration again.
+
+        Raises:
+            ValueError: the rate is less than 4000 Hz or 16 times the resonance, or a figure cannot be.
+        """
         if library().foten_set_actuator(self.pointer, None if actuator is None else byref(actuator)) != 0:
             why = "the actuator's figures cannot be, or the output rate is below 4000 Hz or 16 times its resonance"
             raise ValueError(f"{why}; render at 8000 Hz?")
@@ -131,7 +135,11 @@ class NativeState:
         library().foten_set_condition(self.pointer, speed, force)
 
     def render(self, out: NDArray[np.float32], stylus: c_void_p | None = None) -> None:
-        """Fill an array with acceleration [m/s²] at the state's rate, under the hand last set, or the kernel's stylus."""
+        """Fill an array with acceleration [m/s²] at the state's rate, under the hand last set, or the kernel's stylus.
+
+        Raises:
+            ValueError: a speed or force is negative, NaN or infinite; neither arrays nor n were given, or both.
+        """
         if out.dtype != np.float32 or not out.flags.c_contiguous or not out.flags.writeable:
             raise ValueError(f"the array is {out.dtype}, expected float32 without gaps, to be written to")
         if stylus is None:

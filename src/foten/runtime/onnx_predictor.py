@@ -48,7 +48,11 @@ class OnnxPredictor:
         return np.asarray(following, dtype=np.float64).reshape(-1, self.n_ahead)
 
     def predict_into(self, window: NDArray[np.float32], out: NDArray[np.float32]) -> None:
-        """Fill in the samples to come, (n_ahead,) scaled, of a window (1, m, 3) scaled."""
+        """Fill in the samples to come, (n_ahead,) scaled, of a window (1, m, 3) scaled.
+
+        Raises:
+            ValueError: there is room for another number of them.
+        """
         if out.shape != (self.n_ahead,):
             raise ValueError(f"the card speaks of {out.size} samples at once, and the graph of {self.n_ahead}")
         out[:] = self._session.run([OUTPUT], {INPUT: window})[0].ravel()

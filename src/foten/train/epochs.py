@@ -175,7 +175,11 @@ def save_progress(path: Path, config: TrainConfig, parts: Mapping[str, Stateful]
 
 
 def load_progress(path: Path, config: TrainConfig, parts: Mapping[str, Stateful]) -> Progress:
-    """Return the log of a checkpoint, and put every part into its state; refuse one that is damaged or of other settings."""
+    """Return the log of a checkpoint, and put every part into its state; refuse one that is damaged or of other settings.
+
+    Raises:
+        ValueError: it is damaged, or was written under another configuration.
+    """
     try:
         saved = torch.load(path, weights_only=True, map_location="cpu")
     except (pickle.UnpicklingError, RuntimeError, EOFError, OSError) as error:

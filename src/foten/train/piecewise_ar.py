@@ -34,7 +34,11 @@ _SHARES = (0.0, 0.5, 1.0)  # of the way along the trained range, where models st
 
 
 def prepare_piecewise_ar(job: TrainingJob, on_stage: Stage) -> Task:
-    """Return a texture of local linear models learned from a recording, its order chosen on the validation blocks."""
+    """Return a texture of local linear models learned from a recording, its order chosen on the validation blocks.
+
+    Raises:
+        ValueError: the recording does not fit the configuration, or holds too little to fit models to.
+    """
     blocks = job.blocks()
     if blocks.trace.block < 2 * MAX_ORDER:
         raise ValueError(

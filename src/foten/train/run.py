@@ -34,7 +34,11 @@ class RunFolder:
         self._events: Any = None
 
     def open(self, config: Mapping[str, Any], resume: bool) -> None:
-        """Refuse what a run with this configuration cannot use; nothing is written before the first line of the log."""
+        """Refuse what a run with this configuration cannot use; nothing is written before the first line of the log.
+
+        Raises:
+            ValueError: the path is a file, or there is nothing to resume, or the settings differ.
+        """
         if self.path.exists() and not self.path.is_dir():
             raise ValueError(f"the run folder {self.path} is a file")
         self._config = json.dumps(config, indent=1, sort_keys=True) + "\n"

@@ -96,7 +96,11 @@ class SoundSink:
 
 
 def sound_library() -> Any:
-    """Return the package sounddevice, or raise OSError where it or PortAudio is missing."""
+    """Return the package sounddevice, or raise OSError where it or PortAudio is missing.
+
+    Raises:
+        OSError: it or PortAudio is missing; one line says what to do.
+    """
     try:
         import sounddevice
     except ImportError as error:

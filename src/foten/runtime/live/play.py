@@ -102,7 +102,12 @@ def sink_of(
     channel: int | None = None,
     about: dict[str, Any] | None = None,
 ) -> Sink:
-    """Return the sink that a text names: sound, null, FILE.wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT."""
+    """Return the sink that a text names: sound, null, FILE.wav, daq:Dev1/ao0, udp:HOST:PORT or osc:HOST:PORT.
+
+    Raises:
+        ValueError: it names none, or one without devices and channels of which some were given.
+        OSError: the device, its library or the host is missing.
+    """
     if where != "sound" and (device is not None or channel is not None):
         raise ValueError(f"--device and --channel are a sound card's, and it is played to {where}")
     kind, _, target = where.partition(":")
