@@ -13,7 +13,7 @@ import torch
 from foten.families import FotenSizes
 from foten.networks import build
 from foten.networks.dropout import Dropout, set_dropout
-from foten.train.config import RECIPES, TrainConfig
+from foten.train.config import TrainConfig
 from foten.train.epochs import Epoch, load_progress
 from foten.train.fit import TrainingWindows, fit, loss_of, predict
 
@@ -55,15 +55,9 @@ def test_a_target_of_its_own_is_learned_and_reported_in_its_unit() -> None:
     assert line.validation_mae == pytest.approx(10 * missed, rel=1e-5)
 
 
-@pytest.mark.parametrize(("n_windows", "batch"), [(34_000, 128), (2_200, 36), (100, 32)])
-def test_a_short_recording_has_smaller_batches(n_windows: int, batch: int) -> None:
-    assert TrainConfig().batch_of(n_windows) == batch
-    assert RECIPES["paper"].batch_of(n_windows) == 16
-
-
 def test_the_best_epoch_is_kept_and_patience_ends_the_training() -> None:
     network, windows = untrained(), white()
-    config = TrainConfig(epochs=60, patience=3, probation=99, batch=64, schedule="constant", threads=1)
+    config = TrainConfig(epochs=60, patience=3, batch=64, schedule="constant", threads=1)
     progress = fit(network, windows, config)
     best = min(progress.epochs, key=lambda line: line.validation_loss)
     assert progress.best is best

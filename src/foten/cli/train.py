@@ -99,8 +99,7 @@ def train(
     check_folders([output, run_folder or output])
     asked = _given(epochs=epochs, loss=loss, delta=delta, batch=batch, learning_rate=learning_rate)
     asked |= _given(dropout=dropout, threads=threads)
-    exact = {} if batch is None else {"least_steps": 1}
-    config = dataclasses.replace(RECIPES[recipe], seed=seed, **OWN_RECIPES.get(model, {}) | asked | exact)
+    config = dataclasses.replace(RECIPES[recipe], seed=seed, **OWN_RECIPES.get(model, {}) | asked)
     # The paper trains with 25 Hz and renders with 20 Hz.
     lowpass_hz = 25.0 if recipe == "paper" else None
     cut = _given(rate_hz=rate, trim_ms=trim, block_ms=block, lowpass_hz=lowpass_hz)

@@ -129,7 +129,7 @@ class _Stack:
         # Of masks on a GPU, where one generator draws a whole epoch's, as `fit` has it there.
         of_epoch = [torch.Generator(self._device).manual_seed(epoch_seed(seed, epoch)) for seed in seeds]
         total = torch.zeros(len(seeds), device=self._device)
-        for number, batch in enumerate(orders.split(self._config.batch_of(orders.shape[1]), dim=1)):
+        for number, batch in enumerate(orders.split(self._config.batch, dim=1)):
             of_step = [masks_of(mask_seed(seed, epoch, number), self._device) for seed in seeds]
             generators = [one or common for one, common in zip(of_step, of_epoch, strict=True)]
             rate = rate_of(self._config, orders.shape[1], epoch, number)

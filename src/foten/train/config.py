@@ -19,11 +19,7 @@ class TrainConfig:
     patience: int = 10  # epochs without a better validation loss; Sec. IV-e
     probation: int = 3  # epochs in which a network has to gain something; more than `epochs` for none
     least_gain: float = 1e-3  # of the one-step validation error, over the network before training
-    batch: int = 128  # windows, at most
-    least_steps: int = (
-        60  # an epoch, for which a short recording has smaller batches, down to 32: of 128, a second at 2.5 kHz
-    )
-    # has nine steps an epoch, in which nothing is learned
+    batch: int = 128  # windows
     optimiser: str = "muon"  # orthogonalised momentum for matrices (`train.optimiser`); or "adamw" for all
     matrix_learning_rate: float = 3e-3  # of that, at its highest
     # Of AdamW, at its highest. What a lattice leaves is nearly white: from 1e-3 on AdamW alone learned nothing of a mesh
@@ -57,7 +53,7 @@ class TrainConfig:
                 raise ValueError(f"{field.name} is {value!r}, expected a whole number")
             if field.type == "float" and (type(value) not in (int, float) or not math.isfinite(value)):
                 raise ValueError(f"{field.name} is {value!r}, expected a finite number")
-        for name in ("epochs", "batch", "least_steps", "patience", "probation", "threads", "max_order"):
+        for name in ("epochs", "batch", "patience", "probation", "threads", "max_order"):
             least = 0 if name == "epochs" else 1
             if getattr(self, name) < least:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected {least} or more")
@@ -68,10 +64,6 @@ class TrainConfig:
         if self.weight_decay < 0:
             raise ValueError(f"weight decay is {self.weight_decay}, expected 0 or more")
 
-    def batch_of(self, n_windows: int) -> int:
-        """Return the windows of a step, of so many in an epoch."""
-        return min(self.batch, max(32, n_windows // self.least_steps))
-
 
 RECIPES: dict[str, TrainConfig] = {
     "default": TrainConfig(),
@@ -81,7 +73,6 @@ RECIPES: dict[str, TrainConfig] = {
         patience=10,
         probation=101,
         batch=16,
-        least_steps=1,
         optimiser="adamw",
         learning_rate=1e-3,
         schedule="constant",
@@ -109,7 +100,7 @@ OWN_RECIPES: dict[str, dict[str, Any]] = {
 UNUSED: dict[str, tuple[str, ...]] = {
     "gan": (
         *("loss", "delta", "dropout", "threads", "weight_decay", "schedule", "clip_norm"),
-        *("optimiser", "matrix_learning_rate", "probation", "least_gain", "least_steps"),
+        *("optimiser", "matrix_learning_rate", "probation", "least_gain"),
     )
 }
 """Settings that are nothing to a model: the GAN's loss is what judges it."""

@@ -128,7 +128,7 @@ def fit(
     def one_epoch(epoch: int) -> float:
         torch.manual_seed(epoch_seed(config.seed, epoch))
         total = torch.zeros((), device=of.device)
-        for number, batch in enumerate(of.shuffled(config.seed, epoch).split(config.batch_of(len(of.train)))):
+        for number, batch in enumerate(of.shuffled(config.seed, epoch).split(config.batch)):
             seeds = itertools.count(mask_seed(config.seed, epoch, number) * n_threads)
             shares = pool.map(gradients, batch.chunk(n_threads), itertools.repeat(len(batch)), seeds)
             losses, pieces = zip(*shares, strict=True)
@@ -166,7 +166,7 @@ def rate_of(config: TrainConfig, n_windows: int, epoch: int, number: int) -> flo
     """Return a step's learning rate over its highest: a linear rise over the first tenth of all steps, then half a cosine."""
     if config.schedule == "constant":
         return 1.0
-    of_epoch = math.ceil(n_windows / config.batch_of(n_windows))
+    of_epoch = math.ceil(n_windows / config.batch)
     n_steps, step = of_epoch * config.epochs, of_epoch * (epoch - 1) + number
     rise = max(1, n_steps // 10)
     return (step + 1) / rise if step < rise else 0.5 * (1 + math.cos(math.pi * ((step - rise) / (n_steps - rise))))
