@@ -274,7 +274,7 @@ MUTANTS = (
         PACKAGE + "train/blocks.py",
         "fit_scaling(trace, split.train)",
         "fit_scaling(trace, (*split.train, *split.test))",
-        ("tests/test_pipeline.py", "tests/test_scaling.py", ),
+        ("tests/test_pipeline.py", "tests/test_scaling.py"),
     ),
     Mutant(
         "the warm start is the loudest window",

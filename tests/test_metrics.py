@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from foten.dsp import distance
+from foten.dsp import distance, level
 from foten.evaluate import metrics
 
 RATE_HZ = 1000.0
@@ -96,7 +96,7 @@ def test_a_segment_fits_its_block(block: int) -> None:
 @pytest.mark.parametrize("rate_hz", [1000.0, 10_000.0])
 def test_levels_of_a_sine(rate_hz: float) -> None:
     n = round(2.03 * rate_hz)
-    levels = distance.frame_levels(3.0 * tone(100.0, n, rate_hz), rate_hz, 1.5)
+    levels = level.frame_levels(3.0 * tone(100.0, n, rate_hz), rate_hz, 1.5)
     assert levels.shape == (50,)  # 40 ms each; 30 ms are left over
     # Four whole periods in each frame: RMS 3/√2 against 1.5.
     np.testing.assert_allclose(levels, 20 * math.log10(3 / math.sqrt(2) / 1.5), atol=1e-9)
@@ -105,13 +105,13 @@ def test_levels_of_a_sine(rate_hz: float) -> None:
 def test_levels_have_a_floor_and_follow_a_burst() -> None:
     blocks = np.zeros((2, 400))
     blocks[1, 200:] = 1.0
-    levels = distance.frame_levels(blocks, RATE_HZ, 1.0)
+    levels = level.frame_levels(blocks, RATE_HZ, 1.0)
     np.testing.assert_allclose(levels, [[-30.0] * 10, [-30.0] * 5 + [0.0] * 5], atol=1e-9)  # rounding
 
 
 def test_frames_of_a_condition_are_those_of_its_levels() -> None:
     blocks = np.tile(np.repeat(np.arange(5.0), 40), (3, 1))[:, :190]
-    np.testing.assert_allclose(distance.frame_means(blocks, RATE_HZ), np.tile(np.arange(4.0), (3, 1)), atol=1e-12)
+    np.testing.assert_allclose(level.frame_means(blocks, RATE_HZ), np.tile(np.arange(4.0), (3, 1)), atol=1e-12)
 
 
 def test_kurtosis_of_known_shapes() -> None:
