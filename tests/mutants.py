@@ -46,7 +46,7 @@ MUTANTS = (
     Mutant("the level grows without end", NATIVE + "constants.h", "FOTEN_FURTHEST 2.0", "FOTEN_FURTHEST 4.0"),
     Mutant("a slower device is louder", NATIVE + "resample.c", "return sum / r->stretch;", "return sum;"),
     Mutant("the resampler skips a carry", NATIVE + "resample.c", "r->integer + (r->fraction < before)", "r->integer"),
-    Mutant("a stroke begins too loud", NATIVE + "loop_lattice.c", "pow(1 - 2 * l->excitation.tail, -0.75)", "2.0"),
+    Mutant("a stroke begins too loud", NATIVE + "loop_lattice.c", "excitation_rms(&l->excitation)", "2.0"),
     Mutant(
         "a stroke begins silent",
         NATIVE + "loop_lattice.c",

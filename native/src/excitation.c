@@ -54,6 +54,8 @@ void excitation_set_condition(const excitation *e, excitation_state *s, const do
 
 double excitation_factor(const excitation *e, const excitation_state *s) { return exp(s->volatility - e->volatility_sd * e->volatility_sd); }
 
+double excitation_rms(const excitation_state *s) { return pow(1 - 2 * s->tail, -0.75); }
+
 void excitation_draw(const excitation *e, excitation_state *s, double noise) {
     s->volatility = e->volatility_sd * clip(noise, FOTEN_LARGEST_VOLATILITY);
 }

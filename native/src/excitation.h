@@ -28,6 +28,9 @@ void excitation_set_condition(const excitation *e, excitation_state *s, const do
 /* By how much the next excitation is larger than usual. */
 double excitation_factor(const excitation *e, const excitation_state *s);
 
+/* The standard deviation of a heavy-tailed number, over that of the Gaussian one. */
+double excitation_rms(const excitation_state *s);
+
 /* A volatility as if the stream had always been there, from a standard normal number. */
 void excitation_draw(const excitation *e, excitation_state *s, double noise);
 

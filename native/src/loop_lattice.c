@@ -109,7 +109,7 @@ static void begin(const foten_model *m, loop *l, const condition *c, noise_sourc
     const lattice *of = m->excited_lattice;
     set_condition(m, l, c, 1);
     /* The mean square of z exp(h z^2 / 2) is (1 - 2h)^(-3/2). */
-    double size = gain_before(of, &l->lattice) * l->excitation.sigma * pow(1 - 2 * l->excitation.tail, -0.75);
+    double size = gain_before(of, &l->lattice) * l->excitation.sigma * excitation_rms(&l->excitation);
     for (int i = 0; i < of->order; i++) l->lattice.states[i] = size * noise_next(&noise);
     excitation_draw(&m->excitation, &l->excitation, noise_next(&noise));
     if (m->tones.n) {

@@ -68,6 +68,11 @@ def heavy_tailed(noise: Array, tail: Array, limit: Array | float) -> Array:
     return np.clip(noise * np.exp(0.5 * tail * noise * noise), -limit, limit)
 
 
+def heavy_tailed_rms(tail: Array) -> Array:
+    """Return the standard deviation of z·exp(h z²/2): its mean square is (1 − 2h)^(−3/2)."""
+    return (1 - 2 * tail) ** -0.75
+
+
 def gaussianised(values: Array, tail: Array) -> Array:
     """Return z with z·exp(h z²/2) = u, what `heavy_tailed` undoes but for its limit: u and h of equal shapes, h from 0 on."""
     log_u = np.log(np.maximum(np.abs(values), 1e-300))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from foten.dsp import Array
 from foten.dsp.lattice import check_reflections, predict, push
+from foten.dsp.noise import heavy_tailed_rms
 from foten.dsp.speed_force_table import SpeedForceTable
 from foten.dsp.tones import LARGEST_JITTER, audible_share, fitted_phase, tone
 from foten.families.foten_plus import FotenPlusSizes
@@ -163,8 +164,7 @@ class FotenPlusStream:
         self.set_condition(condition)
         p, excitation, known = len(self.states), self.model.excitation, condition[:, :2]
         before, _ = self.lattice.gains(self.level)
-        # The mean square of z·exp(h z²/2) is (1 − 2h)^(−3/2).
-        size = before * excitation.sigma(known) * (1 - 2 * excitation.tail(known)) ** -0.75
+        size = before * excitation.sigma(known) * heavy_tailed_rms(excitation.tail(known))
         self.states = size * noise[:, :p].T
         self.volatility.draw(noise[:, p])
         if self.tones:
