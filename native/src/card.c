@@ -15,10 +15,7 @@ static const struct {
     int bit, window, of_noise, has_hop; /* window: its usual one; 0: the card has to name it */
 } MODELS[] = {{"foten-plus", CARD_PLUS, FOTEN_USUAL_PLUS_WINDOW, 0, 0}, {"foten", CARD_FOTEN, FOTEN_USUAL_WINDOW, 0, 0},
               {"ten", CARD_TEN, FOTEN_USUAL_TEN_WINDOW, 0, 0},          {"ar", CARD_AR, FOTEN_USUAL_AR_WINDOW, 0, 0},
-              {"ten-mfcc", CARD_GRAPH, 0, 0, 0},  {"ten-wavelet", CARD_GRAPH, 0, 0, 0}, {"foten-d", CARD_GRAPH, 0, 0, 0},
-              {"fnn", CARD_GRAPH, 0, 0, 0},       {"dstn", CARD_GRAPH, 0, 0, 0},        {"hapinf", CARD_GRAPH, 0, 0, 0},
-              {"ldhtd", CARD_GRAPH, 0, 0, 0},     {"ldhtd-hop", CARD_GRAPH, 0, 0, 1},   {"dftnet", CARD_GRAPH, 0, 1, 0},
-              {"gan", CARD_GRAPH, 0, 1, 0}};
+              {"ldhtd-hop", CARD_GRAPH, 0, 0, 1},                       {"dftnet", CARD_GRAPH, 0, 1, 0}, {"gan", CARD_GRAPH, 0, 1, 0}};
 
 /* Counts, and switches, which are true or false. */
 enum { SWITCH = -1 };
@@ -73,8 +70,9 @@ static int read_model(texture_file *file, int has_function, card_sizes *s, int *
             s->has_hop = MODELS[i].has_hop;
             *usual_window = MODELS[i].window;
         }
+    if (!s->model && file_has(file, "graph")) s->model = CARD_GRAPH; /* of whatever name, which predicts the next sample */
     if (!s->model)
-        return file_refuse(file, FOTEN_BAD_FILE, "this library does not run the file's model, expected foten-plus, foten, ten or ar");
+        return file_refuse(file, FOTEN_BAD_FILE, "this library does not run the file's model, expected foten-plus, foten, ten, ar or a graph");
     if (s->model == CARD_GRAPH && !has_function)
         return file_refuse(file, FOTEN_NO_PREDICTOR,
                            "the file's model is a graph that something else has to run, ONNX Runtime from Python for one: foten_model_load_with");

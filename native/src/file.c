@@ -146,9 +146,9 @@ int file_copy(texture_file *file, const char *prefix, const char *name, const si
     return locate_shaped(file, prefix, name, shape, &at) && copy(file, &at, out);
 }
 
-void file_leave(texture_file *file, const char *name) {
-    if (entry_of(file, name).begin) file->n_taken++;
-}
+int file_has(const texture_file *file, const char *name) { return entry_of(file, name).begin != NULL; }
+
+void file_leave(texture_file *file, const char *name) { file->n_taken += (size_t)file_has(file, name); }
 
 int file_all_taken(texture_file *file, const char *model) {
     size_t n = file->n_entries - 1; /* the card is no tensor */

@@ -36,6 +36,8 @@ int file_copy(texture_file *file, const char *prefix, const char *name, const si
 /* The shape of a tensor, its dimensions counted; -1 where there is none. */
 int file_shape(const texture_file *file, const char *name, size_t shape[4]);
 
+int file_has(const texture_file *file, const char *name);
+
 /* Count a tensor as taken that somebody else reads, where there is one. */
 void file_leave(texture_file *file, const char *name);
 
