@@ -14,6 +14,7 @@ from foten.dsp.lsf import line_spectral_frequencies, polynomial_of
 from foten.families import PiecewiseArSizes
 from foten.families.texture_file import Texture
 from foten.reference.piecewise_ar import PiecewiseAr
+from foten.reference.render import render
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeState, NativeTexture
 from foten.train.piecewise_ar_texture import LocalModels, local_texture
@@ -67,6 +68,20 @@ def test_it_begins_as_if_its_condition_had_always_been_there(name: str) -> None:
     # 3000 streams: 2.6 % of power.
     assert power[:20].mean() == pytest.approx(power[-100:].mean(), rel=0.05)
     assert power[0] == pytest.approx(power[-100:].mean(), rel=0.1)
+
+
+def test_what_rings_longer_than_it_settles_begins_as_the_reference_does() -> None:
+    """Poles of radius 0.999 keep four fifths of their first states through the 256 samples, and zeros say how large those are."""
+    a, b = (np.array([1.0, -2 * r * np.cos(w), r * r]) for r, w in ((0.999, 0.6), (0.8, 2.2)))
+    lsf, ma_lsf = (np.tile(line_spectral_frequencies(each), (3, 1)) for each in (a, b))
+    texture = local_texture(dataclasses.replace(two_tones(), lsf=lsf, ma_lsf=ma_lsf), SCALING, CARD).texture
+    speed, force = np.full(200, 90.0), np.full(200, 1.3)
+    rendered = NativeState(NativeTexture(texture.to_bytes()), seed=4).render_stroke(
+        speed.astype(np.float32), force.astype(np.float32)
+    )
+    expected = render(texture, speed, force, seed=4)[0]
+    # What leaves the kernel is float32.
+    np.testing.assert_allclose(rendered, expected, rtol=0, atol=1e-5 * np.abs(expected).max())
 
 
 SWITCHED = 0.98  # radius of the poles of two resonances, one at 100 Hz and one at 400
