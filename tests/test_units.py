@@ -1,6 +1,7 @@
 """Units: as large as physics has them, and read wherever a file states them; converted or refused, never dropped."""
 
 import json
+import typing
 
 import h5py
 import numpy as np
@@ -10,12 +11,21 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
 from foten.cli.command_line import _status
+from foten.cli.recordings import import_
 from foten.datasets.importing import import_recording
 from foten.datasets.options import ImportOptions
 from foten.datasets.units import FACTORS, canonical, factor_of, split_header
 
 SAMPLES = np.linspace(0.5, 1.5, 300)
 LBF_N = 4.4482216152605  # exact: 0.45359237 kg × 9.80665 m/s²
+
+
+def test_the_help_names_units_that_are_read():
+    said = typing.get_type_hints(import_, include_extras=True)["unit"].__metadata__[0].help
+    named = dict(part.strip().split(" ", 1) for part in said.split("of the file:")[1].split(". CHANNEL")[0].split(";"))
+    assert set(named) == set(FACTORS)
+    for quantity, units in named.items():
+        assert {unit.strip() for unit in units.split(",")} <= set(FACTORS[quantity])
 
 
 def test_units_have_the_size_that_physics_gives():

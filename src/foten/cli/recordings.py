@@ -87,9 +87,10 @@ def import_(
         list[str] | None,
         Option(
             "--unit",
-            help="CHANNEL=UNIT,… of the file: acceleration m/s^2, g, mg, mm/s^2; speed mm/s, cm/s, m/s; position mm, cm, m, "
-            "um; force N, mN, gf; time s, ms, us, ns. CHANNEL=V*FACTOR or *FACTOR multiplies, for a sensitivity: "
-            "force=V*4.9 for 4.9 N per volt. Default: what the file states, else m/s^2, mm/s, mm, N, s.",
+            help="CHANNEL=UNIT,… of the file: acceleration m/s^2, g, mg, mm/s^2, in/s^2, ft/s^2; speed mm/s, cm/s, m/s, in/s, "
+            "ft/s, mm/min, km/h; position mm, cm, m, um, in, ft; force N, mN, kN, gf, kgf, lbf, ozf; time s, ms, us, ns, min. "
+            "CHANNEL=V*FACTOR or *FACTOR multiplies, for a sensitivity: force=V*4.9 for 4.9 N per volt. "
+            "Default: what the file states, else m/s^2, mm/s, mm, N, s.",
         ),
     ] = None,
     rate: Annotated[
