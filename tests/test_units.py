@@ -21,7 +21,7 @@ LBF_N = 4.4482216152605  # exact: 0.45359237 kg × 9.80665 m/s²
 
 
 def test_the_help_names_units_that_are_read():
-    said = typing.get_type_hints(import_, include_extras=True)["unit"].__metadata__[0].help
+    said = typing.get_type_hints(import_, include_extras=True)["units"].__metadata__[0].help
     named = dict(part.strip().split(" ", 1) for part in said.split("of the file:")[1].split(". CHANNEL")[0].split(";"))
     assert set(named) == set(FACTORS)
     for quantity, units in named.items():
