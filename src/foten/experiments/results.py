@@ -166,10 +166,10 @@ def rows_of(results: Results, figure: str) -> tuple[list[str], list[Row]]:
     head, _, key = FIGURES[figure].path.rpartition(".")
     factor = FIGURES[figure].factor
 
-    def row(name: str, model: str, where: str, of: Iterable[Mapping[str, Any]], excited: bool = False) -> Row:
+    def row(name: str, model: str, where: str, own: Iterable[Mapping[str, Any]], excited: bool = False) -> Row:
         values: dict[str, list[float]] = {}
         intervals: dict[str, tuple[float, float]] = {}
-        for one in of:
+        for one in own:
             texture = name_of(one["run"]["texture"])
             value = _at(one["evaluation"], f"{where}.{key}")
             interval = _at(one["evaluation"], f"{where}.intervals.{key}")
@@ -177,7 +177,7 @@ def rows_of(results: Results, figure: str) -> tuple[list[str], list[Row]]:
                 values.setdefault(texture, []).append(factor * value)
             if interval is not None:
                 intervals.setdefault(texture, (factor * interval[0], factor * interval[1]))
-        return Row(name, model, {texture: np.array(of) for texture, of in values.items()}, intervals, excited)
+        return Row(name, model, {texture: np.array(own) for texture, own in values.items()}, intervals, excited)
 
     # A reference is the same whatever was trained beside it: once for each recording, split and preprocessing.
     distinct = {
@@ -188,11 +188,11 @@ def rows_of(results: Results, figure: str) -> tuple[list[str], list[Row]]:
     rows = [row(name, "", where, distinct.values()) for name, where in references.items()]
     rows = [one for one in rows if one.values]
     for name in dict.fromkeys(map(label_of, results)):
-        of = [one for one in results if label_of(one) == name]
-        model, excited = of[-1]["run"]["model"], of[0]["run"]["sizes"].get("excitation", False)
-        method = row(name, model, head, of, excited)
+        own = [one for one in results if label_of(one) == name]
+        model, excited = own[-1]["run"]["model"], own[0]["run"]["sizes"].get("excitation", False)
+        method = row(name, model, head, own, excited)
         if not method.values and head == "free_run":
-            method = row(f"{name}, without excitation", model, "free_run_deterministic", of)
+            method = row(f"{name}, without excitation", model, "free_run_deterministic", own)
         rows.append(method)
     return textures, rows
 
@@ -248,8 +248,8 @@ def as_in_paper(rows: Sequence[Row]) -> set[str]:
     """
     names = set()
     for model in PAPER:
-        of = [row for row in rows if row.model == model]
-        plain = [row for row in of if not row.excited]
-        if len(of) == 1 or len(plain) == 1:
-            names.add((plain or of)[0].name)
+        with_model = [row for row in rows if row.model == model]
+        plain = [row for row in with_model if not row.excited]
+        if len(with_model) == 1 or len(plain) == 1:
+            names.add((plain or with_model)[0].name)
     return names

@@ -34,19 +34,19 @@ _LATEX = str.maketrans(
 
 def table(results: Results, figure: str) -> list[list[str]]:
     """Return a table of one figure: its heading, then a row for each reference and method."""
-    of = FIGURES[figure]
+    shown = FIGURES[figure]
     textures, rows = rows_of(results, figure)
-    _, p = compared(rows, textures, of.better)
+    _, p = compared(rows, textures, shown.better)
     n_splits = max((len(values) for row in rows for values in row.values.values()), default=1)
     spread = f"mean ± sd of {n_splits} splits" if n_splits > 1 else "one split"
     if n_splits == 1 and any(row.intervals for row in rows):
         spread += " [95 % over its blocks]"
     reported: dict[str, str] = {}
-    if of.reported is not None:
-        attribute, digits = of.reported
+    if shown.reported is not None:
+        attribute, digits = shown.reported
         models = {row.name: row.model for row in rows}
         reported = {name: f"{getattr(PAPER[models[name]], attribute):.{digits}f}" for name in as_in_paper(rows)}
-    heading = [f"{of.name}, {spread}", *textures, "mean", *(["p"] if p else [])]
+    heading = [f"{shown.name}, {spread}", *textures, "mean", *(["p"] if p else [])]
     cells = [heading + (["paper's mean"] if reported else [])]
     for row in rows:
         means = row.means(textures)
@@ -90,9 +90,9 @@ def each_run(results: Results) -> list[list[str]]:
         row.append("yes" if excited else None if silent else "no")
         for figure in FIGURES.values():
             head, _, key = figure.path.rpartition(".")
-            of = judged[head if excited or head != "free_run" else "free_run_deterministic"]
-            interval = (of.get("intervals") or {}).get(key) or (None, None)
-            row += [None if value is None else figure.factor * value for value in (of[key], *interval)]
+            scores = judged[head if excited or head != "free_run" else "free_run_deterministic"]
+            interval = (scores.get("intervals") or {}).get(key) or (None, None)
+            row += [None if value is None else figure.factor * value for value in (scores[key], *interval)]
         seconds = (one["seconds"][stage] for stage in ("training", "evaluation"))
         row += [one["validation_mae_scaled"], one["n_epochs"], *seconds]
         rows.append(["" if value is None else f"{value:.6g}" if type(value) is float else str(value) for value in row])
@@ -147,22 +147,22 @@ def _same_blocks(results: Results) -> Iterator[str]:
 
 
 def _best_method(results: Results, figure: str) -> Iterator[str]:
-    of = FIGURES[figure]
+    judged_by = FIGURES[figure]
     textures, rows = rows_of(results, figure)
     methods = [row for row in rows if row.model]
     without = [row.name for row in methods if not row.values]
     if without:
-        yield f"{of.name}: there is none of {', '.join(without)}."
+        yield f"{judged_by.name}: there is none of {', '.join(without)}."
     lacking = [row.name for row in methods if row.values and row not in complete(rows, textures)]
     if lacking:
-        yield f"{of.name}: not compared, for want of textures or splits: {', '.join(lacking)}."
-    best, p = compared(rows, textures, of.better)
+        yield f"{judged_by.name}: not compared, for want of textures or splits: {', '.join(lacking)}."
+    best, p = compared(rows, textures, judged_by.better)
     if best:
         chance = ", ".join(other for other, value in p.items() if value >= 0.05)
         differ = (
             f"; the difference may be chance for {chance}" if chance else "; all others differ (p < 0.05)" if p else ""
         )
-        yield f"{of.name}: {best} is best on the mean{differ}."
+        yield f"{judged_by.name}: {best} is best on the mean{differ}."
 
 
 def _order(results: Results) -> Iterator[str]:

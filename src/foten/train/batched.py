@@ -138,9 +138,9 @@ class _Stack:
 
     def _step(self, batch: Tensor, generators: list[torch.Generator], rate: float) -> Tensor:
         """Take a step of all networks on a batch of each, (n, b) sample numbers, and return their losses."""
-        of = [(texture.data, n) for texture, n in zip(self.textures, batch, strict=True)]
-        windows = torch.stack([data.windows(n) for data, n in of])
-        targets = torch.stack([data.target[n] for data, n in of])
+        samples = [(texture.data, n) for texture, n in zip(self.textures, batch, strict=True)]
+        windows = torch.stack([data.windows(n) for data, n in samples])
+        targets = torch.stack([data.target[n] for data, n in samples])
         weights = {name: weight.detach() for name, weight in self._weights.items()}
         gradients, losses = self._gradients(weights, self._fixed, windows, targets, self._masks(windows, generators))
         limit = self._config.clip_norm

@@ -112,23 +112,23 @@ def fit(
         network: windows (b, m, 3) → (b,) or (b, k), on the CPU or a GPU.
         checkpoint: file that is written after each epoch, and that `resume` goes on from.
     """
-    of = DeviceWindows(data, network)
+    on_device = DeviceWindows(data, network)
     set_dropout(network, config.dropout)
-    n_threads = config.threads if of.device.type == "cpu" else 1
+    n_threads = config.threads if on_device.device.type == "cpu" else 1
     trained = list(network.parameters())
     optimiser = Optimiser(dict(network.named_parameters()), config)
     criterion = loss_of(config)
 
     def gradients(share: Tensor, n: int, seed: int) -> tuple[Tensor, tuple[Tensor, ...]]:
         """Return the loss and gradients of one thread's share of a batch of n."""
-        with masks_from(partial(mask, generator=masks_of(seed, of.device))):
-            loss = criterion(network(of.windows(share)), of.target[share]) * (len(share) / n)
+        with masks_from(partial(mask, generator=masks_of(seed, on_device.device))):
+            loss = criterion(network(on_device.windows(share)), on_device.target[share]) * (len(share) / n)
         return loss.detach(), torch.autograd.grad(loss, trained)
 
     def one_epoch(epoch: int) -> float:
         torch.manual_seed(epoch_seed(config.seed, epoch))
-        total = torch.zeros((), device=of.device)
-        for number, batch in enumerate(of.shuffled(config.seed, epoch).split(config.batch)):
+        total = torch.zeros((), device=on_device.device)
+        for number, batch in enumerate(on_device.shuffled(config.seed, epoch).split(config.batch)):
             seeds = itertools.count(mask_seed(config.seed, epoch, number) * n_threads)
             shares = pool.map(gradients, batch.chunk(n_threads), itertools.repeat(len(batch)), seeds)
             losses, pieces = zip(*shares, strict=True)
@@ -137,13 +137,13 @@ def fit(
                 parameter.grad = sum(others, start=first)
             if config.clip_norm > 0:
                 nn.utils.clip_grad_norm_(trained, config.clip_norm)
-            optimiser.step(rate_of(config, len(of.train), epoch, number))
+            optimiser.step(rate_of(config, len(on_device.train), epoch, number))
             total += torch.stack(losses).sum() * len(batch)
-        return float(total) / len(of.train)
+        return float(total) / len(on_device.train)
 
     parts: dict[str, Stateful] = {"network": network, "optimiser": optimiser}
     with ThreadPoolExecutor(n_threads) as pool:
-        validate = partial(validated, network, of, criterion, pool.map)
+        validate = partial(validated, network, on_device, criterion, pool.map)
         return run_epochs(network, config, parts, one_epoch, validate, on_epoch, checkpoint, resume)
 
 
@@ -174,17 +174,17 @@ def rate_of(config: TrainConfig, n_windows: int, epoch: int, number: int) -> flo
 
 def predict(network: nn.Module, data: TrainingWindows, n: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return a network's predictions of the samples n, shape (k,), scaled: of several at once the first."""
-    of = DeviceWindows(data, network)
+    on_device = DeviceWindows(data, network)
     network.eval()
     pieces = np.array_split(n, max(1, math.ceil(len(n) / 4096)))
     with torch.no_grad():
-        predicted = [network(of.windows(torch.from_numpy(piece).to(of.device))).cpu() for piece in pieces]
+        predicted = [network(on_device.windows(torch.from_numpy(piece).to(on_device.device))).cpu() for piece in pieces]
     return torch.cat(predicted).double().reshape(len(n), -1)[:, 0].numpy()
 
 
 def validated(
     network: nn.Module,
-    of: DeviceWindows,
+    on_device: DeviceWindows,
     criterion: Callable[[Tensor, Tensor], Tensor],
     over: Callable[..., Iterator[tuple[float, float]]] = map,  # over batches; or that of a pool of threads
 ) -> tuple[float, float]:
@@ -193,9 +193,12 @@ def validated(
 
     def sums(batch: Tensor) -> tuple[float, float]:
         with torch.no_grad():
-            predicted, target = network(of.windows(batch)), of.target[batch]
+            predicted, target = network(on_device.windows(batch)), on_device.target[batch]
             missed = (predicted - target).abs().reshape(len(batch), -1).mean(1)
-            return float(criterion(predicted, target)) * len(batch), float((of.unit[batch].abs() * missed).sum())
+            return float(criterion(predicted, target)) * len(batch), float((on_device.unit[batch].abs() * missed).sum())
 
-    loss, mae = (sum(each) / len(of.validation) for each in zip(*over(sums, of.validation.split(1024)), strict=True))
+    loss, mae = (
+        sum(each) / len(on_device.validation)
+        for each in zip(*over(sums, on_device.validation.split(1024)), strict=True)
+    )
     return loss, mae

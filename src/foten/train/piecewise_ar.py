@@ -89,9 +89,9 @@ def fitted(pieces: list[Array], blocks: ScaledBlocks, order: int) -> LocalModels
         variances.append(variance)
     points = np.array([np.median(piece[:, 1:], axis=0) for piece in pieces])
     scale = np.maximum(points.std(axis=0), 1e-3 * points.max(axis=0))
-    of = _merged(points, scale)
-    share = np.zeros((of.max() + 1, len(of)))
-    share[of, np.arange(len(of))] = [len(piece) for piece in pieces]
+    model = _merged(points, scale)
+    share = np.zeros((model.max() + 1, len(model)))
+    share[model, np.arange(len(model))] = [len(piece) for piece in pieces]
     share /= share.sum(axis=1, keepdims=True)
     own = share @ points
     # Of the training blocks, where a rendering does not fade.
@@ -139,13 +139,13 @@ def _pieces(blocks: ScaledBlocks) -> Iterator[Array]:
 def _merged(points: Array, scale: Array) -> NDArray[np.int64]:
     """Return which model each piece belongs to: one that begins near enough, or one of its own."""
     seeds: list[Array] = []
-    of = []
+    numbers = []
     for point in points / scale:
         near = int(np.argmin([*(float(np.hypot(*(point - seed))) for seed in seeds), SAME]))
         if near == len(seeds):
             seeds.append(point)
-        of.append(near)
-    return np.array(of)
+        numbers.append(near)
+    return np.array(numbers)
 
 
 def _meshed(points: Array, lsf: Array, variance: Array, scale: Array) -> LocalModels:

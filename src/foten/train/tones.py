@@ -200,8 +200,8 @@ def _fitted(
 ) -> SpeedForceTable:
     """Return the coefficients that leave the least whitened error, neighbours held together.
 
-    The weights of vertices change little within the whitener's length, so waves are whitened and then weighted: in normal
-    equations a sample then counts at the ten pairs of its four vertices, and not at all.
+    The weights of vertices change little within the whitener's length, so waves are whitened first and weighted then:
+    in the normal equations a sample counts at the ten pairs of its four vertices alone.
 
     Where speed times multiple exceeds `fastest` [mm/s] they are zero: the rate does not hold that frequency.
     """
