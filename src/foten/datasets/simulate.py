@@ -33,7 +33,7 @@ from foten.dsp import Array
 from foten.recording.recording import AXES, Channel, Recording
 
 _LOCK = threading.Lock()
-VERSION = 1  # of the model; a change that moves a sample raises it
+VERSION = 2  # of the model; a change that moves a sample raises it
 RATE_HZ = 10_000.0  # of the physics, of the force sensor, and of the accelerometer by default
 LINEAR_RATE_HZ = 1000.0  # of the linear family by default
 POSITION_HZ = 120.0  # Sec. III-c
@@ -71,14 +71,17 @@ class TextureParameters:
     modes_hz: tuple[float, float]  # of the tool; a firm grip on the surface (force) moves the weight to the second
     damping: tuple[float, float]
     friction: float  # coefficient
+    phases: tuple[float, ...]  # of the harmonics along the lattice [rad]: the waveform of a cell
 
     def __post_init__(self) -> None:
-        for name in ("harmonics", "modes_hz", "damping"):
+        for name in ("harmonics", "modes_hz", "damping", "phases"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         check_parameters(self)
         for name in ("level", "wavelength_mm", "corner_per_mm", "impacts_per_mm", "contact_hz"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected a positive number")
+        if len(self.phases) != len(self.harmonics):
+            raise ValueError(f"{len(self.phases)} phases, expected one for each of {len(self.harmonics)} harmonics")
         if not 0 <= self.lattice_share <= 1:
             raise ValueError(f"lattice_share is {self.lattice_share}, expected 0 to 1")
         for name in ("modes_hz", "damping"):
@@ -88,9 +91,14 @@ class TextureParameters:
             raise ValueError(f"modes and contact lie below {RATE_HZ / 2:g} Hz, and waves are longer than {GRID_MM} mm")
 
 
+def _phases(key: str, n: int) -> tuple[float, ...]:
+    """Return the phases of a texture's harmonics [rad], drawn by its key: every realisation has the same waveform."""
+    return tuple(np.random.default_rng([*key.encode()]).uniform(0, 2 * np.pi, n).round(3).tolist())
+
+
 # fmt: off
 TEXTURES: Mapping[str, TextureParameters] = {
-    key: TextureParameters(*row) for key, row in {
+    key: TextureParameters(*row, phases=_phases(key, len(row[6]))) for key, row in {
         #       description, level, speed and force exponent,
         #       wavelength, lattice share, harmonics, jitter, corner, hurst, impacts per mm, impacts ratio, contact, modes,
         #       damping, friction
@@ -232,8 +240,8 @@ def _roughness(parameters: TextureParameters, length_mm: float, rng: np.random.G
     cells = parameters.wavelength_mm * np.maximum(0.3, 1 + parameters.jitter * rng.standard_normal(n_cells))
     edges = np.concatenate([[0.0], np.cumsum(cells)]) - rng.uniform(0, parameters.wavelength_mm)
     phase = 2 * np.pi * np.interp(np.arange(n) * GRID_MM, edges, np.arange(n_cells + 1))
-    orders = enumerate(parameters.harmonics, start=1)
-    lattice = sum(gain * np.cos(order * phase + rng.uniform(0, 2 * np.pi)) for order, gain in orders)
+    harmonics = enumerate(zip(parameters.harmonics, parameters.phases, strict=True), start=1)
+    lattice = sum(gain * np.cos(order * phase + own) for order, (gain, own) in harmonics)
     lattice /= np.sqrt(0.5 * sum(gain**2 for gain in parameters.harmonics))
     share = parameters.lattice_share
     return np.sqrt(share) * lattice + np.sqrt(1 - share) * noise

@@ -144,7 +144,6 @@ def free_run(
             "level_error_db": float(np.abs(difference).mean()) if framed else None,
             "level_corr": _correlation(level_p[index], level_q[:, index]) if framed else None,
             "kurtosis": _kurtosis(moments[:, index].mean(axis=1)),
-            "max_sd": float(worst[index].max()),
             "band_errors_db": metrics.band_errors(pooled_p, pooled_q, frequencies[bins], rate_hz),
             "level_slopes": metrics.level_slopes(
                 level_q[:, index].mean(axis=0), frame_speed[index], frame_force[index]
@@ -155,6 +154,7 @@ def free_run(
     every = np.arange(len(recorded))
     return {
         **figures(every),
+        "max_sd": float(worst.max()),
         "kurtosis_recorded": metrics.kurtosis(recorded),
         "level_slopes_recorded": metrics.level_slopes(level_p, frame_speed, frame_force),
         "intervals": metrics.intervals(figures, len(recorded)),

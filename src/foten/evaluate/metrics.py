@@ -14,7 +14,6 @@ from foten.dsp import Array
 from foten.dsp.distance import HIGHEST_HZ, LOWEST_HZ, POWER_FLOOR
 
 N_BANDS = 9
-N_RESAMPLES = 400  # of a bootstrap
 
 
 def goodness_of_fit(recorded: Array, synthesized: Array) -> Array:
@@ -91,30 +90,38 @@ def modulation_spectra(blocks: Array, rate_hz: float) -> tuple[Array, Array] | N
     return frequencies[inside], density[..., inside]
 
 
-def intervals(
-    figures: Callable[[NDArray[np.int64]], Mapping[str, Any]], n_blocks: int, seed: int = 0
-) -> dict[str, Any]:
-    """Return the 95 % percentile interval of each figure, resampling blocks with replacement.
+def intervals(figures: Callable[[NDArray[np.int64]], Mapping[str, Any]], n_blocks: int) -> dict[str, Any]:
+    """Return the 95 % confidence interval of each figure over blocks: Student's t with the jackknife's standard error.
 
-    Samples within a block are correlated and do not count as independent. With fewer than 4 blocks there are too few different
-    resamples, and the result is empty.
+    Samples within a block are correlated and do not count as independent. Resampling blocks with replacement covers the mean of
+    4 normal blocks in 80 % and of 6 in 87 %, this in 95 %. With fewer than 4 blocks the interval says nothing, and the result is
+    empty.
 
     Args:
-        figures: block numbers → figures, each a number, a list of numbers, or None where a resample has none.
+        figures: block numbers → figures, each a number, a list of numbers, or None where these blocks have none.
 
     Returns:
-        By figure [low, high]; for a list one such pair for each entry, None where no resample has a number.
+        By figure [low, high], around the figure of all blocks; for a list one such pair for each entry, None where the figure is
+        None.
+
+    Source: Efron & Stein (1981), the standard error; leaving one block out at a time.
     """
     if n_blocks < 4:
         return {}
-    rng = np.random.default_rng(seed)
-    drawn = [figures(rng.integers(0, n_blocks, n_blocks)) for _ in range(N_RESAMPLES)]
-    bounds = {name: _interval([draw[name] for draw in drawn]) for name in drawn[0]}
+    from scipy.special import stdtrit
+
+    all_blocks = np.arange(n_blocks)
+    full = figures(all_blocks)
+    left_out = [figures(np.delete(all_blocks, i)) for i in all_blocks]
+    t = float(stdtrit(n_blocks - 1, 0.975))
+    bounds = {name: _interval(value, [one[name] for one in left_out], t) for name, value in full.items()}
     return {name: bound for name, bound in bounds.items() if bound is not None}
 
 
-def _interval(values: Sequence[Any]) -> list[Any] | None:
-    known = [value for value in values if value is not None]
-    if known and isinstance(known[0], list | tuple):
-        return [_interval(entry) for entry in zip(*known, strict=True)]
-    return [float(bound) for bound in np.percentile(known, [2.5, 97.5])] if known else None
+def _interval(full: Any, left_out: Sequence[Any], t: float) -> list[Any] | None:
+    if isinstance(full, list | tuple):
+        return [_interval(one, [values[i] for values in left_out], t) for i, one in enumerate(full)]
+    if full is None or any(value is None for value in left_out):
+        return None
+    error = np.sqrt((len(left_out) - 1) * np.var(left_out))
+    return [float(full - t * error), float(full + t * error)]

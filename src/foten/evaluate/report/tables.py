@@ -89,8 +89,8 @@ def one_step_section(document: Mapping[str, Any]) -> str:
     return (
         '<section id="one-step"><h2>One step</h2><p>Predicts each sample from recorded history. Errors are mean '
         f"absolute errors; 1 sd is {document['sd_m_s2']:.4g} m/s². The first {document['first_scored']} samples of each "
-        "block are history for all. Small print: 95 % interval, resampling blocks. The blocks are the same for all, so two rows "
-        "can differ for certain though their intervals overlap.</p>"
+        "block are history for all. Small print: 95 % interval over blocks (Student's t). The blocks are the same for all, so "
+        "two rows can differ for certain though their intervals overlap.</p>"
         '<div class="scroll"><table><thead><tr><th>predictor</th><th colspan="2">error [sd] <i>lower is better</i></th>'
         "<th>to AR(20)</th><th>error [m/s²]</th><th>GFC <i>higher, blind to gain</i></th></tr></thead>"
         f"<tbody>{body}</tbody></table></div>{cells.footnotes()}{_excitation(document['one_step'])}</section>"
