@@ -8,7 +8,7 @@ from scipy.special import polygamma
 
 from conftest import SCALING, resonance
 from foten.evaluate.free_run import free_run, nearest_training_blocks, scored, synthesize, synthesize_linear
-from foten.evaluate.one_step import fit_linear
+from foten.evaluate.one_step import Linear, fit_linear
 from foten.families.texture_file import ONE_STEP_TOLERANCE, Texture
 from foten.recording.scaling import Scaling
 from foten.recording.trace import Trace
@@ -175,6 +175,13 @@ def test_a_linear_predictor_with_noise_gives_its_process_back() -> None:
     # Poles at 0.9 leave 0.2 independent values a sample: the recorded RMS is known to 1/√(2·0.2·20 000) = 1.1 %.
     assert out.std() == pytest.approx(recorded.acceleration.std(), rel=0.04)
     assert out.mean() == pytest.approx(3.0, abs=0.1)
+
+
+def test_a_linear_predictor_without_noise_settles_on_its_mean() -> None:
+    # y = 0.5 + 0.6 y + 0.2 y has the mean 0.5/(1 − 0.8) = 2.5; its pole of 0.86 has forgotten its start by 1e-16 after 250 samples.
+    predictor = Linear(np.array([0.6, 0.2, 0.5]), noise_sd=0.0)
+    out = synthesize_linear(predictor, trace(3), (0, 2), SCALING, n_seeds=1)
+    np.testing.assert_allclose(out[0, :, -20:], SCALING.mean[0] + 2.5 * SCALING.sd[0], rtol=1e-12)
 
 
 def test_the_nearest_training_block_is_nearest_in_speed_and_force() -> None:
