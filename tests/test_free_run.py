@@ -178,7 +178,7 @@ def test_a_linear_predictor_with_noise_gives_its_process_back() -> None:
 
 
 def test_a_linear_predictor_without_noise_settles_on_its_mean() -> None:
-    # y = 0.5 + 0.6 y + 0.2 y has the mean 0.5/(1 − 0.8) = 2.5; its pole of 0.86 has forgotten its start by 1e-16 after 250 samples.
+    # y = 0.5 + 0.6 y + 0.2 y has the mean 0.5/(1 − 0.8) = 2.5; its pole of 0.86 forgets its start in 250 samples.
     predictor = Linear(np.array([0.6, 0.2, 0.5]), noise_sd=0.0)
     out = synthesize_linear(predictor, trace(3), (0, 2), SCALING, n_seeds=1)
     np.testing.assert_allclose(out[0, :, -20:], SCALING.mean[0] + 2.5 * SCALING.sd[0], rtol=1e-12)
