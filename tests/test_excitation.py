@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -177,6 +178,19 @@ def test_the_same_seed_gives_the_same_excitation() -> None:
         states.append(fit(loop, innovations, windows).excitation.state_dict())
     for name, tensor in states[0].items():
         assert torch.equal(tensor, states[1][name]), name
+
+
+@pytest.mark.parametrize("allowed", [True, False])
+def test_a_spiky_recording_gets_volatility_where_it_may(allowed: bool) -> None:
+    """A quarter of each block is eight times louder, whatever the hand does there: a kurtosis of 12 in place of 3."""
+    loop, excitation = loop_of()
+    innovations, windows = innovations_of(loop, excitation)
+    samples = loop.blocks.samples.copy()
+    samples[:, -samples.shape[1] // 4 :, 0] *= 8
+    spiky = replace(loop, blocks=replace(loop.blocks, samples=samples))
+    fitted = fit_excitation(16, innovations, windows, spiky, replace(TrainConfig(), volatility=allowed))
+    assert fitted is not None
+    assert (float(fitted.excitation.volatility[1]) > 0.3) == allowed
 
 
 def test_nothing_is_settled_where_the_free_run_is_too_far(monkeypatch: pytest.MonkeyPatch) -> None:

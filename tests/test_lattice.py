@@ -297,6 +297,23 @@ def test_two_validation_blocks_that_show_no_difference_do_not_choose() -> None:
     assert len(fit_lattice(data, 10).table.values) > 1
 
 
+def test_the_error_of_a_kind_is_the_mean_over_all_folds_by_their_blocks() -> None:
+    rng = np.random.default_rng(8)
+    block, n_blocks = 400, N_FOLDS + 2  # so that two folds have two blocks
+    moving = lfilter([1.0], [1.0, -0.9], rng.standard_normal(n_blocks * block)).reshape(n_blocks, block)
+    moving[0] *= 5  # so that the first fold alone says something else
+    ones = np.ones((n_blocks, block))
+    data = LatticeData(moving, ones, 100 * ones, ones, tuple(range(N_FOLDS)), (N_FOLDS, N_FOLDS + 1))
+    folds, order = _folds(data), 5
+    weights = [2, 2] + [1] * (N_FOLDS - 2)
+    assert [len(fold.validation) for fold in folds] == weights
+    each = [validation_errors(fit_lattice_of(fold, order, 1, 1), fold, [order])[0] for fold in folds]
+    tried = fit_lattice(data, order, tables=False, both_gains=False).tried
+    assert tried[-1]["order"] == order
+    assert tried[-1]["mae_scaled"] == pytest.approx(np.average(each, weights=weights), rel=1e-9)
+    assert tried[-1]["mae_scaled"] < 0.8 * each[0]
+
+
 @pytest.mark.parametrize("before", [False, True])
 def test_where_the_gain_lies_is_recovered(before: bool) -> None:
     """A long memory under a level that changes by ten within it, before the filter or after it."""
