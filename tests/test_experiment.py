@@ -58,7 +58,7 @@ def test_a_setting_that_a_method_does_not_use_is_no_grid(tmp_path: Path) -> None
         ("seconds = 8", "second = 8", "unknown key 'second' in the file, expected 'seconds'?"),
         ("seconds = 8", "seconds = 0", "seconds is 0, expected 1 to 3600"),
         ('"linear-twin"', '"silk"', "unknown texture 'silk'"),
-        ('"linear-twin"', '"silk.h5"', "there is no recording silk.h5 beside the file"),
+        ('"linear-twin"', '"silk.h5"', "there is no recording silk.h5 in "),
         ('name = "excited"', 'name = "FNN [13]"', "two methods have the same name"),
         ('"fnn", name = "e', '"fn", name = "e', "unknown model 'fn'"),
         ("excitation = true", "excited = true", "method 'excited': fnn has no size 'excited'"),

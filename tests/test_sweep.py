@@ -20,9 +20,19 @@ from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
 from foten.experiments.experiment import read_experiment
 from foten.experiments.figures import figures
-from foten.experiments.results import PAPER, read_results, rows_of, title_of
+from foten.experiments.results import (
+    PAPER,
+    by_recipe,
+    chosen,
+    read_records,
+    read_results,
+    records_of,
+    rows_of,
+    title_of,
+    written_records,
+)
 from foten.experiments.sweep import _kept, sweep
-from foten.experiments.tables import each_run, findings, table, written
+from foten.experiments.tables import findings, ratios, summary, table, written
 
 
 @pytest.fixture(scope="module")
@@ -57,51 +67,111 @@ def test_every_run_is_one_file_named_by_what_it_depends_on(swept: Path) -> None:
     assert names == {path.stem for path in swept.glob("*.json")}
 
 
-def test_a_table_has_references_methods_and_the_papers_figure(swept: Path) -> None:
-    results = read_results(swept)
-    cells = table([one for one in results if one["run"]["method"] == "FNN [13]"], "mae")
-    assert cells[0] == ["one-step MAE [sd], one split", "linear-cloth", "linear-twin", "mean", "paper's mean"]
-    rows = {row[0]: row[1:] for row in cells[1:]}
+def test_a_summary_has_references_methods_and_the_papers_figure(swept: Path) -> None:
+    records = read_records(swept)
+    fnn = [one for one in records if one["method"] == "FNN [13]"]
+    cells = summary(fnn)
+    assert cells[0] == ["", "MAE [sd]", "paper's", "p", "GFC [%]", "LSD [dB]", "level error [dB]", "training [s]"]
+    rows = {row[0]: dict(zip(cells[0], row, strict=True)) for row in cells[1:]}
     assert list(rows)[:2] == ["zero", "persistence"]
-    assert rows["FNN [13]"][-1] == str(PAPER["fnn"].mae)
-    errors = [one["evaluation"]["one_step"]["mae_scaled"] for one in results if one["run"]["method"] == "FNN [13]"]
-    assert rows["FNN [13]"][:3] == [f"{errors[0]:.3f}", f"{errors[1]:.3f}", f"{np.mean(errors):.3f}"]
-    assert float(rows["least possible"][0]) < float(rows["best AR"][0]) < float(rows["zero"][0])
-    free = [row[0] for row in table(results, "lsd")]
-    assert free[1:] == ["AR(20) with white noise", "ceiling", "FNN [13], without excitation", "excited"]
-    assert any("best on the mean" in line for line in findings(results))
+    shown = rows["FNN [13], without excitation"]
+    errors = [one["one_step.mae_scaled"] for one in fnn]
+    assert (shown["MAE [sd]"], shown["paper's"]) == (f"{np.mean(errors):.3f}", str(PAPER["fnn"].mae))
+    assert shown["LSD [dB]"] == f"{np.mean([one['free_run_deterministic.lsd_db'] for one in fnn]):.2f}"
+    assert float(shown["training [s]"]) >= 0
+    assert float(rows["least possible"]["MAE [sd]"]) < float(rows["best AR"]["MAE [sd]"])
+    assert rows["ceiling"]["MAE [sd]"] == ""
+
+
+def test_a_table_has_textures_by_references_and_methods(swept: Path) -> None:
+    records = read_records(swept)
+    cells = table(records, "mae")
+    assert cells[0] == [
+        *("one-step MAE [sd]", "zero", "persistence", "AR(20)", "AR(20) by speed and force", "best AR"),
+        *("least possible", "FNN [13]", "excited"),
+    ]
+    assert [row[0] for row in cells[1:]] == ["linear-cloth", "linear-twin", "mean"]
+    errors = [one["one_step.mae_scaled"] for one in records if one["method"] == "FNN [13]"]
+    assert [row[7] for row in cells[1:]] == [f"{errors[0]:.3f}", f"{errors[1]:.3f}", f"{np.mean(errors):.3f}"]
+    free = ["AR(20) with white noise", "ceiling", "FNN [13], without excitation", "excited"]
+    assert table(records, "lsd")[0][1:] == free
+    assert any("best on the mean" in line for line in findings(records))
 
 
 def test_tables_are_written_in_three_forms(swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert _status(["tables", str(swept), "-o", str(tmp_path / "tables")]) == 0
-    assert "| FNN [13] |" in capsys.readouterr().out
+    assert "| excited |" in capsys.readouterr().out
     assert {path.name for path in (tmp_path / "tables").iterdir()} == {
-        *(f"{name}.{form}" for name in ("mae", "gfc", "lsd", "level") for form in ("md", "csv", "tex")),
+        *(f"{name}.{form}" for name in ("summary", "mae", "gfc", "lsd", "level") for form in ("md", "csv", "tex")),
         *("findings.md", "runs.csv"),
     }
-    latex = (tmp_path / "tables" / "gfc.tex").read_text()
+    latex = (tmp_path / "tables" / "summary.tex").read_text()
     assert r"GFC [\%]" in latex
-    assert latex.count(r"\\") == len((tmp_path / "tables" / "gfc.csv").read_text().splitlines())
+    assert latex.count(r"\\") == len((tmp_path / "tables" / "summary.csv").read_text().splitlines())
+    # What was written of the runs is what the same tables are made of.
+    assert _status(["tables", str(tmp_path / "tables" / "runs.csv"), "-o", str(tmp_path / "again")]) == 0
+    for path in (tmp_path / "tables").glob("*.md"):
+        assert (tmp_path / "again" / path.name).read_text() == path.read_text()
+    (tmp_path / "other.csv").write_text("a,b\n1,2\n")
+    assert _status(["tables", str(tmp_path / "other.csv")]) == 2
+    assert "other.csv is no runs.csv of foten tables" in capsys.readouterr().err
 
 
 def test_each_run_is_a_row_with_intervals_over_blocks(swept: Path) -> None:
     results = read_results(swept)
     results[0]["evaluation"]["one_step"]["intervals"] = {"mae_scaled": [0.25, 0.75], "gfc": [0.5, 0.9]}
-    heading, *rows = each_run(results)
+    heading, *rows = written_records(records_of(results))
     lines = [dict(zip(heading, row, strict=True)) for row in rows]
     assert [(one["method"], one["texture"]) for one in lines] == [
         (method, texture) for texture in ("linear-cloth", "linear-twin") for method in ("FNN [13]", "excited")
     ]
-    assert (lines[0]["mae_low"], lines[0]["mae_high"], lines[0]["gfc_high"]) == ("0.25", "0.75", "90")
-    assert lines[1]["mae_low"] == ""  # one test block
+    ends = ("one_step.mae_scaled.low", "one_step.mae_scaled.high", "one_step.gfc.high")
+    assert [lines[0][end] for end in ends] == ["0.25", "0.75", "0.9"]
+    assert lines[1]["one_step.mae_scaled.low"] == ""  # one test block
     assert [one["excitation"] for one in lines] == ["no", "yes"] * 2
     silent, excited = (results[k]["evaluation"] for k in (0, 1))
-    assert float(lines[0]["lsd"]) == pytest.approx(silent["free_run_deterministic"]["lsd_db"], rel=1e-5)
-    assert float(lines[1]["lsd"]) == pytest.approx(excited["free_run"]["lsd_db"], rel=1e-5)
+    assert float(lines[0]["free_run_deterministic.lsd_db"]) == pytest.approx(
+        silent["free_run_deterministic"]["lsd_db"], rel=1e-5
+    )
+    assert float(lines[1]["free_run.lsd_db"]) == pytest.approx(excited["free_run"]["lsd_db"], rel=1e-5)
     assert all(float(one["training_s"]) > 0 and one["epochs"] == "1" for one in lines)
-    gan = copy.deepcopy(results[0])
-    gan["evaluation"]["one_step"]["mae_scaled"] = None
-    assert dict(zip(heading, each_run([gan])[1], strict=True))["mae"] == ""
+
+
+def test_the_recipe_that_is_best_on_validation_is_shown(swept: Path) -> None:
+    """Two recipes of a method: which is shown hangs on the validation errors alone, on the mean of what both have."""
+    records = copy.deepcopy(read_records(swept))
+    published = [one | {"recipe": "published"} for one in records if one["method"] == "FNN [13]"]
+    ours = [one | {"recipe": "ours", "one_step.mae_scaled": 9.0} for one in copy.deepcopy(published)]
+    for one, error in zip(ours, (0.9, 1.2), strict=True):
+        one["validation.mae_scaled"] = error * one["validation.mae_scaled"]
+    both = [*published, *ours, *(one for one in records if one["method"] != "FNN [13]")]
+    errors = by_recipe(both)["FNN [13]"]
+    assert set(errors) == {"published", "ours"}
+    best = next(iter(errors))
+    assert errors[best] == min(errors.values())
+    shown = chosen(both)
+    assert {one["recipe"] for one in shown} == {best, ""}
+    assert len(shown) == 4
+    assert any(f"FNN [13] is shown by the recipe '{best}'" in line for line in findings(both))
+    for one in ours:
+        one["validation.mae_scaled"] = 0.0
+    assert {one["recipe"] for one in chosen(both)} == {"ours", ""}
+    for one in both:  # models of spectra have another validation error
+        one["validation.mae_scaled"], one["validation.spectrum_db"] = None, 1.0 + (one["recipe"] == "ours")
+    assert {one["recipe"] for one in chosen(both)} == {"published", ""}
+
+
+def test_ratios_are_of_the_same_texture_and_split(swept: Path) -> None:
+    records = copy.deepcopy(read_records(swept))
+    for one in records:
+        one["beside"] = "FNN [13]" if one["method"] == "excited" else ""
+    for k, factor in ((1, 2.0), (3, 4.0)):
+        records[k]["one_step.mae_scaled"] = factor * records[k - 1]["one_step.mae_scaled"]
+    heading, row = ratios(records)
+    line = dict(zip(heading, row, strict=True))
+    assert (line[""], line["beside"], line["pairs"]) == ("excited", "FNN [13]", "2")
+    assert line["test: one step"] == "3.000 ± 1.000"  # sd of 2 and 4 over √2
+    assert line["test: LSD"] == "–"  # one has no excitation
 
 
 def test_figures_are_drawn_from_the_results(swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -205,9 +275,11 @@ def test_blocks_without_a_free_run_have_tables(swept: Path, tmp_path: Path) -> N
     for one in results:
         for run in ("free_run", "free_run_deterministic", "free_run_ar", "ceiling"):
             one["evaluation"][run] = dict.fromkeys(one["evaluation"][run])
-    assert len(table(results, "mae")) > 2
-    assert len(table(results, "lsd")) == 3
-    assert [row[5] for row in each_run(results)[1:]] == [""] * 4
+    records = records_of(results)
+    assert len(table(records, "mae")) == 4
+    assert table(records, "lsd")[1][1:] == ["–", "–"]
+    heading, *rows = written_records(records)
+    assert [row[heading.index("excitation")] for row in rows] == [""] * 4 if "excitation" in heading else True
 
 
 def test_what_falls_silent_runs_along_the_lower_edge(swept: Path) -> None:
@@ -221,20 +293,11 @@ def test_what_falls_silent_runs_along_the_lower_edge(swept: Path) -> None:
     assert drawn.max() < low + 0.05 * (high - low)
 
 
-def test_one_split_has_its_interval(swept: Path) -> None:
-    results = copy.deepcopy(read_results(swept))
-    results[0]["evaluation"]["one_step"] |= {"mae_scaled": 0.5, "intervals": {"mae_scaled": [0.25, 0.75]}}
-    cells = table(results, "mae")
-    assert cells[0][0] == "one-step MAE [sd], one split [95 % over its blocks]"
-    assert next(row for row in cells if row[0] == "FNN [13]")[1] == "0.500 [0.250, 0.750]"
-
-
 def test_splits_that_are_the_same_blocks_are_said(swept: Path) -> None:
-    results = copy.deepcopy(read_results(swept))
-    assert not any("same blocks" in line for line in findings(results))
-    again = copy.deepcopy(results[0])
-    again["run"]["split_seed"] = 2
-    assert any("splits 1, 2 are the same blocks" in line for line in findings([*results, again]))
+    records = read_records(swept)
+    assert not any("same blocks" in line for line in findings(records))
+    again = records[0] | {"split": 2}
+    assert any("splits 1, 2 are the same blocks" in line for line in findings([*records, again]))
 
 
 def test_a_sweep_names_what_it_has_anew_and_makes_again_what_is_damaged(swept: Path, tmp_path: Path) -> None:
@@ -244,7 +307,7 @@ def test_a_sweep_names_what_it_has_anew_and_makes_again_what_is_damaged(swept: P
     said: list[str] = []
     assert sweep(asked, folder, say=said.append) == (0, 0)  # Ray is not even started
     results = read_results(folder)
-    assert title_of(results) == "Renamed"
+    assert title_of(records_of(results)) == "Renamed"
     assert [one["run"]["method"] for one in results] == ["FNN [13]", "E"] * 2
     figures_of = [one["evaluation"] for one in read_results(swept)]
     assert [one["evaluation"] for one in results] == figures_of
@@ -301,50 +364,50 @@ def test_results_that_a_table_would_mix_are_refused(swept: Path, tmp_path: Path)
 
 
 def test_what_is_not_complete_is_said_and_not_compared(swept: Path) -> None:
-    results = read_results(swept)
-    lacking = [one for one in results if one["run"]["method"] != "excited" or one["run"]["texture"] != "linear-twin"]
+    records = read_records(swept)
+    lacking = [one for one in records if one["method"] != "excited" or one["texture"] != "linear-twin"]
     assert any("not compared, for want of textures or splits: excited" in line for line in findings(lacking))
-    assert title_of(results) == "Two methods"
+    assert title_of(records) == "Two methods"
+
+
+def papers(records: list[dict]) -> dict[str, str]:
+    """Return the paper's figure of each method in the summary."""
+    return {row[0].removesuffix(", without excitation"): row[2] for row in summary(records)[1:]}
 
 
 def test_the_papers_figure_is_of_the_one_row_without_excitation(swept: Path) -> None:
-    results = read_results(swept)
-    cells = table(results, "mae")
-    assert cells[0][-1] == "paper's mean"
-    assert {row[0]: row[-1] for row in cells[-2:]} == {"FNN [13]": str(PAPER["fnn"].mae), "excited": ""}
-    alone = table([one for one in results if one["run"]["method"] == "excited"], "mae")
-    assert alone[-1][-1] == str(PAPER["fnn"].mae)
-    other = copy.deepcopy(results)
-    for one in other:  # two settings of one model: neither is the paper's
-        one["run"]["sizes"]["excitation"] = False
-    assert "paper's mean" not in table(other, "mae")[0]
+    records = copy.deepcopy(read_records(swept))
+    reported = papers(records)
+    assert (reported["FNN [13]"], reported["excited"]) == (str(PAPER["fnn"].mae), "")
+    assert papers([one for one in records if one["method"] == "excited"])["excited"] == str(PAPER["fnn"].mae)
+    for one in records:  # two settings of one model: neither is the paper's
+        one["excitation"] = "no"
+    assert {papers(records)[name] for name in ("FNN [13]", "excited")} == {""}
 
 
 def test_a_method_without_one_step_has_a_row_and_the_papers_figure(swept: Path) -> None:
-    """What foretells spectra has no one-step error; it is compared by its free run."""
+    """A model of spectra has no one-step error; it is compared by its free run."""
     results = read_results(swept)
     copied = copy.deepcopy([one for one in results if one["run"]["method"] == "excited"])
     for one in copied:
         one["run"] |= {"method": "spectra", "model": "gan"}
         one["evaluation"]["one_step"] = dict.fromkeys(one["evaluation"]["one_step"])
-    results += copied
-    rows = {row[0]: row for row in table(results, "mae")}
-    assert set(rows["spectra"][1:-1]) == {"–"}
-    assert rows["spectra"][-1] == "0.298"
-    assert {row[0] for row in table(results, "lsd")} >= {"spectra", "excited"}
-    said = list(findings(results))
+    records = records_of([*results, *copied])
+    rows = {row[0]: row for row in summary(records)}
+    assert rows["spectra"][1:5] == ["–", "0.298", "", "–"]
+    assert float(rows["spectra"][5]) > 0
+    said = list(findings(records))
     assert "one-step MAE [sd]: there is none of spectra." in said
     assert not any("for want of" in one for one in said)
 
 
 def test_versions_that_differ_are_said_and_packages_that_lack_are_not(swept: Path) -> None:
     """`ar` needs no PyTorch and names no version of it: that is no difference."""
-    results = read_results(swept)
-    without = json.loads(json.dumps(results))
-    del without[0]["versions"]["torch"]
-    assert not any("several versions" in line for line in findings(without))
-    without[1]["versions"]["numpy"] = "0.1"
-    assert any("several versions, of numpy 0.1, " in line for line in findings(without))
+    records = copy.deepcopy(read_records(swept))
+    del records[0]["version.torch"]
+    assert not any("several versions" in line for line in findings(records))
+    records[1]["version.numpy"] = "0.1"
+    assert any("several versions, of numpy 0.1, " in line for line in findings(records))
 
 
 def test_a_folder_without_results_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -366,6 +429,6 @@ def test_a_folder_without_results_is_said(tmp_path: Path, capsys: pytest.Capture
 
 
 def test_references_are_counted_once_for_each_split(swept: Path) -> None:
-    _, rows = rows_of(read_results(swept), "mae")
+    _, rows = rows_of(read_records(swept), "mae")
     zero = next(row for row in rows if row.name == "zero")
     assert all(len(values) == 1 for values in zero.values.values())

@@ -43,13 +43,16 @@ def sweep(
             "paper's recipe. Weights differ from those of one by one in rounding.",
         ),
     ] = 1,
+    recordings: Annotated[
+        Path | None, Option(metavar="DIR", help="Folder of the experiment's recordings. [that of the file]")
+    ] = None,
     dry_run: Annotated[bool, Option("--dry-run", help="List the runs and stop.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Train and judge every method of an experiment on every texture and split; goes on where it stopped."""
     from foten.experiments.experiment import experiment_path, read_experiment
 
-    experiment = read_experiment(experiment_path(experiment_file))
+    experiment = read_experiment(experiment_path(experiment_file), recordings)
     runs = experiment.runs()
     if dry_run:
         listed = "\n".join(f"{run.label}, {run.texture}, split {run.split_seed}" for run in runs)
@@ -68,31 +71,39 @@ def sweep(
 
 
 def tables(
-    results: ResultsFolder,
+    results: Annotated[
+        Path, Argument(metavar="DIR|runs.csv", help="Results of foten sweep, or what this wrote of them.")
+    ],
     output: Annotated[
-        Path | None,
-        folder_option("Write each table as .md, .csv and .tex, and every run with its intervals as runs.csv."),
+        Path | None, folder_option("Write each table as .md, .csv and .tex, and every figure of every run as runs.csv.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Set the results of a sweep beside references and beside the paper's figures."""
-    from foten.experiments.results import read_results, title_of
-    from foten.experiments.tables import FIGURES, FORMATS, each_run, findings, table, written
+    from foten.experiments.results import chosen, read_records, title_of, written_records
+    from foten.experiments.tables import FIGURES, FORMATS, findings, ratios, summary, table, written
 
-    records = read_results(results)
+    records = read_records(results)
     check_folder(output)
-    cells = {name: table(records, name) for name in FIGURES}
+    shown = chosen(records)
+    cells = {"summary": summary(shown)} | {name: table(shown, name) for name in FIGURES}
+    if any(one["beside"] for one in shown):
+        cells["ratios"] = ratios(shown)
     title, sentences = title_of(records), list(findings(records))
     texts = {f"{name}.{form}": written(rows, form) for name, rows in cells.items() for form in FORMATS}
-    texts["runs.csv"] = written(each_run(records), "csv")
+    texts["runs.csv"] = written(written_records(records), "csv")
     texts["findings.md"] = "\n\n".join([f"# {title}", *sentences]) + "\n"
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
             with atomic_write(output / name) as part:
                 part.write_text(text, encoding="utf-8")
-    shown = [f"{title}\n", *(texts[f"{name}.md"] for name in cells), *sentences]
-    print_result({"title": title, "tables": cells, "findings": sentences}, "\n".join(shown), as_json)
+    printed = [texts[f"{name}.md"] for name in ("summary", "ratios") if name in cells]
+    print_result(
+        {"title": title, "tables": cells, "findings": sentences},
+        "\n".join([f"{title}\n", *printed, *sentences]),
+        as_json,
+    )
 
 
 def figures(

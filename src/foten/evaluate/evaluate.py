@@ -113,7 +113,7 @@ def evaluate(
     one = _one_step(texture, kernel, trace, samples, blocks, fitted, truth, reasons)
     on_stage("free run")
     free, synthesized = _free_run(texture, kernel, trace, blocks, split, fitted.get("ar"), truth, seed, reasons)
-    validation = ("mae_scaled", "mae_scaled_lattice", "mae_scaled_hop", "spectrum_db")
+    validation = ("mae_scaled", "mae_scaled_lattice", "mae_scaled_hop", "spectrum_db", "lsd_db", "level_error_db")
     document = {
         "texture": texture.card["texture"],
         "model": texture.card["model"],

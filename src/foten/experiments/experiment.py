@@ -20,6 +20,8 @@ from foten.recording.recording import Recording
 from foten.train.config import OWN_RECIPES, RECIPES, TrainConfig, check_used
 
 RECORDED = (".h5", ".hdf5")
+MEASURES = ("stability", "onset", "innovations")
+"""What may be measured of a texture file beside its evaluation, each a module of this package."""
 OF_TRAINING = {one.name for one in fields(TrainConfig)} - {"recipe"}
 
 
@@ -36,6 +38,9 @@ class Run:
     preprocess: Mapping[str, Any]
     split_seed: int  # of the split, and of the simulated recording
     cell: Mapping[str, Any] = field(default_factory=dict)  # of the grid: its own settings; a name, as `method`
+    recipe: str = ""  # of several that the method has; a name too
+    beside: str = ""  # the method whose figures its own are divided by; a name too
+    measures: tuple[str, ...] = ()  # what is measured of its texture file beside the evaluation, of `MEASURES`
 
     @property
     def label(self) -> str:
@@ -50,7 +55,7 @@ class Run:
     def name(self, recording_sha256: str, foten_version: str) -> str:
         """Return the name of the run's result file: the hash of all that the result depends on."""
         # The recording's digest stands for texture and seconds.
-        labels = ("method", "cell", "texture", "seconds")
+        labels = ("method", "cell", "recipe", "beside", "texture", "seconds")
         resolved = {k: v for k, v in asdict(self).items() if k not in labels}
         resolved |= {"recording_sha256": recording_sha256, "foten": foten_version}
         return hashlib.sha256(json.dumps(resolved, sort_keys=True).encode()).hexdigest()[:16]
@@ -72,6 +77,11 @@ class Method:
     recipe: str | None = None  # of training; None for the experiment's
     train: Mapping[str, Any] = field(default_factory=dict)  # changes of the recipe
     sizes: Mapping[str, Any] = field(default_factory=dict)  # changes of the model's
+    # Changes of the above by name, each of a recipe that it may name: tables show the one that is best on validation.
+    recipes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    beside: str = ""  # the name of the method that this one is a change of: their ratios are a table
+    split_seeds: tuple[int, ...] | None = None  # None for the experiment's
+    measures: tuple[str, ...] = ()  # of `MEASURES`, beside the evaluation, on the first split of each texture
 
 
 @dataclass(frozen=True)
@@ -79,7 +89,7 @@ class Experiment:
     """Methods × textures × splits × a grid of settings."""
 
     title: str  # of its tables
-    textures: tuple[str, ...]  # keys of the simulator, or recordings (.h5), looked for beside the file
+    textures: tuple[str, ...]  # keys of the simulator, or recordings (.h5)
     methods: tuple[Method, ...]  # rows
     note: str = ""  # what tables say below, of what was reduced for one
     seconds: float = 60.0  # that textures are simulated for
@@ -97,10 +107,12 @@ class Experiment:
             ValueError: a setting is unknown or out of range; the message names the method.
         """
         runs = [
-            self._resolved(texture, method, split_seed, dict(zip(self.grid, values, strict=False)))
+            self._resolved(texture, method, split_seed, dict(zip(self.grid, values, strict=False)), recipe)
             for texture in self.textures
             for split_seed in self.split_seeds
             for method in self.methods
+            if method.split_seeds is None or split_seed in method.split_seeds
+            for recipe in method.recipes or [""]
             for values in (itertools.product(*self.grid.values()) if method.model != "ar" else [()])
         ]
         labels: dict[Any, str] = {}
@@ -111,9 +123,11 @@ class Experiment:
             labels[key] = run.label
         return runs
 
-    def _resolved(self, texture: str, method: Method, split_seed: int, cell: Mapping[str, Any]) -> Run:
+    def _resolved(self, texture: str, method: Method, split_seed: int, cell: Mapping[str, Any], recipe: str) -> Run:
         name, model = method.name or method.model, method.model
-        changed = {**method.train, **{k: v for k, v in cell.items() if k in OF_TRAINING}}
+        own_recipe = dict(method.recipes.get(recipe, {}))
+        base = own_recipe.pop("recipe", method.recipe or self.recipe)
+        changed = {**method.train, **own_recipe, **{k: v for k, v in cell.items() if k in OF_TRAINING}}
         sizes = {**method.sizes, **{k: v for k, v in cell.items() if k not in OF_TRAINING}}
         train: dict[str, Any] = {}
         try:
@@ -122,13 +136,16 @@ class Experiment:
                 sizes = sizes_of(model, sizes).to_card()
                 check_used(model, changed)
                 own = {"threads": 1, "seed": split_seed, **OWN_RECIPES.get(model, {}), **self.train, **changed}
-                train = asdict(replace(RECIPES[method.recipe or self.recipe], **own))
-            elif sizes or changed or method.recipe:
+                train = asdict(replace(RECIPES[base], **own))
+            elif sizes or changed or method.recipe or method.recipes:
                 raise ValueError("'ar' is fitted without a recipe and finds its sizes: leave them out")
         except (TypeError, ValueError) as error:
             raise ValueError(f"method {name!r}: {error}") from error
         seconds = None if texture.endswith(RECORDED) else self.seconds
-        return Run(name, texture, seconds, model, sizes, train, preprocess, split_seed, cell)
+        measures = method.measures if split_seed == self.split_seeds[0] else ()
+        return Run(
+            name, texture, seconds, model, sizes, train, preprocess, split_seed, cell, recipe, method.beside, measures
+        )
 
 
 def experiment_path(name: str) -> Path:
@@ -146,8 +163,11 @@ def experiment_path(name: str) -> Path:
     raise FileNotFoundError(f"no experiment {name!r}, expected a .toml file or one of {known}")
 
 
-def read_experiment(path: Path) -> Experiment:
+def read_experiment(path: Path, recordings: Path | None = None) -> Experiment:
     """Return the experiment in a TOML file.
+
+    Args:
+        recordings: folder of its recordings; by default that of the file.
 
     Raises:
         FileNotFoundError: there is none.
@@ -158,7 +178,7 @@ def read_experiment(path: Path) -> Experiment:
     if path.is_dir():
         raise ValueError(f"{path} is a folder, expected a .toml file")
     try:
-        return _experiment(tomllib.loads(path.read_text(encoding="utf-8")), path.parent)
+        return _experiment(tomllib.loads(path.read_text(encoding="utf-8")), recordings or path.parent)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path.name}: this is not TOML ({error})") from error
     except ValueError as error:
@@ -178,6 +198,7 @@ def _experiment(content: dict[str, Any], folder: Path) -> Experiment:
     if len({method.name or method.model for method in methods}) < len(methods):
         raise ValueError("two methods have the same name: give them a 'name' each")
     _check_recipe(content)
+    _check_beside(methods)
     textures = tuple(_texture(one, folder) for one in content["textures"])
     if len({Path(one).stem for one in textures}) < len(textures):
         raise ValueError("two textures have the same name, which tables could not tell apart")
@@ -193,15 +214,16 @@ def _experiment(content: dict[str, Any], folder: Path) -> Experiment:
         if not isinstance(values, list) or not values:
             raise ValueError(f"{name!r} in the grid is {values!r}, expected a list")
     _check_keys(grid, OF_TRAINING | {one.name for model in networks for one in fields(FAMILIES[model])}, "[grid]")
-    seeds = content.get("split_seeds", [1])
-    if not isinstance(seeds, list) or not all(type(seed) is int and seed >= 0 for seed in seeds) or not seeds:
-        raise ValueError(f"split_seeds is {seeds!r}, expected a list of whole numbers")
-    if len(set(seeds)) < len(seeds):
-        raise ValueError(f"split_seeds is {seeds!r}, expected each once")
+    seeds = _seeds(content.get("split_seeds", [1]))
+    for method in methods:
+        if not set(method.split_seeds or ()) <= set(seeds):
+            raise ValueError(
+                f"method {method.name or method.model!r}: its split_seeds are not all among the experiment's"
+            )
     seconds = content.get("seconds", 60.0)
     if type(seconds) not in (int, float) or not 1 <= seconds <= 3600:
         raise ValueError(f"seconds is {seconds!r}, expected 1 to 3600")
-    resolved = {"textures": textures, "methods": methods, "split_seeds": tuple(seeds), "seconds": float(seconds)}
+    resolved = {"textures": textures, "methods": methods, "split_seeds": seeds, "seconds": float(seconds)}
     return Experiment(**{**content, **resolved, "grid": {name: tuple(values) for name, values in grid.items()}})
 
 
@@ -211,19 +233,46 @@ def _method(content: object) -> Method:
     if not isinstance(content, dict):
         raise ValueError(f"a method is {content!r}, expected a model's name or a table")
     _check_keys(content, {one.name for one in fields(Method)}, "a method")
-    _check_types(content, ("model", "name", "recipe"), str, "a text", " of a method")
-    _check_types(content, ("train", "sizes"), dict, "a table", " of a method")
+    _check_types(content, ("model", "name", "recipe", "beside"), str, "a text", " of a method")
+    _check_types(content, ("train", "sizes", "recipes"), dict, "a table", " of a method")
+    _check_types(content, ("measures",), list, "a list", " of a method")
     _check_keys(content.get("train", {}), OF_TRAINING, "'train' of a method")
+    _check_keys(content.get("measures", []), MEASURES, "'measures' of a method")
+    for name, changes in content.get("recipes", {}).items():
+        if not isinstance(changes, dict):
+            raise ValueError(f"recipe {name!r} of a method is {changes!r}, expected a table")
+        _check_keys(changes, OF_TRAINING | {"recipe"}, f"recipe {name!r} of a method")
+        _check_recipe(changes)
     if content.get("model") not in FAMILIES:
         raise ValueError(f"unknown model {content.get('model')!r}, expected one of {', '.join(FAMILIES)}")
     _check_recipe(content)
-    return Method(**content)
+    given = {"measures": tuple(content.get("measures", ()))}
+    if "split_seeds" in content:
+        given["split_seeds"] = _seeds(content["split_seeds"])
+    return Method(**{**content, **given})
+
+
+def _seeds(seeds: object) -> tuple[int, ...]:
+    if not isinstance(seeds, list) or not all(type(seed) is int and seed >= 0 for seed in seeds) or not seeds:
+        raise ValueError(f"split_seeds is {seeds!r}, expected a list of whole numbers")
+    if len(set(seeds)) < len(seeds):
+        raise ValueError(f"split_seeds is {seeds!r}, expected each once")
+    return tuple(seeds)
+
+
+def _check_beside(methods: Collection[Method]) -> None:
+    names = {method.name or method.model for method in methods}
+    for method in methods:
+        if method.beside and method.beside not in names:
+            raise ValueError(
+                f"{method.name or method.model!r} stands beside {method.beside!r}, which is no method of the file"
+            )
 
 
 def _texture(content: object, folder: Path) -> str:
     if isinstance(content, str) and content.endswith(RECORDED):
         if not (folder / content).exists():
-            raise ValueError(f"there is no recording {content} beside the file")
+            raise ValueError(f"there is no recording {content} in {folder}: give its folder by --recordings")
         return str(folder / content)
     known = [*TEXTURES, *LINEAR_FAMILY]
     if content not in known:

@@ -16,7 +16,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from foten.experiments.experiment import Run, recording_of
-from foten.experiments.results import Results, label_of, name_of
+from foten.experiments.results import Results, chosen_results, label_of, name_of
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.split import split_blocks
 
@@ -31,9 +31,12 @@ def figures(
 ) -> Iterator[tuple[str, Figure]]:
     """Return each figure that the results have the numbers for, and its name; say which are left out, and why.
 
+    Of a method with several recipes the one is drawn that tables show.
+
     Args:
         recordings: folder of the recordings that were learned from; by default their paths in the results are used.
     """
+    results = chosen_results(results)
     try:
         yield "figure-4", split(results[0], recordings)
     except (ValueError, OSError) as error:

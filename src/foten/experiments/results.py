@@ -1,11 +1,12 @@
-"""The result files of a sweep, their figures as rows over textures beside the paper's, and which differences are significant."""
+"""The runs of a sweep as flat records, their figures as rows over textures, and which differences are significant."""
 
 from __future__ import annotations
 
+import csv
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,9 @@ from foten.dsp import Array
 from foten.experiments.experiment import Run
 
 Results = Sequence[Mapping[str, Any]]
+"""Result files of a sweep, with the signals that figures are drawn from."""
+Records = Sequence[Mapping[str, Any]]
+"""Runs, a flat dictionary each: what tables are made of, and a row of `runs.csv`."""
 
 _OF_A_RESULT = {
     *("evaluation", "foten", "versions", "recording_sha256"),
@@ -53,10 +57,10 @@ PAPER = {
 
 @dataclass(frozen=True)
 class Figure:
-    """A number in the result files."""
+    """A number of a run."""
 
     name: str  # in headings, with its unit
-    path: str  # of keys in `evaluation`
+    path: str  # its key in a record
     reported: tuple[str, int] | None  # the attribute of `Reported` to print beside it, and its digits
     better: int  # 1 where more is better, −1 where less is
     factor: float = 1.0  # from the number in the file to the one in tables
@@ -77,6 +81,139 @@ REFERENCES = {
     "least possible": "references.bound",
 }
 FREE_RUN_REFERENCES = {"AR(20) with white noise": "free_run_ar", "ceiling": "ceiling"}
+WITHOUT = ", without excitation"
+"""What is added to a method's name where its free run has no excitation."""
+VALIDATION = ("validation.mae_scaled", "validation.spectrum_db")
+"""What the recipe of a method is chosen by, the first that it has: a one-step error, of models of spectra a distance."""
+_KEPT = ("one_step", "free_run", "free_run_deterministic", "free_run_ar", "ceiling", "references", "validation")
+
+
+def records_of(results: Results) -> list[dict[str, Any]]:
+    """Return result files as records, in their order: names, settings, and every figure by its path.
+
+    Of lists, as errors by band, nothing is kept; of intervals those of `FIGURES`, as `.low` and `.high`.
+    """
+    return [_record(one) for one in results]
+
+
+def _record(result: Mapping[str, Any]) -> dict[str, Any]:
+    run, judged = Run(**result["run"]), result["evaluation"]
+    record: dict[str, Any] = {
+        "experiment": result.get("experiment", {}).get("title", ""),
+        "note": result.get("experiment", {}).get("note", ""),
+        "method": run.label,
+        "recipe": run.recipe,
+        "beside": run.beside,
+        "model": run.model,
+        "texture": name_of(run.texture),
+        "rate_hz": judged["rate_hz"],
+        "split": run.split_seed,
+        "n_blocks": judged["n_blocks"],
+        "excitation": "yes" if judged["free_run"]["lsd_db"] is not None else "no" if _rendered(judged) else "",
+        "network_in_loop": result.get("network_in_loop"),
+        "recording_sha256": result["recording_sha256"][:12],
+        "split_sha256": (judged["split_sha256"] or "")[:12],
+        "epochs": result["n_epochs"],
+        "training_s": result["seconds"]["training"],
+        "evaluation_s": result["seconds"]["evaluation"],
+        "file_bytes": result.get("file_bytes"),
+        "version.foten": result["foten"],
+        **{f"version.{package}": version for package, version in result["versions"].items()},
+    }
+    scores = {name: judged[name] for name in _KEPT if name in judged} | result.get("measures", {})
+    record |= dict(_flat(scores))
+    for figure in FIGURES.values():
+        head, _, key = figure.path.rpartition(".")
+        low, high = (judged[head].get("intervals") or {}).get(key) or (None, None)
+        record |= {f"{figure.path}.low": low, f"{figure.path}.high": high}
+    return record
+
+
+def _rendered(judged: Mapping[str, Any]) -> bool:
+    return judged["free_run_deterministic"]["lsd_db"] is not None
+
+
+def _flat(scores: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield numbers and answers by their paths."""
+    for key, value in scores.items():
+        if isinstance(value, Mapping) and key != "intervals":
+            yield from _flat(value, f"{prefix}{key}.")
+        elif value is None or isinstance(value, int | float):
+            yield f"{prefix}{key}", value
+
+
+def read_records(path: Path) -> list[dict[str, Any]]:
+    """Return the runs of a sweep: of its folder, or of the `runs.csv` that `foten tables` wrote of it.
+
+    Raises:
+        ValueError: there is none, or a file is no result, or the CSV is not of that kind.
+    """
+    if path.suffix != ".csv":
+        return records_of(read_results(path))
+    if not path.is_file():
+        raise ValueError(f"there is no {path}")
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    if not rows or not {"method", "texture", "split", *(figure.path for figure in FIGURES.values())} <= set(rows[0]):
+        raise ValueError(f"{path.name} is no runs.csv of foten tables")
+    try:
+        return [dict.fromkeys(_TEXTS, "") | {key: _parsed(key, text) for key, text in row.items()} for row in rows]
+    except ValueError as error:
+        raise ValueError(f"{path.name} is no runs.csv of foten tables: {error}") from error
+
+
+_TEXTS = ("experiment", "note", "method", "recipe", "beside", "model", "texture", "excitation")
+
+
+def _parsed(key: str, text: str) -> Any:
+    """Return a cell of `runs.csv`: a text, a number, or None."""
+    if key in _TEXTS or key.endswith("_sha256") or key.startswith("version."):
+        return text
+    return {"": None, "yes": True, "no": False}[text] if text in ("", "yes", "no") else float(text)
+
+
+def written_records(records: Records) -> list[list[str]]:
+    """Return records as the cells of `runs.csv`, its heading first: numbers with six digits, empty where there is none."""
+    keys = [key for key in dict.fromkeys(key for one in records for key in one) if key != "note"]
+    keys = [key for key in keys if any(one.get(key) not in (None, "") for one in records)]
+
+    def cell(value: Any) -> str:
+        if isinstance(value, bool):
+            return "yes" if value else "no"
+        return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+
+    return [keys, *([cell(one.get(key)) for key in keys] for one in records)]
+
+
+def chosen(records: Records) -> list[Mapping[str, Any]]:
+    """Return the records of one recipe for each method: of several the one with the least validation error.
+
+    The mean over the textures and splits that all recipes have. Which it is depends on validation blocks alone.
+    """
+    recipe_of = {method: next(iter(errors)) for method, errors in by_recipe(records).items()}
+    return [one for one in records if one["recipe"] == recipe_of.get(one["method"], one["recipe"])]
+
+
+def chosen_results(results: Results) -> list[Mapping[str, Any]]:
+    """Return the result files of the recipes that are `chosen`."""
+    kept = {(one["method"], one["recipe"]) for one in chosen(records_of(results))}
+    return [one for one in results if (label_of(one), Run(**one["run"]).recipe) in kept]
+
+
+def by_recipe(records: Records) -> dict[str, dict[str, float]]:
+    """Return the mean validation errors of the recipes of each method that has several, the least first."""
+    errors: dict[str, dict[str, dict[tuple[Any, ...], float]]] = {}
+    for one in records:
+        error = next((one[key] for key in VALIDATION if one.get(key) is not None), math.inf)
+        cell = errors.setdefault(one["method"], {}).setdefault(one["recipe"], {})
+        cell[one["texture"], one["split"]] = error
+    means = {}
+    for method, of in errors.items():
+        shared = set.intersection(*(set(cells) for cells in of.values()))
+        if len(of) > 1 and shared:
+            each = {recipe: float(np.mean([cells[key] for key in sorted(shared)])) for recipe, cells in of.items()}
+            means[method] = dict(sorted(each.items(), key=lambda item: item[1]))
+    return means
 
 
 def read_results(folder: Path) -> list[dict[str, Any]]:
@@ -89,7 +226,7 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
     if not folder.is_dir():
         raise ValueError(f"there is no folder {folder}")
     results: list[dict[str, Any]] = []
-    seen: dict[tuple[str, str, int], str] = {}
+    seen: dict[tuple[str, str, str, int], str] = {}
     digests: dict[str, str] = {}
     for path in sorted(folder.glob("*.json")):
         result = read_result(path)
@@ -97,7 +234,7 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
             raise ValueError(f"{path.name} is no result of foten sweep, or damaged")
         run = Run(**result["run"])
         texture, digest = name_of(run.texture), result["recording_sha256"]
-        cell = run.label, texture, run.split_seed
+        cell = run.label, run.recipe, texture, run.split_seed
         if cell in seen:
             raise ValueError(
                 f"{seen[cell]} and {path.name} are both of {run.label} on {texture}, split {run.split_seed}: are results of "
@@ -133,15 +270,9 @@ def name_of(texture: str) -> str:
     return Path(texture).stem
 
 
-def experiments_of(results: Results) -> list[dict[str, str]]:
-    """Return `title` and `note` of the experiments that the results are of."""
-    distinct = {json.dumps(one.get("experiment", {"title": "", "note": ""}), sort_keys=True) for one in results}
-    return [json.loads(one) for one in sorted(distinct)]
-
-
-def title_of(results: Results) -> str:
-    """Return the titles of the experiments that the results are of."""
-    return "; ".join(about["title"] for about in experiments_of(results) if about["title"])
+def title_of(records: Records) -> str:
+    """Return the titles of the experiments that runs are of."""
+    return "; ".join(dict.fromkeys(one["experiment"] for one in records if one["experiment"]))
 
 
 @dataclass(frozen=True)
@@ -151,8 +282,6 @@ class Row:
     name: str  # in tables
     model: str  # key, "" for a reference
     values: Mapping[str, Array]  # by texture, one for each split that has one, shape (n_splits,)
-    # By texture, 95 % over test blocks, of its first split.
-    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     excited: bool = False  # whether it has the random excitation, on which no one-step figure depends
 
     def means(self, textures: Sequence[str]) -> Array:
@@ -160,48 +289,33 @@ class Row:
         return np.array([self.values[t].mean() if len(self.values.get(t, ())) else math.nan for t in textures])
 
 
-def rows_of(results: Results, figure: str) -> tuple[list[str], list[Row]]:
+def rows_of(records: Records, figure: str) -> tuple[list[str], list[Row]]:
     """Return the textures, and a row for each reference and each method, references first."""
-    textures = list(dict.fromkeys(name_of(one["run"]["texture"]) for one in results))
+    textures = list(dict.fromkeys(one["texture"] for one in records))
     head, _, key = FIGURES[figure].path.rpartition(".")
     factor = FIGURES[figure].factor
 
     def row(name: str, model: str, where: str, own: Iterable[Mapping[str, Any]], excited: bool = False) -> Row:
         values: dict[str, list[float]] = {}
-        intervals: dict[str, tuple[float, float]] = {}
         for one in own:
-            texture = name_of(one["run"]["texture"])
-            value = _at(one["evaluation"], f"{where}.{key}")
-            interval = _at(one["evaluation"], f"{where}.intervals.{key}")
+            value = one.get(f"{where}.{key}")
             if value is not None:
-                values.setdefault(texture, []).append(factor * value)
-            if interval is not None:
-                intervals.setdefault(texture, (factor * interval[0], factor * interval[1]))
-        return Row(name, model, {texture: np.array(own) for texture, own in values.items()}, intervals, excited)
+                values.setdefault(one["texture"], []).append(factor * value)
+        return Row(name, model, {texture: np.array(own) for texture, own in values.items()}, excited)
 
-    # A reference is the same whatever was trained beside it: once for each recording, split and preprocessing.
-    distinct = {
-        (one["recording_sha256"], one["run"]["split_seed"], json.dumps(one["run"]["preprocess"])): one
-        for one in results
-    }
+    # A reference is the same whatever was trained beside it: once for each recording and split.
+    distinct = {(one["texture"], one["recording_sha256"], one["split"], one["rate_hz"]): one for one in records}
     references = FREE_RUN_REFERENCES if head == "free_run" else REFERENCES
     rows = [row(name, "", where, distinct.values()) for name, where in references.items()]
     rows = [one for one in rows if one.values]
-    for name in dict.fromkeys(map(label_of, results)):
-        own = [one for one in results if label_of(one) == name]
-        model, excited = own[-1]["run"]["model"], own[0]["run"]["sizes"].get("excitation", False)
+    for name in dict.fromkeys(one["method"] for one in records):
+        own = [one for one in records if one["method"] == name]
+        model, excited = own[-1]["model"], own[0]["excitation"] == "yes"
         method = row(name, model, head, own, excited)
         if not method.values and head == "free_run":
-            method = row(f"{name}, without excitation", model, "free_run_deterministic", own)
+            method = row(name + WITHOUT, model, "free_run_deterministic", own)
         rows.append(method)
     return textures, rows
-
-
-def _at(document: Any, path: str) -> Any:
-    """Return the value at a path of keys, None where there is none."""
-    for key in path.split("."):
-        document = document.get(key) if isinstance(document, Mapping) else None
-    return document
 
 
 def holm(p: Sequence[float]) -> list[float]:

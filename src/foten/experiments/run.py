@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -11,11 +11,15 @@ import foten
 from foten.evaluate.evaluate import Judgement, evaluate
 from foten.evaluate.report.signals import N_WAVEFORM, densities, scored_runs, shown_run, typical_block
 from foten.experiments.experiment import Run
+from foten.experiments.innovations import innovations
+from foten.experiments.onset import onset
+from foten.experiments.stability import stability
 from foten.experiments.truth import truth_for
-from foten.families import sizes_of
+from foten.families import FotenPlusSizes, sizes_of
 from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
+from foten.recording.trace import Trace
 from foten.train.config import TrainConfig
 from foten.train.job import TrainingJob
 from foten.train.pipeline import train, train_batched
@@ -74,9 +78,21 @@ def _judged(run: Run, recording: Recording, texture: Texture, seconds: float, n_
         "n_epochs": metrics.get("n_epochs"),
         "validation_mae_scaled": metrics["validation_mae_scaled"],
         "file_bytes": len(texture.to_bytes()),
+        "network_in_loop": texture.sizes.renders_with_network if isinstance(texture.sizes, FotenPlusSizes) else None,
+        "measures": _measures(run.measures, texture, judgement.trace),
         "evaluation": document,
         "signals": _signals(judgement),
     }
+
+
+def _measures(names: Sequence[str], texture: Texture, trace: Trace) -> dict[str, Any]:
+    """Return what a texture file is measured for beside its evaluation, by measure."""
+    measures: dict[str, Callable[[], dict[str, Any]]] = {
+        "stability": lambda: stability(texture),
+        "onset": lambda: onset(texture),
+        "innovations": lambda: innovations(texture, trace),
+    }
+    return {name: measures[name]() for name in names}
 
 
 def _signals(judgement: Judgement) -> dict[str, Any] | None:

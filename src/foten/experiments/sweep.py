@@ -191,5 +191,6 @@ def _collected(
             n = n_done + n_failed
             minutes = (time.perf_counter() - started) / n * (n_runs - n) / 60
             left = f", about {minutes:.0f} min left" if n < n_runs else ""
-            say(f"{n}/{n_runs} {run.label}, {run.texture}, split {run.split_seed}: {ended}{left}")
+            name = f"{run.label} ({run.recipe})" if run.recipe else run.label
+            say(f"{n}/{n_runs} {name}, {run.texture}, split {run.split_seed}: {ended}{left}")
     return n_done, n_failed

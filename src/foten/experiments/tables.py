@@ -1,27 +1,36 @@
-"""Tables of results, methods by textures beside the references and the paper's figures, and what they say in sentences."""
+"""Tables of runs: methods beside references and the paper's figures, each on each texture, and what they say in sentences."""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
+from foten.dsp import Array
 from foten.experiments.results import (
     FIGURES,
     PAPER,
-    Results,
+    WITHOUT,
+    Records,
     Row,
     as_in_paper,
+    by_recipe,
+    chosen,
     compared,
     complete,
-    experiments_of,
-    label_of,
-    name_of,
     rows_of,
 )
 
+RATIOS = (
+    ("validation: one step", "validation.mae_scaled"),
+    ("validation: LSD", "validation.lsd_db"),
+    ("test: one step", "one_step.mae_scaled"),
+    ("test: LSD", "free_run.lsd_db"),
+    ("test: level error", "free_run.level_error_db"),
+)
 FORMATS = ("md", "csv", "tex")
 _LATEX = str.maketrans(
     {
@@ -32,71 +41,80 @@ _LATEX = str.maketrans(
 )
 
 
-def table(results: Results, figure: str) -> list[list[str]]:
-    """Return a table of one figure: its heading, then a row for each reference and method."""
-    shown = FIGURES[figure]
-    textures, rows = rows_of(results, figure)
-    _, p = compared(rows, textures, shown.better)
-    n_splits = max((len(values) for row in rows for values in row.values.values()), default=1)
-    spread = f"mean ± sd of {n_splits} splits" if n_splits > 1 else "one split"
-    if n_splits == 1 and any(row.intervals for row in rows):
-        spread += " [95 % over its blocks]"
-    reported: dict[str, str] = {}
-    if shown.reported is not None:
-        attribute, digits = shown.reported
-        models = {row.name: row.model for row in rows}
-        reported = {name: f"{getattr(PAPER[models[name]], attribute):.{digits}f}" for name in as_in_paper(rows)}
-    heading = [f"{shown.name}, {spread}", *textures, "mean", *(["p"] if p else [])]
-    cells = [heading + (["paper's mean"] if reported else [])]
-    for row in rows:
-        means = row.means(textures)
-        mean = f"{means.mean():.3f}" if np.isfinite(means).all() else "–"
-        line = [row.name, *(_cell(row, texture, n_splits) for texture in textures), mean]
-        if p:
-            line.append(f"{p[row.name]:.3f}" if row.name in p else "")
-        if reported:
-            line.append(reported.get(row.name, ""))
+def summary(records: Records) -> list[list[str]]:
+    """Return the methods and references with their means over textures, beside the paper's, and the seconds of training.
+
+    `p` is of the one-step errors' differences from the best method's. Means are ± the standard error that the splits of the
+    textures give them, where there are several.
+    """
+    rows = {figure: {row.name.removesuffix(WITHOUT): row for row in rows_of(records, figure)[1]} for figure in FIGURES}
+    textures, of_mae = rows_of(records, "mae")
+    _, p = compared(of_mae, textures, FIGURES["mae"].better)
+    in_paper = as_in_paper(of_mae)
+    cells = [["", "MAE [sd]", "paper's", "p", "GFC [%]", "LSD [dB]", "level error [dB]", "training [s]"]]
+    for name in dict.fromkeys(name for by_name in rows.values() for name in by_name):
+        mae, gfc, lsd, level = (by_name.get(name) for by_name in rows.values())
+        own = [one for one in records if one["method"] == name]
+        reported = f"{PAPER[mae.model].mae:.3f}" if mae is not None and name in in_paper else ""
+        shown = name + (WITHOUT if lsd is not None and lsd.name != name else "")
+        line = [shown, mean_cell(mae, textures, 3), reported, f"{p[name]:.3f}" if name in p else ""]
+        line += [mean_cell(gfc, textures, 1), mean_cell(lsd, textures, 2), mean_cell(level, textures, 2)]
+        line.append(f"{np.mean([one['training_s'] for one in own]):.0f}" if own else "")
         cells.append(line)
     return cells
 
 
-def _cell(row: Row, texture: str, n_splits: int) -> str:
-    values, interval = row.values.get(texture), row.intervals.get(texture)
-    if values is None:
-        return "–"
-    if n_splits == 1 and interval is not None:
-        return f"{values[0]:.3f} [{interval[0]:.3f}, {interval[1]:.3f}]"
-    fewer = f" ({len(values)} of {n_splits})" if len(values) < n_splits else ""
-    if len(values) == 1:
-        return f"{values[0]:.3f}{fewer}"
-    return f"{values.mean():.3f} ± {values.std(ddof=1):.3f}{fewer}"
+def mean_cell(row: Row | None, textures: Sequence[str], digits: int) -> str:
+    """Return the mean over textures ± its standard error by their splits; a dash where a texture has none."""
+    if row is None or not np.isfinite(row.means(textures)).all():
+        return "–" if row is not None and row.model else ""
+    return with_error([row.values[texture] for texture in textures], digits)
 
 
-def each_run(results: Results) -> list[list[str]]:
-    """Return a row for each run, for a statistics program: each figure in a column, with its 95 % interval over test blocks.
+def with_error(by_texture: Sequence[Array], digits: int) -> str:
+    """Return the mean over textures of their means over splits, ± its standard error where each has several."""
+    mean = f"{np.mean([of.mean() for of in by_texture]):.{digits}f}"
+    if min(of.size for of in by_texture) < 2:
+        return mean
+    error = np.sqrt(sum(of.var(ddof=1) / of.size for of in by_texture)) / len(by_texture)
+    return f"{mean} ± {error:.{digits}f}"
 
-    Intervals are empty where fewer than four blocks were judged. The free run of a model without excitation is the
-    deterministic one, and `excitation` says so.
+
+def table(records: Records, figure: str) -> list[list[str]]:
+    """Return a table of one figure: textures by methods and references, means over splits, and the mean of all."""
+    textures, rows = rows_of(records, figure)
+    cells = [[FIGURES[figure].name, *(row.name for row in rows)]]
+    for texture in textures:
+        values = [row.values.get(texture) for row in rows]
+        cells.append([texture, *("–" if of is None else with_error([of], 3) for of in values)])
+    return [*cells, ["mean", *(mean_cell(row, textures, 3) or "–" for row in rows)]]
+
+
+def ratios(records: Records) -> list[list[str]]:
+    """Return the figures of each method that stands beside another, over the other's on the same textures and splits.
+
+    Ratios of the validation blocks and of the test blocks: choose by the former. Means over textures ± their standard error;
+    where neither rendering uses its network, free runs are the same and are left out.
     """
-    heading = ["method", "model", "texture", "split", "test_blocks", "excitation"]
-    heading += [f"{name}{end}" for name in FIGURES for end in ("", "_low", "_high")]
-    heading += ["validation_mae", "epochs", "training_s", "evaluation_s"]
-    rows = [heading]
-    for one in results:
-        run, judged = one["run"], one["evaluation"]
-        excited = judged["free_run"]["lsd_db"] is not None
-        row = [label_of(one), run["model"], name_of(run["texture"]), run["split_seed"], judged["n_blocks"]]
-        silent = judged["free_run_deterministic"]["lsd_db"] is None
-        row.append("yes" if excited else None if silent else "no")
-        for figure in FIGURES.values():
-            head, _, key = figure.path.rpartition(".")
-            scores = judged[head if excited or head != "free_run" else "free_run_deterministic"]
-            interval = (scores.get("intervals") or {}).get(key) or (None, None)
-            row += [None if value is None else figure.factor * value for value in (scores[key], *interval)]
-        seconds = (one["seconds"][stage] for stage in ("training", "evaluation"))
-        row += [one["validation_mae_scaled"], one["n_epochs"], *seconds]
-        rows.append(["" if value is None else f"{value:.6g}" if type(value) is float else str(value) for value in row])
-    return rows
+    cells = [["", "beside", "pairs", *(title for title, _ in RATIOS)]]
+    for name, beside in dict.fromkeys((one["method"], one["beside"]) for one in records if one["beside"]):
+        others = {(one["texture"], one["split"]): one for one in records if one["method"] == beside}
+        own = [one for one in records if one["method"] == name]
+        pairs = [(one, others[key]) for one in own if (key := (one["texture"], one["split"])) in others]
+        cells.append([name, beside, str(len(pairs)), *(_ratio(pairs, path) for _, path in RATIOS)])
+    return cells
+
+
+def _ratio(pairs: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]], path: str) -> str:
+    by_texture: dict[str, list[float]] = {}
+    for one, other in pairs:
+        if one.get(path) is not None and other.get(path):
+            by_texture.setdefault(one["texture"], []).append(one[path] / other[path])
+    if not by_texture:
+        return "–"
+    values = np.array([np.mean(of) for of in by_texture.values()])
+    error = f" ± {values.std(ddof=1) / np.sqrt(values.size):.3f}" if values.size > 1 else ""
+    return f"{values.mean():.3f}{error}"
 
 
 def written(cells: Sequence[Sequence[str]], form: str) -> str:
@@ -114,41 +132,52 @@ def written(cells: Sequence[Sequence[str]], form: str) -> str:
     return f"\\begin{{tabular}}{{{columns}}}\n\\toprule\n{body}\n\\bottomrule\n\\end{{tabular}}\n"
 
 
-def findings(results: Results) -> Iterator[str]:
-    """Yield what was reduced, which method is best in each figure, and whether the order is the paper's."""
-    yield from dict.fromkeys(about["note"] for about in experiments_of(results) if about["note"])
-    yield from _several_versions(results)
-    yield from _same_blocks(results)
+def findings(records: Records) -> Iterator[str]:
+    """Yield what was reduced, which recipe and which method is best in each figure, and whether the order is the paper's.
+
+    Args:
+        records: those of all recipes.
+    """
+    yield from dict.fromkeys(one["note"] for one in records if one.get("note"))
+    yield from _several_versions(records)
+    yield from _same_blocks(records)
+    for method, errors in by_recipe(records).items():
+        (best, lowest), *others = errors.items()
+        yield (
+            f"{method} is shown by the recipe {best!r}, whose validation error is {lowest:.4f}; "
+            f"{', '.join(f'{name!r} has {error:.4f}' for name, error in others)}."
+        )
+    shown = chosen(records)
     for figure in FIGURES:
-        yield from _best_method(results, figure)
-    yield from _order(results)
+        yield from _best_method(shown, figure)
+    yield from _order(shown)
 
 
-def _several_versions(results: Results) -> Iterator[str]:
+def _several_versions(records: Records) -> Iterator[str]:
     versions: dict[str, set[str]] = {}
-    for one in results:
-        for package, version in {"foten": one["foten"], **one["versions"]}.items():
-            versions.setdefault(package, set()).add(version)
+    for one in records:
+        for key, version in one.items():
+            if key.startswith("version.") and version:
+                versions.setdefault(key.removeprefix("version."), set()).add(version)
     several = [f"{package} {', '.join(sorted(of))}" for package, of in versions.items() if len(of) > 1]
     if several:
         yield f"The results were made with several versions, of {'; '.join(several)}: run them again with one."
 
 
-def _same_blocks(results: Results) -> Iterator[str]:
+def _same_blocks(records: Records) -> Iterator[str]:
     """Yield which splits of a recording have the same test blocks: they differ only by training."""
     seeds: dict[tuple[str, str, str], set[int]] = {}
-    for one in results:
-        key = (name_of(one["run"]["texture"]), one["recording_sha256"], one["evaluation"]["split_sha256"])
-        seeds.setdefault(key, set()).add(one["run"]["split_seed"])
+    for one in records:
+        seeds.setdefault((one["texture"], one["recording_sha256"], one["split_sha256"]), set()).add(int(one["split"]))
     for (texture, *_), same in seeds.items():
         numbers = ", ".join(map(str, sorted(same)))
         if len(same) > 1:
             yield f"{texture} is short: splits {numbers} are the same blocks, and differ by training alone."
 
 
-def _best_method(results: Results, figure: str) -> Iterator[str]:
+def _best_method(records: Records, figure: str) -> Iterator[str]:
     judged_by = FIGURES[figure]
-    textures, rows = rows_of(results, figure)
+    textures, rows = rows_of(records, figure)
     methods = [row for row in rows if row.model]
     without = [row.name for row in methods if not row.values]
     if without:
@@ -165,8 +194,8 @@ def _best_method(results: Results, figure: str) -> Iterator[str]:
         yield f"{judged_by.name}: {best} is best on the mean{differ}."
 
 
-def _order(results: Results) -> Iterator[str]:
-    textures, rows = rows_of(results, "mae")
+def _order(records: Records) -> Iterator[str]:
+    textures, rows = rows_of(records, "mae")
     known = as_in_paper(rows)
     ours = {row.model: float(row.means(textures).mean()) for row in complete(rows, textures) if row.name in known}
     if len(ours) > 1:

@@ -1,0 +1,202 @@
+"""Ten minutes of random strokes on a texture file, and a million steps of an attack: is it bounded, and does it forget.
+
+The strokes are the simulator's, 0 to 350 mm/s and 0.1 to 4 N, whatever range the texture was trained in; half of them with speed
+and force scaled into the trained range, so that narrow recordings are not mostly clamped.
+
+The attack: streams that begin from windows at ±50 standard deviations, the excitation's noise at ± the largest that the
+generator can draw, in one half at random, in the other always outwards. A third of each switch speed and force to another
+corner of the trained range at every sample, a third every 50 ms, a third stay at one corner. The saturator, which bounds
+anything, is left out where the loop goes on from the uncut sample. The largest sample of the second half, when the windows are
+forgotten, stands beside the bound that is proven for any stroke and noise. Afterwards they are given ordinary noise and a steady
+stroke for 12 s (3 s at 10 kHz): by how much the stream that differs most is louder or softer, in the last fifth of it, than one
+under the same stroke and noise that was never attacked. Which way is outwards is asked of the reference in NumPy; all that is
+measured is rendered by the kernel, of the same noise.
+
+Besides, pairs of streams that began from such windows, under the same noise, under slow, middling, fast and moving strokes: the
+time after which they differ by less than 1 % of their level, and stay so.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from foten.datasets.stroking import stroking
+from foten.dsp import Array
+from foten.dsp.lattice import LEAK
+from foten.dsp.noise import LARGEST_VOLATILITY
+from foten.families import FotenPlusSizes
+from foten.families.excitation import HEAVIEST_TAIL
+from foten.families.texture_file import Texture
+from foten.reference import model_of
+from foten.runtime.loops import run_loops
+from foten.runtime.native import NativeState, NativeTexture
+from foten.runtime.onnx_predictor import OnnxPredictor
+
+BOUNDED = ("foten-plus", "ar", "gan", "dftnet")  # models that no sample of their own drives further than their bound
+LARGEST_NOISE = 5.68  # standard deviations, of the counter-based generator
+COMPARED_S, COMPARED = 12.0, 30_000  # two streams that are to meet: seconds, and samples at most
+MINUTES, N_STROKES = 10.0, 60  # of strokes in all, and into how many they are divided
+N_ATTACK, N_ATTACKED = 1_000_000, 24  # steps in all, and streams
+
+
+def stability(texture: Texture, minutes: float = MINUTES, n_attack: int = N_ATTACK) -> dict[str, Any]:
+    """Return how large a texture becomes under strokes and under attack [sd of the training blocks], and whether it forgets.
+
+    Returns:
+        `max_sd`, `rms_sd`, `n_saturated`, `n_samples`: of the strokes; `finite`: of strokes and attack; `still_m_s2`: the
+        largest sample at rest; `attack_max_sd`, `attack_later_max_sd`: of the first and the second half of the attack;
+        `attack_bound_sd`: what is proven, None for a model of which nothing is; `attack_after_db`; `forgets_s`: None for never.
+    """
+    speed, force = strokes(texture.rate_hz, minutes * 60 / N_STROKES, N_STROKES)
+    half = N_STROKES // 2
+    speed[half:] = into(speed[half:], *texture.trained_range("speed"))
+    force[half:] = into(force[half:], *texture.trained_range("force"))
+    rendered, n_saturated = rendered_strokes(texture, 1, speed, force)
+    still, _ = rendered_strokes(texture, 1, np.zeros((1, 1000)), np.ones((1, 1000)))
+    attacked = attack(texture, n_attack)
+    return {
+        "n_samples": rendered.size,
+        "finite": bool(np.isfinite(rendered).all()) and attacked.pop("finite"),
+        "recorded_max_sd": texture.card["metrics"]["recorded_peak_sd"],
+        "max_sd": float(np.abs(rendered).max() / texture.scaling.sd[0]),
+        "rms_sd": float(np.sqrt(np.square(rendered).mean()) / texture.scaling.sd[0]),
+        "n_saturated": n_saturated,
+        "still_m_s2": float(np.abs(still).max()),
+        **attacked,
+    }
+
+
+def rendered_strokes(texture: Texture, seed: int, speed: Array, force: Array) -> tuple[Array, int]:
+    """Return the acceleration [m/s²] of strokes with noise of their own, shape (s, n), and how many samples the saturator cut.
+
+    Args:
+        seed: of the noise; stroke s draws that of stream s.
+        speed, force: at the texture's own rate [mm/s, N], each of shape (s, n).
+    """
+    native = NativeTexture(texture.to_bytes())
+    out, n_saturated = np.empty(speed.shape), 0
+    for stream, stroke in enumerate(zip(speed.astype(np.float32), force.astype(np.float32), strict=True)):
+        state = NativeState(native, seed=seed, stream=stream)
+        out[stream] = state.render_stroke(*stroke)
+        n_saturated += int(state.statistics.n_saturated)
+    return out, n_saturated
+
+
+def strokes(rate_hz: float, seconds: float, n_streams: int) -> tuple[Array, Array]:
+    """Return speed [mm/s] and force [N] of independent strokes, shapes (n_streams, n)."""
+    paths = [stroking(seconds, 10_000 + seed, rate_hz) for seed in range(n_streams)]
+    return np.stack([path.speed for path in paths]), np.stack([path.force for path in paths])
+
+
+def into(values: Array, low: float, high: float) -> Array:
+    """Return values stretched onto a range, each stream by itself."""
+    least, most = values.min(axis=1, keepdims=True), values.max(axis=1, keepdims=True)
+    return low + (values - least) / (most - least) * (high - low)
+
+
+def attack(texture: Texture, n_steps: int, n_streams: int = N_ATTACKED) -> dict[str, Any]:
+    """Return the largest sample of an attack [sd], whether all were finite, and what the streams are like afterwards."""
+    rng = np.random.default_rng(0)
+    kernel, excited, rate = NativeTexture(texture.to_bytes()), texture.has_excitation, texture.rate_hz
+    corners = np.array([[v, f] for v in texture.trained_range("speed") for f in texture.trained_range("force")])
+    corners = (corners - texture.scaling.mean[1:]) / np.array(texture.scaling.sd[1:])
+    windows = rng.standard_normal((n_streams, texture.window, 3))
+    windows[..., 0] = 50.0 * rng.choice([-1.0, 1.0], windows.shape[:2])
+    n, each = -(-n_steps // n_streams), np.arange(n_streams)
+    where = np.empty((n, n_streams), dtype=int)
+    at = rng.integers(0, len(corners), n_streams)
+    for i in range(n):
+        switched = (each % 3 == 0) | ((each % 3 == 1) & (i % max(1, round(0.05 * rate)) == 0))
+        where[i] = at = np.where(switched, rng.integers(0, len(corners), n_streams), at)
+    n_after = min(COMPARED, round(COMPARED_S * rate))
+    middle = np.broadcast_to(corners.mean(axis=0), (n_streams, n_after, 2))
+    path = with_path(texture, np.concatenate([corners[where.T], middle], axis=1))
+    # What goes on from its own samples whatever they are needs no saturator, and is attacked without one.
+    limit = np.inf if texture.card["model"] in BOUNDED else float(texture.card["saturation"])
+    noise = ordinary = None
+    if excited:
+        ordinary = rng.standard_normal(path.shape[:2])
+        noise = ordinary.copy()
+        noise[:, :n] = outwards(texture, windows, path[:, :n], limit, rng)
+    attacked = run_loops(kernel, windows, path, noise, limit)
+    largest = [float(np.abs(part).max()) for part in (attacked[:, : n // 2], attacked[:, n // 2 : n])]
+    # Under the same path all the time, so that it is at the same place of a surface that repeats.
+    warm = np.tile(texture.tensors["warm_start"].astype(float), (n_streams, 1, 1))
+    untouched = run_loops(kernel, warm, path, ordinary, limit)
+    after, usual = (np.square(one[:, -(n_after // 5) :]).mean(axis=1) for one in (attacked, untouched))
+    return {
+        "n_attack": n * n_streams,
+        "attack_max_sd": largest[0],
+        "attack_later_max_sd": largest[1],
+        "attack_bound_sd": proven(texture),
+        "finite": bool(np.isfinite(attacked).all()),
+        "attack_after_db": float(np.abs(10 * np.log10(after / usual)).max()) if excited else None,
+        "forgets_s": forgetting(texture, windows[:8], corners, rng),
+    }
+
+
+def with_path(texture: Texture, condition: Array) -> Array:
+    """Return scaled speed and force (s, n, 2) with the speed that tones go by [mm/s], (s, n, 3)."""
+    speed = condition[..., :1] * texture.scaling.sd[1] + texture.scaling.mean[1]
+    return np.concatenate([condition, np.maximum(speed, 0.0)], axis=2)
+
+
+def outwards(texture: Texture, windows: Array, path: Array, limit: float, rng: np.random.Generator) -> Array:
+    """Return the largest noise that the generator draws, of every other stream with the sign of what is predicted, (s, n)."""
+    sizes = texture.sizes
+    network = OnnxPredictor(sizes, texture.tensors).ahead if sizes.in_graph else None
+    stream = model_of(sizes, texture.tensors, network).start(windows)
+    noise = LARGEST_NOISE * rng.choice([-1.0, 1.0], path.shape[:2])
+    for i in range(path.shape[1]):
+        predicted = stream.predict()
+        noise[1::2, i] = LARGEST_NOISE * np.where(predicted.sample[1::2] >= 0, 1.0, -1.0)
+        sample = predicted.excited(noise[:, i])
+        stream.push(sample if stream.bounded else np.clip(sample, -limit, limit), path[:, i], noise[:, i])
+    return noise
+
+
+def proven(texture: Texture) -> float | None:
+    """Return what no sample of a closed loop exceeds [sd], under any stroke and noise; None for a model without a proof."""
+    sizes, tensors = texture.sizes, texture.tensors
+    if not isinstance(sizes, FotenPlusSizes):
+        return None
+    _, volatility = map(float, tensors["excitation.volatility"])
+    heaviest = LARGEST_NOISE * np.exp(0.5 * HEAVIEST_TAIL * LARGEST_NOISE**2)
+    shock = float(tensors["excitation.highest"].item()) * min(heaviest, float(tensors["excitation.largest"][0]))
+    entering = (sizes.correction_limit if sizes.renders_with_network else 0.0) + shock * np.exp(
+        (LARGEST_VOLATILITY - volatility) * volatility
+    )
+    level = float(tensors[f"{'residual' if sizes.n_tones else 'lattice'}.level.highest"].item())
+    bound = level * entering / np.sqrt(1 - LEAK**2)
+    if sizes.n_tones:
+        cosines, sines = np.moveaxis(tensors["tones.values"].reshape(-1, sizes.n_tones, 2), -1, 0)
+        loudest = np.hypot(cosines, sines).sum(axis=-1).max()
+        bound += float(tensors["lattice.level.highest"].item()) * float(loudest)
+    return float(bound)
+
+
+def forgetting(texture: Texture, windows: Array, corners: Array, rng: np.random.Generator) -> float | None:
+    """Return after how long streams under the same noise are the same to 1 %, whatever they began with [s]; None for never."""
+    rate, n_pairs = texture.rate_hz, len(windows) // 2
+    n = min(COMPARED, round(COMPARED_S * rate))
+    turning = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n) / rate)[:, None]
+    slow, fast = corners.min(axis=0), corners.max(axis=0)
+    paths = [slow + share * (fast - slow) * np.ones((n, 1)) for share in (0.1, 0.5, 1.0)]
+    paths.append(slow + turning * (fast - slow))
+    condition = np.tile(np.repeat(np.stack(paths), n_pairs, axis=0), (2, 1, 1))
+    drawn = rng.standard_normal((len(paths) * n_pairs, n))
+    starts = [np.tile(part, (len(paths), 1, 1)) for part in (windows[:n_pairs], windows[n_pairs:])]
+    both = run_loops(
+        NativeTexture(texture.to_bytes()),
+        np.concatenate(starts),
+        with_path(texture, condition),
+        np.concatenate([drawn, drawn]) if texture.has_excitation else None,
+    )
+    one, other = both.reshape(2, len(paths), n_pairs, n)
+    size = other[:, :, n // 2 :].std(axis=(1, 2))
+    differ = np.flatnonzero((np.abs(one - other).max(axis=1) > 0.01 * size[:, None]).any(axis=0))
+    if not differ.size:
+        return 0.0
+    return None if differ[-1] >= 0.95 * n else float((differ[-1] + 1) / rate)
