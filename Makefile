@@ -33,7 +33,7 @@ paper-small: $(VENV)/.installed
 	  $(THREADS) $(BIN)/foten sweep paper-small-$$name -o build/paper/results/$$name \
 	  && $(BIN)/foten tables build/paper/results/$$name -o build/paper/$$name \
 	  && $(BIN)/foten figures build/paper/results/$$name -o build/paper/$$name || exit 1; done
-	$(THREADS) $(BIN)/python benchmarks/efficiency.py --seconds 12 --steps 300 --save build/paper/results/table-3.json > build/paper/table-3.md
+	$(THREADS) $(BIN)/python benchmarks/efficiency.py --seconds 12 --steps 300 --csv build/paper/table-3.csv > build/paper/table-3.md
 
 check: $(VENV)/.installed
 	$(BIN)/ruff format --check .

@@ -1,6 +1,6 @@
 """Several textures trained as one batched model, beside one after another: an epoch for each texture.
 
-    python benchmarks/batched.py [--models foten,ten] [--textures 2,6,12] [--seconds 8] [--save FILE] [--page FILE]
+    python benchmarks/batched.py [--models foten,ten] [--textures 2,6,12] [--seconds 8] [--csv FILE]
 
 Both ways show each network the same windows in the same order under the same dropout; their training losses are compared first.
 By the paper's recipe (batches of 16) and by ours (of 128), one thread; on a GPU where there is one. Ratios are of the same run.
@@ -14,7 +14,6 @@ import json
 import os
 import sys
 import time
-from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -24,7 +23,6 @@ import numpy as np
 import torch
 from torch import nn
 
-from foten.atomic_write import atomic_write
 from foten.datasets.simulate import TEXTURES, simulate
 from foten.families import FAMILIES
 from foten.networks import build
@@ -35,7 +33,7 @@ from foten.train.blocks import scaled_blocks
 from foten.train.config import RECIPES
 from foten.train.epochs import Progress
 from foten.train.fit import TrainingWindows, fit, pick_device, reproducible
-from main_table import between
+from report import add_csv, report
 
 SAME = 0.01  # of a training loss: an epoch by the paper's learning rate makes that much of rounding
 
@@ -77,21 +75,13 @@ def main() -> None:
     parser.add_argument("--models", type=lambda text: text.split(","), default=["foten", "ten"])
     parser.add_argument("--textures", type=lambda text: [int(n) for n in text.split(",")], default=[2, 6, 12])
     parser.add_argument("--seconds", type=float, default=8.0)
-    parser.add_argument("--save", type=Path, metavar="FILE", help="keep the result as JSON there")
-    parser.add_argument("--page", type=Path, metavar="FILE", help="put what is saved between its markers there")
+    add_csv(parser)
     arguments = parser.parse_args()
-    if arguments.page is not None and arguments.save is not None and arguments.save.exists():
-        result = json.loads(arguments.save.read_text())
-    else:
-        result = measure(parser, arguments)
-        if arguments.save is not None:
-            with atomic_write(arguments.save) as part:
-                part.write_text(json.dumps(result, indent=1) + "\n")
-    between(arguments.page, "batched", table(result))
+    report(table(measure(parser, arguments)), arguments.csv)
 
 
-def measure(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return the seconds of all models, recipes and numbers of textures."""
+def measure(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> list[dict[str, Any]]:
+    """Return the seconds of all models, recipes and numbers of textures, of an epoch of each."""
     unknown = set(arguments.models) - set(BATCHED) | {"foten-plus"} & set(arguments.models)
     if unknown:
         parser.error(f"{sorted(unknown)[0]} cannot be measured, expected some of {', '.join(BATCHED)}")
@@ -105,21 +95,19 @@ def measure(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> d
                 alone, batched = both_ways(model, recipe, every[:n])
                 rows.append({"model": model, "recipe": recipe, "n": n, "alone_s": alone / n, "batched_s": batched / n})
                 print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
-    return {"device": pick_device().type, "rows": rows}
+    print(f"on the {pick_device().type}", file=sys.stderr)
+    return rows
 
 
-def table(result: dict[str, Any]) -> str:
+def table(rows: list[dict[str, Any]]) -> list[list[str]]:
     """Return the table."""
-    head = ("model", "recipe", "batch", "textures", "one after another [s a texture]", "as one", "ratio")
-    lines = [f"| {' | '.join(head)} |", "|" + "---|" * len(head)]
-    for row in result["rows"]:
-        batched_s = row["batched_s"] if "batched_s" in row else row["together_s"]  # its name in earlier results
-        ratio = batched_s / row["alone_s"]
-        lines.append(
-            f"| {row['model']} | {row['recipe']} | {RECIPES[row['recipe']].batch} | {row['n']} | {row['alone_s']:.2f} | "
-            f"{batched_s:.2f} | {ratio:.2f} |"
+    cells = [["model", "recipe", "batch", "textures", "one after another [s a texture]", "as one", "ratio"]]
+    for row in rows:
+        of = [row["model"], row["recipe"], str(RECIPES[row["recipe"]].batch), str(row["n"])]
+        cells.append(
+            [*of, f"{row['alone_s']:.2f}", f"{row['batched_s']:.2f}", f"{row['batched_s'] / row['alone_s']:.2f}"]
         )
-    return "\n".join([*lines, f"\nAn epoch, on the {result['device']}."])
+    return cells
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """How many hands one core holds at once, in each instruction set, and how many deadlines are missed beside an empty loop's.
 
-    python benchmarks/contacts.py [--texture T.foten] [--seconds 60] [--json FILE] [--page docs/live.md]
+    python benchmarks/contacts.py [--texture T.foten] [--seconds 60] [--csv FILE]
 
 A contact is one state that renders each sample in time: 1 ms over the median time of a step, at 1 kHz. Then as many independent
 states as fill 60 % of a millisecond are held for a minute, a second of them and a second of a loop that is as long and does
@@ -20,7 +20,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from main_table import between
+from report import add_csv, report
 from step import INSTRUCTION_SETS, ROOT, texture_of
 
 SHARE = 0.6  # of a millisecond
@@ -58,8 +58,7 @@ def main() -> None:
         "--texture", type=Path, metavar="T.foten", help="an untrained one of the paper's network by default"
     )
     parser.add_argument("--seconds", type=int, default=60)
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--page", type=Path, metavar="FILE", help="put the table between its markers there")
+    add_csv(parser)
     arguments = parser.parse_args()
     texture, data = texture_of(arguments.texture)
     if texture.rate_hz != 1000.0:
@@ -77,22 +76,13 @@ def main() -> None:
         texture.card["rate_hz"] = texture.card["preprocess"]["rate_hz"] = 10_000.0
         file.write_bytes(texture.to_bytes())
         alone = measured(program, file, next(iter(by_isa)), 0.0, arguments.seconds, 100.0)
-    lines = [
-        "| instruction set | p50 [µs] | contacts | states held | missed | an empty loop misses |",
-        "|---|---|---|---|---|---|",
-    ]
+    cells = [["instruction set", "p50 [µs]", "contacts", "states held", "missed", "an empty loop misses"]]
     for isa, line in [*by_isa.items(), (f"{alone['isa']}, 10 kHz", alone)]:
         missed, empty = line["n_missed"] / line["n_ticks"], line["n_empty_missed"] / line["n_empty_ticks"]
         held = f"{line['n_states']} for {line['n_ticks'] * line['tick_us'] / 1e6:.0f} s"
-        lines.append(
-            f"| {isa} | {line['p50_us']:.1f} | {line['contacts']:.1f} | {held} | {100 * missed:.3f} % | {100 * empty:.3f} % |"
-        )
-    between(arguments.page, "contacts", "\n".join(lines))
-    if arguments.json is not None:
-        from foten.atomic_write import atomic_write
-
-        with atomic_write(arguments.json) as part:
-            part.write_text(json.dumps({"1 kHz": by_isa, "10 kHz": alone}, indent=1) + "\n")
+        shares = [f"{100 * share:.3f} %" for share in (missed, empty)]
+        cells.append([isa, f"{line['p50_us']:.1f}", f"{line['contacts']:.1f}", held, *shares])
+    report(cells, arguments.csv)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Table III: what a step and an epoch cost, framework and runtimes side by side, beside the paper's figures.
 
-    python benchmarks/efficiency.py [--models dstn,ldhtd,…] [--steps 1000] [--seconds 56] [--save FILE] [--page FILE]
+    python benchmarks/efficiency.py [--models dstn,ldhtd,…] [--steps 1000] [--seconds 56] [--csv FILE]
 
 A step is a sample, one window at a time on one thread (of ldhtd-hop a twentieth of what a window costs): eager PyTorch, as the
 paper measured its own in Keras, ONNX Runtime, and the kernel where it runs the model. An epoch is one of the paper's recipe
@@ -19,7 +19,6 @@ import platform
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -28,7 +27,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import torch
 
-from foten.atomic_write import atomic_write
 from foten.datasets.simulate import simulate
 from foten.experiments.results import PAPER
 from foten.families import FAMILIES, FotenPlusSizes
@@ -49,7 +47,7 @@ from foten.train.end_to_end import log_spectra, multi_step
 from foten.train.export import graph_of, proved, tensors_of
 from foten.train.fit import TrainingWindows, fit, reproducible
 from foten.train.job import TrainingJob
-from main_table import between
+from report import add_csv, report
 
 MODELS = (
     "dstn",
@@ -171,38 +169,24 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def table(result: dict[str, Any]) -> str:
-    """Return the table."""
-    models = result["models"]
+def table(models: dict[str, Any]) -> list[list[str]]:
+    """Return the table: the cost of a step, and of an epoch beside the paper's ratio to its own network."""
     own = models.get("foten", {}).get("epoch_s", {}).get("paper")
-    head = (
-        "| model | window | PyTorch [µs] | ONNX Runtime [µs] | kernel [µs] | GPU [µs] | paper's CPU [µs] | GPU [µs] | "
-        "epoch, batches of 16 [s] | of 128 [s] | foten's epoch ÷ its | the paper's |"
-    )
-    lines = [head, "|" + "---|" * 12]
+    head = ["model", "PyTorch [µs]", "ONNX Runtime [µs]", "kernel [µs]", "paper's CPU [µs]", "epoch [s]"]
+    head += ["foten's epoch ÷ its", "the paper's"]
+    on_gpu = any("gpu" in of["step_us"] for of in models.values())
+    cells = [[*head, *(["GPU [µs]"] if on_gpu else [])]]
     for key, of in models.items():
         step, epoch = of["step_us"], of["epoch_s"]
         reported = PAPER.get(key)
-        cpu, gpu = (None, None) if reported is None else (reported.cpu_ms, reported.gpu_ms)
-        ratio = "–" if own is None else f"{own / epoch['paper']:.2f}"
+        cpu, known = (None, None) if reported is None else (reported.cpu_ms, reported.epoch_s)
         theirs = PAPER["foten"].epoch_s
-        known = None if reported is None else reported.epoch_s
-        paper_ratio = "–" if known is None or theirs is None else f"{theirs / known:.2f}"
-        cells = [
-            key,
-            str(of["window"]),
-            *(f"{step[name]:.0f}" if name in step else "–" for name in ("pytorch", "onnxruntime", "kernel", "gpu")),
-            *(f"{1000 * value:.0f}" if value is not None else "–" for value in (cpu, gpu)),
-            f"{epoch['paper']:.1f}",
-            f"{epoch['default']:.1f}",
-            ratio,
-            paper_ratio,
-        ]
-        lines.append(f"| {' | '.join(cells)} |")
-    about = f"{result['machine']}; {result['n_train_windows']:,} training windows an epoch."
-    unmeasured = "" if any("gpu" in of["step_us"] for of in models.values()) else " There was no GPU."
-    lines.append(f"\n{about}{unmeasured} The paper's figures are of Keras on its own machine.")
-    return "\n".join(lines)
+        row = [key, *(f"{step[name]:.0f}" if name in step else "–" for name in ("pytorch", "onnxruntime", "kernel"))]
+        row += ["–" if cpu is None else f"{1000 * cpu:.0f}", f"{epoch['paper']:.1f}"]
+        row.append("–" if own is None else f"{own / epoch['paper']:.2f}")
+        row.append("–" if known is None or theirs is None else f"{theirs / known:.2f}")
+        cells.append(row + ([f"{step['gpu']:.0f}" if "gpu" in step else "–"] if on_gpu else []))
+    return cells
 
 
 def main() -> None:
@@ -210,20 +194,14 @@ def main() -> None:
     parser.add_argument("--models", type=lambda text: tuple(text.split(",")), default=MODELS)
     parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--seconds", type=float, default=56.0)
-    parser.add_argument("--save", type=Path, metavar="FILE", help="keep the result as JSON there")
-    parser.add_argument("--page", type=Path, metavar="FILE", help="put what is saved between its markers there")
+    add_csv(parser)
     arguments = parser.parse_args()
     unknown = set(arguments.models) - set(MODELS)
     if unknown:
         parser.error(f"unknown model {sorted(unknown)[0]}")
-    if arguments.page is not None and arguments.save is not None and arguments.save.exists():
-        result = json.loads(arguments.save.read_text())
-    else:
-        result = measure(arguments)
-        if arguments.save is not None:
-            with atomic_write(arguments.save) as part:
-                part.write_text(json.dumps(result, indent=1) + "\n")
-    between(arguments.page, "efficiency", table(result))
+    result = measure(arguments)
+    report(table(result["models"]), arguments.csv)
+    print(f"{result['machine']}; {result['n_train_windows']:,} training windows an epoch", file=sys.stderr)
 
 
 if __name__ == "__main__":

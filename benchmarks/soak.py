@@ -1,6 +1,6 @@
 """A long stroke through everything, with a tablet that misbehaves: is every sample finite, every fault counted, no memory lost?
 
-    python benchmarks/soak.py [--texture T.foten] [--hours 1] [--ratio 12] [--json FILE] [--page docs/live.md]
+    python benchmarks/soak.py [--texture T.foten] [--hours 1] [--ratio 12] [--csv FILE]
 
 A pen draws for a simulated hour, ten times as fast as real time or faster, through stylus, kernel, change of rate, ring and a
 sink that plays nowhere. Of its events some are lost, doubled, NaN, late by half a second, or of a pressure that cannot be; now
@@ -12,7 +12,6 @@ grows.
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import os
 import sys
@@ -31,7 +30,7 @@ from foten.runtime.live.live import Live
 from foten.runtime.live.paced import NullSink
 from foten.runtime.renderer import Renderer
 from foten.runtime.stylus import Stylus
-from main_table import between
+from report import add_csv, report
 
 EVENTS_HZ = 133.0
 WAITING = 256  # events that the kernel keeps, foten.h
@@ -197,8 +196,7 @@ def main() -> None:
     parser.add_argument("--texture", type=Path, metavar="T.foten", help="by default an untrained foten-plus")
     parser.add_argument("--hours", type=float, default=1.0)
     parser.add_argument("--ratio", type=float, default=12.0, help="of simulated to real time; it has to keep 10")
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--page", type=Path, metavar="FILE", help="put what is said between its markers there")
+    add_csv(parser)
     arguments = parser.parse_args()
     if arguments.texture is None:
         sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -208,21 +206,13 @@ def main() -> None:
     else:
         texture = read_texture(arguments.texture)
     result = soaked(texture, arguments.hours, arguments.ratio)
-    lines = [
+    print(
         f"{result['simulated_s'] / 3600:.2f} h at {result['ratio']:.1f} times real time: {result['n_not_finite']} of "
         f"{result['n_samples']:,} samples not finite, the largest {result['largest']:.3g} m/s² at {result['rms']:.3g} m/s² rms; "
-        f"memory grew by {result['memory_grew_bytes'] / 1024:.0f} kB. {result['step'][0].upper()}{result['step'][1:]}.",
-        "",
-        "| fault | done | counted |",
-        "|---|---|---|",
-    ]
-    lines += [f"| `{name}` | {count} | {result['counted'][name]} |" for name, count in result["expected"].items()]
-    between(arguments.page, "soak", "\n".join(lines))
-    if arguments.json is not None:
-        from foten.atomic_write import atomic_write
-
-        with atomic_write(arguments.json) as part:
-            part.write_text(json.dumps(result, indent=1) + "\n")
+        f"memory grew by {result['memory_grew_bytes'] / 1024:.0f} kB. {result['step'][0].upper()}{result['step'][1:]}.\n"
+    )
+    counted = [[f"`{name}`", str(count), str(result["counted"][name])] for name, count in result["expected"].items()]
+    report([["fault", "done", "counted"], *counted], arguments.csv)
     fine = all(result["counted"][name] == count for name, count in result["expected"].items())
     fine &= result["simulated_s"] >= 3600 * arguments.hours and result["ratio"] >= min(10.0, 0.9 * arguments.ratio)
     if result["n_not_finite"] or not fine or result["memory_grew_bytes"] > MAY_GROW:

@@ -1,6 +1,6 @@
 """A step of the paper's network in every engine, side by side on one core: how long, and how near to what the core can do.
 
-    python benchmarks/step.py [--texture T.foten] [--n 4000] [--json FILE] [--page docs/live.md]
+    python benchmarks/step.py [--texture T.foten] [--n 4000] [--csv FILE]
 
 Each engine predicts the next sample from one window, called from Python one by one as an application would, the wasm from Node.
 They take turns, a few hundred calls each, so that a machine that is slower for a while is so for all. Engines that are not
@@ -28,6 +28,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("MKL_NUM_THREADS", "1")
 
 import numpy as np
+
+from report import add_csv, report
 
 ROOT = Path(__file__).parents[1]
 INSTRUCTION_SETS = ("avx512", "avx2", "neon", "portable")
@@ -285,19 +287,18 @@ def measured(path: Path | None, n: int) -> dict[str, Any]:
     return document
 
 
-def as_table(document: dict[str, Any]) -> str:
-    """Return the document as Markdown."""
+def table(document: dict[str, Any]) -> list[list[str]]:
+    """Return the engines, the fastest first."""
     best = document["best_native"]
-    lines = [f"| engine | p50 [µs] | p99 | p99.9 | ÷ {best} |", "|---|---|---|---|---|"]
+    cells = [["engine", "p50 [µs]", "p99", "p99.9", f"÷ {best}"]]
     for name, p50 in sorted(document["p50_us"].items(), key=lambda item: item[1]):
         if name == "floor":
-            lines.append(
-                f"| floor, {document['multiply_adds']:,} multiply-adds | {p50:.1f} | | | {1 / document['ratios']['floor']:.2f} |"
-            )
+            of = f"floor, {document['multiply_adds']:,} multiply-adds"
+            cells.append([of, f"{p50:.1f}", "", "", f"{1 / document['ratios']['floor']:.2f}"])
             continue
-        tails = " | ".join(f"{document[key][name]:.1f}" for key in ("p99_us", "p999_us"))
-        lines.append(f"| {name} | {p50:.1f} | {tails} | {p50 / document['p50_us'][best]:.2f} |")
-    return "\n".join(lines)
+        tails = [f"{document[key][name]:.1f}" for key in ("p99_us", "p999_us")]
+        cells.append([name, f"{p50:.1f}", *tails, f"{p50 / document['p50_us'][best]:.2f}"])
+    return cells
 
 
 def main() -> None:
@@ -306,18 +307,9 @@ def main() -> None:
         "--texture", type=Path, metavar="T.foten", help="of the paper's network; an untrained one by default"
     )
     parser.add_argument("--n", type=int, default=4000, help="calls of each engine")
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    parser.add_argument("--page", type=Path, metavar="FILE", help="put the table between its markers there")
+    add_csv(parser)
     arguments = parser.parse_args()
-    document = measured(arguments.texture, arguments.n)
-    if arguments.json is not None:
-        from foten.atomic_write import atomic_write
-
-        with atomic_write(arguments.json) as part:
-            part.write_text(json.dumps(document, indent=1) + "\n")
-    from main_table import between
-
-    between(arguments.page, "step", as_table(document))
+    report(table(measured(arguments.texture, arguments.n)), arguments.csv)
 
 
 if __name__ == "__main__":

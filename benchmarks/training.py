@@ -1,7 +1,7 @@
 """Seconds to the same validation error of the same network: the paper's recipe against ours, in one run.
 
     python benchmarks/training.py [--texture towel] [--seconds 60] [--model foten] [--paper-epochs 40]
-        [--save benchmarks/results/training.json]
+        [--csv FILE]
 
 All train one network on one simulated recording with the same split and initial weights, each with the number of
 threads that suits it; ours also with the paper's dropout, since leaving that out is part of why ours is faster. The
@@ -14,20 +14,17 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import os
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "2")
 
 import torch
 
-from foten.atomic_write import atomic_write
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
 from foten.families import FAMILIES
@@ -39,6 +36,7 @@ from foten.train.blocks import scaled_blocks
 from foten.train.config import RECIPES, TrainConfig
 from foten.train.epochs import Epoch
 from foten.train.fit import TrainingWindows, fit, pick_device, reproducible
+from report import add_csv, report
 
 
 def history(name: str, model: str, windows: TrainingWindows, config: TrainConfig) -> list[Epoch]:
@@ -74,7 +72,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--model", default="foten", choices=["foten"])
     parser.add_argument("--paper-epochs", type=int, default=40)
-    parser.add_argument("--save", type=Path, metavar="FILE", help="keep the result as JSON there")
+    add_csv(parser)
     arguments = parser.parse_args()
     recording = simulate(arguments.texture, arguments.seconds + 4.0)
     trace = preprocess(recording)
@@ -89,48 +87,22 @@ def main() -> None:
     command = command_seconds(recording)
     print(f"foten train, {arguments.seconds:g} s of {arguments.texture}: {command:.0f} s", file=sys.stderr)
     logs = {name: history(name, arguments.model, windows, config) for name, config in arms.items()}
+    report(table(arms, logs), arguments.csv)
+    print(f"{len(windows.train)} windows, {pick_device().type}; foten train: {command:.0f} s", file=sys.stderr)
+
+
+def table(arms: dict[str, TrainConfig], logs: dict[str, list[Epoch]]) -> list[list[str]]:
+    """Return the seconds of each recipe, and those to the lowest loss of the paper's."""
     lowest = min(line.validation_loss for line in logs["paper"])
-    result = {
-        "texture": arguments.texture,
-        "seconds": arguments.seconds,
-        "model": arguments.model,
-        "device": pick_device().type,
-        "n_train_windows": len(windows.train),
-        "foten_train_command_seconds": command,
-        "arms": {name: asdict_of(arms[name], epochs, lowest) for name, epochs in logs.items()},
-    }
-    if arguments.save is not None:
-        with atomic_write(arguments.save) as part:
-            part.write_text(json.dumps(result, indent=1) + "\n")
-    print(
-        f"{arguments.model} on {arguments.texture}, {len(windows.train)} windows, lowest of the paper's recipe {lowest:.6f}"
-    )
-    for name, arm in result["arms"].items():
-        print(
-            f"{name:22s} {arm['config']['threads']} threads, {arm['seconds_per_epoch']:.1f} s an epoch, "
-            f"{arm['total_seconds']:.0f} s in all, lowest {arm['lowest_validation_loss']:.6f}; "
-            + "; ".join(
-                f"to {above} × paper's lowest {'never' if seconds is None else f'{seconds:.0f} s'}"
-                + (
-                    ""
-                    if seconds is None or name == "paper"
-                    else f" (ratio {result['arms']['paper']['seconds_to'][above] / seconds:.1f})"
-                )
-                for above, seconds in arm["seconds_to"].items()
-            )
-        )
-
-
-def asdict_of(config: TrainConfig, epochs: list[Epoch], lowest: float) -> dict[str, Any]:
-    """Return one arm as JSON values."""
-    return {
-        "config": dataclasses.asdict(config),
-        "seconds_per_epoch": sum(line.seconds for line in epochs[1:]) / max(1, len(epochs) - 1),
-        "total_seconds": sum(line.seconds for line in epochs),
-        "lowest_validation_loss": min(line.validation_loss for line in epochs),
-        "seconds_to": {f"{above:g}": seconds_to(epochs, above * lowest) for above in (1.0, 1.01, 1.03)},
-        "validation_losses": [line.validation_loss for line in epochs],
-    }
+    cells = [["recipe", "threads", "s an epoch", "s in all", "lowest loss", "s to the paper's lowest", "paper's ÷ its"]]
+    paper = seconds_to(logs["paper"], lowest)
+    for name, epochs in logs.items():
+        seconds, total = seconds_to(epochs, lowest), sum(line.seconds for line in epochs)
+        row = [name, str(arms[name].threads), f"{total / max(1, len(epochs) - 1):.1f}", f"{total:.0f}"]
+        row.append(f"{min(line.validation_loss for line in epochs):.5f}")
+        row += ["never", "–"] if seconds is None or paper is None else [f"{seconds:.0f}", f"{paper / seconds:.1f}"]
+        cells.append(row)
+    return cells
 
 
 def command_seconds(recording: Recording) -> float:
