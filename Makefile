@@ -8,7 +8,7 @@ THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 # A file's tests stay together, for what they share.
 PYTEST := $(THREADS) $(BIN)/python -m pytest -q --numprocesses auto --maxprocesses 4 --dist loadfile
 
-.PHONY: demo test check slow paper-small wasm wasm-check web clean
+.PHONY: demo test check slow docs paper-small wasm wasm-check web clean
 
 # An editable install takes Python from here, and the kernel from when it was built.
 $(VENV)/.installed: pyproject.toml constraints.txt CMakeLists.txt $(wildcard native/src/* native/include/*)
@@ -25,6 +25,15 @@ test: $(VENV)/.installed
 # Status 5 of pytest: nothing was selected.
 slow: $(VENV)/.installed
 	$(PYTEST) -m 'slow and not gpu' || { test $$? -eq 5 && echo 'no test is marked slow'; }
+
+$(VENV)/.docs: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt mkdocs-material 'mkdocstrings[python]' # of the extra docs, as above
+	touch $@
+
+# The documentation as a site, in build/site: every link is checked, and every table against its CSV.
+docs: $(VENV)/.docs
+	$(THREADS) $(BIN)/python docs/make/tables.py --check
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
 # Every table and figure of the paper, reduced as each says, in half an hour on two cores: build/paper. It goes on where it stopped.
 SMALL := table-1 table-2 figure-5 figure-5-delta

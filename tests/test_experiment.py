@@ -8,7 +8,10 @@ import pytest
 
 from conftest import TINY, experiment
 from foten.cli.command_line import _status
+from foten.datasets.hdf5 import write_recording
+from foten.datasets.simulate import simulate
 from foten.experiments.experiment import experiment_path, read_experiment
+from foten.experiments.results import by_recipe, read_records
 
 
 def test_ar_is_run_once_whatever_the_grid(tmp_path: Path) -> None:
@@ -51,9 +54,66 @@ def test_a_setting_that_a_method_does_not_use_is_no_grid(tmp_path: Path) -> None
             read_experiment(experiment(tmp_path, ar + more))
 
 
+def test_recipes_are_runs_of_their_own_and_may_name_a_recipe(tmp_path: Path) -> None:
+    recipes = '"FNN [13]", recipes = {published = {recipe = "paper", epochs = 3}, ours = {learning_rate = 2e-3}}}'
+    runs = read_experiment(experiment(tmp_path, TINY.replace('"FNN [13]"}', recipes))).runs()
+    fnn = {run.recipe: run.train for run in runs if run.method == "FNN [13]"}
+    assert set(fnn) == {"published", "ours"}
+    assert (fnn["published"]["batch"], fnn["published"]["epochs"]) == (16, 3)
+    assert (fnn["ours"]["batch"], fnn["ours"]["epochs"], fnn["ours"]["learning_rate"]) == (128, 1, 2e-3)
+    assert all(run.label == "FNN [13]" for run in runs if run.recipe)
+    assert len(runs) == 6
+
+
+def test_a_method_may_have_fewer_splits_and_measures_of_the_first(tmp_path: Path) -> None:
+    text = TINY.replace("[train]", "split_seeds = [2, 3]\n[train]").replace(
+        '"FNN [13]"}', '"FNN [13]", split_seeds = [3]}, {model = "foten-plus", measures = ["stability"]}'
+    )
+    runs = read_experiment(experiment(tmp_path, text)).runs()
+    assert {run.split_seed for run in runs if run.method == "FNN [13]"} == {3}
+    measured = {(run.split_seed, run.measures) for run in runs if run.model == "foten-plus"}
+    assert measured == {(2, ("stability",)), (3, ())}
+
+
+def test_recordings_are_where_it_is_said(tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    write_recording(simulate("linear-cloth", 8), tmp_path / "elsewhere" / "a.h5")
+    path = experiment(tmp_path, TINY.replace('"linear-twin"', '"a.h5"'))
+    with pytest.raises(ValueError, match=r"there is no recording a\.h5 in .*: give its folder by --recordings"):
+        read_experiment(path)
+    assert str(tmp_path / "elsewhere" / "a.h5") in read_experiment(path, tmp_path / "elsewhere").textures
+
+
+def test_ours_of_table_1_are_the_best_of_the_recipes_on_validation() -> None:
+    """What Table I calls ours was chosen by the experiment `recipes`, whose runs are in the documents."""
+    path = Path(__file__).parents[1] / "docs" / "results" / "recipes.csv"
+    if not path.exists():
+        pytest.skip("the recipes have not been run")
+    best = {method: next(iter(errors)) for method, errors in by_recipe(read_records(path)).items()}
+    candidates = {(run.method, run.recipe): run.train for run in read_experiment(experiment_path("recipes")).runs()}
+    own = {"seed", "epochs", "patience", "recipe"}
+    for name in ("table-1-small", "table-1-real"):
+        for run in read_experiment(experiment_path(name)).runs():
+            if run.recipe == "ours":
+                chosen = candidates[run.method, best[run.method]]
+                assert {k: v for k, v in run.train.items() if k not in own} == {
+                    k: v for k, v in chosen.items() if k not in own
+                }
+
+
 @pytest.mark.parametrize(
     ("old", "new", "match"),
     [
+        ('"FNN [13]"}', '"FNN [13]", beside = "DSTN"}', "'FNN [13]' stands beside 'DSTN', which is no method"),
+        ('"FNN [13]"}', '"FNN [13]", recipes = {a = {epoch = 1}}}', "unknown key 'epoch' in recipe 'a' of a method"),
+        ('"FNN [13]"}', '"FNN [13]", recipes = {a = 5}}', "recipe 'a' of a method is 5, expected a table"),
+        ('"FNN [13]"}', '"FNN [13]", recipes = {a = {recipe = "x"}}}', "unknown recipe 'x'"),
+        (
+            '"FNN [13]"}',
+            '"FNN [13]", measures = ["onse"]}',
+            "unknown key 'onse' in 'measures' of a method, expected 'onset'",
+        ),
+        ('"FNN [13]"}', '"FNN [13]", split_seeds = [9]}', "its split_seeds are not all among the experiment's"),
         ("seconds = 8", "seconds = ", "this is not TOML"),
         ("seconds = 8", "second = 8", "unknown key 'second' in the file, expected 'seconds'?"),
         ("seconds = 8", "seconds = 0", "seconds is 0, expected 1 to 3600"),

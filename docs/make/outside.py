@@ -1,6 +1,6 @@
 """Above the trained range, towards rest and under jumps: clamp, fade or grow, whichever is nearest the simulated truth.
 
-    python benchmarks/outside.py [--textures a,b] [--save FILE]
+    python docs/make/outside.py [--textures a,b]
 
 Each simulated texture is recorded under a hand that uses half of the range (0 to 175 mm/s, 0.05 to 2 N), trained without a
 network, and rendered under another hand that uses all of it and, once more, under speeds and forces that jump every half
@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 import os
 from pathlib import Path
 from typing import Any
@@ -27,6 +26,8 @@ from foten.atomic_write import atomic_write
 from foten.datasets.simulate import ACCELEROMETER_NOISE, TEXTURES, vibration
 from foten.datasets.stroking import Stroking, stroking
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
+from foten.experiments.stability import rendered_strokes
+from foten.experiments.tables import written
 from foten.families import FotenPlusSizes
 from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -35,8 +36,8 @@ from foten.recording.trace import Trace
 from foten.train.config import RECIPES
 from foten.train.job import TrainingJob
 from foten.train.pipeline import train
-from streams import rendered as rendered_by
 
+CSV = Path(__file__).resolve().parents[1] / "results" / "outside.csv"
 RATE_HZ = 10_000.0
 N_STREAMS = 5
 POLICIES = ("clamp", "fade", "grow")
@@ -80,7 +81,7 @@ def rendered(texture: Texture, trace: Trace) -> dict[str, np.ndarray]:
 
     def streams(speed: np.ndarray, force: np.ndarray) -> np.ndarray:
         hands = (np.tile(channel, (N_STREAMS, 1)) for channel in (speed, force))
-        return rendered_by(texture, 0, *hands)[0]
+        return rendered_strokes(texture, 0, *hands)[0]
 
     clamped = streams(speed, force)
     exceeded = np.maximum(trace.speed, speed + 1e-9) / (speed + 1e-9)
@@ -144,25 +145,17 @@ def judge(key: str) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--textures", type=lambda text: text.split(","), default=list(TEXTURES))
-    parser.add_argument("--save", type=Path, metavar="FILE", help="keep the figures as JSON there")
     arguments = parser.parse_args()
-    results: dict[str, Any] = {}
+    cells = [["texture", "policy", "where", "frames", "level_bias_db", "level_error_db", "lsd_db"]]
     for key in arguments.textures:
-        results[key] = judge(key)
-        if arguments.save is not None:
-            with atomic_write(arguments.save) as part:
-                part.write_text(json.dumps(results, indent=1) + "\n")
-        print(f"{key}: done", flush=True)
-    regions = list(results[arguments.textures[0]]["grow"])
-    print(f"\nmean of {len(results)} textures: level bias / level error / distance of pooled spectra [dB]\n")
-    print("| where | " + " | ".join(POLICIES) + " |\n|" + "---|" * (1 + len(POLICIES)))
-    for region in regions:
-        cells = []
+        figures = judge(key)
         for policy in POLICIES:
-            rows = [f[policy][region] for f in results.values() if region in f[policy]]
-            means = [np.mean([row[k] for row in rows]) for k in ("level_bias_db", "level_error_db", "lsd_db")]
-            cells.append(" / ".join(f"{mean:.1f}" for mean in means))
-        print(f"| {region} | " + " | ".join(cells) + " |")
+            for where, row in figures[policy].items():
+                values = [f"{row[name]:.4f}" for name in cells[0][4:]]
+                cells.append([key, policy, where, str(row["frames"]), *values])
+        print(f"{key}: done", flush=True)
+    with atomic_write(CSV) as part:
+        part.write_text(written(cells, "csv"), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,16 +1,18 @@
-"""Make the pictures of fidelity.md and compared.md, each from measured figures or from a simulation made on the spot.
+"""Make the pictures and sounds of README.md and docs/, each from measured figures or from a simulation made on the spot.
 
-    python docs/pictures.py [--textures DIR] [--recordings DIR] [--only NAME,...]
+    python docs/make/pictures.py [--only NAME,...] [--recordings DIR] [--sweep DIR]
 
-DIR of `--textures` holds what `benchmarks/main_table.py run --keep DIR` wrote; the figures are read from `benchmarks/results`.
+Figures are read from docs/results. Textures that a picture shows are trained once, into build/pictures. DIR of `--recordings`
+holds the real recordings, for the picture `rates`; DIR of `--sweep` is what `foten sweep table-1-small` wrote, for `compared`.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import csv
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -23,48 +25,181 @@ matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
 import numpy as np
-from scipy.signal import welch
+from matplotlib.patches import FancyBboxPatch
+from scipy.signal import spectrogram, welch
 
+from foten.datasets.hdf5 import load_recording
 from foten.datasets.simulate import TEXTURES, second_realisation, simulate
 from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length
 from foten.dsp.distance import welch as spectra
 from foten.dsp.level import frame_levels
 from foten.dsp.perception import RATES_HZ, carried
+from foten.dsp.resample import interpolate
 from foten.evaluate.free_run import scored, synthesize, synthesize_linear
 from foten.evaluate.one_step import ORDERS, first_scored, fit_linear, predict
 from foten.experiments.figures import waveforms
-from foten.experiments.results import read_results
+from foten.experiments.results import chosen_results, read_records, read_results
 from foten.experiments.truth import linear_bounds
-from foten.families.texture_file import read_texture
+from foten.families import FAMILIES
+from foten.families.texture_file import Texture, read_texture, write_texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.scaling import fit_scaling
-from foten.recording.split import split_blocks
+from foten.recording.split import Split, split_blocks
 from foten.recording.windows import targets
+from foten.runtime.live.sinks import pcm_wav
 from foten.runtime.native import NativeTexture
+from foten.train.config import RECIPES
+from foten.train.job import TrainingJob
+from foten.train.pipeline import train
 
-HERE = Path(__file__).parent
-RESULTS = HERE.parent / "benchmarks" / "results"
+DOCS = Path(__file__).resolve().parents[1]
+RESULTS, BUILD = DOCS / "results", DOCS.parent / "build" / "pictures"
 REAL = ("copper", "fabric", "leather", "wood")
 SHOWN = "towel"  # the easiest of the simulated textures to predict, and the paper's network falls silent on it
 SEED = 1
 INK, OURS, PAPER, LINEAR, CEILING = "#333333", "#2b83cf", "#e08a1e", "#1a9c72", "#b77ab0"
+SOUND_HZ = 8000
 
 
 def save(figure: Any, name: str, tight: bool = True) -> None:
     if tight:
         figure.tight_layout()
-    figure.savefig(HERE / "pictures" / f"{name}.png", dpi=110, facecolor="white")
+    (DOCS / "pictures").mkdir(exist_ok=True)
+    figure.savefig(DOCS / "pictures" / f"{name}.png", dpi=110, facecolor="white")
     plt.close(figure)
     print(name)
+
+
+def texture_of(key: str, model: str) -> Texture:
+    """Return a texture of 64 s of simulation, trained by our recipe once and kept."""
+    path = BUILD / f"{key}-{model}-{SEED}.foten"
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        job = TrainingJob(simulate(key, 64.0, seed=SEED), model, FAMILIES[model](), RECIPES["default"], split_seed=SEED)
+        write_texture(train(job).texture, path)
+    return read_texture(path)
+
+
+def stroke(arguments: argparse.Namespace) -> None:
+    """One stroke of a test block, recorded and rendered: waveform, spectrogram, and both as sound."""
+    key = "jeans"
+    texture = texture_of(key, "foten-plus")
+    trace = preprocess(simulate(key, 64.0, seed=SEED), PreprocessConfig())
+    blocks = Split.from_fields(texture.card["split"]).test
+    rendered, _ = synthesize(NativeTexture(texture.to_bytes()), trace, blocks, excitation=True, n_seeds=1)
+    both = {"recorded": trace.blocks(trace.acceleration)[list(blocks)], "rendered": rendered[0]}
+    speed = trace.blocks(trace.speed)[list(blocks)]
+    shown = int(np.argmax(np.ptp(speed, axis=1)))  # the block in which the speed changes most
+    figure, panels = plt.subplots(3, 2, figsize=(9, 4.6), sharex=True, height_ratios=[0.6, 1, 1.3])
+    seconds = np.arange(trace.block) / trace.rate_hz
+    largest = 1.05 * max(float(np.abs(signal[shown]).max()) for signal in both.values())
+    for column, (name, signal) in enumerate(both.items()):
+        top, middle, bottom = panels[:, column]
+        top.plot(seconds, speed[shown], color=INK, lw=1.2)
+        top.set_title(name, loc="left", fontsize=11)
+        middle.plot(seconds, signal[shown], color=OURS if column else INK, lw=0.5)
+        middle.set_ylim(-largest, largest)
+        hertz, times, power = spectrogram(signal[shown], trace.rate_hz, nperseg=128, noverlap=112)
+        image = 10 * np.log10(power + 1e-9)
+        highest = 10 * np.log10(np.percentile(both["recorded"][shown] ** 2, 99) / 50)
+        bottom.pcolormesh(times, hertz, image, vmin=highest - 40, vmax=highest, cmap="magma", shading="gouraud")
+        bottom.set(xlabel="time [s]", xlim=(0, seconds[-1]), facecolor="#000004")
+        for axes in (top, middle):
+            axes.spines[["top", "right"]].set_visible(False)
+    for axes, label in zip(panels[:, 0], ("speed\n[mm/s]", "acceleration\n[m/s²]", "frequency\n[Hz]"), strict=True):
+        axes.set_ylabel(label)
+    save(figure, "stroke")
+    (DOCS / "audio").mkdir(exist_ok=True)
+    scale = 0.5 / largest
+    for name, signal in both.items():
+        sound = interpolate(scale * signal.ravel(), Fraction(SOUND_HZ, round(trace.rate_hz)))
+        (DOCS / "audio" / f"{name}.wav").write_bytes(pcm_wav(sound[: 8 * SOUND_HZ], SOUND_HZ))
+
+
+def boxes(name: str, placed: Mapping[str, tuple[float, float, float, str]], arrows: list[tuple[Any, ...]]) -> None:
+    """Draw a block diagram: text → x, y, width, colour; and arrows between points, with what they carry."""
+    figure, axes = plt.subplots(figsize=(9, 3.4))
+    for text, (x, y, width, colour) in placed.items():
+        style = "round,pad=0.02,rounding_size=0.12"
+        axes.add_patch(FancyBboxPatch((x - width / 2, y - 0.32), width, 0.64, style, fc=colour, ec=INK, lw=0.8))
+        axes.text(x, y, text, ha="center", va="center", fontsize=8.5, color=INK)
+    for begin, end, carried_by in arrows:
+        axes.annotate("", end, begin, arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 0.9})
+        middle = ((begin[0] + end[0]) / 2, (begin[1] + end[1]) / 2)
+        beneath = {"fc": "white", "ec": "none", "pad": 1.0} if carried_by else None
+        axes.text(*middle, carried_by, ha="center", va="center", fontsize=8, color=INK, bbox=beneath)
+    axes.set(xlim=(-0.1, 12.1), ylim=(0.2, 4.4))
+    axes.axis("off")
+    save(figure, name)
+
+
+SOFT, WARM, COOL, PLAIN = "#dcebf7", "#fbe8cf", "#d9efe5", "#f2f2f2"
+
+
+def foten_diagram(arguments: argparse.Namespace) -> None:
+    """The paper's network."""
+    placed = {
+        "window\na, v, f": (0.7, 2.1, 1.2, PLAIN),
+        "embedding,\npositions": (3.0, 3.3, 1.6, SOFT),
+        "3 encoder layers": (5.5, 3.3, 1.9, SOFT),
+        "DFT": (2.6, 1.5, 0.9, WARM),
+        "magnitude:\nencoder layer": (4.7, 1.95, 1.7, WARM),
+        "phase:\nencoder layer": (4.7, 0.75, 1.7, WARM),
+        "inverse\nDFT": (6.9, 1.35, 1.2, WARM),
+        "last tokens\nof both": (8.4, 2.5, 1.5, PLAIN),
+        "head\n256, 64, 1": (10.3, 2.5, 1.4, COOL),
+    }
+    arrows = [
+        ((1.35, 2.3), (2.15, 3.2), "a"),
+        ((3.85, 3.3), (4.5, 3.3), ""),
+        ((6.5, 3.3), (7.6, 2.7), ""),
+        ((1.35, 1.95), (2.1, 1.6), "a"),
+        ((3.1, 1.6), (3.8, 1.9), ""),
+        ((3.1, 1.4), (3.8, 0.9), ""),
+        ((5.6, 1.9), (6.25, 1.5), ""),
+        ((5.6, 0.8), (6.25, 1.2), ""),
+        ((7.5, 1.5), (8.1, 2.1), "a_spec"),
+        ((9.2, 2.5), (9.55, 2.5), ""),
+        ((10.3, 1.3), (10.3, 2.1), "v, f"),
+        ((11.05, 2.5), (11.75, 2.5), "â"),
+    ]
+    boxes("foten", placed, arrows)
+
+
+def foten_plus_diagram(arguments: argparse.Namespace) -> None:
+    """Our model in its own loop."""
+    placed = {
+        "speed, force": (0.9, 3.9, 1.5, PLAIN),
+        "level, tables\nover v and f": (3.4, 3.9, 1.9, SOFT),
+        "noise": (0.9, 2.4, 1.2, PLAIN),
+        "excitation\nσ, tails, volatility": (3.4, 2.4, 2.1, WARM),
+        "lattice": (6.6, 2.4, 1.4, SOFT),
+        "tones of the path": (6.6, 3.9, 1.9, SOFT),
+        "network (FoTEN),\nbounded": (6.6, 0.7, 2.0, COOL),
+        "+": (9.0, 2.4, 0.5, PLAIN),
+        "fade, saturator": (10.9, 2.4, 1.6, PLAIN),
+    }
+    arrows = [
+        ((1.7, 3.9), (2.4, 3.9), ""),
+        ((1.55, 2.4), (2.3, 2.4), "z"),
+        ((3.4, 3.5), (3.4, 2.8), ""),
+        ((4.4, 3.9), (5.6, 3.9), ""),
+        ((4.4, 3.65), (5.85, 2.75), ""),
+        ((4.5, 2.4), (5.85, 2.4), "e"),
+        ((7.35, 2.4), (8.7, 2.4), "x"),
+        ((7.6, 3.9), (8.9, 2.75), ""),
+        ((6.6, 2.0), (6.6, 1.1), "x, e"),
+        ((5.6, 0.75), (5.2, 2.35), ""),
+        ((9.3, 2.4), (10.05, 2.4), "a"),
+        ((11.75, 2.4), (12.05, 2.4), ""),
+    ]
+    boxes("foten-plus", placed, arrows)
 
 
 def one_step(arguments: argparse.Namespace) -> None:
     """The same network one step ahead and on its own output."""
     recording = simulate(SHOWN, 64.0, seed=SEED)
-    files = {
-        model: read_texture(arguments.textures / f"{SHOWN}-1000-{model}-{SEED}.foten")
-        for model in ("foten", "foten-plus")
-    }
+    files = {model: texture_of(SHOWN, model) for model in ("foten", "foten-plus")}
     paper = files["foten"]
     kernels = {model: NativeTexture(file.to_bytes()) for model, file in files.items()}
     trace = preprocess(recording, PreprocessConfig())
@@ -76,9 +211,9 @@ def one_step(arguments: argparse.Namespace) -> None:
     recorded = samples[n, 0]
     linear = fit_linear(samples, split.train, trace.block, 20)
     assert linear is not None
-    played = {
+    rendered = {
         "recorded": samples[block * trace.block : (block + 1) * trace.block, 0],
-        "foten on its own output": paper.scaling.scale_channel(
+        "foten, free run": paper.scaling.scale_channel(
             0, synthesize(kernels["foten"], trace, (block,), excitation=False)[0][0, 0]
         ),
         "AR(20) with white noise": paper.scaling.scale_channel(
@@ -101,23 +236,23 @@ def one_step(arguments: argparse.Namespace) -> None:
         ls="--",
         label=f"the paper's network, one step ahead: mean error {error:.2f} sd",
     )
-    axes.set(xlabel="ms", ylabel="acceleration [sd]", title=f"Simulated {SHOWN}: told every sample …")
+    axes.set(xlabel="ms", ylabel="acceleration [sd]", title=f"Simulated {SHOWN}: every sample is given …")
     axes.legend(loc="upper right", fontsize=8)
     left, right = figure.add_subplot(grid[1, 0]), figure.add_subplot(grid[1, 1])
     seconds = np.arange(trace.block) / trace.rate_hz
-    step = 6 * np.std(played["recorded"])
-    for i, ((name, signal), colour) in enumerate(zip(played.items(), (INK, PAPER, LINEAR, OURS), strict=True)):
+    step = 6 * np.std(rendered["recorded"])
+    for i, ((name, signal), colour) in enumerate(zip(rendered.items(), (INK, PAPER, LINEAR, OURS), strict=True)):
         left.plot(seconds, signal - i * step, color=colour, lw=0.6)
         left.text(0.0, (0.32 - i) * step, name, fontsize=8, color=colour)
         hertz, power = welch(signal[scored(trace.block)], trace.rate_hz, nperseg=128)
         right.plot(hertz, 10 * np.log10(power + 1e-16), color=colour, lw=1.6 if i == 0 else 1.1, ls="-" if i else ":")
-    left.set(xlabel="s", yticks=[], title="… and left to itself under the same hand")
+    left.set(xlabel="s", yticks=[], title="… free runs under the same speed and force")
     right.set(xlabel="Hz", ylabel="dB re sd²/Hz", xlim=(0, 0.5 * trace.rate_hz), ylim=(-70, 0), title="its spectrum")
     save(figure, "one-step")
 
 
 def silence(arguments: argparse.Namespace) -> None:
-    """Errors of another realisation of the very same surface, played louder and softer."""
+    """Errors of another realisation of the very same surface, rendered louder and softer."""
     recording = simulate(SHOWN, 64.0, seed=SEED)
     trace, other = (
         preprocess(one, PreprocessConfig()) for one in (recording, second_realisation(recording, SEED + 1_000_003))
@@ -144,7 +279,7 @@ def silence(arguments: argparse.Namespace) -> None:
     for curve, colour, on in ((waveform, PAPER, axes), (distance, OURS, twin), (level, OURS, twin)):
         i = int(np.argmin(curve))
         on.plot(gains[i], curve[i], "o", color=colour)
-    axes.set_xlabel(f"gain of another realisation of the simulated {SHOWN} (1: the real loudness)")
+    axes.set_xlabel(f"gain of a second realisation of the simulated {SHOWN} (1: its own level)")
     axes.set_ylabel("waveform error [sd]", color=PAPER)
     axes.set_ylim(0, None)
     twin.set_ylabel("dB", color=OURS)
@@ -184,14 +319,11 @@ def bound(arguments: argparse.Namespace) -> None:
             missed = np.abs(samples[n, 0] - linear.predict(samples, n)).mean()
             reached.append(missed * scaling.sd[0] / infinite)
         axes.plot(ORDERS, reached, "s", color=LINEAR, label="AR")
-        for model, colour, at in (("foten", PAPER, 20), ("foten-plus", OURS, None)):
-            path = RESULTS / "main_table" / f"{key}-1000-{model}-{SEED}.json"
-            if not path.exists():
-                continue
-            document = json.loads(path.read_text())
-            error = document["one_step"]["mae_m_s2"] / document["references"]["bound"]["mae_m_s2"]
-            order = at or read_texture(arguments.textures / f"{key}-1000-{model}-{SEED}.foten").window
-            axes.plot(order, error, "o", color=colour, label=model)
+        for model, colour in (("foten", PAPER), ("foten-plus", OURS)):
+            for one in read_records(RESULTS / "main-linear.csv"):
+                if (one["texture"], one["model"], one["split"]) == (key, model, SEED):
+                    error = one["one_step.mae_m_s2"] / one["references.bound.mae_m_s2"]
+                    axes.plot(20 if model == "foten" else 260, error, "o", color=colour, label=model)
         ticks = [order for order in ORDERS if order != 160]  # no room
         axes.set(xscale="log", xlabel="samples known", title=key, xticks=ticks, xticklabels=map(str, ticks))
         axes.minorticks_off()
@@ -201,20 +333,11 @@ def bound(arguments: argparse.Namespace) -> None:
     save(figure, "bound", tight=False)
 
 
-def _documents(model: str) -> dict[str, list[dict[str, Any]]]:
-    by_texture: dict[str, list[dict[str, Any]]] = {}
-    for path in sorted((RESULTS / "main_table").glob(f"*-{model}-[0-9].json")):
-        document = json.loads(path.read_text())
-        if document["run"]["model"] == model:
-            key = f"{document['run']['texture']}-{document['run']['rate_hz']:g}"
-            by_texture.setdefault(key, []).append(document)
-    return by_texture
-
-
 def ceiling(arguments: argparse.Namespace) -> None:
     """Log-spectral distances of every texture, beside that of a realisation of the same stroke."""
-    documents = _documents("foten-plus")
-    keys = [k for k in (*(f"{t}-1000" for t in TEXTURES), *(f"{t}-10000" for t in REAL)) if k in documents]
+    records = [one for name in ("main-simulated", "main-real-10khz") for one in read_records(RESULTS / f"{name}.csv")]
+    records = [one for one in records if one["model"] == "foten-plus"]
+    keys = [key for key in (*TEXTURES, *REAL) if any(one["texture"] == key for one in records)]
     rows = {
         "AR(20) with white noise": ("free_run_ar", LINEAR, "s"),
         "foten-plus": ("free_run", OURS, "o"),
@@ -223,26 +346,35 @@ def ceiling(arguments: argparse.Namespace) -> None:
     figure, panels = plt.subplots(1, 2, figsize=(9, 5), sharey=True)
     for axes, key, title in ((panels[0], "lsd_db", "block by block"), (panels[1], "lsd_long_db", "all blocks pooled")):
         for name, (run, colour, mark) in rows.items():
-            values = [np.mean([d[run][key] for d in documents[k]]) for k in keys]
+            values = [np.mean([one[f"{run}.{key}"] for one in records if one["texture"] == k]) for k in keys]
             size = 14 if mark == "|" else 6
             axes.plot(values, range(len(keys)), mark, color=colour, label=name, markersize=size, markeredgewidth=2)
         axes.set(xlabel="log-spectral distance [dB]", title=title, xlim=(0, None))
         axes.grid(axis="x", alpha=0.3)
-    panels[0].set_yticks(range(len(keys)), [k.rpartition("-")[0] for k in keys])
+    panels[0].set_yticks(range(len(keys)), keys)
     panels[0].invert_yaxis()
     panels[1].legend(fontsize=8)
     save(figure, "ceiling")
 
 
+def rows_of(name: str) -> list[dict[str, str]]:
+    with (RESULTS / f"{name}.csv").open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
 def limits(arguments: argparse.Namespace) -> None:
     """How near the real four a signal can come at all."""
-    figures = json.loads((RESULTS / "limits.json").read_text())
-    anchor, *others = list(figures["copper"][0])
-    ratios = {name: [[split[name] / split[anchor] for split in figures[t]] for t in REAL] for name in (anchor, *others)}
-    documents = _documents("foten-plus")
-    if all(f"{t}-10000" in documents for t in REAL):
+    rows = rows_of("limits")
+    anchor, *others = list(rows[0])[2:]
+    ratios = {
+        name: [[float(row[name]) / float(row[anchor]) for row in rows if row["texture"] == t] for t in REAL]
+        for name in (anchor, *others)
+    }
+    main = RESULTS / "main-real-10khz.csv"
+    if main.exists():
+        ours = [one for one in read_records(main) if one["model"] == "foten-plus"]
         ratios["foten-plus"] = [
-            [d["free_run"]["lsd_db"] / d["free_run_ar"]["lsd_db"] for d in documents[f"{t}-10000"]] for t in REAL
+            [one["free_run.lsd_db"] / one["free_run_ar.lsd_db"] for one in ours if one["texture"] == t] for t in REAL
         ]
     means = {name: float(np.mean([np.mean(splits) for splits in rows])) for name, rows in ratios.items()}
     errors = {
@@ -252,10 +384,9 @@ def limits(arguments: argparse.Namespace) -> None:
     figure, axes = plt.subplots(figsize=(8, 3.6))
     order = sorted(means, key=lambda name: means[name])
     colours = {anchor: LINEAR, "foten-plus": OURS, "the known blocks themselves": CEILING}
-    values = [means[name] for name in order]
     axes.barh(
         order,
-        values,
+        [means[name] for name in order],
         color=[colours.get(name, "#bbbbbb") for name in order],
         xerr=[errors[name] for name in order],
         error_kw={"ecolor": INK, "elinewidth": 0.8, "capsize": 2},
@@ -273,35 +404,30 @@ def limits(arguments: argparse.Namespace) -> None:
 
 def outside(arguments: argparse.Namespace) -> None:
     """Level errors above the trained range, towards rest and after jumps."""
-    figures = json.loads((RESULTS / "outside.json").read_text())
-    regions = list(next(iter(figures.values()))["grow"])
+    rows = rows_of("outside")
+    regions = list(dict.fromkeys(row["where"] for row in rows))
     figure, axes = plt.subplots(figsize=(8, 3.2))
     for i, (policy, colour) in enumerate((("clamp", PAPER), ("fade", "#bbbbbb"), ("grow", OURS))):
-        rows = [
-            [f[policy][region]["level_error_db"] for f in figures.values() if region in f[policy]] for region in regions
+        errors = [
+            [float(row["level_error_db"]) for row in rows if (row["policy"], row["where"]) == (policy, region)]
+            for region in regions
         ]
         at = np.arange(len(regions)) + 0.27 * (i - 1)
-        axes.bar(
-            at,
-            [np.mean(row) for row in rows],
-            0.25,
-            color=colour,
-            label=policy,
-            yerr=[np.std(row, ddof=1) / len(row) ** 0.5 for row in rows],
-            capsize=2,
-        )
-    axes.set(ylabel="level error [dB]", title=f"Trained to half the range, mean of {len(figures)} textures")
+        spread = [np.std(row, ddof=1) / len(row) ** 0.5 for row in errors]
+        axes.bar(at, [np.mean(row) for row in errors], 0.25, color=colour, label=policy, yerr=spread, capsize=2)
+    n = len({row["texture"] for row in rows})
+    axes.set(ylabel="level error [dB]", title=f"Trained to half the range, mean of {n} textures")
     axes.set_xticks(range(len(regions)), regions, fontsize=8)
     axes.legend(fontsize=8)
     save(figure, "outside")
 
 
 def rates(arguments: argparse.Namespace) -> None:
-    """What each rate carries of what a hand feels of the real four."""
+    """What each rate carries of perceived power of the real four."""
     figure, axes = plt.subplots(figsize=(7, 3.0))
     for i, key in enumerate(REAL):
-        with np.load(arguments.recordings / f"{key}.npz", allow_pickle=False) as columns:
-            hertz, density = welch(np.asarray(columns["accel"], dtype=float), 10_000.0, nperseg=1024)
+        recording = load_recording(arguments.recordings / f"{key}.h5")
+        hertz, density = welch(recording["acceleration"].samples, 10_000.0, nperseg=1024)
         perceived = carried({"acceleration": (hertz, density)}, 10_000.0)
         plain = [density[hertz <= 0.45 * rate].sum() / density.sum() for rate in RATES_HZ]
         for j, rate in enumerate(RATES_HZ):
@@ -309,19 +435,22 @@ def rates(arguments: argparse.Namespace) -> None:
             axes.plot(i + 0.27 * (j - 1), 100 * plain[j], "_", color=INK, markersize=14, zorder=3)
             axes.text(i + 0.27 * (j - 1), 3, f"{rate / 1000:g}", ha="center", fontsize=7, color="white", zorder=4)
     axes.set_xticks(range(len(REAL)), REAL)
-    axes.set(ylabel="%", title="Carried at 1, 2.5 and 10 kHz: of what a hand feels (bars), of all power (lines)")
+    axes.set(ylabel="%", title="Carried at 1, 2.5 and 10 kHz: of perceived power (bars), of all power (lines)")
     axes.title.set_size(9)
     save(figure, "rates")
 
 
 def compared(arguments: argparse.Namespace) -> None:
     """Waveforms of each method of the reduced comparison on its own output, of three textures."""
-    results = read_results(RESULTS / "table-1-small")
+    results = chosen_results(read_results(arguments.sweep))
     shown = [one for one in results if one["run"]["texture"] in ("steel-mesh-1", "cardboard", "towel")]
     save(waveforms(shown), "compared", tight=False)
 
 
 PICTURES: dict[str, Callable[[argparse.Namespace], None]] = {
+    "stroke": stroke,
+    "foten": foten_diagram,
+    "foten-plus": foten_plus_diagram,
     "one-step": one_step,
     "silence": silence,
     "ceiling": ceiling,
@@ -335,11 +464,10 @@ PICTURES: dict[str, Callable[[argparse.Namespace], None]] = {
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--textures", type=Path, default=Path("textures"))
     parser.add_argument("--recordings", type=Path, default=Path("recordings"))
+    parser.add_argument("--sweep", type=Path, default=Path("results/table-1-small"))
     parser.add_argument("--only", type=lambda text: text.split(","), default=list(PICTURES))
     arguments = parser.parse_args()
-    (HERE / "pictures").mkdir(exist_ok=True)
     for name in arguments.only:
         PICTURES[name](arguments)
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from foten.recording.trace import Trace as Trace
     from foten.runtime.actuator import ActuatorProfile as ActuatorProfile
     from foten.runtime.live.live import Live as Live
+    from foten.runtime.renderer import EXAMPLE as EXAMPLE
     from foten.runtime.renderer import Renderer as Renderer
     from foten.runtime.stylus import PressureCalibration as PressureCalibration
     from foten.runtime.stylus import Stylus as Stylus
@@ -34,6 +35,7 @@ _PUBLIC = {
     "ActuatorProfile": "foten.runtime.actuator",
     "Live": "foten.runtime.live.live",
     "PressureCalibration": "foten.runtime.stylus",
+    "EXAMPLE": "foten.runtime.renderer",
     "Renderer": "foten.runtime.renderer",
     "Stylus": "foten.runtime.stylus",
     "fit_pressure": "foten.runtime.stylus",

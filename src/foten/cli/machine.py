@@ -24,8 +24,22 @@ def bench(
     print_result([asdict(one) for one in times], timing.as_table(times), as_json)
 
 
-def doctor(as_json: JsonOption = False) -> None:
+def doctor(
+    c_flags: Annotated[
+        bool,
+        Option(
+            "--c-flags",
+            help="Print what a C compiler needs for the installed library: cc stroke.c $(foten doctor --c-flags)",
+        ),
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
     """Look at what this machine has for rendering, and say what is missing."""
+    if c_flags:
+        from foten.runtime.binding import c_flags as flags_of
+
+        print_result({"c_flags": flags_of()}, flags_of(), as_json)
+        return
     from foten.runtime import doctor as examination
 
     checks, marks = examination.checks(), {True: "✓", False: "✗", None: " "}

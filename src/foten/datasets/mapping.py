@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -101,7 +102,7 @@ def _example(files: Files) -> str:
             place = next((one for one in left if any(word in one.lower() for word in words)), next(iter(left)))
             del left[place]
             pairs.append(f"{channel}={place}")
-    return ",".join(pairs)
+    return shlex.quote(",".join(pairs))
 
 
 def _runs_steadily(column: Column) -> bool:

@@ -103,15 +103,7 @@ def library() -> ctypes.CDLL:
     Raises:
         OSError: there is none, or it does not load.
     """
-    # An editable install has the library in another folder than the sources; a package's path knows both.
-    import foten.runtime
-
-    names = ("libfoten.so", "libfoten.dylib", "libfoten.dll")
-    candidates = [Path(folder, "kernel", name) for folder in foten.runtime.__path__ for name in names]
-    path = next((path for path in candidates if path.exists()), None)
-    if path is None:
-        missing = "foten's kernel is not installed beside the package"
-        raise OSError(f"{missing}: reinstall with 'pip install .', which builds it with a C compiler")
+    path = _installed("libfoten.so", "libfoten.dylib", "libfoten.dll")
     kernel = ctypes.CDLL(str(path))
     if not hasattr(kernel, "foten_abi") or kernel.foten_abi() != ABI:
         another = f"{path.name} is of another version than this package"
@@ -120,6 +112,29 @@ def library() -> ctypes.CDLL:
         function = getattr(kernel, name)
         function.restype, function.argtypes = result, arguments
     return kernel
+
+
+def _installed(*names: str) -> Path:
+    """Return the path of the first of some files that lies in a kernel folder of the package."""
+    # An editable install has the library in another folder than the sources; a package's path knows both.
+    import foten.runtime
+
+    for name in names:
+        for folder in foten.runtime.__path__:
+            if (path := Path(folder, "kernel", name)).exists():
+                return path
+    missing = f"foten's kernel is not installed beside the package, there is no {names[0]}"
+    raise OSError(f"{missing}: reinstall with 'pip install .', which builds it with a C compiler")
+
+
+def c_flags() -> str:
+    """Return what a C compiler needs to build a program with the installed library: where header and library are.
+
+    Raises:
+        OSError: they are not installed.
+    """
+    header, library = _installed("foten.h").parent, _installed("libfoten.so", "libfoten.dylib", "libfoten.dll").parent
+    return f"-I{header} -L{library} -Wl,-rpath,{library} -lfoten -lm"
 
 
 def isa() -> str:

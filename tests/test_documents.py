@@ -1,0 +1,140 @@
+"""What people read: every command of a tutorial runs, every link leads somewhere, every table is what the results give."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))
+FENCE = re.compile(r"(?:<!-- (?P<about>[^>]*) -->\n)?```(?P<language>\w*)\n(?P<code>.*?)```", re.S)
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block of a page, and what a comment above it says of running it."""
+
+    language: str
+    code: str
+    about: str  # "", "not run: why", "exit 2", "slow", "in the checkout: folders"
+
+
+def blocks(page: Path) -> Iterator[Block]:
+    for match in FENCE.finditer(page.read_text(encoding="utf-8")):
+        yield Block(match["language"], match["code"], match["about"] or "")
+
+
+def run(block: Block, folder: Path) -> None:
+    """Run a block in a folder as a reader would, `foten` and `python` being those of the tests."""
+    kind, _, what = block.about.partition(": ")
+    for name in what.split() if kind == "in the checkout" else []:
+        if not (folder / name).exists():
+            (folder / name).symlink_to(ROOT / name)
+    tools = folder / "bin"
+    if not tools.exists():
+        tools.mkdir()
+        for name, program in (("foten", "-c 'from foten.cli import main; main()'"), ("python", "")):
+            (tools / name).write_text(f'#!/bin/sh\nexec {sys.executable} {program} "$@"\n')
+            (tools / name).chmod(0o755)
+    command = ["bash", "-e", "-c", block.code] if block.language == "sh" else [sys.executable, "-c", block.code]
+    environment = {**os.environ, "PATH": f"{tools}:{os.environ['PATH']}", "RAY_DEDUP_LOGS": "0"}
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    expected = 2 if block.about == "exit 2" else 0
+    assert done.returncode == expected, f"{block.code}\n{done.stderr[-2000:]}"
+
+
+def runnable(page: Path, slow: bool) -> list[Block]:
+    some = [
+        block for block in blocks(page) if block.language in ("sh", "python") and not block.about.startswith("not run")
+    ]
+    return [block for block in some if (block.about == "slow") == slow]
+
+
+@pytest.mark.parametrize("page", TUTORIALS, ids=[page.stem for page in TUTORIALS])
+def test_every_command_of_a_tutorial_runs(page: Path, tmp_path: Path) -> None:
+    for block in runnable(page, slow=False):
+        run(block, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", TUTORIALS, ids=[page.stem for page in TUTORIALS])
+def test_every_long_command_of_a_tutorial_runs(page: Path, tmp_path: Path) -> None:
+    for block in runnable(page, slow=True):
+        run(block, tmp_path)
+
+
+def test_the_recordings_tutorial_ends_in_a_report(tmp_path: Path) -> None:
+    """What a reader was promised: the commands are there in this order, and none of them is left out of running."""
+    commands = [
+        line.split()[1]
+        for block in runnable(TUTORIALS[-1], slow=False)
+        for line in block.code.splitlines()
+        if line.startswith("foten ")
+    ]
+    assert TUTORIALS[-1].stem == "recordings"
+    assert commands == ["import", "import", "import", "inspect", "train", "evaluate", "render", "play"]
+
+
+def test_what_the_readme_shows_in_python_runs(tmp_path: Path) -> None:
+    (block,) = [block for block in blocks(ROOT / "README.md") if block.language == "python"]
+    run(block, tmp_path)
+
+
+def anchors(page: Path) -> set[str]:
+    headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.M)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[page.name for page in PAGES])
+def test_every_link_leads_somewhere(page: Path) -> None:
+    text = FENCE.sub("", page.read_text(encoding="utf-8"))
+    targets = re.findall(r"\]\(([^)\s]+)\)", text) + re.findall(r'src="([^"]+)"', text)
+    for target in targets:
+        if target.startswith("https://"):
+            continue
+        name, _, anchor = target.partition("#")
+        path = (page.parent / name).resolve() if name else page
+        assert path.exists(), target
+        assert path.is_relative_to(ROOT), target
+        if anchor:
+            assert anchor in anchors(path), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[page.name for page in PAGES])
+def test_a_table_is_one_that_people_read(page: Path) -> None:
+    """At most 8 columns, and 12 rows and a mean; the rest is CSV."""
+    text = FENCE.sub("", page.read_text(encoding="utf-8"))
+    for table in re.findall(r"(?:^\|.*\|$\n?)+", text, re.M):
+        head, _, *rows = table.strip().splitlines()
+        assert head.count("|") - 1 <= 8, head
+        assert len([row for row in rows if not row.startswith("| mean ")]) <= 12, head
+
+
+def test_the_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 120
+
+
+def test_tables_are_what_the_results_give() -> None:
+    command = [sys.executable, str(ROOT / "docs" / "make" / "tables.py"), "--check"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_repository_is_small() -> None:
+    """400 files, 5 MB, and 200 kB of each experiment."""
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=False)
+    if listed.returncode:
+        pytest.skip("not a checkout")
+    paths = [ROOT / name for name in listed.stdout.decode().split("\0") if name]
+    sizes = [path.stat().st_size for path in paths if path.exists()]
+    assert len(sizes) < 400
+    assert sum(sizes) < 5_000_000
+    assert all(path.stat().st_size <= 200_000 for path in (ROOT / "docs" / "results").glob("*.csv"))
