@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import csv
 import sys
+import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from foten.atomic_write import atomic_write
+from foten.experiments.experiment import experiment_path
 from foten.experiments.results import chosen, read_records
 from foten.experiments.tables import findings, ratios, summary, with_error, written
 
@@ -243,6 +245,16 @@ def said(name: str) -> str:
     return "\n".join(f"- {line}" for line in findings(read_records(path))) if path.exists() else ""
 
 
+def listed(*names: str) -> str:
+    """Return links to the runs of experiments that have been run."""
+    lines = []
+    for name in names:
+        if (RESULTS / f"{name}.csv").exists():
+            experiment = tomllib.loads(experiment_path(name).read_text(encoding="utf-8"))
+            lines.append(f"- [{name}](results/{name}.csv): {experiment['note'].rstrip('.')}")
+    return "\n".join(lines)
+
+
 TABLES: dict[str, dict[str, Callable[[], Cells | str]]] = {
     "../README.md": {"readme": readme},
     "results.md": {
@@ -257,6 +269,7 @@ TABLES: dict[str, dict[str, Callable[[], Cells | str]]] = {
             f"ingredients-{kind}": (lambda kind=kind: of_experiment(f"ingredients-{kind}", ratios))
             for kind in ("simulated", "real", "network")
         },
+        "csv": lambda: listed(*MAIN, *(f"ingredients-{kind}" for kind in ("simulated", "real", "network"))),
     },
     "compared.md": {
         "table-1-small": lambda: of_experiment("table-1-small", summary),
@@ -264,6 +277,7 @@ TABLES: dict[str, dict[str, Callable[[], Cells | str]]] = {
         "table-1-real": lambda: of_experiment("table-1-real", summary),
         "efficiency": lambda: kept("efficiency"),
         "batched": lambda: kept("batched"),
+        "csv": lambda: listed("recipes", "table-1-small", "table-1-real"),
     },
     "runtime.md": {name: (lambda name=name: kept(name)) for name in ("step", "contacts", "soak")},
 }

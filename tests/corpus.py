@@ -1,10 +1,11 @@
-"""Write the smallest texture files of each kind into `native/tests/corpus`, for the fuzzer to begin with.
+"""The smallest texture files of each kind, for the fuzzer to begin with, and for tests of the kernel.
 
-PYTHONPATH=tests python native/tests/make_corpus.py
+PYTHONPATH=tests python tests/corpus.py DIR
 """
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -40,15 +41,18 @@ KINDS = {
 }
 
 
-def main() -> None:
-    folder = Path(__file__).parent / "corpus"
-    folder.mkdir(exist_ok=True)
+def write_corpus(folder: Path) -> list[Path]:
+    """Write the files into a folder, and return their paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
     for name, (key, sizes) in KINDS.items():
         texture = exported(key, FAMILIES[key](**sizes))
         if "graph" in texture.tensors:  # which the kernel does not read
             texture = Texture(texture.card, {**texture.tensors, "graph": np.zeros(4, dtype=np.uint8)})
-        (folder / f"{name}.foten").write_bytes(texture.to_bytes())
+        paths.append(folder / f"{name}.foten")
+        paths[-1].write_bytes(texture.to_bytes())
+    return sorted(paths)
 
 
 if __name__ == "__main__":
-    main()
+    write_corpus(Path(sys.argv[1]))
