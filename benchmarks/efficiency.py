@@ -100,7 +100,7 @@ def steps(model: str, n: int, texture: Texture | None) -> dict[str, float]:
     times = {name: of / sizes.n_ahead for name, of in times.items()}
     if texture is not None:
         state, out = NativeState(NativeTexture(texture.to_bytes()), excitation=False), out[:1]
-        state.set_hand(80.0, 0.8)
+        state.set_condition(80.0, 0.8)
         times["kernel"] = p50_us(lambda: state.render(out), n)
     return times
 

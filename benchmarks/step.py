@@ -43,7 +43,7 @@ from foten.runtime.binding import isa
 from foten.runtime.native import NativeState, NativeTexture
 texture = NativeTexture(open(sys.argv[1], "rb").read())
 state, out = NativeState(texture, excitation=False), np.empty(1, dtype=np.float32)
-state.set_hand(*map(float, sys.argv[2:4]))
+state.set_condition(*map(float, sys.argv[2:4]))
 print(isa(), flush=True)
 for line in sys.stdin:
     times = []

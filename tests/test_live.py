@@ -127,7 +127,7 @@ def settled(live: Live, level: int) -> None:
 
 def test_what_is_played_is_what_is_rendered_in_order(texture: Texture) -> None:
     renderer, reference = Renderer(texture, seed=2), Renderer(texture, seed=2)
-    renderer.native_state.set_hand(90.0, 1.0)
+    renderer.native_state.set_condition(90.0, 1.0)
     sink, out = Pulled(), np.empty(7, dtype=np.float32)
     live = Live(renderer.native_state.render, sink, block_ms=4, lead_ms=20)
     live.start()
@@ -222,7 +222,7 @@ def test_a_program_that_ends_without_stopping_ends_well(texture: Texture, tmp_pa
     path.write_bytes(texture.to_bytes())
     program = (
         "import sys, foten\nfrom foten.runtime.live.paced import NullSink\n"
-        "r = foten.Renderer(sys.argv[1], rate=48000)\nr.native_state.set_hand(80, 0.8)\n"
+        "r = foten.Renderer(sys.argv[1], rate=48000)\nr.native_state.set_condition(80, 0.8)\n"
         "live = foten.Live(r.native_state.render, NullSink(48000, ratio=50))\nlive.start()\n"
     )
     for _ in range(3):
@@ -254,7 +254,7 @@ def test_a_wav_is_what_was_played(texture: Texture, tmp_path: Path) -> None:
 
     path = tmp_path / "out.wav"
     renderer = Renderer(texture, rate=8000, seed=1)
-    renderer.native_state.set_hand(90.0, 1.0)
+    renderer.native_state.set_condition(90.0, 1.0)
     sink = WavSink(path, 8000, {"texture": "t"}, n=5000)
     with Live(renderer.native_state.render, sink) as live:
         while not sink.full:

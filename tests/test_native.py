@@ -121,10 +121,10 @@ def test_the_noise_is_that_of_dsp_noise_to_the_bit() -> None:
 def test_any_block_sizes_give_the_same_bytes(native: NativeTexture, cuts: list[int], rate: float | None) -> None:
     at_once = np.empty(600, dtype=np.float32)
     state = NativeState(native, rate, seed=9)
-    state.set_hand(90.0, 0.9)
+    state.set_condition(90.0, 0.9)
     state.render(at_once)
     pieces = NativeState(native, rate, seed=9)
-    pieces.set_hand(90.0, 0.9)
+    pieces.set_condition(90.0, 0.9)
     for a, b in pairwise([0, *sorted(cuts), 600]):
         part = np.empty(b - a, dtype=np.float32)
         pieces.render(part)
@@ -146,7 +146,7 @@ def test_a_stroke_after_a_held_condition_goes_on_where_that_ended(native: Native
     """A held block may end between two of the texture's samples: what the first still gave was lost, and the next had no end."""
     at_once, mixed = NativeState(native, rate, seed=1), NativeState(native, rate, seed=1)
     for state in (at_once, mixed):
-        state.set_hand(90.0, 1.0)
+        state.set_condition(90.0, 1.0)
     condition = np.full(40, 90.0, dtype=np.float32), np.full(40, 1.0, dtype=np.float32)
     parts = []
     for n in (1, 5, 13, 1, 29):
@@ -166,9 +166,9 @@ def test_a_condition_below_zero_counts_as_zero(native: NativeTexture, speed: flo
     zero = max(speed, 0.0), max(force, 0.0)
     one, other = NativeState(native, seed=2), NativeState(native, seed=2)
     for state in (one, other):
-        state.set_hand(80.0, 1.0)
-    one.set_hand(speed, force)
-    other.set_hand(*zero)
+        state.set_condition(80.0, 1.0)
+    one.set_condition(speed, force)
+    other.set_condition(*zero)
     a, b = np.empty(50, dtype=np.float32), np.empty(50, dtype=np.float32)
     one.render(a)
     other.render(b)
@@ -182,7 +182,7 @@ def test_a_condition_below_zero_counts_as_zero(native: NativeTexture, speed: flo
 
 def test_a_reset_keeps_the_condition(native: NativeTexture) -> None:
     state, out = NativeState(native, seed=3), np.empty((2, 100), dtype=np.float32)
-    state.set_hand(90.0, 1.0)
+    state.set_condition(90.0, 1.0)
     state.render(out[0])
     state.reset(3)
     state.render(out[1])
@@ -197,7 +197,7 @@ def test_a_smoothed_condition_is_the_low_pass_of_the_one_that_is_set(native: Nat
     smooth, given = NativeState(native, seed=3, smooth=True), NativeState(native, seed=3)
     out, sample = [], np.empty(1, dtype=np.float32)
     for speed in steps:
-        smooth.set_hand(speed, 1.0)
+        smooth.set_condition(speed, 1.0)
         smooth.render(sample)
         out.append(sample[0])
     speed, force = (lfilter(b, a, channel) for channel in (steps, np.ones(180)))
@@ -245,8 +245,8 @@ def test_what_it_counts(native: NativeTexture) -> None:
     assert (counted.n, counted.n_below, counted.n_refused, counted.n_saturated) == (6, 2, 0, 0)
     assert (counted.n_speed_beyond, counted.n_speed_clamped) == (2, 1)
     assert (counted.n_force_beyond, counted.n_force_clamped) == (1, 1)
-    state.set_hand(float("nan"), 1.0)
-    state.set_hand(1.0, -1.0)
+    state.set_condition(float("nan"), 1.0)
+    state.set_condition(1.0, -1.0)
     state.render_stroke(np.array([np.inf], dtype=np.float32), np.array([1.0], dtype=np.float32))
     assert state.statistics.n_refused == 3
     state.reset(0)
@@ -256,9 +256,9 @@ def test_what_it_counts(native: NativeTexture) -> None:
 def test_a_refused_condition_leaves_the_last_one(native: NativeTexture) -> None:
     good, bad = NativeState(native, seed=2), NativeState(native, seed=2)
     a, b = np.empty(50, dtype=np.float32), np.empty(50, dtype=np.float32)
-    good.set_hand(80.0, 1.0)
-    bad.set_hand(80.0, 1.0)
-    bad.set_hand(float("inf"), 1.0)
+    good.set_condition(80.0, 1.0)
+    bad.set_condition(80.0, 1.0)
+    bad.set_condition(float("inf"), 1.0)
     good.render(a)
     bad.render(b)
     np.testing.assert_array_equal(a, b)
@@ -267,12 +267,12 @@ def test_a_refused_condition_leaves_the_last_one(native: NativeTexture) -> None:
 def test_the_condition_may_come_from_any_thread(native: NativeTexture) -> None:
     """Speed and force are set at once: a rendering never takes the one of one call and the other of another."""
     state, stop = NativeState(native), threading.Event()
-    state.set_hand(100.0, 1.0)
+    state.set_condition(100.0, 1.0)
 
     def set_in_turn() -> None:
         while not stop.is_set():
-            state.set_hand(100.0, 1.0)  # within the range
-            state.set_hand(300.0, 3.0)  # above it in both: seen as one sample beyond
+            state.set_condition(100.0, 1.0)  # within the range
+            state.set_condition(300.0, 3.0)  # above it in both: seen as one sample beyond
 
     setter = threading.Thread(target=set_in_turn)
     setter.start()
@@ -294,10 +294,10 @@ def test_another_rate_keeps_the_band_and_adds_nothing_above(
     n = 20_000
     own = np.empty(n, dtype=np.float32)
     state = NativeState(native, seed=6)
-    state.set_hand(100.0, 1.0)
+    state.set_condition(100.0, 1.0)
     state.render(own)
     state = NativeState(native, rate, seed=6)
-    state.set_hand(100.0, 1.0)
+    state.set_condition(100.0, 1.0)
     out = np.empty(round(n * rate / 1000), dtype=np.float32)
     state.render(out)
     assert state.delay_s == pytest.approx(1.53e-3, abs=0.05e-3)
@@ -332,7 +332,7 @@ def test_a_slower_device_keeps_its_band_and_gets_no_more(native: NativeTexture, 
     powers, signals = [], []
     for of, own in ((None, 1000.0), (rate, rate)):
         state = NativeState(native, of, seed=6)
-        state.set_hand(100.0, 1.0)
+        state.set_condition(100.0, 1.0)
         signal = np.empty(round(n * own / 1000), dtype=np.float32)
         state.render(signal)
         window = np.hanning(signal.size)
@@ -352,7 +352,7 @@ def test_a_constant_stays_itself_at_any_rate(rate: float) -> None:
     sizes = FotenPlusSizes(**{**SMALL, "n_layers": 1, "network_in_loop": False})
     texture = exported("foten-plus", sizes, scaling={"mean": [0.7, 100.0, 1.0], "sd": list(SCALING.sd)})
     state = NativeState(NativeTexture(texture.to_bytes()), rate, excitation=False)
-    state.set_hand(100.0, 1.0)
+    state.set_condition(100.0, 1.0)
     out = np.empty(int(20 * rate), dtype=np.float32)
     state.render(out)
     # Between two of the texture's samples it dips by 0.5 %, which puts −73 dB at the texture's rate.
@@ -382,7 +382,7 @@ def test_what_is_no_number_is_silence_and_the_loop_begins_again(plain_texture: T
     state, other = NativeState(plain, rate), NativeState(plain, rate)
     out, expected = np.empty(50, dtype=np.float32), np.empty(50, dtype=np.float32)
     for one in (state, other):
-        one.set_hand(80.0, 1.0)
+        one.set_condition(80.0, 1.0)
     state.set_actuator(NativeActuator(0.0, 0.0, 1e-60, 0.0, 0.0))
     state.render(out)
     np.testing.assert_array_equal(out, 0.0)
@@ -463,7 +463,7 @@ def test_silence_does_not_become_slow() -> None:
     """A lattice without excitation dies away: its state becomes zero before it becomes denormal."""
     texture = exported("foten-plus", FotenPlusSizes(**{**SMALL, "network_in_loop": False}))
     state = NativeState(NativeTexture(texture.to_bytes()), excitation=False)
-    state.set_hand(100.0, 1.0)
+    state.set_condition(100.0, 1.0)
     out = np.empty(2_000_000, dtype=np.float32)
     state.render(out)
     tail = out[-1000:] - out[-1]

@@ -36,7 +36,7 @@ def hands(stylus: Stylus, events: np.ndarray, n: int, late_s: np.ndarray | float
         while k < len(events) and told[k] <= i / RATE:
             stylus.push(*events[k])
             k += 1
-        out[i] = stylus.next_hand()
+        out[i] = stylus.next_condition()
     return out
 
 
@@ -103,7 +103,7 @@ def test_the_force_of_a_pressure_is_equation_12() -> None:
 def test_a_force_may_be_the_same_at_any_pressure(texture: Texture) -> None:
     stylus = Stylus(Renderer(texture), PressureCalibration(0.8, 0.0))
     stylus.push(0.0, 0.0, 0.5, 0.0)
-    assert [stylus.next_hand()[1] for _ in range(1000)][-1] == pytest.approx(0.8, rel=1e-6)
+    assert [stylus.next_condition()[1] for _ in range(1000)][-1] == pytest.approx(0.8, rel=1e-6)
 
 
 def test_lifting_is_quiet_and_landing_elsewhere_is_no_stroke(texture: Texture) -> None:
@@ -165,7 +165,7 @@ def test_what_is_wrong_is_counted_and_does_no_harm(texture: Texture) -> None:
         while k < len(spoiled) and (not np.isfinite(spoiled[k][3]) or spoiled[k][3] <= i / RATE):
             stylus.push(*spoiled[k])
             k += 1
-        out[i] = stylus.next_hand()
+        out[i] = stylus.next_condition()
     np.testing.assert_allclose(out, clean, rtol=1e-9, atol=1e-9)
     assert stylus.stats.n_late > 20
     assert stylus.stats.n_refused > 20
@@ -183,7 +183,7 @@ def test_a_clock_that_begins_anew_is_followed(texture: Texture) -> None:
         while k < len(events) and events[k, 3] <= i / RATE:
             stylus.push(*events[k])  # a second earlier than the last
             k += 1
-        found[i] = stylus.next_hand()
+        found[i] = stylus.next_condition()
     np.testing.assert_allclose(found[-200:, 0], 100.0, rtol=1e-3)
     assert stylus.stats.n_late == 8  # those after which it is believed
 
@@ -194,7 +194,7 @@ def test_more_than_can_wait_is_dropped_and_pressure_is_cut(texture: Texture) -> 
         stylus.push(i, 0.0, 1.5, 0.001 * i)
     assert stylus.stats.n_dropped == 300 - 256
     assert stylus.stats.n_clipped == 256
-    assert np.isfinite(stylus.next_hand()).all()
+    assert np.isfinite(stylus.next_condition()).all()
 
 
 def test_events_that_came_at_once_do_not_make_jumps_of_the_rest(texture: Texture) -> None:
@@ -202,7 +202,7 @@ def test_events_that_came_at_once_do_not_make_jumps_of_the_rest(texture: Texture
     stylus = Stylus(Renderer(texture))
     for k in range(200):
         stylus.push(1e-3 * k, 0.0, 0.5, 1e-5 * k)
-    stylus.next_hand()
+    stylus.next_condition()
     at = np.arange(0.01, 1.0, 0.008)
     found = hands(stylus, np.stack([100 * at, 0 * at, np.full(at.size, 0.5), at], axis=1), 1000)
     assert stylus.stats.n_jumps == 0
@@ -219,7 +219,7 @@ def test_no_event_makes_a_hand_that_is_none(texture: Texture, events: list[tuple
     stylus = Stylus(Renderer(texture))
     for event in events:
         stylus.push(*event)
-        speed, force = stylus.next_hand()
+        speed, force = stylus.next_condition()
         assert np.isfinite([speed, force]).all()
         assert min(speed, force) >= 0
     assert np.isfinite(stylus.render(64)).all()

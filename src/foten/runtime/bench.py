@@ -57,7 +57,7 @@ def time_steps(path: Path, n: int) -> StepTimes:
     force = np.interp(np.cos(0.7 * turn), [-1, 1], texture.info.trained_force)
     times = []
     for condition in zip(speed, force, strict=True):
-        state.set_hand(*condition)
+        state.set_condition(*condition)
         begin = time.perf_counter_ns()
         state.render(out)
         times.append(time.perf_counter_ns() - begin)

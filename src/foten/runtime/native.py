@@ -130,7 +130,7 @@ class NativeState:
         if status != 0:
             raise ValueError("the samples hold NaN or infinity, or are fewer than a window")
 
-    def set_hand(self, speed: float, force: float) -> None:
+    def set_condition(self, speed: float, force: float) -> None:
         """Set where the hand is [mm/s, N], from any thread; what is negative is 0, what is not finite left out; both count."""
         library().foten_set_condition(self.pointer, speed, force)
 

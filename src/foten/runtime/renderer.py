@@ -1,4 +1,4 @@
-"""A texture in an app: one hand, any output rate, in real time."""
+"""A texture in an app: one stroke, any output rate, in real time."""
 
 from __future__ import annotations
 
@@ -20,28 +20,29 @@ EXAMPLE = Path(__file__).with_name("example.foten")
 
 
 class Renderer:
-    """A texture under one hand: speed and force in, acceleration out.
+    """A texture under one stroke: speed and force in, acceleration out.
 
         renderer = foten.Renderer("denim.foten", rate=48_000, seed=0)
         block = renderer.render(speed_mm_s=80.0, force_n=0.8, n=480)
 
-    It runs in the kernel, without Python's lock and without allocation after construction but for the arrays that it returns, and
-    gives the same bytes for the same seed and hand whatever the sizes of the blocks. Of a model that ONNX Runtime runs
-    (docs/compared.md) each sample, or each hop of some, takes the lock and allocates.
+    It runs in the kernel, without Python's lock. After construction it allocates only the arrays that it returns. The same
+    seed and stroke give the same bytes, whatever the sizes of the blocks. A model that ONNX Runtime runs takes Python's lock
+    and allocates in each sample, or in each hop of several.
 
     Args:
         texture: a texture file, its bytes, or a texture in memory.
         rate: of the output [Hz]; None for the texture's own.
         seed: of the excitation, 0 … 2⁶⁴ − 1.
-        stream: of the noise: two hands on one texture are independent with different ones.
+        stream: of the noise; two contacts with one texture need different ones to be independent.
         excitation: False runs the deterministic loop.
-        actuator: whose drive is rendered; None for acceleration.
-        smooth: put a hand that is held through the low-pass of the recordings, 20 Hz, which delays it by 11 ms: for a hand that
-            comes in steps, 60 times a second say. Arrays are taken as they are.
+        actuator: renders its drive; None renders acceleration.
+        smooth: low-pass constant conditions at 20 Hz, as the recordings were, which delays them by 11 ms; for conditions that
+            come in steps, as of a game at 60 Hz. Arrays are taken as they are.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is not a texture file, is damaged, or does not pass its own proof here; a rate or seed cannot be.
+        ValueError: the file is not a texture file, is damaged, or does not pass its own proof here; a rate or seed is out of
+            range.
     """
 
     def __init__(
@@ -87,8 +88,8 @@ class Renderer:
         self.native_state.reset(self.seed)
 
     def render_into(self, out: NDArray[np.float32], speed_mm_s: float, force_n: float) -> None:
-        """Fill an array (n,) with the next acceleration [m/s²] at the output rate under a hand, without allocation."""
-        self.native_state.set_hand(speed_mm_s, force_n)
+        """Fill an array (n,) with the next acceleration [m/s²] under a constant condition, without allocation."""
+        self.native_state.set_condition(speed_mm_s, force_n)
         self.native_state.render(out)
 
     def step(self, speed_mm_s: float, force_n: float) -> float:
@@ -101,7 +102,7 @@ class Renderer:
         Args:
             speed_mm_s, force_n: a number each, held for n samples; or, one or both, arrays (k,) at the texture's own rate, for
                 k · rate / texture_rate samples, give or take one that the next call has.
-            n: how many samples of the output, where the hand is held.
+            n: how many samples of the output, for constant conditions.
 
         Raises:
             ValueError: a speed or force is negative, NaN or infinite; neither arrays nor n were given, or both.

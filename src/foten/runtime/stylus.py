@@ -84,15 +84,15 @@ class Stylus:
     """A pen on a texture: events from one thread, rendered from another.
 
         stylus = Stylus(renderer)
-        stylus.push(x_mm, y_mm, pressure, t_s)   # as the tablet tells them
+        stylus.push(x_mm, y_mm, pressure, t_s)   # as they come from the tablet
         block = stylus.render(480)
 
-    Events count from the block on that is rendered after them: render in blocks of 20 ms or less. Positions in whole pixels are
-    heard: tell fractions of them where the device has them.
+    An event counts from the next block on: render in blocks of 20 ms or less. Positions in whole pixels make an audible grain:
+    give fractions where the device has them.
 
-    What is not finite, late, doubled, out of order or a jump is counted (`stats`) and does no harm. Beside the low-pass of 20 Hz,
-    which recordings went through too, speed comes 2 to 5 ms after the hand at 240 to 60 events a second that are told at
-    once, and force 3 to 10 ms.
+    Events that are not finite, late, doubled, out of order or a jump are counted (`stats`) and left out. Beside the 20 Hz
+    low-pass, which recordings pass too, speed is 2 to 5 ms late and force 3 to 10 ms, at 240 to 60 events a second that
+    arrive at once.
     """
 
     def __init__(self, renderer: Renderer, calibration: PressureCalibration | None = None) -> None:
@@ -110,7 +110,7 @@ class Stylus:
         with self._pushing:  # the kernel's queue is for one thread at a time
             library().foten_stylus_push(self._pointer, x_mm, y_mm, pressure, t_s)
 
-    def next_hand(self) -> tuple[float, float]:
+    def next_condition(self) -> tuple[float, float]:
         """Return speed [mm/s] and force [N] at the next sample of the texture's own rate, and move on by it."""
         speed, force = c_float(), c_float()
         library().foten_stylus_next(self._pointer, byref(speed), byref(force))

@@ -41,7 +41,9 @@ def train(
     """Return a texture learned from a recording.
 
     Args:
-        on_epoch, checkpoint, resume: as `fit` has them.
+        on_epoch: called with the log's line after each epoch.
+        checkpoint: where the state is kept after each epoch; None for nowhere.
+        resume: go on from the checkpoint.
         on_playable: called with a valid texture as soon as there is one, long before the network is fitted.
 
     Raises:

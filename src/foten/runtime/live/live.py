@@ -120,14 +120,14 @@ class Sink(Protocol):
 
 
 class Live:
-    """A texture under a hand, played by a sink.
+    """A texture rendered ahead by a thread and played by a sink.
 
         with Live(stylus.render_into, SoundSink(gain=0.02)) as live:
             ...
         print(live.statistics.line())
 
-    While one runs, threads of Python give way to each other ten times as often as usual. A program that never does, a long call
-    that keeps Python's lock, still makes silence: `n_underruns` says so.
+    While one runs, Python's threads switch ten times as often as usual. A call that keeps Python's lock for longer than the
+    lead still makes a gap: `n_underruns` counts them.
 
     Args:
         render: fills an array with the next samples, in this class's thread; it should not keep Python's lock for long.
@@ -156,7 +156,7 @@ class Live:
 
     @property
     def running(self) -> bool:
-        """Return whether it plays: not before it starts, once it was stopped, or where rendering or sink died (`stop` tells)."""
+        """Return whether it plays: neither before the start, nor after a stop, nor once rendering or sink have failed."""
         return self._thread.is_alive() and self._failed is None and self._sink.failed is None
 
     @property
