@@ -34,6 +34,7 @@ $(VENV)/.docs: $(VENV)/.installed
 docs: $(VENV)/.docs
 	$(THREADS) $(BIN)/python docs/make/tables.py --check
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	$(BIN)/python docs/make/screenshots.py
 
 # Every table and figure of the paper, reduced as each says, in half an hour on two cores: build/paper. It goes on where it stopped.
 SMALL := table-1 table-2 figure-5 figure-5-delta

@@ -5,8 +5,8 @@
 A step is a sample, one window at a time on one thread (of ldhtd-hop a twentieth of what a window costs): eager PyTorch, as the
 paper measured its own in Keras, ONNX Runtime, and the kernel where it runs the model. An epoch is one of the paper's recipe
 (batches of 16) and one of ours (of 128) over the training blocks of a simulated recording as long as the paper's, one thread
-each; of foten-plus without the fit of its lattice. Networks are untrained: their costs are the same. All in one run; ratios are
-what to read, since machines differ. A GPU is measured where there is one.
+each. Networks are untrained: their costs are the same. All in one run; ratios are what to read, since machines differ. A GPU is
+measured where there is one. What a sample of foten-plus costs depends on the texture: `foten bench T.foten`.
 """
 
 from __future__ import annotations
@@ -29,11 +29,10 @@ import torch
 
 from foten.datasets.simulate import simulate
 from foten.experiments.results import PAPER
-from foten.families import FAMILIES, FotenPlusSizes
+from foten.families import FAMILIES
 from foten.families.texture_file import Texture
 from foten.networks import build
 from foten.networks.dftnet import Dftnet
-from foten.networks.foten_plus import Corrector
 from foten.networks.gan import Gan
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
@@ -62,7 +61,6 @@ MODELS = (
     "ten-wavelet",
     "foten",
     "foten-d",
-    "foten-plus",
 )
 WARM = 50  # steps that are not counted
 
@@ -81,8 +79,6 @@ def p50_us(step: Callable[[], object], n: int) -> float:
 
 def steps(model: str, n: int, texture: Texture | None) -> dict[str, float]:
     """Return the median time of a step of each runtime [µs]."""
-    if model == "foten-plus":  # as foten's where its network is in the loop, else its lattice's
-        return {}
     torch.manual_seed(0)
     sizes = FAMILIES[model]()
     network = build(model, sizes).eval()
@@ -120,19 +116,9 @@ def epoch_s(model: str, blocks: ScaledBlocks, recipe: str) -> float:
             return before.seconds + steps_s * len(windows.train) / (STEPS * config.batch)
         if isinstance(network, Dftnet):
             network, windows = network.spectrum, log_spectra(windows, blocks)
-        elif isinstance(network, Corrector):
-            windows = _of_innovations(windows)
         elif sizes.n_ahead > 1:
             windows = multi_step(windows, blocks, sizes.n_ahead)
         return min(line.seconds for line in fit(network, windows, config).epochs[1:])
-
-
-def _of_innovations(windows: TrainingWindows) -> TrainingWindows:
-    """Return windows as foten-plus is fitted to them, with a channel of innovations: here the samples themselves."""
-    innovations = windows.samples[:, 0].copy()
-    samples = np.concatenate([windows.samples, innovations[:, None]], axis=1)
-    units = {"target": innovations, "unit": np.ones(len(samples))}
-    return dataclasses.replace(windows, samples=samples, **units)
 
 
 def untrained(model: str, recording: Recording, blocks: ScaledBlocks, config: PreprocessConfig) -> Texture:
@@ -154,8 +140,7 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
     models: dict[str, Any] = {}
     for model in arguments.models:
         sizes = FAMILIES[model]()
-        in_kernel = not sizes.in_graph and not isinstance(sizes, FotenPlusSizes)
-        texture = untrained(model, recording, blocks, config) if in_kernel else None
+        texture = None if sizes.in_graph else untrained(model, recording, blocks, config)
         models[model] = {
             "window": sizes.window,
             "step_us": steps(model, arguments.steps, texture),

@@ -98,7 +98,7 @@ def meaning(name: str, records: Records) -> str:
         further = 100 * (_mean(records, LSD, CEILING) - 1)
         return f"The free run is {further:.0f} % further away than a second realisation of the same stroke"
     one_step, free_run = _than(records, ONE_STEP, BEST_AR), _than(records, LSD, AR_LSD)
-    return f"One step {one_step} the best linear predictor; the free run {free_run} AR(20)"
+    return f"One-step error {one_step} that of the best linear predictor; free run {free_run} AR(20)'s"
 
 
 def _mean(records: Records, over: str, under: str) -> float:
@@ -111,8 +111,8 @@ def _than(records: Records, over: str, under: str) -> str:
     mean = float(np.mean([one.mean() for one in of]))
     error = float(np.sqrt(sum(one.var(ddof=1) / one.size for one in of if one.size > 1)) / len(of))
     if abs(mean - 1) <= error:
-        return "is level with"
-    return f"is {100 * abs(mean - 1):.0f} % {'nearer than' if mean < 1 else 'further than'}"
+        return "level with"
+    return f"{100 * abs(mean - 1):.0f} % {'below' if mean < 1 else 'above'}"
 
 
 def short() -> Cells:
