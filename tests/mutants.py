@@ -122,7 +122,7 @@ MUTANTS = (
         NATIVE + "constants.h",
         "FOTEN_LEAK 0.9997",
         "FOTEN_LEAK 1.0",
-        ("tests/test_kernel_constants.py", *KERNEL),
+        ("tests/test_native.py", *KERNEL),
     ),
     Mutant(
         "the innovation is not clipped for the jitter",
@@ -197,7 +197,7 @@ MUTANTS = (
         PACKAGE + "runtime/stylus.py",
         "b: float = 3.32",
         "b: float = 3.0",
-        ("tests/test_stylus.py", "tests/test_kernel_constants.py"),
+        ("tests/test_stylus.py", "tests/test_native.py"),
     ),
     Mutant(
         "the level is never settled",
@@ -253,7 +253,7 @@ MUTANTS = (
         PACKAGE + "train/epochs.py",
         "if epoch != config.probation or gained >= config.least_gain:",
         "if True:",
-        ("tests/test_fit.py", "tests/test_epochs.py", "tests/test_pipeline.py"),
+        ("tests/test_fit.py", "tests/test_pipeline.py"),
     ),
     Mutant(
         "matrices are not orthogonalised",
@@ -267,14 +267,14 @@ MUTANTS = (
         PACKAGE + "recording/windows.py",
         "np.arange(-m, 0)",
         "np.arange(-m + 1, 1)",
-        ("tests/test_windows.py",),
+        ("tests/test_recording.py",),
     ),
     Mutant(
         "the scaling looks at test blocks",
         PACKAGE + "train/blocks.py",
         "fit_scaling(trace, split.train)",
         "fit_scaling(trace, (*split.train, *split.test))",
-        ("tests/test_pipeline.py", "tests/test_scaling.py"),
+        ("tests/test_pipeline.py", "tests/test_recording.py"),
     ),
     Mutant(
         "the warm start is the loudest window",

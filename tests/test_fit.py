@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from foten.families import FotenSizes
+from foten.families import FAMILIES, FotenSizes
 from foten.networks import build
 from foten.networks.dropout import Dropout, set_dropout
-from foten.train.config import TrainConfig
-from foten.train.epochs import Epoch, load_progress
+from foten.train.config import OWN_RECIPES, RECIPES, UNUSED, TrainConfig, check_used
+from foten.train.epochs import Epoch, Progress, goes_on, load_progress
 from foten.train.fit import TrainingWindows, fit, loss_of, predict
 
 SIZES = FotenSizes(window=12, d_model=8, n_heads=2, n_layers=2, d_feedforward=16, head=(16, 8), spectral_width=8)
@@ -171,3 +172,82 @@ def test_a_checkpoint_that_is_another_runs_is_refused(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:2000])
     with pytest.raises(ValueError, match=r"checkpoint\.pt is damaged"):
         load_progress(path, QUICK, {"network": network})
+
+
+CONFIG = replace(RECIPES["default"], probation=3, least_gain=1e-3, patience=4)
+
+
+def progress(errors: list[float]) -> Progress:
+    """Return what has been after some epochs, from epoch 0 on, given their validation errors."""
+    best = min(range(len(errors)), key=errors.__getitem__)
+    lines = [Epoch(n, 1.0, error, error, 0.1, n == best or n == 0) for n, error in enumerate(errors)]
+    return Progress(lines, best_loss=errors[best])
+
+
+def test_a_network_that_gains_nothing_is_stopped_at_the_end_of_its_probation_and_says_so() -> None:
+    assert goes_on(progress([1.0]), CONFIG)
+    assert goes_on(progress([1.0, 0.9999, 0.9998]), CONFIG)
+    given = progress([1.0, 0.9999, 0.9998, 0.9995])
+    assert not goes_on(given, CONFIG)
+    assert given.notes == [
+        "the network gains 0.05 % on the validation blocks in 3 epochs, less than 0.1 %: its training stops there"
+    ]
+
+
+@pytest.mark.parametrize("errors", [[1.0, 1.0, 0.9985, 1.0], [1.0, 0.9, 0.8, 0.7]])
+def test_a_network_that_gained_something_goes_on(errors: list[float]) -> None:
+    given = progress(errors)
+    assert goes_on(given, CONFIG)
+    assert not given.notes
+
+
+def test_patience_ends_what_probation_let_pass() -> None:
+    assert goes_on(progress([1.0, 0.9, 0.91, 0.92, 0.93]), CONFIG)
+    assert not goes_on(progress([1.0, 0.9, 0.91, 0.92, 0.93, 0.94]), CONFIG)
+
+
+def test_the_papers_recipe_has_no_probation() -> None:
+    paper = RECIPES["paper"]
+    assert paper.probation > paper.epochs
+
+
+def test_the_papers_recipe_is_the_papers() -> None:
+    paper = RECIPES["paper"]
+    assert (paper.epochs, paper.patience, paper.batch, paper.learning_rate) == (100, 10, 16, 1e-3)
+    assert (paper.loss, paper.delta, paper.schedule) == ("huber", 1.6, "constant")
+    assert (paper.weight_decay, paper.clip_norm, paper.dropout) == (0.0, 0.0, 0.2)
+    named = {"window": 20, "d_model": 32, "n_heads": 4, "n_layers": 3, "d_feedforward": 128, "head": (256, 64)}
+    assert FotenSizes() == FotenSizes(**named)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"loss": "l2"}, "expected one of huber, mse, mae"),
+        ({"schedule": "step"}, "one_cycle"),
+        ({"batch": 0}, "batch is 0"),
+        ({"epochs": -1}, "epochs is -1"),
+        ({"dropout": 1.0}, "dropout is 1.0"),
+        ({"learning_rate": 0.0}, "must be positive"),
+        ({"batch": 2.5}, "batch is 2.5, expected a whole number"),
+        ({"epochs": True}, "epochs is True, expected a whole number"),
+        ({"seed": "1"}, "seed is '1', expected a whole number"),
+        ({"delta": float("inf")}, "delta is inf, expected a finite number"),
+    ],
+)
+def test_what_cannot_be_is_refused(change: dict[str, object], match: str) -> None:
+    with pytest.raises(ValueError, match=match):
+        TrainConfig(**change)  # type: ignore[arg-type]
+
+
+def test_recipes_change_what_a_config_has() -> None:
+    for model, changed in (OWN_RECIPES | UNUSED).items():
+        assert model in FAMILIES
+        assert set(changed) <= set(vars(RECIPES["paper"]))
+
+
+def test_settings_that_mean_nothing_to_a_model_are_refused() -> None:
+    check_used("foten", ["loss", "dropout"])
+    check_used("gan", ["epochs", "batch", "learning_rate"])
+    with pytest.raises(ValueError, match="clip-norm means nothing to gan"):
+        check_used("gan", ["epochs", "clip_norm"])

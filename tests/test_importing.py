@@ -2,6 +2,7 @@
 
 import json
 import re
+import struct
 
 import numpy as np
 import openpyxl
@@ -10,10 +11,11 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat, wavfile
 
 from foten.cli.command_line import _status
+from foten.datasets.binary import read_tdms, read_wav
 from foten.datasets.hdf5 import load_recording
 from foten.datasets.importing import DATASETS, import_recording
 from foten.datasets.options import ImportOptions, parse_pairs, parse_rates
-from foten.datasets.units import FACTORS
+from foten.datasets.units import FACTORS, FULL_SCALE
 from foten.recording.recording import UNITS
 
 N = 2000
@@ -431,3 +433,74 @@ def test_millinewtons_are_guessed(tmp_path):
     path = _csv(tmp_path / "a.csv", "t,acc,speed,force", TIME, ACC, SPEED, 1000 * FORCE)
     with pytest.raises(ValueError, match="was it given in mN"):
         _import(path)
+
+
+ACC_OF_TDMS = np.random.default_rng(0).standard_normal(400)
+FORCE_OF_TDMS = np.linspace(0, 2, 40)
+
+
+def _write_of_tdms(path):
+    with TdmsWriter(path) as writer:
+        writer.write_segment(
+            [
+                ChannelObject("fast", "acc", ACC_OF_TDMS, {"wf_increment": 1e-4, "unit_string": "g"}),
+                ChannelObject("fast", "force", np.repeat(FORCE_OF_TDMS, 10), {"wf_increment": 1e-4}),
+                ChannelObject("slow", "force", FORCE_OF_TDMS, {"wf_increment": 1 / 3000, "unit_string": "N"}),
+            ]
+        )
+
+
+def test_channels_with_their_rates_and_units(tmp_path):
+    _write_of_tdms(tmp_path / "a.tdms")
+    columns = {column.name: column for column in read_tdms(tmp_path / "a.tdms")}
+    assert list(columns) == ["acc", "fast/force", "slow/force"]
+    np.testing.assert_array_equal(columns["acc"].samples, ACC_OF_TDMS)
+    assert (columns["acc"].rate_hz, columns["acc"].unit) == (10_000, "g")
+    assert (columns["slow/force"].rate_hz, columns["slow/force"].unit) == (3000, "N")
+
+
+def test_truncated_and_foreign_files_are_refused(tmp_path):
+    _write_of_tdms(tmp_path / "a.tdms")
+    data = (tmp_path / "a.tdms").read_bytes()
+    contents = {"late": data[:-100], "early": data[:60], "text": b"time,force\n0,1\n" * 20, "none": b""}
+    for name, content in contents.items():
+        (tmp_path / f"{name}.tdms").write_bytes(content)
+        with pytest.raises(ValueError, match=f"{name}.tdms (is (truncated|empty)|holds no channel)"):
+            read_tdms(tmp_path / f"{name}.tdms")
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.int16, np.int32])
+def test_integers_are_fractions_of_full_scale(tmp_path, kind):
+    info = np.iinfo(kind)
+    middle = 128 if kind is np.uint8 else 0
+    samples = np.array([middle, info.min, middle + (int(info.max) + 1 - middle) // 2], dtype=kind)
+    wavfile.write(tmp_path / "a.wav", 48_000, samples)
+    (column,) = read_wav(tmp_path / "a.wav")
+    assert column.samples.tolist() == [0, -1, 0.5]
+    assert (column.rate_hz, column.unit) == (48_000, FULL_SCALE)
+
+
+def test_24_bit(tmp_path):
+    data = b"".join(int(value).to_bytes(3, "little", signed=True) for value in (0, -(2**23), 2**22))
+    form = struct.pack("<4sIHHIIHH", b"fmt ", 16, 1, 1, 8000, 24_000, 3, 24)
+    body = b"WAVE" + form + struct.pack("<4sI", b"data", len(data)) + data + b"\0" * (len(data) % 2)
+    (tmp_path / "a.wav").write_bytes(b"RIFF" + struct.pack("<I", len(body)) + body)
+    (column,) = read_wav(tmp_path / "a.wav")
+    assert column.samples.tolist() == [0, -1, 0.5]
+
+
+def test_floats_stay_and_tracks_are_numbered(tmp_path):
+    samples = np.array([[0.5, -3.0], [1.5, 12.0]], dtype=np.float32)
+    wavfile.write(tmp_path / "a.wav", 10_000, samples)
+    first, second = read_wav(tmp_path / "a.wav")
+    assert (first.name, first.unit, second.name) == ("0", "", "1")
+    assert second.samples.tolist() == [-3, 12]
+
+
+def test_truncated_and_foreign_files_are_refused_of_wav(tmp_path):
+    wavfile.write(tmp_path / "a.wav", 8000, np.zeros(1000, dtype=np.int16))
+    data = (tmp_path / "a.wav").read_bytes()
+    for name, content in {"cut": data[:-500], "text": b"force\n1\n2\n" * 9, "none": b""}.items():
+        (tmp_path / f"{name}.wav").write_bytes(content)
+        with pytest.raises(ValueError, match=f"{name}.wav is (truncated|empty)"):
+            read_wav(tmp_path / f"{name}.wav")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import os
+import re
 import runpy
 import struct
 import subprocess
@@ -11,6 +13,7 @@ import sys
 import threading
 from itertools import pairwise
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import numpy as np
@@ -517,3 +520,18 @@ def test_the_instruction_set_is_named() -> None:
 def test_a_large_order_runs() -> None:
     texture = exported("foten-plus", FotenPlusSizes(**{**SMALL, "order": 240}))
     assert np.isfinite(Renderer(texture).render(80.0, 1.0, 1000)).all()
+
+
+HEADER = Path(__file__).parents[1] / "native" / "src" / "constants.h"
+DEFINED = re.findall(r"^#define (FOTEN_\w+) (.+)$", HEADER.read_text(), re.MULTILINE)
+SHARED = re.compile(r"(\S+) /\* (foten[\w.]+)(?:\[(\d+)\])? \*/")
+
+
+@pytest.mark.parametrize(("name", "definition"), DEFINED, ids=[name for name, _ in DEFINED])
+def test_the_kernel_and_python_agree(name: str, definition: str) -> None:
+    """Exactly: both languages round a decimal number to the nearest float64."""
+    match = SHARED.fullmatch(definition)
+    assert match, f"{name} is {definition!r}, expected a number and a comment that names a Python constant"
+    number, path, index = match.groups()
+    value = resolve_name(path)
+    assert ast.literal_eval(number) == (value if index is None else value[int(index)])

@@ -2,8 +2,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from foten.recording.recording import UNITS, Channel, Recording
+from foten.recording.scaling import Scaling, fit_scaling
+from foten.recording.trace import CHANNELS, Trace
+from foten.recording.windows import targets, window_indices, windows
 
 
 def channel(n: int = 100, rate_hz: float = 1000.0, seed: int = 0) -> Channel:
@@ -107,3 +112,129 @@ def test_holes_are_lost_samples_and_not_late_time_stamps() -> None:
     late = np.arange(100) / 100
     late[50] += 0.009
     assert not Channel(np.zeros(100), 100.0, late).holes().size
+
+
+def test_blocks_are_consecutive_and_share_memory() -> None:
+    n = np.arange(12.0)
+    trace = Trace(n, n + 100, n + 200, 1000.0, 4)
+    assert (trace.n_blocks, len(trace)) == (3, 12)
+    np.testing.assert_array_equal(trace.blocks(trace.speed)[1], [104, 105, 106, 107])
+    assert np.shares_memory(trace.blocks(trace.speed), trace.speed)
+
+
+def test_the_columns_are_those_of_eq_1() -> None:
+    n = np.arange(4.0)
+    stacked = Trace(n, n + 100, n + 200, 1000.0, 2).stacked()
+    assert CHANNELS == ("acceleration", "speed", "force")
+    np.testing.assert_array_equal(stacked[3], [3, 103, 203])
+
+
+@pytest.mark.parametrize(("n", "block"), [(10, 4), (3, 4), (0, 4), (4, 0), (4, -2)])
+def test_only_whole_blocks(n: int, block: int) -> None:
+    with pytest.raises(ValueError, match=f"{n} samples are not whole blocks of {block}"):
+        Trace(np.zeros(n), np.zeros(n), np.zeros(n), 1000.0, block)
+
+
+def test_lengths_agree() -> None:
+    with pytest.raises(ValueError, match="lengths differ: 4, 4, 5"):
+        Trace(np.zeros(4), np.zeros(4), np.zeros(5), 1000.0, 2)
+
+
+@given(
+    blocks=st.lists(st.integers(0, 5), min_size=1, max_size=4, unique=True),
+    m=st.integers(1, 7),
+    extra=st.integers(0, 3),
+)
+@settings(max_examples=30, deadline=None)
+def test_windows_are_eq_1(blocks: list[int], m: int, extra: int) -> None:
+    """Oracle: Eq. 1 as loops."""
+    block = 12
+    samples = np.random.default_rng(m).standard_normal((6 * block, 3))
+    expected, answers = [], []
+    for b in blocks:
+        for n in range(b * block + m + extra, (b + 1) * block):
+            expected.append([[samples[n - m + i, channel] for channel in range(3)] for i in range(m)])
+            answers.append(samples[n, 0])
+    n = targets(tuple(blocks), block, m + extra)
+    np.testing.assert_array_equal(windows(samples, n, m), np.array(expected).reshape(-1, m, 3))
+    np.testing.assert_array_equal(samples[n, 0], answers)
+
+
+@pytest.mark.parametrize("m", [1, 5, 20])
+def test_no_window_straddles_blocks(m: int) -> None:
+    block = 25
+    n = targets((0, 3, 4), block, m)
+    of_target = n // block
+    assert set(of_target.tolist()) == {0, 3, 4}
+    assert np.all(window_indices(n, m) // block == of_target[:, None])
+    assert n.size == 3 * (block - m)  # and none that does not is left out
+
+
+def test_the_answer_is_not_in_the_question() -> None:
+    n = targets((0, 1), 30, 20)
+    assert np.all(window_indices(n, 20) < n[:, None])
+    np.testing.assert_array_equal(window_indices(n, 20)[:, -1], n - 1)
+
+
+def test_a_block_of_no_more_than_the_history_gives_nothing() -> None:
+    assert targets((0, 1), 20, 20).size == 0
+    assert windows(np.zeros((40, 3)), targets((0, 1), 20, 20), 20).shape == (0, 20, 3)
+
+
+def trace(seed: int = 0) -> Trace:
+    rng = np.random.default_rng(seed)
+    n = 600
+    return Trace(0.3 + 2 * rng.standard_normal(n), rng.uniform(10, 200, n), rng.uniform(0.2, 3, n), 1000.0, block=100)
+
+
+def test_the_training_blocks_become_standard() -> None:
+    given = trace()
+    scaled = fit_scaling(given, (1, 3, 4)).scale(given.stacked()).reshape(6, 100, 3)[[1, 3, 4]].reshape(-1, 3)
+    np.testing.assert_allclose(scaled.mean(axis=0), 0.0, atol=1e-13)  # rounding
+    np.testing.assert_allclose(scaled.std(axis=0), 1.0, rtol=1e-13)
+
+
+def test_other_blocks_have_no_say() -> None:
+    given = trace()
+    changed = given.acceleration.copy()
+    changed[:100] *= 1e3
+    changed[200:300] = 7.0
+    other = dataclasses.replace(given, acceleration=changed)
+    assert fit_scaling(given, (1, 3, 4)) == fit_scaling(other, (1, 3, 4))
+    assert fit_scaling(given, (0, 1)) != fit_scaling(other, (0, 1))
+
+
+def test_the_order_of_blocks_does_not_matter() -> None:
+    forwards, backwards = fit_scaling(trace(), (0, 2, 5)), fit_scaling(trace(), (5, 0, 2))
+    np.testing.assert_allclose(forwards.mean + forwards.sd, backwards.mean + backwards.sd, rtol=1e-13)  # rounding
+
+
+def test_scaling_and_back() -> None:
+    scaling = Scaling((0.3, 90.0, 1.2), (2.0, 50.0, 0.4))
+    samples = trace().stacked()
+    scaled = scaling.scale(samples)
+    np.testing.assert_allclose(scaling.unscale_acceleration(scaled[:, 0]), samples[:, 0], rtol=1e-13)  # rounding
+    for channel in range(3):
+        np.testing.assert_array_equal(scaling.scale_channel(channel, samples[:, channel]), scaled[:, channel])
+
+
+def test_one_condition_still_scales_to_order_one() -> None:
+    given = dataclasses.replace(trace(), speed=np.full(600, 80.0), force=np.full(600, 0.5))
+    scaling = fit_scaling(given, (0, 1))
+    assert scaling.mean[1:] == (80.0, 0.5)
+    assert scaling.sd[1:] == (80.0, 1.0)
+
+
+@pytest.mark.parametrize("value", [0.0, 9.81, 1e6])
+def test_a_constant_acceleration_is_refused(value: float) -> None:
+    with pytest.raises(ValueError, match=r"acceleration is constant.*right column"):
+        fit_scaling(dataclasses.replace(trace(), acceleration=np.full(600, value)), (0, 1))
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, float("nan"), float("inf")])
+@pytest.mark.parametrize(("channel", "name"), list(enumerate(["acceleration", "speed", "force"])))
+def test_a_scale_is_positive_and_finite(bad: float, channel: int, name: str) -> None:
+    sd = [1.0, 1.0, 1.0]
+    sd[channel] = bad
+    with pytest.raises(ValueError, match=f"{name} has mean 0.0 and standard deviation"):
+        Scaling((0.0, 0.0, 0.0), tuple(sd))  # type: ignore[arg-type]
