@@ -119,7 +119,7 @@ def play(
         int | None, Option(min=0, help="Of the sound card that is played on, from 0; 0 by default.")
     ] = None,
     lead_ms: Annotated[float | None, Option(help="Rendered ahead of what is heard (ms); 10 by default.")] = None,
-    seed: Annotated[int, Option(min=0, help="Of the excitation.")] = 0,
+    seed: Annotated[int, Option(min=0, max=2**64 - 1, help="Of the excitation.")] = 0,
     deterministic: Annotated[bool, Option("--deterministic", help="Without excitation.")] = False,
     as_json: JsonOption = False,
 ) -> None:
