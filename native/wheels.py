@@ -21,6 +21,8 @@ from pathlib import Path
 import lief
 from scikit_build_core import build as backend
 
+lief.logging.disable()  # it reports what a file does not have, as stamps of time
+
 ROOT = Path(__file__).parents[1]
 KERNEL = "foten/runtime/kernel"
 
@@ -37,16 +39,16 @@ class Target:
     zig: str  # as Zig names it, with the oldest version of the system or its C library
     tags: tuple[str, ...]  # as wheels name it
     library: str
-    machine: str  # as lief names the processor
+    kind: str  # format and processor, as lief names them
 
 
 # The oldest systems that Zig and NumPy both know: glibc 2.17, macOS 11, Windows with the universal C runtime.
 TARGETS = (
-    Target("x86_64-linux-gnu.2.17", ("manylinux_2_17_x86_64", "manylinux2014_x86_64"), "libfoten.so", "X86_64"),
-    Target("aarch64-linux-gnu.2.17", ("manylinux_2_17_aarch64", "manylinux2014_aarch64"), "libfoten.so", "AARCH64"),
-    Target("x86_64-macos.11.0", ("macosx_11_0_x86_64",), "libfoten.dylib", "X86_64"),
-    Target("aarch64-macos.11.0", ("macosx_11_0_arm64",), "libfoten.dylib", "ARM64"),
-    Target("x86_64-windows-gnu", ("win_amd64",), "libfoten.dll", "AMD64"),
+    Target("x86_64-linux-gnu.2.17", ("manylinux_2_17_x86_64", "manylinux2014_x86_64"), "libfoten.so", "ELF X86_64"),
+    Target("aarch64-linux-gnu.2.17", ("manylinux_2_17_aarch64", "manylinux2014_aarch64"), "libfoten.so", "ELF AARCH64"),
+    Target("x86_64-macos.11.0", ("macosx_11_0_x86_64",), "libfoten.dylib", "MACHO X86_64"),
+    Target("aarch64-macos.11.0", ("macosx_11_0_arm64",), "libfoten.dylib", "MACHO ARM64"),
+    Target("x86_64-windows-gnu", ("win_amd64",), "libfoten.dll", "PE AMD64"),
 )
 
 
@@ -85,7 +87,7 @@ def built(target: Target, source: Path, out: Path) -> Path:
 class Library:
     """What a library says of itself, whatever the system."""
 
-    machine: str
+    kind: str  # as that of a target
     oldest: tuple[int, ...]  # version of the C library, or of macOS, that it asks for at least; () on Windows
     needed: frozenset[str]
     exported: frozenset[str]
@@ -102,7 +104,7 @@ def read_library(content: bytes) -> Library:
         needed = set(binary.libraries)
         machine, signed = binary.header.machine_type.name, False
     elif isinstance(binary, lief.MachO.Binary):
-        oldest = tuple(binary.build_version.minos)
+        oldest = tuple(binary.build_version.minos[:2])
         exported = {symbol.name for symbol in binary.exported_symbols} - OF_THE_LINKER
         exported = {name.removeprefix("_") for name in exported}
         needed = {
@@ -116,7 +118,7 @@ def read_library(content: bytes) -> Library:
         machine, signed = binary.header.machine.name, False
     else:
         raise ValueError("this is no library of Linux, macOS or Windows")
-    return Library(machine, oldest, frozenset(needed), frozenset(exported), signed)
+    return Library(f"{binary.format.name} {machine}", oldest, frozenset(needed), frozenset(exported), signed)
 
 
 def _version(text: str) -> tuple[int, ...]:
@@ -134,8 +136,8 @@ def check(target: Target, wheel: Path) -> str:
         content = archive.read(f"{KERNEL}/{target.library}")
     library = read_library(content)
     promised = _version(target.tags[0])
-    if library.machine != target.machine:
-        raise ValueError(f"{wheel.name} is for {library.machine}, expected {target.machine}")
+    if library.kind != target.kind:
+        raise ValueError(f"{wheel.name} is for {library.kind}, expected {target.kind}")
     if library.oldest > promised:
         raise ValueError(f"{wheel.name} needs a system of version {library.oldest}, its tag promises {promised}")
     if library.exported != declared():
@@ -143,7 +145,7 @@ def check(target: Target, wheel: Path) -> str:
         raise ValueError(f"{wheel.name} exports other functions than foten.h declares: {wrong}")
     if strange := sorted(name for name in library.needed if not re.fullmatch(SYSTEM_LIBRARIES, name)):
         raise ValueError(f"{wheel.name} needs libraries that not every system has: {', '.join(strange)}")
-    if target.machine == "ARM64" and not library.signed:
+    if target.kind == "MACHO ARM64" and not library.signed:
         raise ValueError(f"{wheel.name} is not signed, which Apple silicon does not load")
     size = wheel.stat().st_size / 1e6
     oldest = ".".join(map(str, library.oldest)) or "any"
