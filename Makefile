@@ -8,7 +8,7 @@ THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 # A file's tests stay together, for what they share.
 PYTEST := $(THREADS) $(BIN)/python -m pytest -q --numprocesses auto --maxprocesses 4 --dist loadfile
 
-.PHONY: demo test check slow docs paper-small wasm wasm-check web clean
+.PHONY: demo test check slow docs paper-small wasm wasm-check wheels wheels-check web clean
 
 # An editable install takes Python from here, and the kernel from when it was built.
 $(VENV)/.installed: pyproject.toml constraints.txt CMakeLists.txt $(wildcard native/src/* native/include/*)
@@ -60,6 +60,20 @@ wasm: $(VENV)/.wasm
 
 wasm-check: $(VENV)/.wasm
 	$(BIN)/python native/wasm/build.py --check
+
+# All of what a release holds, in dist. A C compiler is not needed: Zig's is one of the packages.
+$(VENV)/.wheels: constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt cmake lief ninja scikit-build-core ziglang # of the extra wheels
+	touch $@
+
+wheels: $(VENV)/.wheels
+	$(BIN)/python native/wheels.py
+	$(BIN)/python native/wasm/pack.py
+
+# The wheel of this machine without its compiler, and the npm package; the others in 'make slow'.
+wheels-check: $(VENV)/.installed $(VENV)/.wheels
+	$(PYTEST) -m 'not gpu' -k 'not cross' tests/test_wheels.py
 
 # A page that renders on this machine alone: open what it says.
 web:

@@ -158,14 +158,14 @@ foten_status foten_start(foten_state *s, const float *acceleration, const float 
     return status;
 }
 
-static int finite(const double *numbers, size_t n) {
+static int all_finite(const double *numbers, size_t n) {
     for (size_t i = 0; i < n; i++)
         if (!isfinite(numbers[i])) return 0;
     return 1;
 }
 
 foten_status foten_start_scaled(foten_state *s, const double *windows) {
-    if (!finite(windows, 3 * (size_t)s->model->history)) return FOTEN_BAD_ARGUMENT;
+    if (!all_finite(windows, 3 * (size_t)s->model->history)) return FOTEN_BAD_ARGUMENT;
     s->model->kind->start(s->model, s->loop, windows, s->model->history, 0);
     s->fresh = 0;
     return FOTEN_OK;
@@ -181,7 +181,7 @@ void foten_run_scaled(foten_state *s, const double *conditions, const double *no
 foten_status foten_predict(foten_state *s, const double *samples, size_t n, foten_prediction_part part, foten_prediction *out) {
     const foten_model *m = s->model;
     size_t window = (size_t)m->history;
-    if (m->of_noise || n < window || !finite(samples, 3 * n)) return FOTEN_BAD_ARGUMENT;
+    if (m->of_noise || n < window || !all_finite(samples, 3 * n)) return FOTEN_BAD_ARGUMENT;
     m->kind->start(m, s->loop, samples, m->history, 1);
     for (size_t t = window; t < n; t++) {
         m->kind->predict(m, s->loop, part, &out[t - window]);

@@ -3,6 +3,9 @@
 #include <stdatomic.h>
 #include <stdlib.h>
 #include <string.h>
+#if defined(__x86_64__) && !defined(FOTEN_PORTABLE)
+#include <cpuid.h>
+#endif
 
 static const isa *const HERE[] = { /* the best first */
 #if defined(FOTEN_PORTABLE)
@@ -18,16 +21,28 @@ static const isa *const HERE[] = { /* the best first */
 #endif
 };
 
-static int runs(const isa *set) {
 #if defined(__x86_64__) && !defined(FOTEN_PORTABLE)
-    __builtin_cpu_init();
-    if (set != &isa_portable && !__builtin_cpu_supports("fma")) return 0;
-    if (set == &isa_avx512) return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512dq");
-    if (set == &isa_avx2) return __builtin_cpu_supports("avx2");
+/* The compiler's own __builtin_cpu_supports needs a table of its runtime library, which Zig's has not. */
+static int runs(const isa *set) {
+    enum { YMM = 0x06, ZMM = 0xE6 }; /* of XCR0: what the system saves when another program has its turn */
+    unsigned eax, ebx, ecx, edx, saved, high;
+    if (set == &isa_portable) return 1;
+    if (!__get_cpuid(1, &eax, &ebx, &ecx, &edx) || !(ecx & bit_FMA) || !(ecx & bit_OSXSAVE)) return 0;
+    __asm__("xgetbv" : "=a"(saved), "=d"(high) : "c"(0));
+    if ((saved & YMM) != YMM || !__get_cpuid_count(7, 0, &eax, &ebx, &ecx, &edx)) return 0;
+    if (set == &isa_avx2) return (ebx & bit_AVX2) != 0;
+#ifdef __APPLE__
+    saved |= ZMM; /* macOS begins to save these when a program first uses them */
 #endif
+    const unsigned needed = bit_AVX512F | bit_AVX512VL | bit_AVX512DQ;
+    return (saved & ZMM) == ZMM && (ebx & needed) == needed;
+}
+#else
+static int runs(const isa *set) {
     (void)set;
     return 1;
 }
+#endif
 
 const isa *isa_here(void) {
     static _Atomic(const isa *) chosen;

@@ -11,7 +11,7 @@
 
 #include "foten.h"
 
-static void finite(const float *samples, size_t n) {
+static void expect_finite(const float *samples, size_t n) {
     for (size_t i = 0; i < n; i++)
         if (!isfinite(samples[i])) abort();
 }
@@ -39,7 +39,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t n) {
         for (int i = 0; i < 4; i++) {
             foten_set_condition(state, (float)(i * 1e5), (float)i);
             foten_render(state, out, 16);
-            finite(out, 16);
+            expect_finite(out, 16);
         }
         /* What is asked for in which order and in what sizes, the last bytes say. */
         const foten_actuator coil = {70, 0.25, 2, 0, 5};
@@ -63,7 +63,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t n) {
             foten_stylus_push(stylus, 1, 2, 0.5, 3);
             foten_stylus_push(stylus, 2, 2, 0.5, 3.01);
             foten_render_stylus(state, stylus, out, 16);
-            finite(out, 16);
+            expect_finite(out, 16);
             foten_stylus_free(stylus);
         }
         foten_state_free(state);

@@ -1,0 +1,58 @@
+"""Write the WebAssembly as a package for npm: `dist/npm`, to be packed or published from there.
+
+    python native/wasm/pack.py [--out dist/npm]
+
+Name, version, description, licence and keywords are those of pyproject.toml.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import tomllib
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+MODULE = ("foten.mjs", "foten.d.mts", "foten.wasm")
+
+
+def manifest() -> dict[str, Any]:
+    """Return what package.json says."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    return {
+        **{name: project[name] for name in ("name", "version", "description", "license", "keywords")},
+        "type": "module",
+        "exports": {".": {"types": "./foten.d.mts", "default": "./foten.mjs"}, "./foten.wasm": "./foten.wasm"},
+        "types": "./foten.d.mts",
+        "files": list(MODULE),
+        "sideEffects": False,
+        "engines": {"node": ">=20"},  # the oldest that it was tried with
+    }
+
+
+def write_package(folder: Path) -> None:
+    """Write the package into a folder, which is made anew."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    for path in (*(HERE / name for name in MODULE), HERE / "README.md", ROOT / "LICENSE"):
+        shutil.copyfile(path, folder / path.name)
+    text = json.dumps(manifest(), indent=2, ensure_ascii=False)
+    (folder / "package.json").write_text(f"{text}\n", encoding="utf-8")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Write the WebAssembly as a package for npm.")
+    parser.add_argument(
+        "--out", type=Path, default=ROOT / "dist" / "npm", help="folder to write to (default: dist/npm)"
+    )
+    folder = parser.parse_args().out
+    write_package(folder)
+    size = sum(path.stat().st_size for path in folder.iterdir())
+    print(f"{folder}: {manifest()['name']} {manifest()['version']}, {size / 1e3:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()

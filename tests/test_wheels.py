@@ -1,0 +1,284 @@
+"""What a release holds: wheels that are what they say and need no compiler, and the package for npm."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import venv
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from conftest import exported
+from foten.families.texture_file import CLOSED_LOOP_TOLERANCE
+from foten.runtime.binding import library
+from foten.runtime.renderer import EXAMPLE
+from test_kernel_build import CMAKE, CORPUS, WASM, accelerations, needs_node, ran, stroke_of
+
+ROOT = Path(__file__).parents[1]
+NATIVE = ROOT / "native"
+TOOLS = ("lief", "scikit_build_core", "ziglang")
+needs_tools = pytest.mark.skipif(
+    any(importlib.util.find_spec(name) is None for name in TOOLS), reason=f"needs {', '.join(TOOLS)}: make wheels"
+)
+AARCH64 = Path("/usr/aarch64-linux-gnu")  # of the package libc6-arm64-cross
+WINE = shutil.which("wine64", path=os.pathsep.join([os.environ["PATH"], "/usr/lib/wine"]))
+HERE = {("Linux", "x86_64"): "manylinux_2_17_x86_64", ("Linux", "aarch64"): "manylinux_2_17_aarch64"} | {
+    ("Darwin", "x86_64"): "macosx_11_0_x86_64",
+    ("Darwin", "arm64"): "macosx_11_0_arm64",
+    ("Windows", "AMD64"): "win_amd64",
+}
+NATIVE_TAG = HERE.get((platform.system(), platform.machine()))
+TAGS = sorted(HERE.values())
+
+
+def script(path: Path) -> ModuleType:
+    """Return a script of native as a module."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module  # where dataclasses look
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def wheels() -> ModuleType:
+    return script(NATIVE / "wheels.py")
+
+
+def test_cmake_names_every_source() -> None:
+    """The wasm is built from all files of native/src; what CMake left out would be missing in the wheels alone."""
+    text = (ROOT / "CMakeLists.txt").read_text()
+    named = re.search(r"set\(sources ([^)]*)\)", text)
+    assert named is not None
+    sources = {path.stem for path in (NATIVE / "src").glob("*.c")}
+    assert set(named[1].split()) == {name for name in sources if not name.startswith("kernel_")}
+
+
+@needs_tools
+def test_a_wheel_that_is_not_what_it_says_is_refused(wheels: ModuleType, tmp_path: Path) -> None:
+    """The library of this environment, built by its own compiler for its own system, is no library of another."""
+    content = Path(library()._name).read_bytes()
+    assert wheels.read_library(content).exported == wheels.declared()
+    for target in wheels.TARGETS:
+        if target.tags[0] == NATIVE_TAG:
+            continue
+        wheel = tmp_path / f"foten-0-py3-none-{target.tags[0]}.whl"
+        with zipfile.ZipFile(wheel, "w") as archive:
+            archive.writestr(f"{wheels.KERNEL}/foten.h", "")
+            archive.writestr(f"{wheels.KERNEL}/{target.library}", content)
+        with pytest.raises(ValueError, match=r"is for .*, expected"):
+            wheels.check(target, wheel)
+    with zipfile.ZipFile(wheel, "a") as archive:
+        archive.writestr(f"{wheels.KERNEL}/stray.so", "")
+    with pytest.raises(ValueError, match=r"has .*stray.so, expected"):
+        wheels.check(target, wheel)
+
+
+@needs_node
+def test_the_types_of_the_npm_package_name_what_the_module_has(tmp_path: Path) -> None:
+    """Every member that foten.d.mts declares exists, and every method that is meant for others is declared."""
+    program = tmp_path / "members.mjs"
+    program.write_text(
+        f"""
+import {{ readFileSync }} from "node:fs";
+import {{ Foten }} from "{(WASM / "foten.mjs").as_uri()}";
+const foten = await Foten.load(readFileSync("{WASM / "foten.wasm"}"));
+const texture = foten.texture(readFileSync("{EXAMPLE}"));
+const renderer = texture.renderer();
+const members = {{}};
+for (const object of [foten, texture, renderer, renderer.stylus()]) {{
+  const {{ prototype, name }} = object.constructor;
+  const called = Object.getOwnPropertyNames(prototype).concat(Object.getOwnPropertyNames(object.constructor));
+  members[name] = {{ called, held: Object.keys(object) }};
+}}
+console.log(JSON.stringify(members));
+"""
+    )
+    declared = dict(re.findall(r"class (\w+) \{(.*?)\n\}", (WASM / "foten.d.mts").read_text(), flags=re.DOTALL))
+    internal = {"constructor", "text", "take", "within", "grow", "rendered", "length", "name", "prototype"}
+    for name, members in json.loads(ran("node", program)).items():
+        public = set(re.findall(r"^  (?:static |readonly )*(\w+)[(:?]", declared[name], flags=re.MULTILINE))
+        assert public <= {*members["called"], *members["held"]}, name
+        assert set(members["called"]) - internal <= public, name
+
+
+@needs_node
+@pytest.mark.skipif(shutil.which("npm") is None, reason="needs npm")
+def test_the_npm_package_renders_what_python_does(tmp_path: Path) -> None:
+    """Packed as it would be published, unpacked as a dependency. Not to the byte: it is another instruction set."""
+    folder = tmp_path / "package"
+    script(WASM / "pack.py").write_package(folder)
+    (packed,) = json.loads(ran("npm", "pack", "--json", "--silent", "--offline", cwd=folder))
+    modules = tmp_path / "node_modules"
+    modules.mkdir()
+    with tarfile.open(folder / packed["filename"]) as archive:
+        archive.extractall(modules, filter="data")
+    (modules / "package").rename(modules / "foten")
+    program = (ROOT / "examples" / "node" / "stroke.mjs").read_text()
+    program = program.replace('"../../native/wasm/foten.mjs"', '"foten"')
+    program = program.replace(
+        'new URL("../../native/wasm/foten.wasm", import.meta.url)', 'new URL(import.meta.resolve("foten/foten.wasm"))'
+    )
+    (tmp_path / "stroke.mjs").write_text(program)
+    assert "native" not in program
+    ours = stroke_of(EXAMPLE)
+    rendered = accelerations(ran("node", tmp_path / "stroke.mjs", EXAMPLE, cwd=tmp_path))
+    np.testing.assert_allclose(rendered, ours, atol=CLOSED_LOOP_TOLERANCE * np.abs(ours).max())
+
+
+@pytest.fixture(scope="module")
+def built(wheels: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Return a function from a tag to its wheel, built once; building checks it."""
+    out = tmp_path_factory.mktemp("wheels")
+
+    def built(tag: str) -> Path:
+        if not list(out.glob(f"*{tag}.whl")):
+            ran(sys.executable, NATIVE / "wheels.py", "--out", out, tag)
+        (wheel,) = out.glob(f"*{tag}.whl")
+        return wheel
+
+    return built
+
+
+@needs_tools
+@pytest.mark.slow
+@pytest.mark.skipif(NATIVE_TAG is None, reason="there is no wheel for this system")
+def test_a_wheel_renders_without_a_compiler(built: Callable[[str], Path], tmp_path: Path) -> None:
+    """Installed into a fresh environment with nothing but Python in the path: to the first sample in 10 s.
+
+    Of the processor's time, where the system counts it, and beside NumPy alone: what else runs on the machine is not ours.
+    """
+    assert NATIVE_TAG is not None
+    wheel = built(NATIVE_TAG)
+
+    def run(environment: Path, *arguments: str | Path) -> str:
+        folder = environment / ("Scripts" if os.name == "nt" else "bin")
+        assert all(shutil.which(name, path=folder) is None for name in ("cc", "gcc", "clang", "zig", "cmake", "ninja"))
+        kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "CC")}
+        command = [str(folder / "python"), *map(str, arguments)]
+        done = subprocess.run(
+            command, cwd=tmp_path, env={**kept, "PATH": str(folder)}, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stderr + done.stdout
+        return done.stdout
+
+    def took() -> tuple[float, float]:
+        times = os.times()
+        return times.children_user + times.children_system, times.elapsed
+
+    pip = ("-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--only-binary", ":all:")
+    pip = (*pip, "--constraint", str(ROOT / "constraints.txt"))
+    measured = {}
+    for name, wanted in (("numpy", "numpy"), ("foten", wheel)):
+        environment = tmp_path / name
+        venv.create(environment, with_pip=True)
+        begin = took()
+        run(environment, *pip, wanted)
+        if name == "foten":
+            run(
+                environment,
+                "-c",
+                "import foten; from foten.runtime import renderer as r; r.Renderer(r.EXAMPLE).render(80, 0.8, 1)",
+            )
+        measured[name] = np.subtract(took(), begin)
+    result = json.loads(run(environment, NATIVE / "tests" / "installed.py"))
+    assert Path(result["library"]).is_relative_to(environment)
+    assert result["worst"] <= CLOSED_LOOP_TOLERANCE
+    for name, (processor_s, wall_s) in measured.items():
+        print(f"{name}: {processor_s:.1f} s of the processor, {wall_s:.1f} s by the clock")
+    print(f"wheel {wheel.stat().st_size} bytes", result)
+    assert measured["foten"][0] < 10
+    assert result["bytes"] < result["numpy_bytes"] / 5
+
+
+@pytest.fixture(scope="module")
+def textures(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Return the files that the kernel runs itself: networks of full size and the smallest, in the loop and beside it."""
+    folder = tmp_path_factory.mktemp("textures")
+    for key in ("foten", "foten-plus", "ten", "ar"):
+        (folder / f"{key}.foten").write_bytes(exported(key).to_bytes())
+    return [EXAMPLE, *sorted(folder.iterdir()), *(path for path in CORPUS if not path.stem.startswith("graph"))]
+
+
+@needs_tools
+@pytest.mark.slow
+@pytest.mark.parametrize("tag", TAGS)
+def test_the_library_of_a_wheel_renders_what_python_does(
+    wheels: ModuleType, built: Callable[[str], Path], textures: list[Path], tmp_path: Path, tag: str
+) -> None:
+    """Of every system: its format and symbols, as it is built; and a C program with it, where this machine can run one.
+
+    Loading replays the golden windows: NEON through QEMU, Windows through Wine. The rest of a stroke parts by what float32
+    rounds, which the loop of a network alone feeds back.
+    """
+    target = next(target for target in wheels.TARGETS if target.tags[0] == tag)
+    wheel = built(tag)
+    runners = {NATIVE_TAG: []}
+    if WINE:
+        runners["win_amd64"] = [WINE]
+    if AARCH64.exists() and shutil.which("qemu-aarch64"):
+        runners.setdefault("manylinux_2_17_aarch64", ["qemu-aarch64", "-L", str(AARCH64)])
+    if tag not in runners:
+        pytest.skip(f"{tag} was built and checked; this machine has nothing that runs it")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(tmp_path)
+    kernel = tmp_path / wheels.KERNEL
+    shutil.copy(kernel / target.library, tmp_path)
+    program = tmp_path / "stroke.exe"
+    ran(
+        *(wheels.zig(), "cc", "-target", target.zig, "-O2", "-I", kernel, "-Wl,-rpath,."),
+        *(ROOT / "examples" / "c" / "stroke.c", target.library, "-o", program),
+        cwd=tmp_path,
+    )
+    arm = target.kind.split()[1] in ("AARCH64", "ARM64")
+    for isa in ("neon", "portable") if arm else ("avx512", "avx2", "portable"):
+        for texture in textures:
+            ours = stroke_of(texture)
+            table = ran(
+                *runners[tag],
+                program,
+                texture,
+                cwd=tmp_path,
+                FOTEN_ISA=isa,
+                WINEDEBUG="-all",
+                WINEPREFIX=tmp_path / "wine",
+            )
+            error = np.abs(accelerations(table) - ours).max() / np.abs(ours).max()
+            print(f"{tag} {isa} {texture.stem}: {error:.1e}")
+            assert error < 100 * CLOSED_LOOP_TOLERANCE
+
+
+@needs_tools
+@pytest.mark.slow
+@pytest.mark.skipif(CMAKE is None or shutil.which("qemu-aarch64") is None, reason="needs CMake and qemu-aarch64")
+def test_the_tests_of_the_kernel_pass_on_arm(wheels: ModuleType, textures: list[Path], tmp_path: Path) -> None:
+    """Linked statically, so that QEMU needs nothing of that system."""
+    assert CMAKE is not None
+    toolchain = (
+        "--toolchain",
+        NATIVE / "zig.cmake",
+        f"-DFOTEN_ZIG={wheels.zig()}",
+        "-DFOTEN_TARGET=aarch64-linux-musl",
+    )
+    ran(CMAKE, "-S", ROOT, "-B", tmp_path, *toolchain, "-DFOTEN_TESTS=ON")
+    ran(CMAKE, "--build", tmp_path, "--parallel", "2")
+    for isa in ("neon", "portable"):
+        out = ran("qemu-aarch64", tmp_path / "hot_path", *textures, FOTEN_ISA=isa)
+        assert out.strip() == f"nothing allocated while rendering {len(textures)} files"
+        ran("qemu-aarch64", tmp_path / "fuzz_file", "3000", *CORPUS, FOTEN_ISA=isa)
+        result = json.loads(ran("qemu-aarch64", tmp_path / "contacts", EXAMPLE, "0", "2", "10000", FOTEN_ISA=isa))
+        assert result["isa"] == isa
