@@ -21,10 +21,11 @@ import numpy as np
 import pytest
 
 from conftest import exported
+from corpus import write_corpus
 from foten.families.texture_file import CLOSED_LOOP_TOLERANCE
 from foten.runtime.binding import library
 from foten.runtime.renderer import EXAMPLE
-from test_kernel_build import CMAKE, CORPUS, WASM, accelerations, needs_node, ran, stroke_of
+from test_kernel_build import CMAKE, WASM, accelerations, needs_node, ran, stroke_of
 
 ROOT = Path(__file__).parents[1]
 NATIVE = ROOT / "native"
@@ -206,12 +207,17 @@ def test_a_wheel_renders_without_a_compiler(built: Callable[[str], Path], tmp_pa
 
 
 @pytest.fixture(scope="module")
-def textures(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+def corpus(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    return write_corpus(tmp_path_factory.mktemp("corpus"))
+
+
+@pytest.fixture(scope="module")
+def textures(tmp_path_factory: pytest.TempPathFactory, corpus: list[Path]) -> list[Path]:
     """Return the files that the kernel runs itself: networks of full size and the smallest, in the loop and beside it."""
     folder = tmp_path_factory.mktemp("textures")
     for key in ("foten", "foten-plus", "ten", "ar"):
         (folder / f"{key}.foten").write_bytes(exported(key).to_bytes())
-    return [EXAMPLE, *sorted(folder.iterdir()), *(path for path in CORPUS if not path.stem.startswith("graph"))]
+    return [EXAMPLE, *sorted(folder.iterdir()), *(path for path in corpus if not path.stem.startswith("graph"))]
 
 
 @needs_tools
@@ -265,7 +271,9 @@ def test_the_library_of_a_wheel_renders_what_python_does(
 @needs_tools
 @pytest.mark.slow
 @pytest.mark.skipif(CMAKE is None or shutil.which("qemu-aarch64") is None, reason="needs CMake and qemu-aarch64")
-def test_the_tests_of_the_kernel_pass_on_arm(wheels: ModuleType, textures: list[Path], tmp_path: Path) -> None:
+def test_the_tests_of_the_kernel_pass_on_arm(
+    wheels: ModuleType, textures: list[Path], corpus: list[Path], tmp_path: Path
+) -> None:
     """Linked statically, so that QEMU needs nothing of that system."""
     assert CMAKE is not None
     toolchain = (
@@ -279,6 +287,6 @@ def test_the_tests_of_the_kernel_pass_on_arm(wheels: ModuleType, textures: list[
     for isa in ("neon", "portable"):
         out = ran("qemu-aarch64", tmp_path / "hot_path", *textures, FOTEN_ISA=isa)
         assert out.strip() == f"nothing allocated while rendering {len(textures)} files"
-        ran("qemu-aarch64", tmp_path / "fuzz_file", "3000", *CORPUS, FOTEN_ISA=isa)
+        ran("qemu-aarch64", tmp_path / "fuzz_file", "3000", *corpus, FOTEN_ISA=isa)
         result = json.loads(ran("qemu-aarch64", tmp_path / "contacts", EXAMPLE, "0", "2", "10000", FOTEN_ISA=isa))
         assert result["isa"] == isa
