@@ -22,7 +22,7 @@ import pytest
 
 from conftest import exported
 from corpus import write_corpus
-from foten.families.texture_file import CLOSED_LOOP_TOLERANCE
+from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, read_texture
 from foten.runtime.binding import library
 from foten.runtime.renderer import EXAMPLE
 from test_kernel_build import CMAKE, WASM, accelerations, needs_node, ran, stroke_of
@@ -228,8 +228,9 @@ def test_the_library_of_a_wheel_renders_what_python_does(
 ) -> None:
     """Of every system: its format and symbols, as it is built; and a C program with it, where this machine can run one.
 
-    Loading replays the golden windows: NEON through QEMU, Windows through Wine. The rest of a stroke parts by what float32
-    rounds, which the loop of a network alone feeds back.
+    Loading replays the golden windows: NEON through QEMU, Windows through Wine. A stroke of `foten-plus` or `ar` is the same
+    to its end. The paper's networks feed what float32 rounds back, which may grow: they are compared for the 64 samples that
+    a texture file is proved for.
     """
     target = next(target for target in wheels.TARGETS if target.tags[0] == tag)
     wheel = built(tag)
@@ -263,9 +264,10 @@ def test_the_library_of_a_wheel_renders_what_python_does(
                 WINEDEBUG="-all",
                 WINEPREFIX=tmp_path / "wine",
             )
-            error = np.abs(accelerations(table) - ours).max() / np.abs(ours).max()
+            compared = slice(None if read_texture(texture).card["model"] in ("foten-plus", "ar") else 64)
+            error = np.abs(accelerations(table) - ours)[compared].max() / np.abs(ours).max()
             print(f"{tag} {isa} {texture.stem}: {error:.1e}")
-            assert error < 100 * CLOSED_LOOP_TOLERANCE
+            assert error < CLOSED_LOOP_TOLERANCE
 
 
 @needs_tools

@@ -191,7 +191,7 @@ def play(
     else:
         print(statistics.line())
         delays = ", ".join(f"{ms:.1f} ms {name}" for name, ms in played.delays_ms.items())
-        print(f"delay from hand to output: {delays}")
+        print(f"delay from stroke to output: {delays}")
         print_outside_range(counted, texture)
         if n := counted["n_limited"]:
             print(f"the actuator's limit bent {n} samples")

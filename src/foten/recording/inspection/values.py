@@ -130,7 +130,7 @@ class Inspection:
             )
         if self.carried:
             best = perception.smallest_rate(self.carried)
-            lines.append(f"of what a hand feels, {perception.in_words(self.carried)}; train with --rate {best:g}")
+            lines.append(f"of the perceived power, {perception.in_words(self.carried)}; train with --rate {best:g}")
         for severity in (PROBLEM, NOTE):
             lines += [f"{severity:<8} {f.text}" for f in self.findings if f.severity == severity]
         if not self.problems:
