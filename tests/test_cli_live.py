@@ -149,6 +149,8 @@ def test_ctrl_c_ends_it_and_prints_the_counts(file: Path) -> None:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        # A shell ignores it for what it starts in the background, and what is ignored stays so.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     assert child.stderr is not None
     assert "Ctrl-C ends it" in child.stderr.readline()
