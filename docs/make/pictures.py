@@ -237,7 +237,8 @@ def one_step(arguments: argparse.Namespace) -> None:
         label=f"the paper's network, one step ahead: mean error {error:.2f} sd",
     )
     axes.set(xlabel="ms", ylabel="acceleration [sd]", title=f"Simulated {SHOWN}: every sample is given …")
-    axes.legend(loc="upper right", fontsize=8)
+    axes.set_ylim(top=1.6 * float(recorded[shown].max()))
+    axes.legend(loc="upper right", fontsize=8, ncols=2)
     left, right = figure.add_subplot(grid[1, 0]), figure.add_subplot(grid[1, 1])
     seconds = np.arange(trace.block) / trace.rate_hz
     step = 6 * np.std(rendered["recorded"])
