@@ -39,7 +39,7 @@ class Target:
 
     zig: str  # as Zig names it, with the oldest version of the system or its C library
     tags: tuple[str, ...]  # as wheels name it
-    library: str
+    file_name: str  # of the kernel in the wheel
     kind: str  # format and processor, as lief names them
 
 
@@ -141,9 +141,11 @@ def check(target: Target, wheel: Path) -> str:
     """Return a line about a wheel, or raise ValueError where it is not what its name says."""
     with zipfile.ZipFile(wheel) as archive:
         names = sorted(name for name in archive.namelist() if name.startswith(f"{KERNEL}/"))
-        if names != [f"{KERNEL}/foten.h", f"{KERNEL}/{target.library}"]:
-            raise ValueError(f"{wheel.name} has {', '.join(names)}, expected foten.h and {target.library} in {KERNEL}")
-        content = archive.read(f"{KERNEL}/{target.library}")
+        if names != [f"{KERNEL}/foten.h", f"{KERNEL}/{target.file_name}"]:
+            raise ValueError(
+                f"{wheel.name} has {', '.join(names)}, expected foten.h and {target.file_name} in {KERNEL}"
+            )
+        content = archive.read(f"{KERNEL}/{target.file_name}")
     library = read_library(content)
     promised = _version(target.tags[0])
     if library.kind != target.kind:

@@ -80,7 +80,7 @@ def test_a_wheel_that_is_not_what_it_says_is_refused(wheels: ModuleType, tmp_pat
         wheel = tmp_path / f"foten-0-py3-none-{target.tags[0]}.whl"
         with zipfile.ZipFile(wheel, "w") as archive:
             archive.writestr(f"{wheels.KERNEL}/foten.h", "")
-            archive.writestr(f"{wheels.KERNEL}/{target.library}", content)
+            archive.writestr(f"{wheels.KERNEL}/{target.file_name}", content)
         with pytest.raises(ValueError, match=r"is for .*, expected"):
             wheels.check(target, wheel)
     with zipfile.ZipFile(wheel, "a") as archive:
@@ -244,11 +244,11 @@ def test_the_library_of_a_wheel_renders_what_python_does(
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(tmp_path)
     kernel = tmp_path / wheels.KERNEL
-    shutil.copy(kernel / target.library, tmp_path)
+    shutil.copy(kernel / target.file_name, tmp_path)
     program = tmp_path / "stroke.exe"
     ran(
         *(wheels.zig(), "cc", "-target", target.zig, "-O2", "-I", kernel, "-Wl,-rpath,."),
-        *(ROOT / "examples" / "c" / "stroke.c", target.library, "-o", program),
+        *(ROOT / "examples" / "c" / "stroke.c", target.file_name, "-o", program),
         cwd=tmp_path,
     )
     arm = target.kind.split()[1] in ("AARCH64", "ARM64")
