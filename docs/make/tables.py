@@ -4,7 +4,7 @@
 
 `docs/results/EXPERIMENT.csv` is the `runs.csv` that `foten tables` writes of a sweep; the others are what benchmarks keep by
 `--csv`. With --check nothing is written, and the exit status is 1 where a page is not what the CSV files give. A table without
-a CSV is left empty.
+a CSV says so.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ Cells = list[list[str]]
 REAL_10, REAL_2_5, LINEAR, SIMULATED = "main-real-10khz", "main-real-2500hz", "main-linear", "main-simulated"
 MAIN = {REAL_10: "real, 10 kHz", REAL_2_5: "real, 2.5 kHz", LINEAR: "linear processes", SIMULATED: "simulated textures"}
 MOST_COLUMNS, MOST_ROWS = 8, 12
+NOT_RUN = "*Not measured yet with this version.*"
 
 
 def runs(name: str, model: str = "foten-plus") -> list[Mapping[str, Any]]:
@@ -310,7 +311,7 @@ def pages() -> Iterator[tuple[Path, str, str]]:
                 raise ValueError(f"{path.name}: has no {begin} … {end} to put a table between")
             content = make()
             body = content if isinstance(content, str) else checked(name, content) if len(content) > 1 else ""
-            text = f"{head}{begin}\n{body.rstrip()}\n{end}{tail}" if body else f"{head}{begin}\n{end}{tail}"
+            text = f"{head}{begin}\n{body.rstrip() or NOT_RUN}\n{end}{tail}"
         yield path, before, text
 
 
