@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from conftest import CARD, SCALING, SMALL, sizes_with, untrained, untrained_tensors
-from foten.families.texture_file import MIN_GOLDEN
+from foten.families.texture_file import MIN_GOLDEN, Texture
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.recording.windows import windows
@@ -105,3 +105,33 @@ def test_what_the_kernel_does_not_reproduce_is_refused(monkeypatch: pytest.Monke
     monkeypatch.setattr(export, "model_of", Wrong)
     with pytest.raises(ValueError, match=r"golden|proof|reproduce"):
         proved("foten", sizes, tensors, SCALING, golden, golden[0], CARD)
+
+
+def test_a_chaotic_loop_is_held_to_as_much_as_it_amplifies() -> None:
+    """A network on its own output may amplify what float32 rounds a millionfold within 64 steps; its first steps say enough."""
+    sizes, rng = sizes_with("foten", SMALL), np.random.default_rng(0)
+    tensors = untrained_tensors("foten", sizes, untrained("foten", sizes))
+    golden = rng.standard_normal((8, sizes.window, 3))
+    tensors["head_3.weight"] = 20 * tensors["head_3.weight"]
+    texture = proved("foten", sizes, tensors, SCALING, golden, golden[0], CARD).texture
+    steps = texture.tensors["golden.closed_loop"]
+    windows, condition = golden[:1] + 1e-7, texture.tensors["golden.condition"].astype(float)
+    path = np.maximum(condition[:, :1] * SCALING.sd[1] + SCALING.mean[1], 0.0)
+    other = run_loops(
+        NativeTexture(texture.to_bytes()), windows, np.concatenate([condition, path], axis=1)[None], None
+    )[0]
+    assert np.abs(other - steps).max() > 1  # chaotic it is
+    for i, off in ((0, 3e-4), (2, 3e-3)):
+        wrong = steps.copy()
+        wrong[i] += off
+        with pytest.raises(ValueError, match="proof: 64 closed-loop steps"):
+            NativeTexture(Texture(texture.card, {**texture.tensors, "golden.closed_loop": wrong}).to_bytes())
+
+
+def test_a_silence_after_a_sample_is_proved() -> None:
+    """Every bin of a constant but for its first sample lies on the real axis: rounding must not choose between π and −π."""
+    sizes, rng = sizes_with("foten", SMALL), np.random.default_rng(0)
+    tensors = untrained_tensors("foten", sizes, untrained("foten", sizes))
+    golden = np.repeat(rng.uniform(-0.01, 0.01, (20, 1, 3)), sizes.window, axis=1)
+    golden[:, 0, 0] -= rng.uniform(1e-4, 0.01, 20)
+    proved("foten", sizes, tensors, SCALING, golden, rng.standard_normal((sizes.window, 3)), CARD)

@@ -75,7 +75,10 @@ def network_windows(sizes: TransformerSizes) -> np.ndarray:
     constant = np.repeat(rng.standard_normal((5, 1, n_channels)), m, axis=1)
     alternating = 0 * rows[:5]
     alternating[:, :, 0] = (-1.0) ** np.arange(m)  # Nyquist alone, on the negative axis for odd phase
-    return np.concatenate([rows, 10 * rows[:5], 1e-6 * rows[:5], 0 * rows[:1], constant, -constant, alternating])
+    revived = np.repeat(rng.uniform(-0.01, 0.01, (20, 1, n_channels)), m, axis=1)
+    revived[:, 0, 0] -= rng.uniform(1e-4, 0.01, 20)  # before a silence: every bin lies on the negative axis, or nearly
+    others = [0 * rows[:1], constant, -constant, alternating, revived]
+    return np.concatenate([rows, 10 * rows[:5], 1e-6 * rows[:5], *others])
 
 
 @pytest.mark.parametrize(("key", "variant"), CASES)

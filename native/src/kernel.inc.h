@@ -203,8 +203,9 @@ static double spectral(const network *net, const float *window, float *scratch) 
     for (int k = 0; k < n; k++) energy += re[k] * re[k] + im[k] * im[k];
     for (int k = 0; k < n; k++) {
         double power = re[k] * re[k] + im[k] * im[k], size = sqrt(power + 1e-16);
-        if (!(power > FOTEN_WEAKEST_BIN * energy)) re[k] = im[k] = 0;
-        phase[k] = (float)atan2(im[k] + 0.0, re[k]);
+        if (!(re[k] * re[k] > FOTEN_WEAKEST_BIN * energy)) re[k] = 0; /* nothing but rounding, as the sign of an angle of pi would be */
+        if (!(im[k] * im[k] > FOTEN_WEAKEST_BIN * energy)) im[k] = 0;
+        phase[k] = (float)atan2(im[k], re[k]);
         magnitude[k] = (float)size;
     }
     encode_bins(net, &net->magnitude_in, &net->magnitude, &net->magnitude_out, net->n_magnitudes, magnitude, net->multiplicity, m_out, scratch);

@@ -62,9 +62,10 @@ class SpectralBranch(nn.Module):
         # −0 would turn the angle of a negative real bin from π to −π.
         imaginary = acceleration @ self.imaginary.to(dtype) + 0.0
         power = real * real + imaginary * imaginary
-        # A bin that holds nothing but rounding has no phase: it would differ from one processor to the next.
-        counted = power > WEAKEST_BIN * power.sum(dim=1, keepdim=True)
-        real, imaginary = torch.where(counted, real, 0.0), torch.where(counted, imaginary, 0.0)
+        # What is nothing but rounding is zero: its phase, or by its sign that of a negative real part (π or −π), would differ
+        # from one processor to the next.
+        least = WEAKEST_BIN * power.sum(dim=1, keepdim=True)
+        real, imaginary = torch.where(real**2 > least, real, 0.0), torch.where(imaginary**2 > least, imaginary, 0.0)
         magnitude = self._encode("magnitude", torch.sqrt(power + 1e-16))
         phase = self._encode("phase", _angle(real, imaginary))
         last_row = self.cosine.to(dtype) * torch.cos(phase) + self.sine.to(dtype) * torch.sin(phase)
