@@ -1,0 +1,159 @@
+// Volume, calibration of force and of the screen, the actuator, and how late it all is.
+
+const CARD_MM = 85.6; // the long side of a bank card, ISO/IEC 7810 ID-1
+const PAPER = { newtons: 0.13, steepness: 3.32 }; // Eq. 12
+const GRAM_N = 0.00980665;
+
+/** Return a and b of force = a exp(b pressure) nearest to pairs [pressure, N] in the mean square of force. Throws what is missing. */
+export function fitted(pairs) {
+  const used = pairs.filter(([p, f]) => p > 0 && p <= 1 && f > 0);
+  const span = Math.max(...used.map(([p]) => p)) - Math.min(...used.map(([p]) => p));
+  if (used.length < 3 || !(span >= 0.1)) throw new Error("three weighings or more, light to firm, are needed");
+  const mean = (of) => used.reduce((sum, one) => sum + of(one), 0) / used.length;
+  const p0 = mean(([p]) => p), l0 = mean(([, f]) => Math.log(f));
+  let b = mean(([p, f]) => (p - p0) * (Math.log(f) - l0)) / mean(([p]) => (p - p0) ** 2), c = l0 - b * p0, damping = 1e-3;
+  const missed = (b, c) => used.reduce((sum, [p, f]) => sum + (Math.exp(b * p + c) - f) ** 2, 0);
+  for (let i = 0; i < 200; i++) { // Levenberg and Marquardt, from the line through the logarithms
+    let bb = 0, bc = 0, cc = 0, gb = 0, gc = 0;
+    for (const [p, f] of used) {
+      const e = Math.exp(b * p + c), off = e - f;
+      bb += e * p * e * p;
+      bc += e * p * e;
+      cc += e * e;
+      gb -= e * p * off;
+      gc -= e * off;
+    }
+    const [x, y] = [bb * (1 + damping), cc * (1 + damping)], determinant = x * y - bc * bc;
+    const db = (gb * y - gc * bc) / determinant, dc = (x * gc - bc * gb) / determinant;
+    if (missed(b + db, c + dc) <= missed(b, c)) {
+      [b, c, damping] = [b + db, c + dc, damping / 10];
+      if (Math.abs(db) + Math.abs(dc) < 1e-12) break;
+    } else damping *= 10;
+    if (damping > 1e11) break;
+  }
+  return { newtons: Math.exp(c), steepness: b };
+}
+
+export class Settings {
+  constructor(dialog, sound, pad) {
+    Object.assign(this, { dialog, sound, pad });
+    this.calibration = JSON.parse(localStorage.getItem("calibration") ?? "null") ?? PAPER;
+    this.actuator = null;
+    this.weighings = [];
+    dialog.innerHTML = `
+      <form method="dialog"><button class="icon close" aria-label="Close"><svg viewBox="0 0 24 24" aria-hidden="true"><path d="m6 6 12 12M18 6 6 18"/></svg></button></form>
+      <h2>Settings</h2>
+      <div class="row"><label for="volume">Volume</label><input id="volume" type="range" min="-40" max="12" step="1"><output id="volume-db"></output></div>
+      <h3>Force</h3>
+      <p>Lay the tablet on a kitchen scale, press the pen here, and write what the scale shows.</p>
+      <div class="row"><button id="weigh" class="plain" type="button">Press here</button><output id="pressure">0.00</output>
+        <input id="grams" type="number" min="1" max="3000" step="1" aria-label="grams on the scale" placeholder="grams"><button id="add" class="plain" type="button">Add</button><button id="paper" class="plain" type="button">Paper's</button></div>
+      <p><output id="curve"></output></p>
+      <h3>Size</h3>
+      <p>Hold a bank card to the screen and make the bar as long as it.</p>
+      <div id="card"></div>
+      <input id="size" type="range" min="120" max="900" step="1" aria-label="length of the bar" style="width:100%">
+      <h3>Actuator</h3>
+      <div class="row"><label class="plain" style="display:flex;align-items:center" tabindex="0">Open a profile<input id="profile" type="file" accept=".json" hidden></label><output id="actuator">none: acceleration is played as it is</output></div>
+      <h3>Delay</h3>
+      <table aria-label="Delay"><tr><th></th><th>median</th><th>99 %</th></tr>
+        <tr><th>pen to graph</th><td id="own50"></td><td id="own99"></td></tr><tr><th>pen to sound</th><td id="all50"></td><td id="all99"></td></tr></table>
+      <p><output id="buffers"></output></p>`;
+    const $ = (id) => dialog.querySelector(`#${id}`);
+    this.$ = $;
+    $("volume").value = Number(localStorage.getItem("volume") ?? sound.volumeDb);
+    $("volume").addEventListener("input", () => this.setVolume());
+    this.setVolume();
+    for (const type of ["pointerdown", "pointermove"]) $("weigh").addEventListener(type, (e) => this.weigh(e));
+    $("add").addEventListener("click", () => this.add());
+    $("paper").addEventListener("click", () => this.setCalibration(PAPER, (this.weighings = [])));
+    $("size").value = Math.round(CARD_MM / pad.mmPerPx);
+    $("size").addEventListener("input", () => this.setSize());
+    $("profile").addEventListener("change", (e) => this.open(e.target.files[0]));
+    this.setSize(false);
+    this.curve();
+  }
+
+  /** Tell a sound that has begun what was chosen. */
+  apply() {
+    this.sound.calibrate(this.calibration);
+    if (this.actuator) this.sound.actuate(this.actuator);
+  }
+
+  show() {
+    this.dialog.showModal();
+    const tick = () => {
+      if (!this.dialog.open) return;
+      this.delay();
+      setTimeout(tick, 300);
+    };
+    tick();
+  }
+
+  setVolume() {
+    const db = Number(this.$("volume").value);
+    localStorage.setItem("volume", db);
+    this.$("volume-db").value = db <= -40 ? "off" : `${db} dB`;
+    this.sound.setVolume(db);
+  }
+
+  weigh(e) {
+    if (!e.buttons) return;
+    this.pressure = e.pressure;
+    this.$("pressure").value = e.pressure.toFixed(2);
+    if (e.pointerType !== "pen") this.$("curve").value = "A finger or a mouse has no pressure: the slider on the surface sets its force.";
+  }
+
+  add() {
+    const grams = Number(this.$("grams").value);
+    if (!(grams > 0) || !this.pressure) return;
+    this.weighings.push([this.pressure, grams * GRAM_N]);
+    this.$("grams").value = "";
+    try {
+      this.setCalibration(fitted(this.weighings));
+    } catch (error) {
+      this.$("curve").value = `${this.weighings.length} weighed: ${error.message}`;
+    }
+  }
+
+  setCalibration(calibration) {
+    this.calibration = calibration;
+    localStorage.setItem("calibration", JSON.stringify(calibration));
+    this.sound.calibrate(calibration);
+    this.curve();
+  }
+
+  curve() {
+    const { newtons: a, steepness: b } = this.calibration;
+    const from = this.weighings.length ? `, from ${this.weighings.length} weighings` : "";
+    this.$("curve").value = `F = ${a.toFixed(2)} N · exp(${b.toFixed(2)} p)${from}: ${a.toFixed(2)} to ${(a * Math.exp(b)).toFixed(1)} N`;
+  }
+
+  setSize(keep = true) {
+    const px = Number(this.$("size").value);
+    this.$("card").style.width = `${px}px`;
+    if (keep) this.pad.setMmPerPx(CARD_MM / px);
+  }
+
+  async open(file) {
+    if (!file) return;
+    try {
+      const profile = JSON.parse(await file.text());
+      if (profile.format !== "foten-actuator") throw new Error("this is no actuator's profile");
+      this.actuator = { resonanceHz: profile.resonance_hz, damping: profile.damping, gain: profile.gain, lowestHz: profile.lowest_hz, limit: profile.limit };
+      this.sound.actuate(this.actuator);
+      this.$("actuator").value = `${profile.name || file.name}: ${profile.resonance_hz} Hz`;
+    } catch (error) {
+      this.$("actuator").value = `${file.name}: ${error.message}`;
+    }
+  }
+
+  delay() {
+    const { n, ownP50, ownP99, totalP50, totalP99, buffer, device, rate } = this.sound.latency;
+    const ms = (value) => (value === null || value === undefined ? "–" : `${value.toFixed(1)} ms`);
+    for (const [id, value] of Object.entries({ own50: ownP50, own99: ownP99, all50: totalP50, all99: totalP99 })) this.$(id).textContent = ms(value);
+    this.$("buffers").value = n
+      ? `${n} events; buffer ${ms(buffer)}, device ${ms(device)}, ${rate / 1000} kHz. The texture's own low-pass of the hand adds 11 ms.`
+      : "Stroke the surface to measure it.";
+  }
+}

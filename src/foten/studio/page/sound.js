@@ -1,0 +1,172 @@
+// Sound in the page: the kernel in an AudioWorklet. Nothing leaves the device.
+//
+//     const sound = new PageSound();
+//     await sound.start();                       // from a tap: browsers ask for one
+//     await sound.load(id, bytes);               // a texture file
+//     sound.use(id);
+//     sound.push(xMm, yMm, pressure, seconds);   // as the events come
+//
+// Rendering is in m/s²; one standard deviation of the recording becomes LOUDNESS of full scale before the volume.
+
+export const LOUDNESS = 0.1;
+const MEASURED = 500; // delays that the percentiles are of
+
+export class PageSound extends EventTarget {
+  constructor() {
+    super();
+    this.context = this.node = null;
+    this.loading = new Map(); // by id: what waits for the worklet's answer
+    this.infos = new Map();
+    this.volumeDb = -6;
+    this.gains = new Map(); // dB by id, that make methods equally loud
+    this.delays = [];
+    this.sent = new Map();
+    this.measured = 0;
+    this.nEvents = 0;
+    this.module = fetch("foten.wasm").then((answer) => answer.arrayBuffer()).then((bytes) => WebAssembly.compile(bytes));
+  }
+
+  get running() {
+    return this.context?.state === "running";
+  }
+
+  /** Begin to play; a second call goes on. To be called while the browser still knows of a tap. */
+  async start() {
+    this.context ??= new AudioContext({ latencyHint: "interactive" });
+    const resumed = this.context.resume();
+    this.starting ??= this.connect();
+    await Promise.all([resumed, this.starting]);
+  }
+
+  async connect() {
+    const { context } = this;
+    const [module] = await Promise.all([this.module, context.audioWorklet.addModule("worklet.js")]);
+    this.node = new AudioWorkletNode(context, "foten-contact", {
+      numberOfInputs: 0,
+      outputChannelCount: [1],
+      processorOptions: { module },
+    });
+    this.node.port.onmessage = ({ data }) => this.answered(data);
+    this.node.onprocessorerror = () => this.emit("failed", "the audio thread stopped: load the page again");
+    this.analyser = new AnalyserNode(context, { fftSize: 4096, smoothingTimeConstant: 0 });
+    this.volume = new GainNode(context, { gain: this.gain });
+    this.node.connect(this.analyser);
+    this.node.connect(this.volume).connect(context.destination);
+  }
+
+  answered(data) {
+    if (data.report) this.emit("report", data.report);
+    else if (data.taken !== undefined) this.measure(data);
+    else if (data.loaded !== undefined) {
+      this.infos.set(data.loaded, data.info);
+      this.settle(data.loaded, (waiting) => waiting.resolve(data.info));
+    } else if (data.recorded) this.emit("recorded", data.recorded);
+    else if (data.failed && this.loading.has(data.id)) this.settle(data.id, (waiting) => waiting.reject(new Error(data.failed)));
+    else if (data.failed) this.emit("failed", data.failed);
+  }
+
+  settle(id, how) {
+    const waiting = this.loading.get(id);
+    this.loading.delete(id);
+    if (waiting) how(waiting);
+  }
+
+  emit(type, detail) {
+    this.dispatchEvent(new CustomEvent(type, { detail }));
+  }
+
+  post(message) {
+    this.node?.port.postMessage(message);
+  }
+
+  /** Check a texture file and make it ready: resolves to what it says of itself, rejects with a line for people. */
+  async load(id, bytes, seed = 0) {
+    await this.starting;
+    const answer = new Promise((resolve, reject) => this.loading.set(id, { resolve, reject }));
+    this.post({ do: "load", id, bytes, seed });
+    return answer;
+  }
+
+  use(id) {
+    const info = this.infos.get(id);
+    if (!info) return;
+    this.id = id;
+    this.post({ do: "use", id, scale: this.scale(id) });
+  }
+
+  scale(id) {
+    return (LOUDNESS / this.infos.get(id).accelerationSd) * 10 ** ((this.gains.get(id) ?? 0) / 20);
+  }
+
+  drop(id) {
+    this.infos.delete(id);
+    this.post({ do: "drop", id });
+  }
+
+  /** Take in an event: position [mm], pressure 0 … 1 (0 is lifted), the event's own time [s]. */
+  push(x, y, pressure, t) {
+    const message = { do: "event", event: [x, y, pressure, t] };
+    if (this.nEvents++ % 8 === 0 && this.sent.size < 32) {
+      message.id = this.nEvents;
+      this.sent.set(message.id, 1000 * t);
+    }
+    this.post(message);
+  }
+
+  get gain() {
+    return 10 ** (this.volumeDb / 20);
+  }
+
+  setVolume(db) {
+    this.volumeDb = db;
+    this.volume?.gain.setTargetAtTime(db <= -40 ? 0 : this.gain, this.context.currentTime, 0.01);
+  }
+
+  /** Make methods equally loud: dB by id. */
+  match(gains) {
+    this.gains = new Map(Object.entries(gains));
+    if (this.id) this.use(this.id);
+  }
+
+  calibrate({ newtons, steepness }) {
+    this.post({ do: "calibrate", newtons, steepness });
+  }
+
+  actuate(actuator) {
+    this.post({ do: "actuate", actuator });
+  }
+
+  record(on) {
+    this.post({ do: "record", on });
+  }
+
+  /** From an event to the first sample that knows of it: in the graph, and with what the device adds. */
+  measure({ taken, frame }) {
+    const at = this.sent.get(taken);
+    this.sent.delete(taken);
+    for (const id of this.sent.keys()) if (id < taken) this.sent.delete(id);
+    const { contextTime, performanceTime } = this.context.getOutputTimestamp();
+    if (at === undefined || !performanceTime) return;
+    const played = performanceTime + 1000 * (frame / this.context.sampleRate - contextTime);
+    const device = 1000 * (this.context.outputLatency || this.context.baseLatency || 0);
+    if (this.delays.length >= MEASURED) this.delays.shift();
+    this.delays.push([played - at, played - at - device]);
+  }
+
+  get latency() {
+    const of = (i, share) => {
+      const sorted = this.delays.map((delay) => delay[i]).sort((a, b) => a - b);
+      return sorted.length ? sorted[Math.min(sorted.length - 1, Math.floor(share * sorted.length))] : null;
+    };
+    return {
+      n: this.delays.length,
+      totalP50: of(0, 0.5),
+      totalP99: of(0, 0.99),
+      ownP50: of(1, 0.5),
+      ownP99: of(1, 0.99),
+      buffer: this.context ? 1000 * (this.context.baseLatency || 0) : null,
+      device: this.context ? 1000 * (this.context.outputLatency || 0) : null,
+      rate: this.context?.sampleRate,
+    };
+  }
+}
