@@ -20,6 +20,7 @@ from foten.cli.experiments import demo, figures, sweep, tables
 from foten.cli.machine import bench, doctor
 from foten.cli.recordings import import_, inspect, simulate
 from foten.cli.render import play, render
+from foten.cli.serve import serve
 from foten.cli.train import train
 
 app = typer.Typer(
@@ -32,6 +33,7 @@ app = typer.Typer(
 
 
 _EXTRAS = dict.fromkeys(("scipy", "h5py", "matplotlib", "openpyxl", "nptdms", "pymatreader"), "data")
+_EXTRAS |= dict.fromkeys(("starlette", "uvicorn", "websockets", "segno", "cryptography"), "serve")
 _EXTRAS |= {"torch": "train", "ray": "sweep", "onnx": "onnx", "onnxruntime": "onnx"}
 """Which extra installs a package that may be missing."""
 
@@ -56,7 +58,7 @@ def _global_options(
 # In the order in which --help lists them.
 app.command()(simulate)
 app.command("import")(import_)
-for _command in (inspect, train, evaluate, render, play, bench, doctor, sweep, tables, figures, info, demo):
+for _command in (inspect, train, evaluate, render, play, serve, bench, doctor, sweep, tables, figures, info, demo):
     app.command()(_command)
 
 

@@ -84,6 +84,7 @@ _SIGNATURES = {
     "foten_render_stroke": (c_size_t, [c_void_p, _FLOATS, _FLOATS, c_size_t, _FLOATS]),
     "foten_rendered": (c_size_t, [c_void_p, c_size_t]),
     "foten_delay_s": (c_double, [c_void_p]),
+    "foten_condition": (None, [c_void_p, POINTER(c_float), POINTER(c_float)]),
     "foten_statistics": (NativeStatistics, [c_void_p]),
     "foten_stylus_new": (c_void_p, [c_void_p, POINTER(StylusOptions)]),
     "foten_stylus_free": (None, [c_void_p]),
@@ -103,7 +104,7 @@ def library() -> ctypes.CDLL:
     Raises:
         OSError: there is none, or it does not load.
     """
-    path = _installed("libfoten.so", "libfoten.dylib", "libfoten.dll")
+    path = kernel_file("libfoten.so", "libfoten.dylib", "libfoten.dll")
     kernel = ctypes.CDLL(str(path))
     if not hasattr(kernel, "foten_abi") or kernel.foten_abi() != ABI:
         another = f"{path.name} is of another version than this package"
@@ -114,7 +115,7 @@ def library() -> ctypes.CDLL:
     return kernel
 
 
-def _installed(*names: str) -> Path:
+def kernel_file(*names: str) -> Path:
     """Return the path of the first of some files that lies in a kernel folder of the package."""
     # An editable install has the library in another folder than the sources; a package's path knows both.
     import foten.runtime
@@ -133,7 +134,7 @@ def c_flags() -> str:
     Raises:
         OSError: they are not installed.
     """
-    header, library = _installed("foten.h").parent, _installed("libfoten.so", "libfoten.dylib", "libfoten.dll").parent
+    header, library = kernel_file("foten.h").parent, kernel_file("libfoten.so", "libfoten.dylib", "libfoten.dll").parent
     return f"-I{header} -L{library} -Wl,-rpath,{library} -lfoten -lm"
 
 

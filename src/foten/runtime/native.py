@@ -95,6 +95,13 @@ class NativeState:
         return float(library().foten_delay_s(self.pointer))
 
     @property
+    def condition(self) -> tuple[float, float]:
+        """Return speed [mm/s] and force [N] that the last sample was rendered under; from the rendering thread."""
+        speed, force = c_float(), c_float()
+        library().foten_condition(self.pointer, byref(speed), byref(force))
+        return speed.value, force.value
+
+    @property
     def statistics(self) -> NativeStatistics:
         """Return what was counted since the last reset."""
         return library().foten_statistics(self.pointer)

@@ -72,6 +72,11 @@ class Renderer:
         return 1000 * self.native_state.delay_s
 
     @property
+    def condition(self) -> tuple[float, float]:
+        """Return speed [mm/s] and force [N] that the last sample was rendered under; from the thread that renders."""
+        return self.native_state.condition
+
+    @property
     def stats(self) -> NativeStatistics:
         """Return what was counted since the last reset, in samples of the texture's own rate."""
         return self.native_state.statistics

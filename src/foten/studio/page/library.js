@@ -42,11 +42,12 @@ export class Texture {
   }
 }
 
-/** Return the textures that come with the page. */
+/** Return the textures that come with the page, and whether its server can render them. */
 export async function shipped() {
   const answer = await fetch("textures.json");
   if (!answer.ok) throw new Error(`the list of textures could not be fetched: ${answer.status}`);
-  return (await answer.json()).textures.map((one) => new Texture(one));
+  const { textures, server } = await answer.json();
+  return { textures: textures.map((one) => new Texture(one)), server: Boolean(server) };
 }
 
 let opened = 0;

@@ -2,7 +2,7 @@
 
 const SECONDS = 4;
 const HIGHEST_HZ = 1000, LOWEST_HZ = 20; // of the spectrogram: what skin feels
-const RANGE_DB = 60;
+const LOUDEST_DB = -24, RANGE_DB = 48;
 const PERIOD = 128; // samples of a pair of peaks
 
 export class Monitor {
@@ -152,7 +152,7 @@ export class Monitor {
     for (let y = 0; y < height; y++) {
       const at = LOWEST_HZ * (HIGHEST_HZ / LOWEST_HZ) ** (1 - (y + 0.5) / height) / perBin, low = Math.floor(at);
       const db = this.bins[low] + (at - low) * (this.bins[low + 1] - this.bins[low]);
-      const share = Math.min(1, Math.max(0, (db + 30 + RANGE_DB) / RANGE_DB));
+      const share = Math.min(1, Math.max(0, (db - LOUDEST_DB + RANGE_DB) / RANGE_DB));
       column.data.set([...this.ramp[Math.round(255 * (Number.isFinite(share) ? share : 0))], 255], 4 * y);
     }
     for (let i = 0; i < n; i++) g.putImageData(column, width - n + i, 0);

@@ -43,6 +43,7 @@ export class Settings {
     dialog.innerHTML = `
       <form method="dialog"><button class="icon close" aria-label="Close"><svg viewBox="0 0 24 24" aria-hidden="true"><path d="m6 6 12 12M18 6 6 18"/></svg></button></form>
       <h2>Settings</h2>
+      <div class="row" id="paths" hidden><label for="path">Rendered</label><select id="path"><option value="">in this page</option><option value="stream">by the server, played here</option><option value="device">by the server, played there</option></select></div>
       <div class="row"><label for="volume">Volume</label><input id="volume" type="range" min="-40" max="12" step="1"><output id="volume-db"></output></div>
       <h3>Force</h3>
       <p>Lay the tablet on a kitchen scale, press the pen here, and write what the scale shows.</p>
@@ -52,9 +53,9 @@ export class Settings {
       <h3>Size</h3>
       <p>Hold a bank card to the screen and make the bar as long as it.</p>
       <div id="card"></div>
-      <input id="size" type="range" min="120" max="900" step="1" aria-label="length of the bar" style="width:100%">
+      <input id="size" type="range" min="120" max="900" step="1" aria-label="length of the bar">
       <h3>Actuator</h3>
-      <div class="row"><label class="plain" style="display:flex;align-items:center" tabindex="0">Open a profile<input id="profile" type="file" accept=".json" hidden></label><output id="actuator">none: acceleration is played as it is</output></div>
+      <div class="row"><label class="plain" tabindex="0">Open a profile<input id="profile" type="file" accept=".json" hidden></label><output id="actuator">none: acceleration is played as it is</output></div>
       <h3>Delay</h3>
       <table aria-label="Delay"><tr><th></th><th>median</th><th>99 %</th></tr>
         <tr><th>pen to graph</th><td id="own50"></td><td id="own99"></td></tr><tr><th>pen to sound</th><td id="all50"></td><td id="all99"></td></tr></table>
@@ -70,8 +71,25 @@ export class Settings {
     $("size").value = Math.round(CARD_MM / pad.mmPerPx);
     $("size").addEventListener("input", () => this.setSize());
     $("profile").addEventListener("change", (e) => this.open(e.target.files[0]));
+    $("path").addEventListener("change", () => this.choose());
     this.setSize(false);
     this.curve();
+  }
+
+  /** Offer the server's sound, where there is one. */
+  offer(server) {
+    this.$("paths").hidden = !server;
+  }
+
+  async choose() {
+    const path = this.$("path");
+    try {
+      await this.sound.start();
+      await this.sound.from(path.value);
+    } catch (error) {
+      path.value = "";
+      this.sound.emit("failed", error.message);
+    }
   }
 
   /** Tell a sound that has begun what was chosen. */
@@ -152,6 +170,11 @@ export class Settings {
     const { n, ownP50, ownP99, totalP50, totalP99, buffer, device, rate } = this.sound.latency;
     const ms = (value) => (value === null || value === undefined ? "–" : `${value.toFixed(1)} ms`);
     for (const [id, value] of Object.entries({ own50: ownP50, own99: ownP99, all50: totalP50, all99: totalP99 })) this.$(id).textContent = ms(value);
+    const state = this.sound.server?.state;
+    if (state) {
+      this.$("buffers").value = `at the server: blocks of ${state.block_ms.toFixed(0)} ms in ${ms(state.block_p50_ms)}, 99 % in ${ms(state.block_p99_ms)}; ${state.n_missed} late, ${state.n_underruns} under-runs`;
+      return;
+    }
     this.$("buffers").value = n
       ? `${n} events; buffer ${ms(buffer)}, device ${ms(device)}, ${rate / 1000} kHz. The texture's own low-pass of the hand adds 11 ms.`
       : "Stroke the surface to measure it.";

@@ -23,6 +23,7 @@ export class PageSound extends EventTarget {
     this.sent = new Map();
     this.measured = 0;
     this.nEvents = 0;
+    this.server = null; // where sound may come from instead
     this.module = fetch("foten.wasm").then((answer) => answer.arrayBuffer()).then((bytes) => WebAssembly.compile(bytes));
   }
 
@@ -92,6 +93,19 @@ export class PageSound extends EventTarget {
     if (!info) return;
     this.id = id;
     this.post({ do: "use", id, scale: this.scale(id) });
+    this.server?.open(id, this.scale(id));
+  }
+
+  /** Have the sound rendered by the server, which sends it here (`stream`) or plays it itself (`device`); null for this page. */
+  async from(sink) {
+    this.server?.close();
+    this.server = null;
+    this.post({ do: "listen", on: false });
+    if (!sink) return;
+    const server = new Server(this, sink);
+    await server.opened;
+    this.server = server;
+    if (this.id) server.open(this.id, this.scale(this.id));
   }
 
   scale(id) {
@@ -105,6 +119,10 @@ export class PageSound extends EventTarget {
 
   /** Take in an event: position [mm], pressure 0 … 1 (0 is lifted), the event's own time [s]. */
   push(x, y, pressure, t) {
+    if (this.server) {
+      this.server.push(x, y, pressure, t);
+      return;
+    }
     const message = { do: "event", event: [x, y, pressure, t] };
     if (this.nEvents++ % 8 === 0 && this.sent.size < 32) {
       message.id = this.nEvents;
@@ -119,6 +137,7 @@ export class PageSound extends EventTarget {
 
   setVolume(db) {
     this.volumeDb = db;
+    this.server?.say({ do: "volume", volume_db: Math.max(-60, db) });
     this.volume?.gain.setTargetAtTime(db <= -40 ? 0 : this.gain, this.context.currentTime, 0.01);
   }
 
@@ -129,6 +148,8 @@ export class PageSound extends EventTarget {
   }
 
   calibrate({ newtons, steepness }) {
+    this.calibration = { newtons, steepness };
+    this.server?.say({ do: "calibrate", newtons, steepness });
     this.post({ do: "calibrate", newtons, steepness });
   }
 
@@ -168,5 +189,57 @@ export class PageSound extends EventTarget {
       device: this.context ? 1000 * (this.context.outputLatency || 0) : null,
       rate: this.context?.sampleRate,
     };
+  }
+}
+
+/** Sound that the server renders: events out, samples in. */
+class Server {
+  constructor(sound, sink) {
+    Object.assign(this, { sound, sink, waiting: [], state: null });
+    const socket = (this.socket = new WebSocket(new URL("stroke", location.href.replace(/^http/, "ws"))));
+    socket.binaryType = "arraybuffer";
+    this.opened = new Promise((resolve, reject) => {
+      socket.onopen = resolve;
+      socket.onerror = () => reject(new Error("the server cannot be reached"));
+    });
+    socket.onmessage = ({ data }) => (typeof data === "string" ? this.answered(JSON.parse(data)) : this.played(data));
+    socket.onclose = ({ reason }) => {
+      if (this.sound.server === this) this.sound.emit("failed", `the server is gone${reason ? `: ${reason}` : ""}`);
+    };
+  }
+
+  open(texture, scale) {
+    this.sound.post({ do: "listen", on: true, silent: this.sink === "device", scale });
+    this.say({ do: "open", texture, sink: this.sink, rate_hz: this.sound.context.sampleRate, volume_db: Math.max(-60, this.sound.volumeDb), ...this.sound.calibration });
+  }
+
+  say(message) {
+    if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
+  }
+
+  /** Events go out together that come together: those of one frame of the browser's. */
+  push(...event) {
+    this.waiting.push(event);
+    if (this.waiting.length > 1) return;
+    queueMicrotask(() => {
+      if (this.socket.readyState === WebSocket.OPEN)
+        for (let i = 0; i < this.waiting.length; i += 64) this.socket.send(Float64Array.from(this.waiting.slice(i, i + 64).flat()));
+      this.waiting = [];
+    });
+  }
+
+  answered(message) {
+    if (message.refused) this.sound.emit("failed", message.refused);
+    if (message.state) this.state = message.state;
+  }
+
+  played(data) {
+    const [speed, force] = new Float32Array(data, 0, 2), samples = new Float32Array(data, 8);
+    this.sound.post({ do: "take", samples, speed, force });
+  }
+
+  close() {
+    this.sound.server = null;
+    this.socket.close();
   }
 }

@@ -233,7 +233,9 @@ async function attempt(what) {
 }
 
 await attempt(async () => {
-  textures = await shipped();
+  const found = await shipped();
+  textures = found.textures;
+  settings.offer(found.server);
   shelve();
   if (textures.length) await use(textures[0]);
 });

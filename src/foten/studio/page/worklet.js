@@ -4,6 +4,7 @@ import { Foten } from "./foten.mjs";
 const FADE = 512; // samples of a change from one texture to another
 const QUANTA = 6; // of 128 samples between reports: 62 times a second at 48 kHz
 const LAST_EVENTS = 16; // that a texture is given which takes over during a stroke
+const AHEAD = 0.02, BEHIND = 0.15; // s of a stream that wait before it begins to play, and at most
 const LINEAR = 0.8; // of full scale; beyond, what leaves is compressed and never reaches it
 
 class Contact extends AudioWorkletProcessor {
@@ -22,6 +23,7 @@ class Contact extends AudioWorkletProcessor {
     this.quantum = new Float32Array(128);
     this.recording = null;
     this.waiting = null; // the event whose delay is being measured
+    this.stream = null; // what a server renders, and waits here to be played
     this.port.onmessage = ({ data }) => {
       try {
         this[data.do](data);
@@ -77,6 +79,21 @@ class Contact extends AudioWorkletProcessor {
     this.recording?.events.push([this.recording.n, ...event]);
   }
 
+  /** Play what comes from a server; `silent` where that plays it itself. */
+  listen({ on, silent, scale }) {
+    this.stream = on ? { ring: new Float32Array(1 << 16), read: 0, written: 0, filling: true, lacking: 0, silent, scale } : null;
+  }
+
+  take({ samples, speed, force }) {
+    const { stream } = this;
+    if (!stream) return;
+    const size = stream.ring.length;
+    for (let i = 0; i < samples.length; i++) stream.ring[(stream.written + i) % size] = samples[i];
+    stream.written += samples.length;
+    if (stream.written - stream.read > BEHIND * sampleRate) stream.read = stream.written - AHEAD * sampleRate; // a pause of this page
+    [stream.speed, stream.force] = [speed, force];
+  }
+
   calibrate({ newtons, steepness }) {
     this.calibration = { newtons, steepness };
     for (const one of this.textures.values()) this.begin(one);
@@ -103,6 +120,7 @@ class Contact extends AudioWorkletProcessor {
   }
 
   process(_inputs, [[out]]) {
+    if (this.stream) return this.play(out);
     const one = this.current, { quantum } = this;
     if (!one) return true;
     one.renderer.renderStylus(one.stylus, quantum);
@@ -110,7 +128,7 @@ class Contact extends AudioWorkletProcessor {
       this.recording.blocks.push(quantum.slice());
       this.recording.n += quantum.length;
     }
-    this.measure(quantum);
+    this.measure(quantum, one.renderer);
     for (let i = 0; i < out.length; i++) out[i] = one.scale * quantum[i];
     if (this.leaving) this.fade(out);
     for (let i = 0; i < out.length; i++) out[i] = limited(out[i]);
@@ -118,6 +136,24 @@ class Contact extends AudioWorkletProcessor {
       this.port.postMessage({ taken: this.waiting, frame: currentFrame });
       this.waiting = null;
     }
+    return true;
+  }
+
+  play(out) {
+    const { stream, quantum } = this, waits = stream.written - stream.read;
+    if (stream.filling && waits >= AHEAD * sampleRate) stream.filling = false;
+    quantum.fill(0);
+    if (!stream.filling) {
+      const n = Math.min(quantum.length, waits);
+      for (let i = 0; i < n; i++) quantum[i] = stream.ring[(stream.read + i) % stream.ring.length];
+      stream.read += n;
+      if (n < quantum.length) {
+        stream.filling = true;
+        stream.lacking++;
+      }
+    }
+    this.measure(quantum, { condition: [stream.speed ?? 0, stream.force ?? 0] });
+    for (let i = 0; i < out.length; i++) out[i] = stream.silent ? 0 : limited(stream.scale * quantum[i]);
     return true;
   }
 
@@ -131,7 +167,7 @@ class Contact extends AudioWorkletProcessor {
     if (this.left <= 0) this.leaving = null;
   }
 
-  measure(samples) {
+  measure(samples, from) {
     let low = Infinity, high = -Infinity;
     for (const sample of samples) {
       low = Math.min(low, sample);
@@ -141,7 +177,7 @@ class Contact extends AudioWorkletProcessor {
     this.peaks[2 * this.quanta] = low;
     this.peaks[2 * this.quanta + 1] = high;
     if (++this.quanta < QUANTA) return;
-    const [speed, force] = this.current.renderer.condition;
+    const [speed, force] = from.condition;
     const rms = Math.sqrt(this.squares / (QUANTA * samples.length));
     this.port.postMessage({ report: { peaks: this.peaks.slice(), rms, speed, force, n: QUANTA * samples.length } });
     this.quanta = this.squares = 0;

@@ -1,0 +1,58 @@
+"""`foten serve`: the studio."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from typer import Argument, Option
+
+from foten.cli.console import say
+
+if TYPE_CHECKING:
+    from foten.studio.access import Access
+
+
+def serve(
+    textures: Annotated[
+        list[Path] | None,
+        Argument(metavar="[T.foten|DIR]…", help="Texture files, or folders of them; by default those that come along."),
+    ] = None,
+    host: Annotated[
+        str,
+        Option(
+            help="Address to listen at: 127.0.0.1 for this machine alone, 0.0.0.0 for the network, by HTTPS and a token."
+        ),
+    ] = "127.0.0.1",
+    port: Annotated[int, Option(min=0, max=65535, help="0 for any that is free.")] = 8000,
+    open_page: Annotated[bool, Option("--open/--no-open", help="Open the page in this machine's browser.")] = True,
+) -> None:
+    """Open a page to stroke textures on, with a mouse, a finger or a pen. Ctrl-C ends it.
+
+    foten serve
+
+    foten serve denim.foten mesh.foten --host 0.0.0.0: for a tablet on the same network, by the link or code that is printed.
+    """
+    from foten.studio.library import Library
+    from foten.studio.serve import serve as serve_studio
+    from foten.studio.server import Studio
+
+    studio = Studio(Library(textures or []))
+
+    def on_start(access: Access, shown: str) -> None:
+        link = access.link(shown)
+        many = f"{len(studio.library)} texture{'s' if len(studio.library) != 1 else ''}"
+        say(f"{many} at {link}")
+        if access.token is not None:
+            import segno
+
+            segno.make(link, error="l").terminal(out=sys.stderr, compact=True)
+            say("the tablet warns once: the certificate was made here, for this start, and no one else vouches for it")
+        say("Ctrl-C ends it")
+        if open_page and access.token is None:
+            import webbrowser
+
+            webbrowser.open(link)
+
+    serve_studio(studio, host, port, on_start)

@@ -1,0 +1,1 @@
+"""A page to stroke textures on, and the server that it comes from."""

@@ -1,0 +1,179 @@
+"""Who may talk to the server: the names that it answers to, its own pages, the token in its link; a certificate for a network."""
+
+from __future__ import annotations
+
+import datetime
+import hmac
+import ipaddress
+import secrets
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from http.cookies import SimpleCookie
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import PlainTextResponse, RedirectResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+COOKIE = "foten"
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+CERTIFICATE_DAYS = 30
+
+# Scripts, styles and connections of the page's own origin alone; nobody frames it. Compiling WebAssembly is called
+# `wasm-unsafe-eval`. The page is isolated from others, which gives it precise clocks.
+HEADERS = {
+    "content-security-policy": "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; "
+    "img-src 'self' data: blob:; media-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'",
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-embedder-policy": "require-corp",
+    "cross-origin-resource-policy": "same-origin",
+    "permissions-policy": "microphone=(self)",
+    "cache-control": "no-cache",
+}
+
+
+@dataclass(frozen=True)
+class Access:
+    """The names that the server answers to, and the token that a page has to know; none on this machine alone."""
+
+    hosts: tuple[str, ...]  # without ports
+    port: int
+    token: str | None = field(default=None, repr=False)
+
+    @property
+    def scheme(self) -> str:
+        """Return `https` where others may listen, else `http`: loopback is a secure context by itself."""
+        return "http" if self.token is None else "https"
+
+    def link(self, host: str) -> str:
+        """Return the address to open."""
+        name = f"[{host}]" if ":" in host else host
+        return f"{self.scheme}://{name}:{self.port}/" + ("" if self.token is None else f"?token={self.token}")
+
+    def knows(self, authority: str) -> bool:
+        """Return whether a Host header names this server: another name that leads here is a page of someone else."""
+        try:
+            parts = urlsplit(f"//{authority}")
+            return parts.hostname in self.hosts and (parts.port or (80 if self.scheme == "http" else 443)) == self.port
+        except ValueError:
+            return False
+
+    def admits(self, given: str | None) -> bool:
+        """Return whether a token is the right one."""
+        return self.token is None or (given is not None and hmac.compare_digest(given.encode(), self.token.encode()))
+
+
+def access_to(host: str, port: int, addresses: Sequence[str] = ()) -> Access:
+    """Return the access to a server that listens at a host: with a token where that is not this machine alone."""
+    if host in LOOPBACK:
+        return Access(LOOPBACK, port)
+    return Access(tuple(dict.fromkeys((host, *addresses, *LOOPBACK))), port, secrets.token_urlsafe(24))
+
+
+class Guarded:
+    """An application behind its access: wrong hosts, origins and tokens are refused with a reason before it is asked."""
+
+    def __init__(self, app: ASGIApp, access: Access) -> None:
+        self._app, self._access = app, access
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, or refuse it."""
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
+        why = self._refused(headers, scope, query.get("token", [None])[0])
+        if why:
+            await _refuse(scope, receive, send, why)
+            return
+        if scope["type"] == "http" and self._access.token is not None and "token" in query:
+            # The token leaves the address, where others could read it, and stays in a cookie that scripts cannot read.
+            response = RedirectResponse(scope["path"] or "/", status_code=303)
+            response.set_cookie(COOKIE, self._access.token, httponly=True, samesite="strict", secure=True)
+            await response(scope, receive, send)
+            return
+
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                fields = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    fields.setdefault(name, value)
+            await send(message)
+
+        await self._app(scope, receive, send_with_headers)
+
+    def _refused(self, headers: Headers, scope: Scope, token: str | None) -> str:
+        host = headers.get("host", "")
+        if not self._access.knows(host):
+            return f"this server does not answer to {host[:80]!r}: open the link that it printed"
+        origin = headers.get("origin")
+        own = f"{self._access.scheme}://{host}"
+        if (scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")) and origin != own:
+            return f"the origin is {str(origin)[:80]!r}, expected this server's own page"
+        if not self._access.admits(token or _cookie(headers)):
+            return "the token is missing or wrong: open the link, or scan the code, that the server printed"
+        return ""
+
+
+def _cookie(headers: Headers) -> str | None:
+    try:
+        morsel = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
+    except ValueError:
+        return None
+    return None if morsel is None else morsel.value
+
+
+async def _refuse(scope: Scope, receive: Receive, send: Send, why: str) -> None:
+    if scope["type"] == "websocket":
+        await receive()
+        await send({"type": "websocket.close", "code": 1008, "reason": why[:120]})
+        return
+    await PlainTextResponse(f"{why}\n", status_code=403)(scope, receive, send)
+
+
+def write_certificate(folder: Path, hosts: Iterable[str]) -> tuple[Path, Path]:
+    """Write a certificate for some hosts, signed by its own new key, and return the paths of certificate and key.
+
+    A tablet gives a page the pen's pressure and low-latency sound only over HTTPS; it asks once whether to trust this one.
+    """
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "foten on this network")])
+    now = datetime.datetime.now(datetime.UTC)
+    certificate = (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - datetime.timedelta(hours=1))
+        .not_valid_after(now + datetime.timedelta(days=CERTIFICATE_DAYS))
+        .add_extension(x509.SubjectAlternativeName([_general(host) for host in hosts]), critical=False)
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .sign(key, hashes.SHA256())
+    )
+    paths = folder / "certificate.pem", folder / "key.pem"
+    paths[0].write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
+    paths[1].touch(mode=0o600)
+    paths[1].write_bytes(
+        key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
+    )
+    return paths
+
+
+def _general(host: str) -> Any:
+    from cryptography import x509
+
+    try:
+        return x509.IPAddress(ipaddress.ip_address(host))
+    except ValueError:
+        return x509.DNSName(host)

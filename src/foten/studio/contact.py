@@ -1,0 +1,98 @@
+"""A page's hand on a texture that is rendered here: its own state, its own thread."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.runtime.live.live import Live, LiveStatistics, Samples, Sink
+from foten.runtime.renderer import Renderer
+from foten.runtime.stylus import PressureCalibration, Stylus
+
+LOUDNESS = 0.1  # of full scale, of a recording's standard deviation at 0 dB; the page has the same
+LEAD_MS, BLOCK_MS = 12.0, 4.0
+
+OnBlock = Callable[[NDArray[np.float32], float, float], None]
+"""Given what was rendered [m/s²] and the speed [mm/s] and force [N] of its last sample, in the rendering thread."""
+
+
+class Contact:
+    """Events in, vibration out of a sink, from `open` to `close`.
+
+    Args:
+        sink: it is played to, in full scale.
+        on_block: is given each block before the volume, for the page to draw or to play.
+    """
+
+    def __init__(self, sink: Sink, on_block: OnBlock) -> None:
+        self._on_block = on_block
+        self._rate_hz = sink.rate_hz
+        self._hand: tuple[Renderer, Stylus, float] | None = None
+        self._volume = 1.0
+        self._changing = threading.Lock()
+        self._live = Live(self._render, sink, block_ms=BLOCK_MS, lead_ms=LEAD_MS)
+        self._started = False
+
+    def open(self, texture: bytes, calibration: PressureCalibration) -> None:
+        """Put a texture under the pen; the first one begins to play.
+
+        Raises:
+            ValueError: it is no texture file, or its rate and the sink's do not go together.
+            OSError: the sink's device refuses.
+        """
+        renderer = Renderer(texture, rate=self._rate_hz)
+        scale = LOUDNESS / renderer.native_texture.info.acceleration_sd
+        with self._changing:
+            self._hand = renderer, Stylus(renderer, calibration), scale
+        if not self._started:
+            self._started = True
+            self._live.start()
+
+    def calibrate(self, calibration: PressureCalibration) -> None:
+        """Take another curve of pressure from now on."""
+        with self._changing:
+            if self._hand is not None:
+                renderer, _, scale = self._hand
+                self._hand = renderer, Stylus(renderer, calibration), scale
+
+    def set_volume(self, db: float) -> None:
+        """Set the volume [dB]."""
+        self._volume = 10.0 ** (db / 20.0)
+
+    def push(self, events: NDArray[np.float64]) -> None:
+        """Take in events: x, y [mm], pressure, t [s], shape (n, 4)."""
+        if self._hand is not None:
+            stylus = self._hand[1]
+            for event in events.tolist():
+                stylus.push(*event)
+
+    @property
+    def statistics(self) -> LiveStatistics:
+        """Return what rendering in real time did."""
+        return self._live.statistics
+
+    @property
+    def counted(self) -> dict[str, int]:
+        """Return what the stylus counted of its events."""
+        if self._hand is None:
+            return {}
+        stats = self._hand[1].stats
+        return {name: int(getattr(stats, name)) for name, *_ in type(stats)._fields_}
+
+    def close(self) -> None:
+        """End playing and give the sink back; raises what it died of."""
+        if self._started:
+            self._started = False
+            self._live.stop()
+
+    def _render(self, out: Samples) -> None:
+        with self._changing:
+            assert self._hand is not None
+            renderer, stylus, scale = self._hand
+            stylus.render_into(out)
+        self._on_block(out, *renderer.condition)
+        out *= scale * self._volume
+        np.clip(out, -1.0, 1.0, out=out)

@@ -1,0 +1,82 @@
+"""The textures that a server has: those that come along, and files or folders that were named."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from foten.families.texture_file import read_texture
+from foten.runtime.renderer import EXAMPLE
+
+SUFFIX = ".foten"
+PICTURES = (".jpg", ".jpeg", ".png", ".webp")
+LARGEST_FILE = 64_000_000  # bytes
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A texture on the shelf."""
+
+    key: str  # what the page asks for: a file name, once
+    path: Path
+    name: str  # of the texture, by its card
+    method: str  # the model's key
+    picture: Path | None  # a photograph beside the file, of the same name
+
+    def listed(self) -> dict[str, Any]:
+        """Return what the page is told."""
+        photo = None if self.picture is None else f"textures/{self.key}/picture"
+        return {"file": self.key, "name": self.name, "method": self.method, "picture": photo}
+
+
+class Library:
+    """Texture files by key. Only these are ever read: a name in a request is looked up, and is no path.
+
+    Raises:
+        FileNotFoundError: a path is missing.
+        ValueError: a file is no texture file.
+    """
+
+    def __init__(self, paths: Sequence[Path] = ()) -> None:
+        self._entries: dict[str, Entry] = {}
+        for path in _files(paths):
+            self.add(path)
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def add(self, path: Path) -> Entry:
+        """Put a texture file on the shelf, and return its entry."""
+        texture = read_texture(path)
+        key, n = path.name, 2
+        while key in self._entries:
+            key, n = f"{path.stem}-{n}{SUFFIX}", n + 1
+        picture = next((one for end in PICTURES if (one := path.with_suffix(end)).is_file()), None)
+        entry = Entry(key, path, str(texture.card["texture"]) or path.stem, str(texture.card["model"]), picture)
+        self._entries[key] = entry
+        return entry
+
+    def get(self, key: str) -> Entry | None:
+        """Return an entry, or None where there is none."""
+        return self._entries.get(key)
+
+    def listed(self) -> dict[str, Any]:
+        """Return what the page is told of all."""
+        return {"textures": [entry.listed() for entry in self._entries.values()], "server": True}
+
+
+def _files(paths: Sequence[Path]) -> Iterator[Path]:
+    if not paths:
+        yield from sorted(EXAMPLE.parent.glob(f"*{SUFFIX}"))
+    for path in paths:
+        if path.is_dir():
+            inside = sorted(path.glob(f"*{SUFFIX}"))
+            if not inside:
+                raise ValueError(f"{path} holds no texture file ({SUFFIX})")
+            yield from inside
+        elif path.exists():
+            yield path
+        else:
+            raise FileNotFoundError(f"no such file: {path}")

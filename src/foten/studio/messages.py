@@ -1,0 +1,120 @@
+"""What a page may say to the server, and no more: each message is checked here once, and refused with a reason.
+
+Text is JSON, one object with `do`:
+
+    {"do": "open", "texture": KEY, "sink": "stream" | "device", "rate_hz": 48000, "volume_db": 0,
+     "newtons": 0.13, "steepness": 3.32}
+    {"do": "volume", "volume_db": -6}
+    {"do": "calibrate", "newtons": 0.13, "steepness": 3.32}
+    {"do": "close"}
+
+Bytes are events of a pen, 1 to `MOST_EVENTS` at once, each four little-endian float64: x and y [mm], pressure 0 … 1 (0 is
+lifted), the device's time [s].
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.untrusted import parse_json
+
+MOST_BYTES = 4096  # of a message
+MOST_EVENTS = 64  # in a message
+EVENTS_A_SECOND, MESSAGES_A_SECOND = 2000.0, 1200.0  # a pen has at most a thousand events
+BURST_S = 1.0  # of either, that may come at once after a pause
+
+
+class RefusedError(ValueError):
+    """A message that is not one of those above; the text says why."""
+
+
+_NUMBERS: Mapping[str, tuple[float, float]] = {
+    "volume_db": (-60.0, 24.0),
+    "newtons": (1e-3, 1e3),
+    "steepness": (-50.0, 50.0),
+    "rate_hz": (8000.0, 192_000.0),
+}
+_SINKS = ("stream", "device")
+_FIELDS: Mapping[str, tuple[frozenset[str], frozenset[str]]] = {
+    "open": (frozenset({"texture"}), frozenset({"sink", *_NUMBERS})),
+    "volume": (frozenset({"volume_db"}), frozenset()),
+    "calibrate": (frozenset({"newtons", "steepness"}), frozenset()),
+    "close": (frozenset(), frozenset()),
+}
+"""What each kind of message must have, and what it may have."""
+
+
+def parse_message(text: str) -> dict[str, Any]:
+    """Return a message in text.
+
+    Raises:
+        RefusedError: it is too long, no JSON object, of an unknown kind, or a field is missing, unknown or out of range.
+    """
+    if len(text) > MOST_BYTES:
+        raise RefusedError(f"the message has {len(text)} characters, expected {MOST_BYTES} at most")
+    try:
+        message = parse_json(text)
+    except ValueError:
+        raise RefusedError("the message is no JSON") from None
+    if not isinstance(message, dict) or not isinstance(message.get("do"), str):
+        raise RefusedError("the message is no object with 'do'")
+    kind = message["do"]
+    if kind not in _FIELDS:
+        raise RefusedError(f"unknown message {kind[:40]!r}, expected one of {', '.join(_FIELDS)}")
+    needed, allowed = _FIELDS[kind]
+    given = message.keys() - {"do"}
+    if missing := sorted(needed - given):
+        raise RefusedError(f"{kind}: {missing[0]} is missing")
+    if unknown := sorted(given - needed - allowed):
+        raise RefusedError(f"{kind}: unknown field {unknown[0][:40]!r}")
+    for name, (low, high) in _NUMBERS.items():
+        value = message.get(name, low)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+            raise RefusedError(f"{kind}: {name} is {value!r:.40}, expected a number from {low:g} to {high:g}")
+    if not isinstance(message.get("texture", ""), str) or message.get("sink", _SINKS[0]) not in _SINKS:
+        raise RefusedError(f"{kind}: texture is a name, and sink one of {', '.join(_SINKS)}")
+    return message
+
+
+def parse_events(data: bytes) -> NDArray[np.float64]:
+    """Return the events in a message of bytes: x, y [mm], pressure, t [s], shape (n, 4).
+
+    Raises:
+        RefusedError: it does not hold 1 to `MOST_EVENTS` whole events, or one is not finite or out of range.
+    """
+    n, rest = divmod(len(data), 32)
+    if rest or not 1 <= n <= MOST_EVENTS:
+        raise RefusedError(f"{len(data)} bytes of events, expected 1 to {MOST_EVENTS} of 32 bytes")
+    events = np.frombuffer(data, dtype="<f8").reshape(n, 4)
+    if not np.isfinite(events).all() or np.abs(events).max() > 1e9:
+        raise RefusedError("an event is not finite, or out of range")
+    if (events[:, 2] < 0).any() or (events[:, 2] > 1).any():
+        raise RefusedError("a pressure is outside of 0 to 1")
+    return events
+
+
+@dataclass
+class Allowance:
+    """How much a page may still send: so many a second, and `BURST_S` of them at once."""
+
+    a_second: float
+    left: float = math.inf
+    at: float = 0.0
+
+    def take(self, n: float, now: float | None = None) -> bool:
+        """Return whether n more are allowed, and count them where they are."""
+        now = time.monotonic() if now is None else now
+        most = self.a_second * BURST_S
+        self.left = min(most, self.left + (now - self.at) * self.a_second) if math.isfinite(self.left) else most
+        self.at = now
+        if n > self.left:
+            return False
+        self.left -= n
+        return True

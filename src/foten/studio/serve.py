@@ -1,0 +1,98 @@
+"""The studio as a process: listens, says where, ends cleanly."""
+
+from __future__ import annotations
+
+import contextlib
+import ipaddress
+import socket
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import uvicorn
+
+from foten.studio.access import LOOPBACK, Access, access_to, write_certificate
+from foten.studio.messages import MOST_BYTES
+from foten.studio.server import Studio
+
+SHUTDOWN_S = 3
+
+
+def addresses() -> list[str]:
+    """Return the addresses by which others on the network reach this machine, the likeliest first."""
+    found = []
+    with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.connect(("192.0.2.1", 9))  # nothing is sent: the system says from which address it would be
+        found.append(probe.getsockname()[0])
+    with contextlib.suppress(OSError):
+        found += [str(info[4][0]) for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)]
+    return [one for one in dict.fromkeys(found) if not ipaddress.ip_address(one).is_loopback]
+
+
+def listening(host: str, port: int) -> socket.socket:
+    """Return a socket that listens at a host and port, 0 for any that is free.
+
+    Raises:
+        OSError: the host is not this machine's, or the port is taken; one line says which.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((host, port))
+    except (OSError, OverflowError) as error:
+        listener.close()
+        hint = (
+            "is another studio running? --port 0 takes any that is free" if port else "is that address this machine's?"
+        )
+        raise OSError(f"cannot listen at {host}, port {port}: {hint}") from error
+    listener.listen(128)
+    return listener
+
+
+def serve(studio: Studio, host: str, port: int, on_start: Callable[[Access, str], None]) -> None:
+    """Serve until Ctrl-C or SIGTERM; `on_start` is given the access and the host to open, once it listens.
+
+    Raises:
+        OSError: it cannot listen there.
+    """
+    with listening(host, port) as listener, contextlib.ExitStack() as stack:
+        port = listener.getsockname()[1]
+        shown = host
+        others = addresses() if host in ("0.0.0.0", "::") else []
+        if others:
+            shown = others[0]
+        access = access_to(host, port, others)
+        files: dict[str, str] = {}
+        if access.token is not None:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="foten-")))
+            certificate, key = write_certificate(folder, access.hosts)
+            files = {"ssl_certfile": str(certificate), "ssl_keyfile": str(key)}
+        config = uvicorn.Config(
+            studio.app(access),
+            log_level="warning",
+            access_log=False,
+            server_header=False,
+            ws="websockets-sansio",
+            ws_max_size=2 * MOST_BYTES,
+            ws_per_message_deflate=False,
+            timeout_graceful_shutdown=SHUTDOWN_S,
+            **files,  # type: ignore[arg-type]
+        )
+        server = uvicorn.Server(config)
+        with _said_once(server, lambda: on_start(access, "127.0.0.1" if shown in LOOPBACK else shown)):
+            server.run(sockets=[listener])
+
+
+@contextlib.contextmanager
+def _said_once(server: uvicorn.Server, say: Callable[[], None]) -> Iterator[None]:
+    """Call something once the server has started."""
+    started = server.startup
+
+    async def startup(sockets: list[socket.socket] | None = None) -> None:
+        await started(sockets=sockets)
+        if server.started:
+            say()
+
+    server.startup = startup  # type: ignore[method-assign]
+    yield

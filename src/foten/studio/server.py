@@ -1,0 +1,288 @@
+"""The server of the page: its files, the textures, and a WebSocket for sound that is rendered here.
+
+    GET  /                          the page, and its files
+    GET  /textures.json             what is on the shelf
+    GET  /textures/KEY              a texture file; /textures/KEY/picture its photograph
+    GET  /state                     who strokes, and how rendering keeps up
+    WS   /stroke                    events in, vibration out (`messages`)
+
+Each page has its own state, which a lost page frees.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import mimetypes
+import struct
+from collections.abc import AsyncIterator, Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.types import ASGIApp
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from foten import __version__
+from foten.runtime.binding import kernel_file
+from foten.runtime.live.devices import SOUND_RATE_HZ, SoundSink
+from foten.runtime.live.live import Sink
+from foten.runtime.live.paced import NullSink
+from foten.runtime.stylus import PressureCalibration
+from foten.studio.access import Access, Guarded
+from foten.studio.contact import Contact
+from foten.studio.library import Library
+from foten.studio.messages import (
+    EVENTS_A_SECOND,
+    MESSAGES_A_SECOND,
+    MOST_BYTES,
+    Allowance,
+    RefusedError,
+    parse_events,
+    parse_message,
+)
+
+PAGE = Path(__file__).with_name("page")
+KERNEL = ("foten.mjs", "foten.wasm")
+MOST_PAGES = 64  # that stroke at once
+MOST_REFUSED = 1000  # messages of a page, after which it is sent away
+MOST_WAITING = 64  # blocks for a page that does not take them; the oldest go
+STATE_S = 1.0  # between two reports of how rendering keeps up
+SINKS: Mapping[str, Callable[[float], Sink]] = {
+    "stream": NullSink,
+    "device": lambda rate_hz: SoundSink(1.0, rate_hz=rate_hz),
+}
+"""Where a page may have its sound: sent to it, or played by this machine."""
+
+
+class Studio:
+    """What the server has, and who is there.
+
+    Args:
+        library: the textures.
+        sinks: as `SINKS`; others for tests.
+    """
+
+    def __init__(self, library: Library, sinks: Mapping[str, Callable[[float], Sink]] = SINKS) -> None:
+        self.library, self.sinks = library, sinks
+        self.pages: set[Page] = set()
+        self.n_refused = 0
+
+    def app(self, access: Access) -> ASGIApp:
+        """Return the application, behind its access."""
+        routes = [
+            Route("/textures.json", self._textures),
+            Route("/textures/{key}", self._texture),
+            Route("/textures/{key}/picture", self._picture),
+            Route("/state", self._state),
+            WebSocketRoute("/stroke", self._stroke),
+            Route("/{name:path}", self._file),
+        ]
+        return Guarded(Starlette(routes=routes, lifespan=self._lifespan), access)
+
+    @contextlib.asynccontextmanager
+    async def _lifespan(self, _app: Starlette) -> AsyncIterator[None]:
+        yield
+        for page in list(self.pages):
+            await page.close()
+
+    async def _textures(self, _request: Request) -> Response:
+        return JSONResponse(self.library.listed())
+
+    async def _texture(self, request: Request) -> Response:
+        entry = self.library.get(request.path_params["key"])
+        if entry is None:
+            return _missing(f"there is no texture {request.path_params['key'][:80]!r} here")
+        return FileResponse(entry.path, media_type="application/octet-stream")
+
+    async def _picture(self, request: Request) -> Response:
+        entry = self.library.get(request.path_params["key"])
+        if entry is None or entry.picture is None:
+            return _missing("there is no picture of this texture")
+        return FileResponse(entry.picture)
+
+    async def _state(self, _request: Request) -> Response:
+        pages = [page.state() for page in self.pages]
+        return JSONResponse({"foten": __version__, "n_refused": self.n_refused, "pages": pages})
+
+    async def _file(self, request: Request) -> Response:
+        # Looked up, not joined: a name with dots and slashes is none of these.
+        name = request.path_params["name"] or "index.html"
+        path = page_files().get(name)
+        if path is None:
+            return _missing(f"there is no {name[:80]!r} here")
+        return FileResponse(path, media_type=_TYPES.get(path.suffix) or mimetypes.guess_type(name)[0])
+
+    async def _stroke(self, socket: WebSocket) -> None:
+        await socket.accept()
+        if len(self.pages) >= MOST_PAGES:
+            await socket.close(1013, f"{MOST_PAGES} pages stroke already: close one")
+            return
+        page = Page(self, socket)
+        self.pages.add(page)
+        try:
+            await page.run()
+        finally:
+            self.pages.discard(page)
+            await page.close()
+
+
+class Page:
+    """One page at the WebSocket: what it says, in order; what is rendered for it, back."""
+
+    def __init__(self, studio: Studio, socket: WebSocket) -> None:
+        self._studio, self._socket = studio, socket
+        self._loop = asyncio.get_running_loop()
+        self._waiting: asyncio.Queue[bytes] = asyncio.Queue()
+        self._contact: Contact | None = None
+        self._calibration = PressureCalibration()
+        self._texture, self._sink, self._rate_hz = "", "", 0.0
+        self._n_events = self._n_refused = self._n_unsent = 0
+        self._events, self._messages = Allowance(EVENTS_A_SECOND), Allowance(MESSAGES_A_SECOND)
+
+    async def run(self) -> None:
+        """Serve the page until it goes."""
+        sending = [asyncio.create_task(self._send_blocks()), asyncio.create_task(self._send_state())]
+        try:
+            while True:
+                received = await self._socket.receive()
+                if received["type"] == "websocket.disconnect":
+                    return
+                await self._take(received)
+                if self._n_refused > MOST_REFUSED:
+                    await self._socket.close(1008, f"{MOST_REFUSED} messages were refused")
+                    return
+        except WebSocketDisconnect:
+            pass
+        finally:
+            for task in sending:
+                task.cancel()
+            await asyncio.gather(*sending, return_exceptions=True)
+
+    async def close(self) -> None:
+        """End playing; a second time nothing happens."""
+        contact, self._contact = self._contact, None
+        if contact is not None:
+            with contextlib.suppress(OSError, ValueError):  # what it died of was said when it did
+                await asyncio.to_thread(contact.close)
+
+    def state(self) -> dict[str, Any]:
+        """Return how the page does, for people."""
+        known: dict[str, Any] = {"texture": self._texture, "sink": self._sink, "n_events": self._n_events}
+        known |= {"n_refused": self._n_refused, "n_unsent": self._n_unsent}
+        contact = self._contact
+        if contact is not None:
+            live = contact.statistics
+            known |= {"block_ms": live.block_ms, "n_missed": live.n_missed, "n_underruns": live.n_underruns}
+            for name, percent in (("p50", 50.0), ("p99", 99.0)):
+                value = 1000 * live.block.percentile_s(percent)
+                known[f"block_{name}_ms"] = None if np.isnan(value) else value
+            known["stylus"] = contact.counted
+        return known
+
+    async def _take(self, received: Mapping[str, Any]) -> None:
+        try:
+            if not self._messages.take(1):
+                raise RefusedError(f"more than {MESSAGES_A_SECOND:g} messages a second")
+            data, text = received.get("bytes"), received.get("text")
+            if data is not None:
+                self._push(data)
+            else:
+                await self._do(parse_message(text or ""))
+        except RefusedError as refused:
+            self._n_refused += 1
+            self._studio.n_refused += 1
+            await self._say({"refused": str(refused)})
+
+    def _push(self, data: bytes) -> None:
+        if len(data) > MOST_BYTES:
+            raise RefusedError(f"the message has {len(data)} bytes, expected {MOST_BYTES} at most")
+        events = parse_events(data)
+        if self._contact is None:
+            raise RefusedError("events before a texture was opened")
+        if not self._events.take(len(events)):
+            raise RefusedError(f"more than {EVENTS_A_SECOND:g} events a second")
+        self._contact.push(events)
+        self._n_events += len(events)
+
+    async def _do(self, message: Mapping[str, Any]) -> None:
+        kind = message["do"]
+        if {"newtons", "steepness"} & message.keys():
+            usual = PressureCalibration()
+            self._calibration = PressureCalibration(
+                float(message.get("newtons", usual.a)), float(message.get("steepness", usual.b))
+            )
+        if kind == "open":
+            await self._open(message)
+        elif kind == "close":
+            await self.close()
+            await self._say({"closed": True})
+        elif self._contact is None:
+            raise RefusedError(f"{kind} before a texture was opened")
+        elif kind == "calibrate":
+            self._contact.calibrate(self._calibration)
+        if self._contact is not None and "volume_db" in message:
+            self._contact.set_volume(float(message["volume_db"]))
+
+    async def _open(self, message: Mapping[str, Any]) -> None:
+        entry = self._studio.library.get(message["texture"])
+        if entry is None:
+            raise RefusedError(f"there is no texture {message['texture'][:80]!r} here")
+        sink = message.get("sink", "stream")
+        rate_hz = float(message.get("rate_hz", SOUND_RATE_HZ))
+        if self._contact is not None and (sink, rate_hz) != (self._sink, self._rate_hz):
+            await self.close()
+        try:
+            if self._contact is None:
+                self._contact = Contact(self._studio.sinks[sink](rate_hz), self._on_block)
+            data = await asyncio.to_thread(entry.path.read_bytes)
+            await asyncio.to_thread(self._contact.open, data, self._calibration)
+        except (OSError, ValueError) as error:
+            await self.close()
+            raise RefusedError(f"{entry.key} cannot be played: {error}") from error
+        self._texture, self._sink, self._rate_hz = entry.key, sink, rate_hz
+        await self._say({"opened": entry.key, "sink": sink, "rate_hz": rate_hz})
+
+    def _on_block(self, samples: NDArray[np.float32], speed: float, force: float) -> None:
+        """Pass a block on to the page: speed [mm/s] and force [N], then the samples [m/s²], all little-endian float32."""
+        block = struct.pack("<ff", speed, force) + samples.astype("<f4").tobytes()
+        with contextlib.suppress(RuntimeError):  # the loop has ended, and so does the contact
+            self._loop.call_soon_threadsafe(self._queue, block)
+
+    def _queue(self, block: bytes) -> None:
+        self._waiting.put_nowait(block)
+        while self._waiting.qsize() > MOST_WAITING:
+            self._waiting.get_nowait()
+            self._n_unsent += 1
+
+    async def _send_blocks(self) -> None:
+        while True:
+            await self._socket.send_bytes(await self._waiting.get())
+
+    async def _send_state(self) -> None:
+        while True:
+            await asyncio.sleep(STATE_S)
+            if self._contact is not None:
+                await self._say({"state": self.state()})
+
+    async def _say(self, document: Mapping[str, Any]) -> None:
+        await self._socket.send_text(json.dumps(document, allow_nan=False))
+
+
+_TYPES = {".mjs": "text/javascript", ".js": "text/javascript", ".wasm": "application/wasm", ".html": "text/html"}
+
+
+def page_files() -> dict[str, Path]:
+    """Return the files of the page by name, the kernel's among them."""
+    files = {path.name: path for path in PAGE.iterdir() if path.is_file()}
+    return files | {name: kernel_file(name) for name in KERNEL}
+
+
+def _missing(why: str) -> Response:
+    return PlainTextResponse(f"{why}\n", status_code=404)

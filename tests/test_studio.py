@@ -1,0 +1,404 @@
+"""The studio's server: what it gives, whom it refuses, and that nobody's page is lost or left behind."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import ssl
+import subprocess
+import sys
+import threading
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("starlette")
+from starlette.testclient import TestClient
+from starlette.websockets import WebSocketDisconnect
+
+from foten.families.texture_file import read_texture
+from foten.runtime.live.paced import NullSink
+from foten.runtime.renderer import EXAMPLE
+from foten.runtime.stylus import PressureCalibration
+from foten.studio import server
+from foten.studio.access import LOOPBACK, Access, access_to, write_certificate
+from foten.studio.contact import Contact
+from foten.studio.library import Library
+from foten.studio.messages import Allowance, RefusedError, parse_events, parse_message
+from foten.studio.server import Studio
+
+LOCAL = Access(LOOPBACK, 8000)
+HERE = "http://127.0.0.1:8000"
+WS = "ws://127.0.0.1:8000"
+KEY = EXAMPLE.name
+
+
+@pytest.fixture
+def studio() -> Studio:
+    return Studio(Library([EXAMPLE]))
+
+
+@pytest.fixture
+def client(studio: Studio) -> Iterator[TestClient]:
+    with TestClient(studio.app(LOCAL), base_url=HERE, headers={"origin": HERE}) as client:
+        yield client
+
+
+def event(x: float, t: float, pressure: float = 0.5) -> bytes:
+    return np.array([x, 0.0, pressure, t], dtype="<f8").tobytes()
+
+
+def until_opened(socket: Any) -> dict[str, Any]:
+    while True:
+        message = socket.receive()
+        if message.get("text"):
+            document: dict[str, Any] = json.loads(message["text"])
+            if "opened" in document or "refused" in document:
+                return document
+
+
+def test_the_page_and_what_it_needs_are_served(client: TestClient) -> None:
+    assert "<title>foten</title>" in client.get("/").text
+    for name, kind in {
+        "studio.js": "text/javascript",
+        "worklet.js": "text/javascript",
+        "studio.css": "text/css",
+    }.items():
+        answer = client.get(f"/{name}")
+        assert answer.status_code == 200
+        assert answer.headers["content-type"].startswith(kind)
+    assert client.get("/foten.mjs").headers["content-type"].startswith("text/javascript")
+    assert client.get("/foten.wasm").headers["content-type"] == "application/wasm"
+    assert client.get("/foten.wasm").content[:4] == b"\0asm"
+
+
+def test_nothing_of_the_page_comes_from_elsewhere() -> None:
+    """It works without a network: no address of another host in any of its files."""
+    for name, path in server.page_files().items():
+        if path.suffix in (".js", ".mjs", ".html", ".css"):
+            text = path.read_text(encoding="utf-8").replace("http://www.w3.org/2000/svg", "")
+            assert "http://" not in text and "https://" not in text and "//cdn" not in text, name
+
+
+def test_the_page_weighs_at_most_500_kb() -> None:
+    assert sum(path.stat().st_size for path in server.page_files().values()) <= 500_000
+
+
+def test_a_texture_is_listed_and_given_as_it_is(client: TestClient) -> None:
+    (listed,) = client.get("/textures.json").json()["textures"]
+    assert listed == {"file": KEY, "name": "steel-mesh-1", "method": "foten-plus", "picture": None}
+    assert client.get(f"/textures/{KEY}").content == EXAMPLE.read_bytes()
+
+
+def test_a_photograph_beside_a_texture_is_its_picture(tmp_path: Path) -> None:
+    (tmp_path / "mesh.foten").write_bytes(EXAMPLE.read_bytes())
+    (tmp_path / "mesh.png").write_bytes(b"\x89PNG picture")
+    with TestClient(Studio(Library([tmp_path])).app(LOCAL), base_url=HERE) as client:
+        (listed,) = client.get("/textures.json").json()["textures"]
+        assert client.get(f"/{listed['picture']}").content == b"\x89PNG picture"
+
+
+def test_textures_of_one_name_have_keys_of_their_own(tmp_path: Path) -> None:
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "mesh.foten").write_bytes(EXAMPLE.read_bytes())
+    library = Library([tmp_path / "a", tmp_path / "b"])
+    assert [one["file"] for one in library.listed()["textures"]] == ["mesh.foten", "mesh-2.foten"]
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/textures/../server.py",
+        "/textures/..%2f..%2f..%2fpyproject.toml",
+        "/textures/%2e%2e/%2e%2e/pyproject.toml",
+        "/textures/%2fetc%2fpasswd",
+        f"/textures/{KEY}%00.png",
+        f"/textures/..\\{KEY}",
+        "/..%2fserver.py",
+        "/%2e%2e%2fserver.py",
+        "/page/index.html",
+        "/access.py",
+        "/textures/nothing.foten",
+        f"/textures/{KEY}/picture",
+    ],
+)
+def test_a_name_is_looked_up_and_is_no_path(client: TestClient, path: str) -> None:
+    answer = client.get(path)
+    assert answer.status_code == 404
+    assert "there is no" in answer.text
+    assert answer.text.count("\n") == 1
+
+
+def test_a_page_that_another_name_leads_to_is_refused(studio: Studio) -> None:
+    """A name of someone else's that resolves to this machine would let their page read ours."""
+    for host in ("evil.example:8000", "127.0.0.1:8001", "127.0.0.1", "[::1", ""):
+        with TestClient(studio.app(LOCAL), base_url=HERE) as client:
+            answer = client.get("/textures.json", headers={"host": host})
+            assert answer.status_code == 403
+            assert "does not answer to" in answer.text
+    with TestClient(studio.app(LOCAL), base_url=HERE) as client:
+        for host in ("localhost:8000", "[::1]:8000"):
+            assert client.get("/textures.json", headers={"host": host}).status_code == 200
+
+
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", "https://127.0.0.1:8000", "http://127.0.0.1:8001", None]
+)
+def test_a_socket_from_another_page_is_refused(studio: Studio, origin: str | None) -> None:
+    headers = {} if origin is None else {"origin": origin}
+    with TestClient(studio.app(LOCAL), base_url=HERE) as client, pytest.raises(WebSocketDisconnect) as refused:
+        with client.websocket_connect(f"{WS}/stroke", headers=headers):
+            pass
+    assert refused.value.code == 1008
+    assert "origin" in refused.value.reason
+
+
+def test_on_a_network_the_token_is_asked_for_and_becomes_a_cookie(studio: Studio) -> None:
+    access = access_to("192.0.2.7", 8443)
+    assert access.token is not None
+    there = "https://192.0.2.7:8443"
+    assert access.link("192.0.2.7") == f"{there}/?token={access.token}"
+    with TestClient(studio.app(access), base_url=there, headers={"origin": there}) as client:
+        assert client.get("/").status_code == 403
+        assert client.get("/", params={"token": access.token[:-1] + "~"}).status_code == 403
+        client.cookies.set("foten", "é" * 8, domain="192.0.2.7")
+        assert client.get("/").status_code == 403
+        client.cookies.clear()
+        with pytest.raises(WebSocketDisconnect), client.websocket_connect("wss://192.0.2.7:8443/stroke"):
+            pass
+        moved = client.get("/", params={"token": access.token}, follow_redirects=False)
+        assert (moved.status_code, moved.headers["location"]) == (303, "/")
+        cookie = moved.headers["set-cookie"].lower()
+        assert all(word in cookie for word in ("httponly", "secure", "samesite=strict"))
+        assert client.get("/textures.json").status_code == 200
+    assert access.token not in repr(access)
+    assert access_to("192.0.2.7", 8443).token != access.token
+
+
+def test_this_machine_alone_needs_no_token() -> None:
+    assert access_to("127.0.0.1", 8000) == LOCAL
+    assert LOCAL.link("127.0.0.1") == "http://127.0.0.1:8000/"
+
+
+def test_a_certificate_is_for_the_hosts_and_its_key_is_for_the_owner_alone(tmp_path: Path) -> None:
+    certificate, key = write_certificate(tmp_path, ["192.0.2.7", "localhost"])
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(certificate, key)
+    names = ssl._ssl._test_decode_cert(str(certificate))["subjectAltName"]  # type: ignore[attr-defined]
+    assert names == (("IP Address", "192.0.2.7"), ("DNS", "localhost"))
+    if os.name == "posix":
+        assert key.stat().st_mode & 0o077 == 0
+
+
+def test_a_stroke_is_rendered_and_sent_back(client: TestClient, studio: Studio) -> None:
+    with client.websocket_connect(f"{WS}/stroke") as socket:
+        socket.send_text(json.dumps({"do": "open", "texture": KEY, "rate_hz": 8000}))
+        assert until_opened(socket) == {"opened": KEY, "sink": "stream", "rate_hz": 8000.0}
+        loudest = fastest = firmest = 0.0
+        begin = time.monotonic()
+        n = 0
+        while time.monotonic() - begin < 10 and not (loudest > 0.5 and fastest > 60):
+            socket.send_bytes(event(80 * (time.monotonic() - begin), time.monotonic()))
+            n += 1
+            data = socket.receive().get("bytes")
+            if data:
+                speed, force, *samples = np.frombuffer(data, dtype="<f4")
+                loudest, fastest = max(loudest, float(np.abs(samples).max())), max(fastest, float(speed))
+                firmest = max(firmest, float(force))
+        assert loudest > 0.5  # m/s²
+        assert 60 < fastest < 200  # of 80 mm/s
+        assert 0.5 < firmest < 0.9  # Eq. 12 at a pressure of 0.5: 0.68 N
+        (page,) = studio.pages
+        assert page.state()["n_events"] == n
+    deadline = time.monotonic() + 10
+    while studio.pages and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert not studio.pages
+    assert not [thread for thread in threading.enumerate() if thread.name in ("foten-render", "foten-sink")]
+
+
+def test_pages_have_states_of_their_own(client: TestClient, studio: Studio) -> None:
+    with client.websocket_connect(f"{WS}/stroke") as one, client.websocket_connect(f"{WS}/stroke") as other:
+        one.send_text(json.dumps({"do": "open", "texture": KEY}))
+        until_opened(one)
+        other.send_bytes(event(0, 0))
+        assert "before a texture was opened" in json.loads(other.receive()["text"])["refused"]
+        state = client.get("/state").json()
+        assert sorted(page["texture"] for page in state["pages"]) == ["", KEY]
+        assert state["n_refused"] == 1
+
+
+BAD = [
+    ("", "no JSON"),
+    ("[1]", "no object with 'do'"),
+    ('{"do": 5}', "no object with 'do'"),
+    ('{"do": "dance"}', "unknown message 'dance', expected one of open"),
+    ('{"do": "open"}', "texture is missing"),
+    ('{"do": "open", "texture": 5}', "texture is a name"),
+    ('{"do": "open", "texture": "a", "sink": "daq"}', "sink one of stream, device"),
+    ('{"do": "open", "texture": "a", "colour": 1}', "unknown field 'colour'"),
+    ('{"do": "open", "texture": "a", "rate_hz": 1}', "rate_hz is 1, expected a number from 8000"),
+    ('{"do": "volume", "volume_db": NaN}', "volume_db is nan"),
+    ('{"do": "volume", "volume_db": true}', "volume_db is True"),
+    ('{"do": "volume", "volume_db": 1e999}', "volume_db is inf"),
+    ('{"do": "calibrate", "newtons": 0.1}', "steepness is missing"),
+    ('{"do": "close", "x": 1}', "unknown field"),
+    ("x" * 5000, "5000 characters"),
+    ("[" * 3000 + "]" * 3000, "characters"),
+]
+
+
+@pytest.mark.parametrize(("text", "why"), BAD)
+def test_a_message_of_another_kind_is_refused_with_a_reason(text: str, why: str) -> None:
+    with pytest.raises(RefusedError, match=why.replace("(", r"\(")):
+        parse_message(text)
+
+
+@pytest.mark.parametrize(
+    ("data", "why"),
+    [
+        (b"", "0 bytes"),
+        (b"x" * 31, "31 bytes"),
+        (event(0, 0) * 65, "2080 bytes"),
+        (event(float("nan"), 0), "not finite"),
+        (event(1e12, 0), "out of range"),
+        (event(0, 0, 1.5), "pressure"),
+        (event(0, 0, -0.1), "pressure"),
+    ],
+)
+def test_events_that_cannot_be_are_refused(data: bytes, why: str) -> None:
+    with pytest.raises(RefusedError, match=why):
+        parse_events(data)
+
+
+def hostile(rng: random.Random) -> dict[str, Any]:
+    """Return a message that is malformed, oversized or out of order."""
+    kind = rng.randrange(5)
+    if kind == 0:
+        return {"type": "websocket.receive", "bytes": rng.randbytes(rng.choice([0, 1, 31, 32, 33, 64, 2048, 5000]))}
+    if kind == 1:
+        return {"type": "websocket.receive", "text": rng.choice(BAD)[0]}
+    if kind == 2:
+        text = json.dumps({"do": "open", "texture": KEY, "volume_db": -6, "newtons": 0.13, "steepness": 3.32})
+        at = rng.randrange(len(text))
+        return {"type": "websocket.receive", "text": text[:at] + chr(rng.randrange(1, 0x2FFF)) + text[at + 1 :]}
+    if kind == 3:
+        return {"type": "websocket.receive", "bytes": event(rng.gauss(0, 1e3), rng.gauss(0, 10), rng.uniform(-1, 2))}
+    words: list[Any] = ["open", "close", "volume", "texture", KEY, "../x", None, 1e308, -1, [], {}, True, "do", "sink"]
+    return {
+        "type": "websocket.receive",
+        "text": json.dumps({str(rng.choice(words)): rng.choice(words) for _ in range(4)}),
+    }
+
+
+@pytest.mark.parametrize("n", [2000, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_no_message_brings_it_down(monkeypatch: pytest.MonkeyPatch, n: int) -> None:
+    """Each is taken or refused with a reason; afterwards a page strokes as before."""
+    monkeypatch.setattr(server, "MOST_REFUSED", 10 * n)
+    monkeypatch.setattr(server, "MESSAGES_A_SECOND", 1e9)
+    studio, rng = Studio(Library([EXAMPLE])), random.Random(0)
+    with TestClient(studio.app(LOCAL), base_url=HERE, headers={"origin": HERE}) as client:
+        with client.websocket_connect(f"{WS}/stroke") as socket:
+            for _ in range(n):
+                message = hostile(rng)
+                data, text = message.get("bytes"), message.get("text")
+                socket.send_bytes(data) if data is not None else socket.send_text(text)
+            socket.send_text(json.dumps({"do": "open", "texture": KEY}))
+            while "opened" not in until_opened(socket):
+                pass
+        assert studio.n_refused > 0.8 * n
+        with client.websocket_connect(f"{WS}/stroke") as socket:
+            socket.send_text(json.dumps({"do": "open", "texture": KEY}))
+            assert until_opened(socket)["opened"] == KEY
+
+
+def test_a_flood_is_refused_and_then_sent_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "MOST_REFUSED", 50)
+    with TestClient(Studio(Library([EXAMPLE])).app(LOCAL), base_url=HERE, headers={"origin": HERE}) as client:
+        with client.websocket_connect(f"{WS}/stroke") as socket, pytest.raises(WebSocketDisconnect) as gone:
+            for _ in range(100):
+                socket.send_text("{}")
+            while True:
+                socket.receive_text()
+        assert gone.value.code == 1008
+
+
+def test_an_allowance_fills_again() -> None:
+    allowance = Allowance(100.0)
+    assert allowance.take(100, now=10.0)
+    assert not allowance.take(1, now=10.0)
+    assert allowance.take(50, now=10.5)
+    assert not allowance.take(1, now=10.5)
+    assert allowance.take(100, now=99.0)
+    assert not allowance.take(1, now=99.0)
+
+
+@pytest.mark.parametrize("damage", ["truncated", "another", "proof"])
+def test_a_hostile_texture_is_refused(tmp_path: Path, damage: str) -> None:
+    data = bytearray(EXAMPLE.read_bytes())
+    if damage == "truncated":
+        data = data[: len(data) // 2]
+    elif damage == "another":
+        data = bytearray(b"PK\3\4" + bytes(1000))
+    else:
+        tensors = {name: tensor.copy() for name, tensor in read_texture(EXAMPLE).tensors.items()}
+        tensors["golden.one_step"] += 1.0
+        from safetensors.numpy import save
+
+        data = bytearray(save(tensors, metadata={"foten": json.dumps(dict(read_texture(EXAMPLE).card))}))
+    path = tmp_path / "hostile.foten"
+    path.write_bytes(data)
+    contact = Contact(NullSink(48_000), lambda *_: None)
+    with pytest.raises(ValueError, match=r"texture file|truncated|proof"):
+        contact.open(bytes(data), PressureCalibration())
+    contact.close()
+    if damage != "proof":  # which only rendering finds
+        with pytest.raises(ValueError, match="hostile.foten"):
+            Library([path])
+
+
+def test_a_library_says_what_is_missing(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"no such file: .*nothing\.foten"):
+        Library([tmp_path / "nothing.foten"])
+    with pytest.raises(ValueError, match=r"holds no texture file \(\.foten\)"):
+        Library([tmp_path])
+    assert len(Library()) >= 1
+
+
+def started(*arguments: str) -> tuple[subprocess.Popen[str], str]:
+    """Return a server and the link that it printed."""
+    command = [
+        sys.executable,
+        "-c",
+        "from foten.cli import main; main()",
+        "serve",
+        "--no-open",
+        "--port",
+        "0",
+        *arguments,
+    ]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    assert process.stderr is not None
+    line = process.stderr.readline()
+    return process, line.rsplit(" ", 1)[-1].strip()
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_it_starts_says_where_and_ends_cleanly(number: int, status: int) -> None:
+    process, link = started(str(EXAMPLE))
+    try:
+        with urllib.request.urlopen(link, timeout=20) as answer:
+            assert b"<title>foten</title>" in answer.read()
+    finally:
+        process.send_signal(number)
+        _, rest = process.communicate(timeout=30)
+    assert process.returncode in (status, -number)
+    assert "Traceback" not in rest
