@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import re
 import signal
 import ssl
 import subprocess
@@ -84,7 +85,7 @@ def test_nothing_of_the_page_comes_from_elsewhere() -> None:
     for name, path in server.page_files().items():
         if path.suffix in (".js", ".mjs", ".html", ".css"):
             text = path.read_text(encoding="utf-8").replace("http://www.w3.org/2000/svg", "")
-            assert "http://" not in text and "https://" not in text and "//cdn" not in text, name
+            assert not re.search("https?://|[\"'(]//", text), name
 
 
 def test_the_page_weighs_at_most_500_kb() -> None:
@@ -154,9 +155,10 @@ def test_a_page_that_another_name_leads_to_is_refused(studio: Studio) -> None:
 )
 def test_a_socket_from_another_page_is_refused(studio: Studio, origin: str | None) -> None:
     headers = {} if origin is None else {"origin": origin}
-    with TestClient(studio.app(LOCAL), base_url=HERE) as client, pytest.raises(WebSocketDisconnect) as refused:
-        with client.websocket_connect(f"{WS}/stroke", headers=headers):
-            pass
+    with TestClient(studio.app(LOCAL), base_url=HERE) as client:
+        connection = client.websocket_connect(f"{WS}/stroke", headers=headers)
+        with pytest.raises(WebSocketDisconnect) as refused:
+            connection.__enter__()
     assert refused.value.code == 1008
     assert "origin" in refused.value.reason
 
@@ -169,9 +171,7 @@ def test_on_a_network_the_token_is_asked_for_and_becomes_a_cookie(studio: Studio
     with TestClient(studio.app(access), base_url=there, headers={"origin": there}) as client:
         assert client.get("/").status_code == 403
         assert client.get("/", params={"token": access.token[:-1] + "~"}).status_code == 403
-        client.cookies.set("foten", "é" * 8, domain="192.0.2.7")
-        assert client.get("/").status_code == 403
-        client.cookies.clear()
+        assert client.get("/", headers={"cookie": b"foten=\xe9\xff"}).status_code == 403
         with pytest.raises(WebSocketDisconnect), client.websocket_connect("wss://192.0.2.7:8443/stroke"):
             pass
         moved = client.get("/", params={"token": access.token}, follow_redirects=False)
@@ -206,7 +206,7 @@ def test_a_stroke_is_rendered_and_sent_back(client: TestClient, studio: Studio) 
         begin = time.monotonic()
         n = 0
         while time.monotonic() - begin < 10 and not (loudest > 0.5 and fastest > 60):
-            socket.send_bytes(event(80 * (time.monotonic() - begin), time.monotonic()))
+            socket.send_bytes(event(80 * 0.005 * n, 0.005 * n))  # by the pen's clock, however busy this machine is
             n += 1
             data = socket.receive().get("bytes")
             if data:
@@ -214,7 +214,7 @@ def test_a_stroke_is_rendered_and_sent_back(client: TestClient, studio: Studio) 
                 loudest, fastest = max(loudest, float(np.abs(samples).max())), max(fastest, float(speed))
                 firmest = max(firmest, float(force))
         assert loudest > 0.5  # m/s²
-        assert 60 < fastest < 200  # of 80 mm/s
+        assert 60 < fastest < 90  # of 80 mm/s, and 4 % that the low-pass overshoots
         assert 0.5 < firmest < 0.9  # Eq. 12 at a pressure of 0.5: 0.68 N
         (page,) = studio.pages
         assert page.state()["n_events"] == n
@@ -323,11 +323,11 @@ def test_no_message_brings_it_down(monkeypatch: pytest.MonkeyPatch, n: int) -> N
 def test_a_flood_is_refused_and_then_sent_away(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "MOST_REFUSED", 50)
     with TestClient(Studio(Library([EXAMPLE])).app(LOCAL), base_url=HERE, headers={"origin": HERE}) as client:
-        with client.websocket_connect(f"{WS}/stroke") as socket, pytest.raises(WebSocketDisconnect) as gone:
+        with client.websocket_connect(f"{WS}/stroke") as socket:
             for _ in range(100):
                 socket.send_text("{}")
-            while True:
-                socket.receive_text()
+            with pytest.raises(WebSocketDisconnect) as gone:
+                list(iter(socket.receive_text, None))
         assert gone.value.code == 1008
 
 
@@ -361,7 +361,7 @@ def test_a_hostile_texture_is_refused(tmp_path: Path, damage: str) -> None:
         contact.open(bytes(data), PressureCalibration())
     contact.close()
     if damage != "proof":  # which only rendering finds
-        with pytest.raises(ValueError, match="hostile.foten"):
+        with pytest.raises(ValueError, match=r"hostile\.foten"):
             Library([path])
 
 
