@@ -129,8 +129,8 @@ class Studio:
         try:
             await page.run()
         finally:
-            self.pages.discard(page)
             await page.close()
+            self.pages.discard(page)
 
 
 class Page:
