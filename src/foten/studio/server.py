@@ -20,6 +20,7 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import anyio
 import numpy as np
 from numpy.typing import NDArray
 from starlette.applications import Starlette
@@ -129,7 +130,8 @@ class Studio:
         try:
             await page.run()
         finally:
-            await page.close()
+            with anyio.CancelScope(shield=True):  # a page that is lost in the middle of something frees its sound too
+                await page.close()
             self.pages.discard(page)
 
 
