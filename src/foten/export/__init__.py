@@ -1,0 +1,1 @@
+"""A texture, or a stroke of it, in the formats of other worlds: one writer a file."""

@@ -1,0 +1,54 @@
+"""A texture as a C header, for programs without files: the bytes of the texture file, aligned, to be given to `foten_model_load`.
+
+Keeps everything. What loads it replays its golden windows, on the microcontroller too.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from foten.atomic_write import atomic_write
+from foten.families.texture_file import Texture
+
+KEEPS = "the header keeps the whole texture, proof included"
+_ROW = 20  # bytes of a line
+
+
+def identifier(name: str) -> str:
+    """Return a name as C has it: `steel-mesh 1` → `steel_mesh_1`."""
+    word = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_").lower() or "texture"
+    return f"texture_{word}" if word[0].isdigit() else word
+
+
+def write_c_header(texture: Texture, path: Path) -> str:
+    """Write a texture as a header and return the name of its bytes in C."""
+    name, data, card = identifier(str(texture.card["texture"]) or path.stem), texture.to_bytes(), texture.card
+    rows = [", ".join(str(byte) for byte in data[i : i + _ROW]) for i in range(0, len(data), _ROW)]
+    (slow, fast), (light, firm) = texture.trained_range("speed"), texture.trained_range("force")
+    body = ",\n".join(rows)
+    trained = f"{slow:.0f} to {fast:.0f} mm/s, {light:.1f} to {firm:.1f} N"
+    text = f"""/* {name}: a texture of foten, {card["model"]} at {texture.rate_hz:g} Hz, recorded at {trained}.
+ *
+ *     foten_model *model;
+ *     char why[256];
+ *     if (foten_model_load({name}_foten, {name}_foten_size, &model, why, sizeof why) != FOTEN_OK) ...
+ */
+#ifndef {name.upper()}_FOTEN_H
+#define {name.upper()}_FOTEN_H
+
+#include <stddef.h>
+
+#if defined(__GNUC__)
+__attribute__((aligned(64)))
+#endif
+static const unsigned char {name}_foten[] = {{
+{body}
+}};
+static const size_t {name}_foten_size = sizeof {name}_foten;
+
+#endif
+"""
+    with atomic_write(path) as part:
+        part.write_text(text, encoding="ascii", errors="replace")
+    return f"{name}_foten"

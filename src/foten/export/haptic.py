@@ -1,0 +1,39 @@
+"""The .haptic format, version 1.0, of Lofelt and Meta: envelopes of amplitude and frequency, in JSON.
+
+Keeps the envelope, not the waveform.
+
+Source: the published specification of the format.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from foten.atomic_write import atomic_write
+from foten.export.clip import Clip, envelopes_of
+
+KEEPS = ".haptic keeps the envelope, not the waveform"
+
+
+def write_haptic(clip: Clip, path: Path) -> None:
+    """Write a clip."""
+    envelopes = envelopes_of(clip)
+    written = {
+        name: [{"time": round(float(t), 6), name: round(float(value), 4)} for t, value in getattr(envelopes, name)]
+        for name in ("amplitude", "frequency")
+    }
+    document = {
+        "version": {"major": 1, "minor": 0, "patch": 0},
+        "metadata": {
+            "editor": f"foten {clip.about.get('foten', '')}".strip(),
+            "author": "",
+            "source": str(clip.about.get("texture", "")),
+            "project": "",
+            "tags": ["texture"],
+            "description": str(clip.about.get("stroke", "")),
+        },
+        "signals": {"continuous": {"envelopes": written}},
+    }
+    with atomic_write(path) as part:
+        part.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")

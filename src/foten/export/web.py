@@ -1,0 +1,32 @@
+"""The studio's page as files for any host: it renders in the browser, and needs no server of ours.
+
+Keeps everything: the texture files lie beside the page.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+KEEPS = "the page keeps the whole texture, and renders it in the browser"
+
+
+def write_site(
+    files: Mapping[str, Path], listed: Mapping[str, Any], textures: Mapping[str, Path], folder: Path
+) -> None:
+    """Write the page, the textures beside it and their list into a folder.
+
+    Args:
+        files: of the page, by name.
+        listed: what the page is told of the textures.
+        textures: their files and pictures, by the name that the list has.
+        folder: is made; what else is in it stays.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, path in {**files, **textures}.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(path, folder / name)
+    (folder / "textures.json").write_text(json.dumps({**listed, "server": False}, indent=1) + "\n", encoding="utf-8")

@@ -1,0 +1,251 @@
+"""Exports: a clip's envelopes on signals whose answer is known, and each format held to its own rules by another reader."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from foten.dsp import Array
+from foten.export.ahap import write_ahap
+from foten.export.android import write_android
+from foten.export.c_header import identifier, write_c_header
+from foten.export.clip import RATE_HZ, Clip, clip_of, envelopes_of
+from foten.export.haptic import write_haptic
+from foten.export.hjif import write_hjif
+from foten.families.texture_file import read_texture
+from foten.runtime.binding import c_flags
+from foten.runtime.renderer import EXAMPLE, Renderer
+
+ABOUT = {"foten": "0", "texture": "mesh", "stroke": "80 mm/s"}
+
+
+def tone(hertz: float, seconds: float = 2.0, size: float = 0.8) -> Clip:
+    t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    return Clip(size * np.sin(2 * np.pi * hertz * t), RATE_HZ, 1.0, ABOUT)
+
+
+@pytest.fixture(scope="module")
+def mesh() -> Clip:
+    """A stroke over a mesh, slow then fast."""
+    speed = np.concatenate([np.full(2000, 30.0), np.linspace(30.0, 200.0, 2000)])
+    rendered = Renderer(EXAMPLE, rate=RATE_HZ).render(speed, np.full(4000, 0.8))
+    return clip_of(rendered.astype(float), RATE_HZ, ABOUT)
+
+
+def test_a_clip_is_within_full_scale_and_says_what_that_is() -> None:
+    clip = clip_of(np.array([0.0, -4.0, 2.0]), 8000.0, ABOUT)
+    assert (clip.full_scale, clip.drive.tolist()) == (4.0, [0.0, -1.0, 0.5])
+    assert clip_of(np.array([0.0, -4.0, 2.0]), 8000.0, ABOUT, 2.0).drive.tolist() == [0.0, -1.0, 1.0]
+    assert clip_of(np.zeros(8), 8000.0, ABOUT).drive.tolist() == [0.0] * 8
+    with pytest.raises(ValueError, match="expected two or more"):
+        clip_of(np.zeros(1), 8000.0, ABOUT)
+    with pytest.raises(ValueError, match="full scale is -1"):
+        clip_of(np.zeros(8), 8000.0, ABOUT, -1.0)
+
+
+@pytest.mark.parametrize("hertz", [60.0, 170.0, 400.0])
+def test_the_envelopes_of_a_tone_are_its_level_and_its_frequency(hertz: float) -> None:
+    envelopes = envelopes_of(tone(hertz))
+    middle = np.linspace(0.3, 1.7, 50)
+    np.testing.assert_allclose(envelopes.hertz(middle), hertz, atol=8.0)  # a bin of the transform has 7.8 Hz
+    level = np.interp(middle, *envelopes.amplitude.T)
+    # An RMS over 1 ms follows the halves of a slow tone up to its peak, and holds what it reached.
+    assert 0.8 / 2**0.5 * 0.95 < level.mean() <= 0.81
+
+
+def test_the_level_falls_within_the_release() -> None:
+    clip = tone(200.0)
+    clip.drive[8000:] = 0.0
+    amplitude = envelopes_of(clip).amplitude
+    at = np.interp([0.99, 1.1, 1.6], *amplitude.T)
+    assert at[1] == pytest.approx(at[0] * np.exp(-1), rel=0.15)
+    assert at[2] < 0.01
+
+
+def test_envelopes_are_no_denser_than_60_points_a_second(mesh: Clip) -> None:
+    envelopes = envelopes_of(mesh)
+    for points in (envelopes.amplitude, envelopes.frequency):
+        assert 2 <= len(points) <= 60 * mesh.duration_s
+        assert points[0, 0] == 0.0
+        assert points[-1, 0] == pytest.approx(mesh.duration_s)
+        assert (np.diff(points[:, 0]) > 0).all()
+        assert points[:, 1].min() >= 0
+        assert points[:, 1].max() <= 1
+
+
+def test_what_is_reduced_stays_near_what_was_there() -> None:
+    """A ramp needs two points, whatever it had."""
+    t = np.arange(16000) / RATE_HZ
+    clip = Clip(np.linspace(0.0, 0.9, 16000) * np.sign(np.sin(2 * np.pi * 500 * t + 0.1)), RATE_HZ, 1.0, ABOUT)
+    amplitude = envelopes_of(clip).amplitude
+    np.testing.assert_allclose(np.interp(t[100:], *amplitude.T), np.linspace(0.0, 0.9, 16000)[100:], atol=0.01)
+
+
+def check_ahap(document: dict[str, Any], seconds: float) -> None:
+    """Raise AssertionError where a pattern breaks the rules of Core Haptics."""
+    assert document["Version"] == 1.0
+    events = [one["Event"] for one in document["Pattern"] if "Event" in one]
+    curves = [one["ParameterCurve"] for one in document["Pattern"] if "ParameterCurve" in one]
+    assert len(events) + len(curves) == len(document["Pattern"])
+    ends = 0.0
+    for event in events:
+        assert event["EventType"] == "HapticContinuous"
+        assert event["Time"] == pytest.approx(ends)
+        assert 0 < event["EventDuration"] <= 30
+        ends = event["Time"] + event["EventDuration"]
+    assert ends == pytest.approx(seconds)
+    for name, low in (("HapticIntensityControl", 0.0), ("HapticSharpnessControl", -1.0)):
+        mine = [curve for curve in curves if curve["ParameterID"] == name]
+        assert mine[0]["Time"] == 0.0
+        last = None
+        for curve in mine:
+            points = curve["ParameterCurveControlPoints"]
+            assert 2 <= len(points) <= 16
+            assert points[0]["Time"] == 0.0  # they count from their curve's time
+            assert all(a["Time"] < b["Time"] for a, b in pairwise(points))
+            assert all(low <= point["ParameterValue"] <= 1 for point in points)
+            if last is not None:
+                assert curve["Time"] == pytest.approx(last[0], abs=1e-5)
+                assert points[0]["ParameterValue"] == last[1]  # each begins where the one before ends
+            last = curve["Time"] + points[-1]["Time"], points[-1]["ParameterValue"]
+        assert last is not None
+        assert last[0] == pytest.approx(seconds, abs=1e-4)
+
+
+@pytest.mark.parametrize("seconds", [0.5, 2.0, 70.0])
+def test_ahap_keeps_to_the_rules_of_core_haptics(tmp_path: Path, seconds: float) -> None:
+    rng = np.random.default_rng(0)
+    clip = Clip(0.3 * rng.standard_normal(round(seconds * RATE_HZ)).clip(-3, 3), RATE_HZ, 1.0, ABOUT)
+    write_ahap(clip, tmp_path / "a.ahap")
+    check_ahap(json.loads((tmp_path / "a.ahap").read_text()), seconds)
+
+
+def test_haptic_keeps_to_its_specification(tmp_path: Path, mesh: Clip) -> None:
+    write_haptic(mesh, tmp_path / "a.haptic")
+    document = json.loads((tmp_path / "a.haptic").read_text())
+    assert document["version"] == {"major": 1, "minor": 0, "patch": 0}
+    assert isinstance(document["metadata"], dict)
+    envelopes = document["signals"]["continuous"]["envelopes"]
+    amplitude, frequency = envelopes["amplitude"], envelopes["frequency"]
+    assert len(amplitude) >= 2
+    assert amplitude[-1]["time"] == pytest.approx(mesh.duration_s, abs=1e-5)
+    assert frequency[-1]["time"] <= amplitude[-1]["time"]
+    for name, points in (("amplitude", amplitude), ("frequency", frequency)):
+        times = [point["time"] for point in points]
+        assert times == sorted(times)
+        assert times[0] >= 0
+        assert all(set(point) == {"time", name} and 0 <= point[name] <= 1 for point in points)
+
+
+PERCEPTION = "id avatar_id description perception_modality unit_exponent perception_unit_exponent reference_devices effect_library channels"
+CHANNEL = "id description gain mixing_coefficient body_part_mask frequency_sampling sample_count bands"
+
+
+def synthesized(document: dict[str, Any]) -> Array:
+    """Return what the reference synthesizer makes of a file, at its own rate, once its members are checked."""
+    assert set(FILE.split()) == set(document)
+    assert document["version"] == "2023"
+    assert document["level"] in (1, 2)
+    (perception,) = document["perceptions"]
+    assert {*PERCEPTION.split(), "effect_library", "channels"} == set(perception)
+    assert perception["avatar_id"] in [avatar["id"] for avatar in document["avatars"]]
+    (channel,) = perception["channels"]
+    assert set(CHANNEL.split()) <= set(channel)
+    (band,) = channel["bands"]
+    assert isinstance(band["lower_frequency_limit"], int)
+    assert 0 <= band["lower_frequency_limit"] <= band["upper_frequency_limit"]
+    (effect,) = band["effects"]
+    assert effect["effect_type"] == "Basis"
+    assert effect["position"] == 0
+    frames = effect["keyframes"]
+    at = np.array([frame["relative_position"] for frame in frames])
+    assert (np.diff(at) > 0).all()
+    assert all(isinstance(frame["relative_position"], int) for frame in frames)
+    amplitude = np.array([frame["amplitude_modulation"] for frame in frames])
+    assert np.abs(amplitude).max() <= 1
+    n = channel["sample_count"]
+    if band["band_type"] == "Curve":
+        assert document["profile"] == "Main"
+        assert band["curve_type"] == "Linear"
+        assert len(frames) >= 3
+        assert document["timescale"] <= 48_000
+        return np.interp(np.arange(at[-1]), at, amplitude)  # the last sample is never rendered
+    assert band["band_type"] == "VectorialWave"
+    assert document["profile"] == "Simple Parametric"
+    assert document["timescale"] == 1000
+    assert effect["base_signal"] == "Sine"
+    ms = 1000 * np.arange(n) / channel["frequency_sampling"]
+    hertz = np.interp(ms, at, [frame["frequency_modulation"] for frame in frames])
+    return np.interp(ms, at, amplitude) * np.sin(2 * np.pi * np.cumsum(hertz) / channel["frequency_sampling"])
+
+
+def test_hjif_as_a_curve_is_the_waveform(tmp_path: Path, mesh: Clip) -> None:
+    write_hjif(mesh, tmp_path / "a.hjif")
+    rendered = synthesized(json.loads((tmp_path / "a.hjif").read_text()))
+    np.testing.assert_allclose(rendered, mesh.drive, atol=1e-6)  # six digits are written
+
+
+def test_hjif_of_one_sample_has_the_keyframes_that_a_curve_needs(tmp_path: Path) -> None:
+    write_hjif(Clip(np.array([0.5, -0.5]), RATE_HZ, 1.0, ABOUT), tmp_path / "a.hjif")
+    assert synthesized(json.loads((tmp_path / "a.hjif").read_text())).tolist() == [0.5, -0.5]
+
+
+def test_parametric_hjif_is_a_tone_of_the_level_and_the_frequency(tmp_path: Path) -> None:
+    clip = tone(200.0, size=0.5)
+    write_hjif(clip, tmp_path / "a.hjif", parametric=True)
+    rendered = synthesized(json.loads((tmp_path / "a.hjif").read_text()))[4000:12000]
+    assert np.abs(np.fft.rfft(rendered)).argmax() == pytest.approx(200.0, abs=8)  # bins of 1 Hz
+    assert np.sqrt(np.square(rendered).mean()) == pytest.approx(0.5 / 2**0.5, rel=0.3)
+
+
+def test_android_has_amplitudes_and_control_points(tmp_path: Path, mesh: Clip) -> None:
+    write_android(mesh, tmp_path / "a.json")
+    document = json.loads((tmp_path / "a.json").read_text())
+    waveform, envelope = document["waveform"], document["envelope"]
+    assert len(waveform["timings_ms"]) == len(waveform["amplitudes"])
+    assert sum(waveform["timings_ms"]) == pytest.approx(1000 * mesh.duration_s, abs=10)
+    assert all(isinstance(one, int) and 0 <= one <= 255 for one in waveform["amplitudes"])
+    assert sum(point["duration_ms"] for point in envelope) == pytest.approx(1000 * mesh.duration_s, abs=1)
+    assert all(point["duration_ms"] > 0 and 0 <= point["amplitude"] <= 1 for point in envelope)
+    assert all(30 <= point["frequency_hz"] <= 600 for point in envelope)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [("steel-mesh 1", "steel_mesh_1"), ("3 mm", "texture_3_mm"), ("Größe", "gr_e"), ("", "texture")],
+)
+def test_a_name_becomes_one_of_c(name: str, expected: str) -> None:
+    assert identifier(name) == expected
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+def test_a_header_compiles_and_reproduces_the_golden_windows(tmp_path: Path) -> None:
+    """Loading is the proof; a byte of the tensors that is another one is refused."""
+    name = write_c_header(read_texture(EXAMPLE), tmp_path / "mesh.h")
+    assert name == "steel_mesh_1_foten"
+    program = """
+#include "foten.h"
+#include "mesh.h"
+#include <stdio.h>
+int main(void) {
+    foten_model *model;
+    char why[256];
+    if (foten_model_load(steel_mesh_1_foten, steel_mesh_1_foten_size, &model, why, sizeof why) != FOTEN_OK) return puts(why), 1;
+    printf("%s %g\\n", foten_model_info(model).texture, foten_model_info(model).rate_hz);
+    foten_model_free(model);
+    return 0;
+}
+"""
+    (tmp_path / "main.c").write_text(program)
+    command = ["cc", "-std=c11", "-Wall", "-Wextra", "-Werror", "main.c", *c_flags().split(), "-o", "main"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    ran = subprocess.run(["./main"], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert ran.stdout == "steel-mesh-1 1000\n"
+    assert (tmp_path / "mesh.h").read_text().count(",") > EXAMPLE.stat().st_size * 0.95
