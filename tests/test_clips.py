@@ -144,7 +144,8 @@ def test_haptic_keeps_to_its_specification(tmp_path: Path, mesh: Clip) -> None:
         assert all(set(point) == {"time", name} and 0 <= point[name] <= 1 for point in points)
 
 
-PERCEPTION = "id avatar_id description perception_modality unit_exponent perception_unit_exponent reference_devices effect_library channels"
+FILE = "version profile level date description timescale avatars perceptions syncs"
+PERCEPTION = "id avatar_id description perception_modality unit_exponent perception_unit_exponent reference_devices"
 CHANNEL = "id description gain mixing_coefficient body_part_mask frequency_sampling sample_count bands"
 
 
