@@ -1,0 +1,340 @@
+"""The page in a browser: a tap, a pen with pressure, and what is heard is what the kernel renders.
+
+Screenshots of it, at three sizes in dark and light, go to build/screenshots.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import csv
+import shutil
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.io.wavfile
+
+from foten.dsp import Array
+from foten.families.texture_file import read_texture, write_texture
+from foten.runtime.renderer import EXAMPLE, Renderer
+from foten.runtime.stroke import read_stroke
+from foten.runtime.stylus import Stylus
+from test_studio import started
+
+playwright = pytest.importorskip("playwright.sync_api", reason="needs Playwright: pip install '.[browser]'")
+CHROMIUM = next(
+    (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None
+)
+pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt install chromium")]
+SHOTS = Path(__file__).parents[1] / "build" / "screenshots"
+SIZES = {"phone": (390, 844), "tablet": (820, 1180), "desktop": (1280, 800)}
+QUANTUM = 128  # samples that an AudioWorklet renders at once
+
+
+@pytest.fixture(scope="module")
+def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with two methods of a mesh, which are two seeds of one file here, and a towel by name."""
+    folder = tmp_path_factory.mktemp("shelf")
+    texture = read_texture(EXAMPLE)
+    for name, card in {"mesh": {}, "mesh-other": {"model": "foten-plus"}, "towel": {"texture": "towel"}}.items():
+        write_texture(type(texture)({**texture.card, **card}, texture.tensors), folder / f"{name}.foten")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def link(shelf: Path) -> Iterator[str]:
+    process, link = started(str(shelf))
+    yield link
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=30)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with playwright.sync_playwright() as started_playwright:
+        browser = started_playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@contextlib.contextmanager
+def opened(browser: Any, link: str, size: str = "desktop", dark: bool = False, tap: bool = True) -> Iterator[Any]:
+    """Open the page, and end with nothing that the browser complained of."""
+    width, height = SIZES[size]
+    context = browser.new_context(viewport={"width": width, "height": height}, color_scheme="dark" if dark else "light")
+    page = context.new_page()
+    complaints: list[str] = []
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("console", lambda message: message.type == "error" and complaints.append(message.text))
+    page.goto(link)
+    page.wait_for_selector("html[data-ready]")
+    until(page, "document.querySelectorAll('#textures .swatch').length > 0")
+    if tap:
+        page.click("#begin")
+        until(page, f"{STATE}.sound.running && {STATE}.sound.infos.size > 0")
+        page.evaluate(f"{STATE}.pad.ghost = null")
+    yield page
+    assert not complaints
+    context.close()
+
+
+STATE = "window.studio"
+
+
+def until(page: Any, expression: str, seconds: float = 15.0) -> None:
+    """Wait until an expression holds; Playwright's own way is to evaluate text in the page, which that forbids."""
+    end = time.monotonic() + seconds
+    while not page.evaluate(expression):
+        assert time.monotonic() < end, f"after {seconds:g} s not yet: {expression}"
+        page.wait_for_timeout(20)
+
+
+class Pen:
+    """A stylus with pressure and tilt, through the browser's own input."""
+
+    def __init__(self, page: Any) -> None:
+        self._devtools = page.context.new_cdp_session(page)
+        box = page.locator("#pad").bounding_box()
+        self._left, self._top = box["x"], box["y"]
+
+    def send(self, kind: str, x: float, y: float, pressure: float) -> None:
+        self._devtools.send(
+            "Input.dispatchMouseEvent",
+            {
+                "type": kind,
+                "x": self._left + x,
+                "y": self._top + y,
+                "button": "left",
+                "buttons": 0 if kind == "mouseReleased" else 1,
+                "clickCount": 0 if kind == "mouseMoved" else 1,
+                "pointerType": "pen",
+                "force": pressure,
+                "tiltX": 20,
+            },
+        )
+
+    def stroke(self, page: Any, n: int = 60) -> None:
+        """Draw a wave of n events, firmer and firmer, and lift."""
+        x = np.linspace(60.0, 320.0, n)
+        y = 120.0 + 40.0 * np.sin(np.arange(n) / 6)
+        pressure = np.linspace(0.3, 0.7, n)
+        self.send("mousePressed", x[0], y[0], pressure[0])
+        for i in range(1, n):
+            self.send("mouseMoved", x[i], y[i], pressure[i])
+            page.wait_for_timeout(6)
+        self.send("mouseReleased", x[-1], y[-1], 0.0)
+
+
+def recorded(page: Any, stroke: Any) -> dict[str, Any]:
+    """Return what the page recorded of a stroke: samples, events, rate, and the texture's id."""
+    page.evaluate(
+        f"""() => {{
+          window.taken = null;
+          {STATE}.sound.addEventListener("recorded", (e) => {{ window.taken = e.detail; }}, {{ once: true }});
+        }}"""
+    )
+    page.click("#record")
+    stroke()
+    page.wait_for_timeout(300)
+    page.click("#record")
+    until(page, "window.taken !== null")
+    result: dict[str, Any] = page.evaluate(
+        """() => ({ events: taken.events, rate: taken.rate, seed: taken.seed,
+          samples: btoa(Array.from(new Uint8Array(taken.samples.buffer), (byte) => String.fromCharCode(byte)).join("")) })"""
+    )
+    result["samples"] = np.frombuffer(base64.b64decode(result["samples"]), dtype="<f4")
+    return result
+
+
+def rendered(path: Path, taken: dict[str, Any]) -> Array:
+    """Return what the kernel of this machine renders of the same events, given at the same samples."""
+    renderer = Renderer(path, rate=taken["rate"], seed=taken["seed"])
+    stylus, events = Stylus(renderer), taken["events"]
+    out, at = [], 0
+    for block in range(0, len(taken["samples"]), QUANTUM):
+        while at < len(events) and events[at][0] <= block:
+            stylus.push(*events[at][1:])
+            at += 1
+        out.append(stylus.render(QUANTUM))
+    return np.concatenate(out)
+
+
+def test_one_tap_is_enough_to_hear_a_texture(browser: Any, link: str) -> None:
+    with opened(browser, link, tap=False) as page:
+        assert page.locator("#textures .swatch").count() == 2
+        page.click("#begin")
+        until(page, "Number(document.querySelector('#acceleration').value) > 0.1")
+        assert page.locator("#begin").is_hidden()
+
+
+def test_what_the_page_renders_is_what_the_kernel_renders(browser: Any, link: str, shelf: Path) -> None:
+    """A pen with pressure and tilt; the samples of the AudioWorklet beside those of this machine's instruction set."""
+    with opened(browser, link) as page:
+        taken = recorded(page, lambda: Pen(page).stroke(page))
+        pressures = [event[3] for event in taken["events"]]
+        assert min(pressures) == 0.0  # lifted
+        assert 0.6 < max(pressures) <= 0.71
+        assert len(taken["events"]) > 30
+        ours, theirs = rendered(shelf / "mesh.foten", taken), taken["samples"]
+        assert np.abs(theirs).max() > 0.2
+        sd = Renderer(EXAMPLE).native_texture.info.acceleration_sd
+        np.testing.assert_allclose(theirs / sd, ours / sd, atol=1e-4)
+
+
+def test_outside_of_the_surface_it_is_silent(browser: Any, link: str) -> None:
+    """As in Sec. V-b: vibration only while the pen is down inside of the texture's area."""
+    with opened(browser, link) as page:
+        pen = Pen(page)
+
+        def over_the_edge() -> None:
+            pen.send("mousePressed", 30, 60, 0.5)
+            for x in range(24, -60, -4):
+                pen.send("mouseMoved", x, 60, 0.5)
+                page.wait_for_timeout(4)
+            page.wait_for_timeout(500)
+            for x in range(-60, -120, -4):
+                pen.send("mouseMoved", x, 60, 0.5)
+                page.wait_for_timeout(4)
+            pen.send("mouseReleased", -120, 60, 0)
+
+        taken = recorded(page, over_the_edge)
+        inside = [event for event in taken["events"] if event[3] > 0]
+        assert inside
+        assert all(event[1] >= 0 for event in inside)
+        assert np.abs(taken["samples"][-2400:]).max() < 1e-3 * np.abs(taken["samples"]).max()
+
+
+def test_a_stroke_is_downloaded_and_replayed(browser: Any, link: str, tmp_path: Path) -> None:
+    with opened(browser, link) as page:
+        taken = recorded(page, lambda: Pen(page).stroke(page))
+        for what in ("csv", "wav"):
+            with page.expect_download() as download:
+                page.click(f"[data-do={what}]")
+            download.value.save_as(tmp_path / f"stroke.{what}")
+        with (tmp_path / "stroke.csv").open(newline="") as file:
+            rows = list(csv.reader(file))
+        assert rows[0] == ["t", "x", "y", "pressure"]
+        assert len(rows) == 1 + len(taken["events"])
+        stroke = read_stroke(tmp_path / "stroke.csv", 1000.0)
+        assert 0.3 < stroke.force.max() < 1.6
+        rate, samples = scipy.io.wavfile.read(tmp_path / "stroke.wav")
+        assert rate == taken["rate"]
+        np.testing.assert_array_equal(samples, taken["samples"])
+        page.select_option("#taken select", label="Towel")
+        page.click("[data-do=replay]")
+        until(page, "document.querySelector('#now-name').textContent === 'Towel'")
+        until(page, "Number(document.querySelector('#speed').value) > 5")
+
+
+def test_methods_are_compared_blind_and_equally_loud(browser: Any, link: str) -> None:
+    with opened(browser, link) as page:
+        page.click("#compare")
+        radios = page.locator("#blind [role=radio]")
+        assert radios.all_inner_texts() == ["A", "B"]
+        assert page.inner_text("#now-name") == "Compare blind"  # no name of a method anywhere
+        assert "foten" not in page.inner_text("#stage")
+        radios.nth(1).click()
+        until(page, "document.querySelectorAll('#blind [role=radio]')[1].ariaChecked === 'true'")
+        gains = page.evaluate(f"[...{STATE}.sound.gains.values()]")
+        assert np.ptp(gains) < 0.5  # dB: the same file twice
+        page.click("#blind >> text=Reveal")
+        assert "A foten-plus · B foten-plus" in page.inner_text("#message")
+
+
+def dropped(page: Any, path: Path) -> None:
+    """Drop a file on the page."""
+    data = base64.b64encode(path.read_bytes()).decode()
+    page.evaluate(
+        """([name, data]) => {
+          const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0)), transfer = new DataTransfer();
+          transfer.items.add(new File([bytes], name));
+          document.body.dispatchEvent(new DragEvent("drop", { dataTransfer: transfer, bubbles: true, cancelable: true }));
+        }""",
+        [path.name, data],
+    )
+
+
+def test_a_texture_that_is_dropped_can_be_stroked(browser: Any, link: str, tmp_path: Path) -> None:
+    texture = read_texture(EXAMPLE)
+    path = tmp_path / "mine.foten"
+    write_texture(type(texture)({**texture.card, "texture": "my denim"}, texture.tensors), path)
+    with opened(browser, link) as page:
+        dropped(page, path)
+        until(page, "document.querySelector('#now-name').textContent === 'My denim'")
+        taken = recorded(page, lambda: Pen(page).stroke(page))
+        assert np.abs(taken["samples"]).max() > 0.2
+
+
+@pytest.mark.parametrize("damage", ["truncated", "text", "tensors"])
+def test_a_hostile_file_that_is_dropped_is_refused_in_a_line(
+    browser: Any, link: str, tmp_path: Path, damage: str
+) -> None:
+    data = bytearray(EXAMPLE.read_bytes())
+    if damage == "truncated":
+        data = data[:5000]
+    elif damage == "text":
+        data = bytearray(b"<script>alert(1)</script>" * 400)
+    else:
+        data[-4000:] = bytes(4000)
+    path = tmp_path / "hostile.foten"
+    path.write_bytes(data)
+    with opened(browser, link) as page:
+        dropped(page, path)
+        page.wait_for_selector("#message:not([hidden])")
+        text = page.inner_text("#message")
+        assert "texture file" in text
+        assert "\n" not in text
+        assert page.locator("#textures .swatch").count() == 2
+
+
+def test_the_server_renders_where_it_is_asked_to(browser: Any, link: str) -> None:
+    with opened(browser, link) as page:
+        page.click("#settings")
+        page.select_option("#path", "stream")
+        until(page, f"{STATE}.sound.server !== null")
+        page.keyboard.press("Escape")
+        Pen(page).stroke(page, 40)
+        until(page, "Number(document.querySelector('#speed').value) > 5 || window.seen")
+        state = page.evaluate("fetch('/state').then((answer) => answer.json())")
+        assert state["pages"][0]["n_events"] > 20
+        assert state["pages"][0]["stylus"]["n_dropped"] == 0
+
+
+def test_the_keys_stroke_too(browser: Any, link: str) -> None:
+    with opened(browser, link) as page:
+        page.focus("#pad")
+        page.keyboard.down("ArrowRight")
+        until(page, "Number(document.querySelector('#speed').value) > 30")
+        page.keyboard.up("ArrowRight")
+        until(page, "Number(document.querySelector('#speed').value) < 2")
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize("size", SIZES)
+def test_it_is_accessible_and_looks_as_the_screenshots_show(browser: Any, link: str, size: str, dark: bool) -> None:
+    """Checked by axe-core; the pictures are for people to look at."""
+    axe = pytest.importorskip(
+        "axe_playwright_python.sync_playwright", reason="needs axe-core: pip install '.[browser]'"
+    )
+    SHOTS.mkdir(parents=True, exist_ok=True)
+    name = f"studio-{size}-{'dark' if dark else 'light'}"
+    with opened(browser, link, size, dark, tap=False) as page:
+        page.wait_for_function(
+            "[...document.querySelectorAll('#textures .swatch')].every((one) => one.style.backgroundImage)"
+        )
+        page.screenshot(path=SHOTS / f"{name}.png")
+        found = axe.Axe().run(page)
+        page.click("#begin")
+        page.wait_for_timeout(1500)
+        page.screenshot(path=SHOTS / f"{name}-stroke.png")
+        violations = found.response["violations"] + axe.Axe().run(page).response["violations"]
+        page.click("#settings")
+        page.wait_for_timeout(300)
+        page.screenshot(path=SHOTS / f"{name}-settings.png")
+        violations += axe.Axe().run(page).response["violations"]
+        assert not [(one["id"], [node["html"] for node in one["nodes"]]) for one in violations]
