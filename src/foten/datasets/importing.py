@@ -20,8 +20,10 @@ from foten.datasets.mapping import clocks_of, column_of, guessed_mapping, names_
 from foten.datasets.options import ImportOptions
 from foten.datasets.table import read_delimited, read_excel
 from foten.datasets.timing import bridged, filled, irregular, rate_and_source, times_of
-from foten.datasets.units import factor_of, quantity
-from foten.recording.recording import Channel, Recording
+from foten.datasets.units import factor_of, quantity, split_header
+from foten.recording.inspection.one_channel import check_units
+from foten.recording.inspection.values import counted
+from foten.recording.recording import UNITS, Channel, Recording
 from foten.untrusted import check_regular
 
 DATASETS: dict[str, Callable[[Path], list[Column]]] = {
@@ -103,8 +105,11 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
     for channel, column in picked.items():
         path = column.file
         history.append(f"{channel} is column {column.name} of {path.name} (sha256 {digests[path][:16]})")
+        if column.n_comments:
+            passed = f"{counted(column.n_comments, 'line')} of comment in {path.name} passed over"
+            history += [passed] if passed not in history else []
         if column.n_blank:
-            history.append(f"{channel} ends {column.n_blank} rows before the table does")
+            history.append(f"{channel} ends {counted(column.n_blank, 'row')} before the table does")
         factor, on_unit = factor_of(channel, column.name, column.unit, options.units.get(channel))
         times, on_time = times_of(channel, column, clocks, options)
         rate_hz, on_rate = rate_and_source(channel, column, times, options, files[path])
@@ -133,17 +138,32 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
             why = irregular(times, one.rate_hz)
             one = replace(one, times_s=times if why else None)
             on_clock = f"{channel} keeps its own times: {why}" if why else ""
-        one, on_samples = filled(channel, one, options.fill_gaps_ms)
+        one, on_samples = filled(channel, one, options.fill_gaps_ms, picked[channel])
         channels[channel], on_rows = bridged(channel, one, options.fill_gaps_ms)
         history += [said for said in (on_clock, on_samples, on_rows) if said]
     check_overlap(channels)
     history += [said for name, one in channels.items() if (said := check_hand(name, one, options.force_units))]
-    kinds = {quantity(channel) for channel in channels}
-    if "acceleration" not in kinds:
+    recording = Recording(channels, history=tuple(history))
+    unstated = {
+        channel: f"{channel} {UNITS.get(channel, 's')}"
+        for channel, column in [*picked.items(), *(("time", clock) for clock in clocks)]
+        if not (options.units.get(channel) or column.unit or split_header(column.name, quantity(channel))[1])
+    }
+    if unstated:
+        decisions.append(f"no unit is stated: taken as {', '.join(unstated.values())}; --unit changes it")
+    for name, one in channels.items():
+        decisions += [finding.text for finding in check_units(name, one, recording) if finding.code == "units"]
+    present = {
+        "acceleration": recording.axes("acceleration"),
+        "speed (or position)": recording.movement,
+        "force": recording.normal_force,
+    }
+    missing = " and no ".join(what for what, there in present.items() if not there)
+    if missing == "acceleration":
         decisions.append("there is no acceleration: strokes can be rendered from this recording, nothing learned")
-    elif not {"speed", "position"} & kinds or "force" not in kinds:
-        decisions.append("without speed (or position) and force nothing can be learned from this recording")
-    return Recording(channels, history=tuple(history)), decisions
+    elif missing:
+        decisions.append(f"there is no {missing}: nothing can be learned from this recording")
+    return recording, decisions
 
 
 def _for_axes(options: ImportOptions, picked: Mapping[str, object]) -> ImportOptions:

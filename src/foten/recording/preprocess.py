@@ -169,8 +169,8 @@ def hand_of(recording: Recording, rate_hz: float) -> tuple[Array, Array]:
             lengths = np.diff(times)[holes]
             longest = int(lengths.argmax())
             raise ValueError(
-                f"{name} has {holes.size} holes in its times, the longest {1000 * lengths[longest]:.4g} ms after "
-                f"{times[holes[longest]]:.4g} s; import the recording again with --fill-gaps MS, or cut it"
+                f"{name} has {holes.size} hole{'s' * (holes.size > 1)} in its times, the longest "
+                f"{1000 * lengths[longest]:.4g} ms after {times[holes[longest]]:.4g} s; import the recording again with --fill-gaps MS, or cut it"
             )
     rows = np.stack([_slow(recording[name], rate_hz, stop)[start:] for name in recording.movement])
     if "speed" not in recording:
