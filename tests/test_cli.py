@@ -234,7 +234,7 @@ CONSTANT = ("--speed", "1", "--force", "1")
 @pytest.mark.parametrize(
     ("arguments", "match"),
     [
-        (["train", "{rec}", "-o", "{out}.foten"], "wants a shorter --block and --trim"),
+        (["train", "{rec}", "-o", "{out}.foten"], "use --rate 1000 --trim 0 --block 500"),
         (["train", "{rec}", "-o", "{out}.foten", *FAST, "--rate", "5000"], "never upsampled"),
         (["train", "{rec}", "-o", "{out}.foten", *FAST, "--model", "fotan"], "expected one of foten-plus, foten, ten"),
         (["train", "{rec}", "-o", "{out}.foten", *FAST, "--recipe", "mine"], "expected one of default, paper"),
