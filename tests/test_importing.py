@@ -13,7 +13,7 @@ from scipy.io import savemat, wavfile
 from foten.cli.command_line import _status
 from foten.datasets.binary import read_tdms, read_wav
 from foten.datasets.hdf5 import load_recording
-from foten.datasets.importing import DATASETS, import_recording
+from foten.datasets.importing import DATASETS, import_recording, read_stroke
 from foten.datasets.options import ImportOptions, parse_pairs, parse_rates
 from foten.datasets.units import FACTORS, FULL_SCALE
 from foten.recording.recording import UNITS
@@ -506,6 +506,69 @@ def test_millinewtons_are_guessed(tmp_path):
     path = _csv(tmp_path / "a.csv", "t,acc,speed,force", TIME, ACC, SPEED, 1000 * FORCE)
     with pytest.raises(ValueError, match="was it given in mN"):
         _import(path)
+
+
+def _stroke(path, text, **units):
+    path.write_bytes(text.encode("latin-1"))
+    return {name: samples.tolist() for name, samples in read_stroke(path, units).items()}
+
+
+SAID = {"time": [0, 0.5, 1], "speed": [0, 80, 40.5], "force": [1, 0.75, 1]}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "t,speed,force\n0,0,1\n0.5,80,0.75\n1,40.5,1\n",
+        "t [ms],speed [m/s],force [mN]\n0,0,1000\n500,0.08,750\n1000,0.0405,1000\n",
+        "t;speed;force\n0;0;1\n0,5;80;0,75\n1;40,5;1\n",
+        "T\tSpeed\tForce\n(s)\t(cm/s)\t(N)\n0\t0\t1\n0,5\t8\t0,75\n1\t4,05\t1\n",
+        "# Strich µ\nNote,Force,T,Speed\na,1,0,0\n\nb,0.75,0.5,80\n# Marke\nc,1,1,40.5\n\n",
+        "Time (s),Velocity,Normal Force,Pressure mat\n0,0,1,9\n0.5,80,0.75,9\n1,40.5,1,9\n",
+    ],
+)
+def test_a_stroke_is_read_as_an_import_is(tmp_path, text):
+    read = _stroke(tmp_path / "s.csv", text)
+    assert {name: pytest.approx(values, rel=1e-12) for name, values in SAID.items()} == read
+
+
+def test_a_strokes_units_may_be_given(tmp_path):
+    text = "t,x [in],y,pressure [%]\n0,0,0,50\n1000,1,2,100\n"
+    assert _stroke(tmp_path / "s.csv", text, time="ms", position_y="m") == {
+        "time": [0, 1],
+        "position_x": [0, 25.4],
+        "position_y": [0, 2000],
+        "pressure": [0.5, 1],
+    }
+    with pytest.raises(ValueError, match=r"force has a unit, and s.csv has no column of it"):
+        _stroke(tmp_path / "s.csv", text, force="mN")
+    with pytest.raises(ValueError, match=r"speed: unit 'px' is not one of mm/s"):
+        _stroke(tmp_path / "s.csv", text.replace("x [in]", "speed"), speed="px")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("t,speed\n0,1\n1,2\n", r"has the columns t, speed; expected t \(s\), and speed"),
+        ("0,80,1\n1,80,1\n", r"has the columns 0, 1, 2; expected t"),
+        ("t,speed,force\n0,1,1\n", "has 1 row below its header, expected two or more"),
+        ("t,speed,force\n# a\n0,1,1\n\n# b\n0,1,1\n", "time does not increase at row 6"),
+        ("t,speed,force\n0,1,1\n# a\n1,,1\n", "speed at row 4 is blank or NaN, expected a finite number"),
+        ("t,speed,force\n0,1,1\n# a\n1,1e400,1\n", "speed at row 4 is infinite, expected a finite number"),
+        ("t,speed,force\n0,1,1\n# a\n1,x,1\n", "speed: row 4 is 'x', expected a number"),
+        ("t,v,velocity,force\n0,1,1,1\n1,1,1,1\n", "speed could be any of v, velocity; keep one"),
+        ("t,speed,force [kg]\n0,1,1\n1,1,1\n", "force: unit 'kg' of column .* --unit force=kgf"),
+        ("t,speed,pressure [kPa]\n0,1,1\n1,1,1\n", "the pressure is in kPa, expected a share"),
+    ],
+)
+def test_bad_strokes_are_refused(tmp_path, text, message):
+    with pytest.raises(ValueError, match=message):
+        _stroke(tmp_path / "s.csv", text)
+
+
+def test_a_recording_is_no_stroke(tmp_path):
+    with pytest.raises(ValueError, match=r"a.h5 is no table \(.csv.*expected one of t \(s\)"):
+        _stroke(tmp_path / "a.h5", "")
 
 
 ACC_OF_TDMS = np.random.default_rng(0).standard_normal(400)
