@@ -6,6 +6,7 @@ import csv
 import errno
 import json
 import pickle
+import re
 from pathlib import Path
 from typing import Any
 
@@ -172,7 +173,9 @@ def test_settings_change_the_network(recording: Path, tmp_path: Path, capsys: py
     assert _status(["train", str(recording), "-o", str(out), *FAST, *small]) == 0
     sizes = read_texture(out).card["sizes"]
     assert (sizes["d_model"], sizes["n_layers"], sizes["head"], sizes["bins"]) == (8, 1, [16, 8], "half")
-    capsys.readouterr()
+    assert re.search(
+        r"warm start recorded at \d+ mm/s and .* N, the nearest to the paper's 45 mm/s", capsys.readouterr().out
+    )
     assert _status(["train", str(recording), "-o", str(out), *FAST, "--set", "depth=3"]) == 2
     assert "depth" in one_line(capsys)
 
