@@ -186,7 +186,7 @@ def test_batched_results_are_those_of_one_by_one_and_fail_alone() -> None:
     short = recording_of(dataclasses.replace(runs[0], seconds=3.0))
     good, failed = _guarded([asdict(run) for run in runs], recordings[0], short)
     assert "evaluation" in good
-    assert "expected 5 or more" in failed["failed"]
+    assert "less than 5 blocks" in failed["failed"]
 
 
 def test_a_group_that_cannot_be_fitted_leaves_those_of_another_length(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ import csv
 import errno
 import json
 import pickle
+import re
 from pathlib import Path
 from typing import Any
 
@@ -172,7 +173,9 @@ def test_settings_change_the_network(recording: Path, tmp_path: Path, capsys: py
     assert _status(["train", str(recording), "-o", str(out), *FAST, *small]) == 0
     sizes = read_texture(out).card["sizes"]
     assert (sizes["d_model"], sizes["n_layers"], sizes["head"], sizes["bins"]) == (8, 1, [16, 8], "half")
-    capsys.readouterr()
+    assert re.search(
+        r"warm start recorded at \d+ mm/s and .* N, the nearest to the paper's 45 mm/s", capsys.readouterr().out
+    )
     assert _status(["train", str(recording), "-o", str(out), *FAST, "--set", "depth=3"]) == 2
     assert "depth" in one_line(capsys)
 
@@ -184,7 +187,7 @@ def test_render_csv_has_as_many_rows_as_the_stroke_lasts(texture: Path, tmp_path
     assert _status(["render", str(texture), "--stroke", str(stroke), "-o", str(out)]) == 0
     with out.open() as file:
         rows = list(csv.reader(file))
-    assert rows[0] == ["t", "accel"]
+    assert rows[0] == ["t [s]", "acceleration [m/s^2]", "speed [mm/s]", "force [N]"]
     assert len(rows) - 1 == 750
     assert float(rows[1][0]) == 0.0
     assert float(rows[-1][0]) == pytest.approx(0.749)
@@ -234,7 +237,7 @@ CONSTANT = ("--speed", "1", "--force", "1")
 @pytest.mark.parametrize(
     ("arguments", "match"),
     [
-        (["train", "{rec}", "-o", "{out}.foten"], "wants a shorter --block and --trim"),
+        (["train", "{rec}", "-o", "{out}.foten"], "use --rate 1000 --trim 0 --block 500"),
         (["train", "{rec}", "-o", "{out}.foten", *FAST, "--rate", "5000"], "never upsampled"),
         (["train", "{rec}", "-o", "{out}.foten", *FAST, "--model", "fotan"], "expected one of foten-plus, foten, ten"),
         (["train", "{rec}", "-o", "{out}.foten", *FAST, "--recipe", "mine"], "expected one of default, paper"),
@@ -328,12 +331,12 @@ def test_bad_input_is_one_line_and_writes_nothing(
         ("t,speed\n0,1\n1,1\n", "expected t (s)"),
         ("t,speed,force\n0,1,1\n0,1,1\n", "does not increase at row 3"),
         ("t,speed,force\n0,1,1\n1,x,1\n", "expected a number"),
-        ("t,speed,force\n0,1,1\n1,nan,1\n", "expected a finite number"),
+        ("t,speed,force\n0,1,1\n1,nan,1\n", "at row 3 is blank or NaN, expected a finite number"),
         ("t,speed,force\n0,1,1\n1,-3,1\n", "are magnitudes"),
         ("t,speed,force\n0,1,1\n1,9000,1\n", "in another unit"),
         ("t,speed,pressure\n0,1,1\n1,1,3\n", "expected 0 to 1"),
         ("t,speed,force\n0,1,1\n0.0001,1,1\n", "is t in seconds"),
-        ("t,speed,force\n0,1,1\n1," + "1" * 200_000 + ",1\n", "is no CSV text"),
+        ("t,speed,force\n0,1,1\n1," + "1" * 200_000 + ",1\n", "is not a table (field larger"),
     ],
 )
 def test_bad_strokes(text: str, match: str, texture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -343,6 +346,80 @@ def test_bad_strokes(text: str, match: str, texture: Path, tmp_path: Path, capsy
     assert _status(["render", str(texture), "--stroke", str(stroke), "-o", str(out)]) == 2
     assert match in one_line(capsys)
     assert not out.exists()
+
+
+def test_a_stroke_of_any_table_is_rendered_and_doubts_are_said(
+    texture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Semicolons, decimal commas and units give the bytes of the plain table; a size of another unit is said, once."""
+    tables = {
+        "a": "t,speed,force\n0,50,1\n0.5,80.5,1\n",
+        "b": "t [ms];speed [m/s];force\n0;0,05;1\n500;0,0805;1\n# Ende\n",
+        "c": "t,speed,force\n0,0.05,1\n0.5,0.0805,1\n",
+    }
+    said = {}
+    for name, text in tables.items():
+        (tmp_path / f"{name}.txt").write_text(text)
+        capsys.readouterr()
+        arguments = ["render", str(texture), "--stroke", str(tmp_path / f"{name}.txt")]
+        assert _status([*arguments, "-o", str(tmp_path / f"{name}.csv")]) == 0
+        said[name] = capsys.readouterr().err
+    doubt = "speed peaks at 0.0805, expected mm/s up to about 350; was it given in m/s? It is taken as mm/s\n"
+    assert said == {"a": "", "b": "", "c": doubt}
+    assert _status([*arguments, "--unit", "speed=m/s", "-o", str(tmp_path / "c.csv")]) == 0
+    a, b, c = (np.loadtxt(tmp_path / f"{name}.csv", delimiter=",", skiprows=1) for name in "abc")
+    np.testing.assert_allclose(b, a, rtol=1e-4)  # m/s times 1000 is mm/s but for rounding, which the loop carries on
+    np.testing.assert_allclose(c, a, rtol=1e-4)
+    assert _status(["render", str(texture), "--speed", "80", "--unit", "speed=m/s", "-o", str(tmp_path / "d.csv")]) == 2
+    for command, output in (("render", "-o"), ("play", "--to")):
+        capsys.readouterr()
+        constants = ["--speed", "0.08", "--force", "1", "--seconds", "0.2"]
+        assert _status([command, str(texture), *constants, output, str(tmp_path / "e.wav")]) == 0
+        assert capsys.readouterr().err.startswith("speed peaks at 0.08, expected mm/s")
+
+
+def test_a_rendering_says_how_far_it_is_and_ends_with_ctrl_c(
+    texture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from foten.runtime.renderer import Renderer
+
+    arguments = ["render", str(texture), "--speed", "80", "--force", "1", "--seconds", "2.5"]
+    assert _status([*arguments, "-o", str(tmp_path / "a.wav")]) == 0
+    monkeypatch.setattr("foten.cli.render.SAY_EVERY_S", 0.0)
+    capsys.readouterr()
+    assert _status([*arguments, "-o", str(tmp_path / "b.wav")]) == 0
+    assert capsys.readouterr().err.splitlines() == [f"rendered {second} of 2 s" for second in range(3)]
+    assert (tmp_path / "a.wav").read_bytes() == (tmp_path / "b.wav").read_bytes()
+    render = Renderer.render
+
+    def interrupted(renderer: Renderer, speed: Any, force: Any) -> Any:
+        if renderer.stats.n >= 1000:
+            raise KeyboardInterrupt
+        return render(renderer, speed, force)
+
+    monkeypatch.setattr(Renderer, "render", interrupted)
+    assert _status([*arguments, "-o", str(tmp_path / "c.wav"), "-o", str(tmp_path / "c.csv")]) == 130
+    assert {path.name for path in tmp_path.iterdir()} == {"a.wav", "b.wav"}
+
+
+def test_a_rendered_table_is_imported_with_its_units(
+    texture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from foten.datasets.hdf5 import load_recording
+
+    table, back = tmp_path / "s.csv", tmp_path / "s.h5"
+    assert _status(["render", str(texture), "--speed", "80", "--force", "1", "--seconds", "1", "-o", str(table)]) == 0
+    capsys.readouterr()
+    assert _status(["import", str(table), "-o", str(back)]) == 0
+    assert "no unit" not in capsys.readouterr().err
+    recording = load_recording(back)
+    assert {name: channel.rate_hz for name, channel in recording.channels.items()} == {
+        name: 1000 for name in ("acceleration", "speed", "force")
+    }
+    written = np.loadtxt(table, delimiter=",", skiprows=1)
+    np.testing.assert_array_equal(recording["acceleration"].samples, written[:, 1])
+    np.testing.assert_allclose(recording["speed"].samples, 80, rtol=1e-6)
+    np.testing.assert_allclose(recording["force"].samples, 1, rtol=1e-6)
 
 
 def test_another_recording_may_be_cut_otherwise(

@@ -187,7 +187,7 @@ def test_what_went_wrong_is_printed_with_what_helps(
     assert "--lead-ms" not in card
     assert "8 blocks" in late
     assert "no number 3 times" in err
-    assert "4 samples were no numbers" in err
+    assert "in place of 4 samples" in err
 
 
 def test_bench_times_each_instruction_set(file: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -93,7 +93,7 @@ def _spoil(path, spoil):
         (lambda f: f["channels/force"].attrs.__setitem__("unit", "gf"), "unit is 'gf', expected 'N'"),
         (lambda f: f["channels/force"].attrs.__delitem__("rate_hz"), "rate_hz is missing"),
         (lambda f: f["channels/force"].attrs.__setitem__("rate_hz", -1.0), "rate_hz is missing or is not a pos"),
-        (lambda f: f["channels/force"].__setitem__(7, np.nan), "force: 1 samples are NaN.*first at 7"),
+        (lambda f: f["channels/force"].__setitem__(7, np.nan), "force: 1 sample NaN.*first is sample 7"),
         (lambda f: f["times_s/position_x"].__setitem__(5, 0.0), "does not increase at sample 5"),
         (lambda f: f.attrs.__setitem__("simulation", "{"), "simulation is not a JSON object"),
         (lambda f: f.create_dataset("channels/speed", data=np.zeros((4, 4))), "unit is ''"),
@@ -128,7 +128,7 @@ def test_truncated_foreign_and_missing_files_are_refused(tmp_path):
     ("spoil", "message"),
     [
         (lambda f: f["channels/force"].__setitem__(7, 1e30), "force: sample 7 is 1e.30, expected below 1e.12"),
-        (lambda f: f["channels/force"].attrs.__setitem__("rate_hz", 1e-3), "last 1e.05 s, expected 14400 s at most"),
+        (lambda f: f["channels/force"].attrs.__setitem__("rate_hz", 1e-3), "Hz, 1e.05 s, expected 14400 s at most"),
         (lambda f: f["channels/force"].attrs.__setitem__("rate_hz", 1e12), "the rate is 1e.12 Hz"),
         (lambda f: f["times_s/position_x"].__setitem__(49, 1e9), "the rate right, or was the time given in ms"),
         (lambda f: f.attrs.__setitem__("simulation", "[" * 50_000), "simulation is not a JSON object"),

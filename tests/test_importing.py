@@ -13,7 +13,7 @@ from scipy.io import savemat, wavfile
 from foten.cli.command_line import _status
 from foten.datasets.binary import read_tdms, read_wav
 from foten.datasets.hdf5 import load_recording
-from foten.datasets.importing import DATASETS, import_recording
+from foten.datasets.importing import DATASETS, import_recording, read_stroke
 from foten.datasets.options import ImportOptions, parse_pairs, parse_rates
 from foten.datasets.units import FACTORS, FULL_SCALE
 from foten.recording.recording import UNITS
@@ -212,9 +212,60 @@ def test_a_rate_that_is_not_used_is_said_once_per_file(tmp_path):
     assert decisions == [
         "rate 500 Hz not used: a.csv has a time column, 1000 Hz",
         "rate 500 Hz not used: b.wav states 44100 Hz",
+        "no unit is stated: taken as acceleration m/s^2, force N, speed mm/s, time s; --unit changes it",
     ]
-    decisions = import_recording([path], ImportOptions(mapping[:3], rate_hz=1000.0))[1]
-    assert decisions == ["without speed (or position) and force nothing can be learned from this recording"]
+
+
+@pytest.mark.parametrize(
+    ("channels", "said"),
+    [
+        ("acceleration speed force", None),
+        ("acceleration position_x force_z", None),
+        ("acceleration speed", "there is no force: nothing can be learned from this recording"),
+        ("acceleration force", "there is no speed (or position): nothing can be learned from this recording"),
+        ("acceleration", "there is no speed (or position) and no force: nothing can be learned from this recording"),
+        ("speed force", "there is no acceleration: strokes can be rendered from this recording, nothing learned"),
+        ("speed", "there is no acceleration and no force: nothing can be learned from this recording"),
+    ],
+)
+def test_what_is_missing_is_named(tmp_path, channels, said):
+    names = channels.split()
+    path = _csv(tmp_path / "a.csv", channels.replace(" ", ","), *([FORCE] * len(names)))
+    options = ImportOptions(tuple((name, name) for name in names), rate_hz=1000.0, units={n: UNITS[n] for n in names})
+    decisions = [line for line in import_recording([path], options)[1] if "there is no" in line]
+    assert decisions == ([said] if said else [])
+
+
+def test_units_that_nobody_states_are_said_once(tmp_path):
+    path = _csv(tmp_path / "a.csv", "t,acc,speed [mm/s],force", TIME, ACC, SPEED, FORCE)
+
+    def decisions(**units):
+        return [line for line in import_recording([path], ImportOptions(units=units))[1] if "unit" in line]
+
+    said = "no unit is stated: taken as acceleration m/s^2, force N, time s; --unit changes it"
+    assert decisions() == [said]
+    assert decisions(force="N") == ["no unit is stated: taken as acceleration m/s^2, time s; --unit changes it"]
+    assert decisions(force="N", acceleration="m/s^2", time="s") == []
+
+
+def test_a_unit_that_cannot_be_is_doubted_at_once(tmp_path):
+    path = _csv(tmp_path / "a.csv", "t [s],acc [g],speed [mm/s],force [N]", TIME, ACC, SPEED / 1000, FORCE)
+    decisions = import_recording([path], ImportOptions())[1]
+    assert "speed peaks at 0.18, expected mm/s up to about 350; was it given in m/s?" in decisions
+    assert not any("no unit is stated" in line for line in decisions)
+    decisions = import_recording([path], ImportOptions(units={"speed": "m/s"}))[1]
+    assert not any("was it given" in line for line in decisions)
+
+
+def test_comments_are_passed_over_and_counted(tmp_path):
+    path = _csv(tmp_path / "a.csv", "t,acc,speed,force", TIME, ACC, SPEED, FORCE)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:1001], "# Marke gesetzt", *lines[1001:], "# Ende"]) + "\n")
+    recording = _import(path)
+    np.testing.assert_array_equal(recording["force"].samples, FORCE)
+    assert [line for line in recording.history if "comment" in line] == ["2 lines of comment in a.csv passed over"]
+    with pytest.raises(ValueError, match=r"force: no column 'forse' in a.csv, which has t, acc, speed, force; did you"):
+        _import(path, map="time=t,force=forse")
 
 
 def test_wav_for_acceleration_beside_a_table(tmp_path):
@@ -248,13 +299,26 @@ def _with_gaps():
 def test_marker_drop_outs_are_filled_on_request_and_counted(tmp_path):
     complete, gapped = _with_gaps()
     path = _csv(tmp_path / "a.csv", "x", gapped)
-    with pytest.raises(ValueError, match=r"4 samples are NaN or blank in 2 gaps, the first at 50.*--fill-gaps 25"):
+    with pytest.raises(
+        ValueError, match=r"4 samples are NaN or blank in 2 gaps, the first at 0.416667 s \(row 52\).*--fill-gaps 25"
+    ):
         _import(path, map="position_x=x", rate=120)
-    with pytest.raises(ValueError, match=r"1 of 2 gaps are longer than 20 ms, the first at sample 50 .* lasts 25 ms"):
+    with pytest.raises(ValueError, match=r"of 2 gaps 1 last longer than 20 ms, the first, at 0.4.* 25 ms"):
         _import(path, map="position_x=x", rate=120, fill_gaps_ms=20)
     recording = _import(path, map="position_x=x", rate=120, fill_gaps_ms=25)
     np.testing.assert_allclose(recording["position_x"].samples, complete, atol=1e-12)
-    assert any("2 gaps (4 samples, the longest 25 ms) were filled" in line for line in recording.history)
+    assert any("2 gaps (4 samples, the longest 25 ms) filled" in line for line in recording.history)
+
+
+def test_one_is_no_plural_and_a_row_is_the_files(tmp_path):
+    gapped = SPEED.copy()
+    gapped[700] = np.nan
+    path = _csv(tmp_path / "a.csv", "t,speed", TIME, gapped)
+    path.write_text("# rig\n" + path.read_text().replace("\n0.5,", "\n# Marke\n0.5,"))
+    said = r"speed: 1 sample is NaN or blank in 1 gap, the first at 0.7 s \(row 704\), the longest 1 ms; --fill-gaps 1"
+    with pytest.raises(ValueError, match=said):
+        _import(path)
+    assert any("1 gap (1 sample, the longest 1 ms) filled" in line for line in _import(path, fill_gaps_ms=1).history)
 
 
 def test_missing_rows_are_gaps_too(tmp_path):
@@ -273,7 +337,8 @@ def test_missing_rows_are_gaps_too(tmp_path):
 def test_gaps_elsewhere_are_never_filled(tmp_path):
     _, gapped = _with_gaps()
     with pytest.raises(
-        ValueError, match="acceleration: 4 samples are NaN or blank, the first at 50; only position, speed"
+        ValueError,
+        match=r"acceleration: 4 samples are NaN or blank, the first at 0.416667 s .row 52.; only position, speed",
     ):
         _import(_csv(tmp_path / "a.csv", "x", gapped), map="acceleration=x", rate=120, fill_gaps_ms=1000)
     gapped[0] = np.nan
@@ -298,7 +363,7 @@ def test_gaps_elsewhere_are_never_filled(tmp_path):
         ({"map": "acceleration=acc", "unit": "acceleration=g*2"}, "takes no factor; write acceleration=g, or"),
         ({"map": "acceleration=acc", "unit": "acceleration=V*x"}, "'x' is not a factor"),
         ({"map": "acceleration=acc", "unit": "force=N"}, "force has a unit or rate but is not mapped"),
-        ({"map": "acceleration=acc", "rate": 1e6}, "too short: 2000 samples at 1e.06 Hz last 2 ms"),
+        ({"map": "acceleration=acc", "rate": 1e6}, "too short: 2000 samples at 1e.06 Hz, 2 ms"),
     ],
 )
 def test_wrong_usage_is_explained(tmp_path, options, message):
@@ -361,6 +426,14 @@ def test_the_command_writes_a_recording(tmp_path, capsys):
     assert (recording.texture, recording.tool, recording.sha256()) == ("denim", "ball", document["sha256"])
     assert re.search(r"force is column force of a.csv \(sha256 [0-9a-f]{16}\)", "\n".join(recording.history))
     assert str(tmp_path) not in "\n".join(recording.history)  # a recording names files, not machines
+
+
+def test_a_texture_is_called_as_the_first_file_whatever_is_written(tmp_path):
+    path = _csv(tmp_path / "denim.csv", "t,acc,speed,force", TIME, ACC, SPEED, FORCE)
+    for name in ("a", "b"):
+        assert _status(["import", str(path), "-o", str(tmp_path / f"{name}.h5")]) == 0
+    assert load_recording(tmp_path / "a.h5").texture == "denim"
+    assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -433,6 +506,69 @@ def test_millinewtons_are_guessed(tmp_path):
     path = _csv(tmp_path / "a.csv", "t,acc,speed,force", TIME, ACC, SPEED, 1000 * FORCE)
     with pytest.raises(ValueError, match="was it given in mN"):
         _import(path)
+
+
+def _stroke(path, text, **units):
+    path.write_bytes(text.encode("latin-1"))
+    return {name: samples.tolist() for name, samples in read_stroke(path, units).items()}
+
+
+SAID = {"time": [0, 0.5, 1], "speed": [0, 80, 40.5], "force": [1, 0.75, 1]}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "t,speed,force\n0,0,1\n0.5,80,0.75\n1,40.5,1\n",
+        "t [ms],speed [m/s],force [mN]\n0,0,1000\n500,0.08,750\n1000,0.0405,1000\n",
+        "t;speed;force\n0;0;1\n0,5;80;0,75\n1;40,5;1\n",
+        "T\tSpeed\tForce\n(s)\t(cm/s)\t(N)\n0\t0\t1\n0,5\t8\t0,75\n1\t4,05\t1\n",
+        "# Strich µ\nNote,Force,T,Speed\na,1,0,0\n\nb,0.75,0.5,80\n# Marke\nc,1,1,40.5\n\n",
+        "Time (s),Velocity,Normal Force,Pressure mat\n0,0,1,9\n0.5,80,0.75,9\n1,40.5,1,9\n",
+    ],
+)
+def test_a_stroke_is_read_as_an_import_is(tmp_path, text):
+    read = _stroke(tmp_path / "s.csv", text)
+    assert {name: pytest.approx(values, rel=1e-12) for name, values in SAID.items()} == read
+
+
+def test_a_strokes_units_may_be_given(tmp_path):
+    text = "t,x [in],y,pressure [%]\n0,0,0,50\n1000,1,2,100\n"
+    assert _stroke(tmp_path / "s.csv", text, time="ms", position_y="m") == {
+        "time": [0, 1],
+        "position_x": [0, 25.4],
+        "position_y": [0, 2000],
+        "pressure": [0.5, 1],
+    }
+    with pytest.raises(ValueError, match=r"force has a unit, and s.csv has no column of it"):
+        _stroke(tmp_path / "s.csv", text, force="mN")
+    with pytest.raises(ValueError, match=r"speed: unit 'px' is not one of mm/s"):
+        _stroke(tmp_path / "s.csv", text.replace("x [in]", "speed"), speed="px")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("t,speed\n0,1\n1,2\n", r"has the columns t, speed; expected t \(s\), and speed"),
+        ("0,80,1\n1,80,1\n", r"has the columns 0, 1, 2; expected t"),
+        ("t,speed,force\n0,1,1\n", "has 1 row below its header, expected two or more"),
+        ("t,speed,force\n# a\n0,1,1\n\n# b\n0,1,1\n", "time does not increase at row 6"),
+        ("t,speed,force\n0,1,1\n# a\n1,,1\n", "speed at row 4 is blank or NaN, expected a finite number"),
+        ("t,speed,force\n0,1,1\n# a\n1,1e400,1\n", "speed at row 4 is infinite, expected a finite number"),
+        ("t,speed,force\n0,1,1\n# a\n1,x,1\n", "speed: row 4 is 'x', expected a number"),
+        ("t,v,velocity,force\n0,1,1,1\n1,1,1,1\n", "speed could be any of v, velocity; keep one"),
+        ("t,speed,force [kg]\n0,1,1\n1,1,1\n", "force: unit 'kg' of column .* --unit force=kgf"),
+        ("t,speed,pressure [kPa]\n0,1,1\n1,1,1\n", "the pressure is in kPa, expected a share"),
+    ],
+)
+def test_bad_strokes_are_refused(tmp_path, text, message):
+    with pytest.raises(ValueError, match=message):
+        _stroke(tmp_path / "s.csv", text)
+
+
+def test_a_recording_is_no_stroke(tmp_path):
+    with pytest.raises(ValueError, match=r"a.h5 is no table \(.csv.*expected one of t \(s\)"):
+        _stroke(tmp_path / "a.h5", "")
 
 
 ACC_OF_TDMS = np.random.default_rng(0).standard_normal(400)

@@ -1,6 +1,7 @@
 """Faults that were put into a recording are reported, and nothing is where there is none."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from foten.datasets.options import ImportOptions, parse_pairs
 from foten.datasets.simulate import simulate
 from foten.recording.inspection import inspect_recording
 from foten.recording.inspection.values import PROBLEM
+from foten.recording.preprocess import preprocess
 from foten.recording.recording import Channel, Recording
 
 DATA = Path(__file__).parents[1].parent / "shared" / "data"
@@ -181,7 +183,28 @@ def test_a_channel_that_starts_late_leaves_the_common_part():
         {name: x[:16_000] for name, x in samples.items()} | {"speed": late["speed"][:13_000]},
         times={"speed": times[:13_000]},
     )
-    assert "it lasts 13.00 s" in _text(short, "short")  # of 16 s, the 13 that are common
+    # Of 16 s, the 13 that are common.
+    assert re.fullmatch(
+        r"it lasts 13.00 s, and .* take 14 s: train with --rate 1000 --trim 0 --block 1000", _text(short, "short")
+    )
+
+
+@pytest.mark.parametrize(
+    ("seconds", "options"),
+    [(20, "--rate 1000"), (1.9, "--rate 10000 --trim 0 --block 200"), (3, "--rate 2500 --trim 0 --block 200")],
+)
+def test_inspection_and_training_give_a_short_recording_the_same_options(seconds, options):
+    slow = np.repeat(np.stack(list(_clean().values())), 10, axis=1)  # at 10 kHz, nothing beyond 1 kHz that counts
+    samples = dict(zip(_clean(), slow[:, : round(10_000 * seconds)], strict=True))
+    samples["acceleration"] = np.sin(2 * np.pi * 100 * np.arange(samples["force"].size) / 10_000)
+    recording = Recording({name: Channel(x, 10_000.0) for name, x in samples.items()})
+    inspection = inspect_recording(recording)
+    assert inspection.options == inspection.to_dict()["options"] == options
+    assert f"train with {options}\n" in inspection.to_text()
+    if seconds < 14:
+        assert f"14 s: train with {options}" in _text(inspection, "short")
+        with pytest.raises(ValueError, match=f"less than 5 blocks of 2000 ms; use {options}$"):
+            preprocess(recording, n_blocks=5)
 
 
 def test_a_still_pen_with_noisy_positions_is_at_a_standstill():

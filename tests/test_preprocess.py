@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from foten.dsp.dft321 import dft321
-from foten.recording.preprocess import PreprocessConfig, condition, preprocess
+from foten.recording.preprocess import PreprocessConfig, condition, fitting_options, preprocess
 from foten.recording.recording import Channel, Recording
 
 SHORT = PreprocessConfig(trim_ms=500.0, block_ms=500.0)
@@ -190,12 +190,35 @@ def test_the_trace_says_where_it_came_from() -> None:
 
 
 def test_a_short_recording_names_the_options() -> None:
-    with pytest.raises(
-        ValueError, match=r"^5 s are covered.*a trim of 2000 ms.*leaves 1 s.*a shorter --trim and --block"
-    ):
-        preprocess(recording({"acceleration": tone(100.0, 5.0)}, seconds=5.0))
-    with pytest.raises(ValueError, match=r"leaves 0 s.*a shorter --trim and --block"):
-        preprocess(recording({"acceleration": tone(100.0, 1.0)}, seconds=1.0))
+    """As a training may choose its rate, and as a texture that has one cannot."""
+    short = recording({"acceleration": tone(100.0, 5.0)}, seconds=5.0)
+    said = r"^5 s are covered.*a trim of 2000 ms.*1 s, less than 5 blocks of 2000 ms; use --rate 1000 --trim 0 --block 500$"
+    with pytest.raises(ValueError, match=said):
+        preprocess(short, n_blocks=5)
+    with pytest.raises(ValueError, match=r"leaves 1 s, less than a block of 2000 ms; use --trim 0 --block 500$"):
+        preprocess(short)
+    with pytest.raises(ValueError, match=r"leaves 0 s.*that is too short: record for longer"):
+        preprocess(recording({"acceleration": tone(100.0, 0.4)}, seconds=0.4))
+
+
+@pytest.mark.parametrize("captured_hz", [100.0, 800.0, 3000.0, 10_000.0, 51_200.0])
+@pytest.mark.parametrize("seconds", [0.53, 0.912, 1.0, 1.9, 4.7, 5.02, 8.0, 13.99, 14.0])
+def test_the_options_for_a_short_recording_fit_it(seconds: float, captured_hz: float) -> None:
+    n = round(seconds * captured_hz)
+    made = Recording({name: Channel(np.ones(n), captured_hz) for name in ("acceleration", "speed", "force")})
+    words = fitting_options(n / captured_hz, 1000.0, captured_hz).split()
+    assert words[::2] == ["--rate", "--trim", "--block"]
+    rate, trim, block = map(float, words[1::2])
+    trace = preprocess(made, PreprocessConfig(rate_hz=rate, trim_ms=trim, block_ms=block), n_blocks=5)
+    assert trace.n_blocks >= (9 if 1 <= seconds < 14 else 5)
+
+
+def test_a_short_recording_is_trained_at_a_higher_rate() -> None:
+    assert fitting_options(1.9, 1000.0, 10_000.0) == "--rate 10000 --trim 0 --block 200"
+    assert fitting_options(13.0, 1000.0, 10_000.0) == "--rate 1000 --trim 0 --block 1000"
+    assert fitting_options(13.0, 2500.0, 10_000.0) == "--rate 2500 --trim 0 --block 1000"
+    assert fitting_options(20.0, 1000.0, 10_000.0) == "--rate 1000 --trim 2000 --block 2000"
+    assert fitting_options(0.5, 1000.0, 10_000.0) == ""
 
 
 def test_an_irregular_acceleration_is_refused() -> None:
@@ -291,5 +314,5 @@ def test_rows_that_are_missing_in_time_are_refused() -> None:
     times = np.delete(np.arange(600) / 100, slice(200, 300))
     channel = Channel(20 * times, 100.0, times)
     gapped = recording({"acceleration": tone(100.0)}, position_x=channel)
-    with pytest.raises(ValueError, match=r"position_x has 1 holes in its times, the longest 1010 ms after 1.99 s"):
+    with pytest.raises(ValueError, match=r"position_x has 1 hole in its times, the longest 1010 ms after 1.99 s"):
         preprocess(gapped, SHORT)

@@ -189,6 +189,7 @@ def test_what_lies_beyond_the_range_is_counted(texture: Texture) -> None:
     s = renderer.stats
     assert (s.n, s.n_speed_beyond, s.n_force_beyond, s.n_below, s.n_saturated) == (8, 3, 2, 2, 0)
     assert (s.n_speed_clamped, s.n_force_clamped) == (2, 1)
+    assert repr(s).startswith("Statistics(n=8, n_speed_beyond=3, n_force_beyond=2, n_speed_clamped=2,")
 
 
 def test_above_the_range_the_level_grows_by_its_power_law_and_no_further_than_twice_the_range(texture: Texture) -> None:

@@ -2,44 +2,34 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from foten.recording.recording import Channel, Recording
-from foten.runtime.stroke import PressureCalibration, constant_stroke, read_stroke, recorded_stroke
+from foten.runtime.stroke import PressureCalibration, Stroke, constant_stroke, recorded_stroke, tabled_stroke
 
 
-def written(path: Path, columns: dict[str, np.ndarray]) -> Path:
-    rows = np.stack(list(columns.values()), axis=1)
-    np.savetxt(path, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.9g")
-    return path
+def stroke_of(table: dict[str, np.ndarray], rate_hz: float) -> Stroke:
+    """Return the stroke in columns that are called as in a file."""
+    names = {"t": "time", "x": "position_x", "y": "position_y"}
+    return tabled_stroke({names.get(name, name): samples for name, samples in table.items()}, rate_hz)
 
 
-def test_a_circle_has_its_speed(tmp_path: Path) -> None:
+def test_a_circle_has_its_speed() -> None:
     """20 mm radius, one turn a second: 40π mm/s everywhere, sampled at 120 Hz."""
     t = np.arange(0, 2, 1 / 120)
     x, y = 20 * np.cos(2 * np.pi * t), 20 * np.sin(2 * np.pi * t)
-    stroke = read_stroke(written(tmp_path / "c.csv", {"t": t, "x": x, "y": y, "force": 0 * t + 1}), 1000.0)
+    stroke = stroke_of({"t": t, "x": x, "y": y, "force": 0 * t + 1}, 1000.0)
     speed, _ = stroke.conditioned(20.0)
     # Chords for arcs take (2π/120)²/6 = 0.05 % off, the low-pass at 1 Hz next to nothing; it settles in 50 ms.
     assert speed[100:-20] == pytest.approx(40 * np.pi, rel=2e-3)
 
 
-def test_time_may_start_anywhere_and_be_uneven(tmp_path: Path) -> None:
+def test_time_may_start_anywhere_and_be_uneven() -> None:
     t = 7.5 + np.array([0.0, 0.1, 0.15, 0.4, 1.0])
-    stroke = read_stroke(written(tmp_path / "u.csv", {"t": t, "speed": 100 * (t - 7.5), "force": t}), 500.0)
+    stroke = stroke_of({"t": t, "speed": 100 * (t - 7.5), "force": t}, 500.0)
     assert stroke.force.size == 500
     np.testing.assert_allclose(stroke.moved[0], 100 * np.arange(500) / 500, atol=1e-6)
-
-
-def test_columns_come_in_any_order_and_case(tmp_path: Path) -> None:
-    path = tmp_path / "o.csv"
-    path.write_text("Note,Force,T,Speed\na,1,0,10\n\nb,2,1,20\n")
-    stroke = read_stroke(path, 100.0)
-    assert stroke.moved[0, 50] == pytest.approx(15)
-    assert stroke.force[50] == pytest.approx(1.5)
 
 
 def test_pressure_is_equation_12_and_lifting_is_no_force() -> None:
@@ -65,12 +55,53 @@ def test_impossible_constants_are_refused(values: tuple[float, float, float]) ->
         constant_stroke(*values, 1000.0)
 
 
-def test_a_hole_in_the_table_is_told(tmp_path: Path) -> None:
+def test_a_hole_in_the_table_is_told() -> None:
     t = np.concatenate([np.arange(0, 1, 0.01), [5.0]])
-    assert read_stroke(written(tmp_path / "h.csv", {"t": t, "speed": t, "force": t}), 100.0).gap_s == pytest.approx(
-        4.01
-    )
-    assert read_stroke(written(tmp_path / "n.csv", {"t": t[:-1], "speed": t[:-1], "force": t[:-1]}), 100.0).gap_s == 0
+    assert stroke_of({"t": t, "speed": t, "force": t}, 100.0).gap_s == pytest.approx(4.01)
+    assert stroke_of({"t": t[:-1], "speed": t[:-1], "force": t[:-1]}, 100.0).gap_s == 0
+
+
+T = np.arange(0.0, 1.0, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("table", "doubts"),
+    [
+        ({"t": T, "speed": 110 * T, "force": T}, []),
+        ({"t": T, "speed": 0 * T, "force": 0 * T}, []),  # at rest, which is meant
+        (
+            {"t": T, "speed": 0.01 + 0.1 * T, "force": T},
+            ["speed peaks at 0.109, expected mm/s up to about 350; was it given in m/s? It is taken as mm/s"],
+        ),
+        (
+            {"t": T, "speed": 110 * T, "force": 50 * T},
+            ["force peaks at 49.5, expected N up to about 10; was it given in mN or gf? It is taken as N"],
+        ),
+        (
+            {"t": T, "x": 0.05 * T, "y": 0.1 * T, "pressure": T},
+            ["position moves by 0.099, expected mm, tens to hundreds; was it given in m? It is taken as mm"],
+        ),
+        (
+            {"t": np.array([0.0, 1000.0, 2000.0]), "speed": np.full(3, 80.0), "force": np.ones(3)},
+            ["the stroke lasts 2000 s in 3 rows; is t in ms? It is taken as s"],
+        ),
+        ({"t": np.array([0.0, 5.0, 10.0]), "speed": np.full(3, 80.0), "force": np.ones(3)}, []),
+        (
+            {"t": 100 * T, "speed": 0 * T + 80, "force": 0 * T + 1},
+            ["the stroke lasts 99 s in 100 rows; is t in ms? It is taken as s"],
+        ),
+    ],
+)
+def test_what_may_be_meant_is_rendered_and_doubted(table: dict[str, np.ndarray], doubts: list[str]) -> None:
+    stroke = stroke_of(table, 100.0)
+    assert list(stroke.doubts) == doubts
+    assert stroke.force.size == round(100 * np.ptp(table["t"]))
+
+
+def test_constants_are_doubted_too() -> None:
+    said = "speed peaks at 0.08, expected mm/s up to about 350; was it given in m/s? It is taken as mm/s"
+    assert constant_stroke(0.08, 0.8, 1.0, 100.0).doubts == (said,)
+    assert constant_stroke(80.0, 0.0, 1.0, 100.0).doubts == ()
 
 
 def pen(t: np.ndarray, offset: float = 0.0, force: float = 1.0) -> dict[str, np.ndarray]:
@@ -81,10 +112,10 @@ def rows(*parts: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def test_a_pen_that_the_tablet_does_not_report_is_lifted(tmp_path: Path) -> None:
+def test_a_pen_that_the_tablet_does_not_report_is_lifted() -> None:
     """80 mm/s for a second, unheard of for a second and 200 mm away, 80 mm/s again."""
     table = rows(pen(np.arange(0, 1, 0.01)), pen(np.arange(2, 3, 0.01), 200.0))
-    stroke = read_stroke(written(tmp_path / "p.csv", table), 1000.0)
+    stroke = stroke_of(table, 1000.0)
     assert stroke.n_lifted == 1
     assert stroke.gap_s == 0
     speed, force = stroke.conditioned(20.0)
@@ -96,15 +127,15 @@ def test_a_pen_that_the_tablet_does_not_report_is_lifted(tmp_path: Path) -> None
         assert force[contact] == pytest.approx(1, rel=1e-3)
 
 
-def test_a_pen_may_land_elsewhere_but_not_jump_in_contact(tmp_path: Path) -> None:
+def test_a_pen_may_land_elsewhere_but_not_jump_in_contact() -> None:
     up = pen(np.array([1.0]), 300.0, force=0.0)
     table = rows(pen(np.arange(0, 1, 0.01)), up, pen(np.arange(1.01, 2, 0.01), 300.0))
-    stroke = read_stroke(written(tmp_path / "l.csv", table), 1000.0)
+    stroke = stroke_of(table, 1000.0)
     assert stroke.n_lifted == 1
     assert float(np.abs(stroke.moved).max()) == pytest.approx(80, rel=1e-3)
     table = rows(pen(np.arange(0, 1, 0.01)), pen(np.arange(1, 2, 0.01), 300.0))
     with pytest.raises(ValueError, match=r"speed reaches 3.* mm/s"):
-        read_stroke(written(tmp_path / "j.csv", table), 1000.0)
+        stroke_of(table, 1000.0)
 
 
 def test_a_recorded_hand_needs_no_acceleration() -> None:

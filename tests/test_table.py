@@ -51,6 +51,48 @@ def test_a_row_of_units_below_the_header(tmp_path):
     ]
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        'time,force\n# Marke gesetzt\n0,1.5\n# 1,2,3,4\n1,2.5\n  // 7,7\n% Ende\n# "Ende\n',
+        'time;force\n0;1,5\n# Marke, "links; rechts\n1;2,5\n# 9;9\n// Ende\n% Ende\n',
+        "time force\n# 1\n# 2 3\n0 1.5\n% x\n1 2.5\n// Ende",
+    ],
+)
+def test_comments_anywhere_are_passed_over_and_counted(tmp_path, text):
+    path = tmp_path / "a.csv"
+    assert _columns(path, text) == {"time": [0, 1], "force": [1.5, 2.5]}
+    assert {column.n_comments for column in read_delimited(path)} == {
+        text.count("#") + text.count("%") + text.count("//")
+    }
+
+
+def test_comments_shift_no_row_number(tmp_path):
+    (tmp_path / "a.csv").write_text("# rig\na,b\n1,1\n# Marke\n2,oops\n\n# Ende\n3,3\n\n# Ende\n")
+    a, b = read_delimited(tmp_path / "a.csv")
+    assert a.samples[[0, 1, 3]].tolist() == [1, 2, 3]
+    assert (a.n_rows, a.row_of(1), a.row_of(2), a.row_of(3)) == (4, " (row 5)", " (row 6)", " (row 8)")
+    assert b.fault == "row 5 is 'oops', expected a number"
+    (tmp_path / "a.csv").write_text("a,b\n1,1\n# Marke\n2,2\n3\n")
+    with pytest.raises(ValueError, match="row 5 has 1 cell, expected 2"):
+        read_delimited(tmp_path / "a.csv")
+
+
+def test_a_comment_between_header_and_units_names_nothing(tmp_path):
+    (tmp_path / "a.csv").write_text("time,acc\n# left, right\n[ms],[g]\n# one, two\n0,1\n1,2\n")
+    assert [(c.name, c.unit, c.samples.tolist()) for c in read_delimited(tmp_path / "a.csv")] == [
+        ("time", "ms", [0, 1]),
+        ("acc", "g", [1, 2]),
+    ]
+
+
+def test_a_decimal_comma_is_seen_beside_whole_numbers(tmp_path):
+    """The line amid the others holds none: tables of a few rows are written by hand."""
+    assert _columns(tmp_path / "a.csv", "t;v\n0;0,5\n1;80\n2;40,5\n") == {"t": [0, 1, 2], "v": [0.5, 80, 40.5]}
+    (tmp_path / "b.csv").write_text("t;v\n0;1,234\n1;80\n2;40.5\n")  # thousands, or decimals?
+    assert read_delimited(tmp_path / "b.csv")[1].fault == "row 2 is '1,234', expected a number"
+
+
 def test_blanks_within_are_nan_and_blanks_after_the_end_are_counted(tmp_path):
     (tmp_path / "a.csv").write_text("a,b\n1,1\n2,\n3,3\n4,\n5,\n")
     a, b = read_delimited(tmp_path / "a.csv")
@@ -107,7 +149,7 @@ def test_numbers_above_a_table_are_not_data(tmp_path, top):
         (b" \n\n", "is empty"),
         (b"\xff\xfe", "is empty"),  # the mark of UTF-16 alone
         (b"a,b\n", "no row of numbers"),
-        (b"a,b\n1,2\n3,4\n5", r"row 4 has 1 cells, expected 2; was the file cut off"),
+        (b"a,b\n1,2\n3,4\n5", r"row 4 has 1 cell, expected 2; was the file cut off"),
         (b"\x89HDF\x00\x00\x00", "is not text"),
         (b'a,b\n1,"2\n3,4\n', "quotation mark"),
     ],

@@ -110,7 +110,7 @@ def import_(
             "--force-units", help="Accept what no hand does, spikes for example: above 5 m/s, 1000 m/s², 500 N or 10 m."
         ),
     ] = False,
-    texture: Annotated[str, Option(help="What was stroked; the file's name by default.")] = "",
+    texture: Annotated[str, Option(help="What was stroked; the first file's name by default.")] = "",
     tool: Annotated[str, Option(help="What it was stroked with.")] = "",
     sensors: Annotated[str, Option(help="Sensors, amplifiers, ranges.")] = "",
     notes: Annotated[str, Option(help="Anything else.")] = "",
@@ -155,7 +155,7 @@ def import_(
     imported, decisions = import_recording(files, options)
     for decision in decisions:
         say(decision)
-    recording = replace(imported, texture=texture or output.stem, tool=tool, sensors=sensors, notes=notes)
+    recording = replace(imported, texture=texture or files[0].stem, tool=tool, sensors=sensors, notes=notes)
     write_recording(recording, output)
     channels: dict[str, dict[str, Any]] = {
         name: {

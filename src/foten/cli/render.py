@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import time
 from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,8 +14,21 @@ from typer import Argument, Exit, Option
 from foten.cli.console import JsonOption, TextureFile, check_folders, print_json, say
 
 if TYPE_CHECKING:
+    from foten.dsp import Array
     from foten.families.texture_file import Texture
+    from foten.runtime.renderer import Renderer
     from foten.runtime.stroke import Stroke
+
+SAY_EVERY_S = 5.0  # how far a long rendering is
+
+StrokeUnits = Annotated[
+    list[str] | None,
+    Option(
+        "--unit",
+        help="CHANNEL=UNIT,… of --stroke, before the units in its header: time, speed, position_x, position_y, force; as "
+        "foten import has them.",
+    ),
+]
 
 
 def render(
@@ -22,8 +36,13 @@ def render(
     output: Annotated[list[Path], Option("-o", "--output", help=".wav (float, m/s²), .csv, .npz or .png; repeatable.")],
     stroke: Annotated[
         Path | None,
-        Option(metavar="S.csv", help="Header t (s), speed (mm/s) or x, y (mm), force (N) or pressure (0 to 1)."),
+        Option(
+            metavar="S.csv",
+            help="A table with the header t, speed or x and y, force or pressure (0 to 1); units in the header, t [ms] for "
+            "example, else s, mm/s, mm, N.",
+        ),
     ] = None,
+    units: StrokeUnits = None,
     recording_file: Annotated[
         Path | None, Option("--recording", metavar="REC.h5", help="Take the hand of a recording.")
     ] = None,
@@ -39,7 +58,7 @@ def render(
     from foten.families.texture_file import read_texture
     from foten.runtime.live import sinks
     from foten.runtime.renderer import Renderer
-    from foten.runtime.stroke import constant_stroke, read_stroke, recorded_stroke
+    from foten.runtime.stroke import constant_stroke, recorded_stroke
 
     for path in output:
         sinks.check_suffix(path)
@@ -57,21 +76,22 @@ def render(
     sources = [stroke is not None, recording_file is not None, any(value is not None for value in constants)]
     if sum(sources) != 1 or (sources[2] and None in constants):
         raise ValueError("expected one of --stroke, --recording, or --speed with --force and --seconds")
+    _check_units(units, stroke)
     if recording_file is not None:
         from foten.datasets.hdf5 import load_recording
 
         recording = load_recording(recording_file)
         rendered_stroke, source = recorded_stroke(recording, rate), recording.sha256()
     elif stroke is not None:
-        rendered_stroke, source = read_stroke(stroke, rate), stroke.name
+        rendered_stroke, source = _stroke_from(stroke, units, rate), stroke.name
     else:
         rendered_stroke = constant_stroke(float(speed or 0), float(force or 0), float(seconds or 0), rate)
         source = f"{speed:g} mm/s, {force:g} N, {seconds:g} s"
-    report_gaps(rendered_stroke)
+    _report(rendered_stroke)
     conditions = rendered_stroke.conditioned(float(texture.card["lowpass_hz"]))
     about = {**provenance(texture, source, seed, deterministic), "rate_hz": rate}
     renderer = Renderer(texture, seed=seed, excitation=not deterministic)
-    acceleration = renderer.render(*conditions).astype(float)
+    acceleration = _rendered(renderer, *conditions)
     for path in output:
         sinks.write_rendered(path, acceleration, *conditions, rate, about)
     statistics = renderer.counted()
@@ -99,6 +119,7 @@ def play(
         Path | None,
         Option(metavar="S.csv", help="As of 'foten render', over and over, without a pause; by default a circle."),
     ] = None,
+    units: StrokeUnits = None,
     speed: Annotated[float | None, Option(help="Constant speed (mm/s), with --force.")] = None,
     force: Annotated[float | None, Option(help="Constant force (N), with --speed.")] = None,
     seconds: Annotated[
@@ -125,16 +146,18 @@ def play(
 ) -> None:
     """Play a texture live: to the sound card, a file, an NI-DAQ or another program."""
     from foten.families.texture_file import read_texture
+    from foten.recording.inspection.values import counted
     from foten.runtime.actuator import read_profile
     from foten.runtime.live.live import LEAD_MS
     from foten.runtime.live.play import along, circling, gain_for, holding, rate_for, sink_of
     from foten.runtime.live.play import play as play_live
     from foten.runtime.renderer import EXAMPLE, Renderer
-    from foten.runtime.stroke import read_stroke
+    from foten.runtime.stroke import doubts_of
 
     texture_file = texture_file or EXAMPLE
     if (speed is None) != (force is None) or (stroke is not None and speed is not None):
         raise ValueError("expected --stroke, or --speed with --force, or neither for a circle")
+    _check_units(units, stroke)
     if seconds is not None and not 0 <= seconds < inf:
         raise ValueError(f"--seconds is {seconds}, expected a finite number, 0 or more")
     profile = read_profile(actuator) if actuator is not None else None
@@ -143,13 +166,15 @@ def play(
     renderer = Renderer(texture, rate_for(to, rate, own), seed, excitation=not deterministic, actuator=profile)
     info = renderer.native_texture.info
     if stroke is not None:
-        looped_stroke = read_stroke(stroke, own)
-        report_gaps(looped_stroke)
+        looped_stroke = _stroke_from(stroke, units, own)
+        _report(looped_stroke)
         conditions, source = along(looped_stroke, info.lowpass_hz), stroke.name
     elif speed is not None and force is not None:
         for name, value, unit in (("speed", speed, "mm/s"), ("force", force, "N")):
             if not 0 <= value < inf:
                 raise ValueError(f"--{name} is {value} {unit}, expected a finite number, 0 or more")
+            for doubt in doubts_of(name, value):
+                say(doubt)
         conditions, source = holding(speed, force), f"{speed:g} mm/s, {force:g} N"
     else:
         conditions, source = circling(info.trained_speed, info.trained_force, own), "a circle"
@@ -167,7 +192,7 @@ def play(
 
     lead_ms = LEAD_MS if lead_ms is None else lead_ms
     played = play_live(renderer, sink, conditions, seconds, lead_ms, on_start)
-    statistics, counted = played.statistics, played.counted
+    statistics, counts = played.statistics, played.counted
     if as_json:
         block_ms = {
             f"block_p{name}_ms": 1000 * statistics.block.percentile_s(percent)
@@ -185,26 +210,27 @@ def play(
                 "ring_least_ms": statistics.least_ms if statistics.least_ms < inf else None,
                 "gain": scale,
                 **{name: value for name, value in vars(played).items() if name not in ("statistics", "counted")},
-                **counted,
+                **counts,
             }
         )
     else:
         print(statistics.line())
         delays = ", ".join(f"{ms:.1f} ms {name}" for name, ms in played.delays_ms.items())
         print(f"delay from stroke to output: {delays}")
-        print_outside_range(counted, texture)
-        if n := counted["n_limited"]:
-            print(f"the actuator's limit bent {n} samples")
+        print_outside_range(counts, texture)
+        if n := counts["n_limited"]:
+            print(f"the actuator's limit bent {counted(n, 'sample')}")
         if n := statistics.n_underruns:
-            silence = f"{statistics.n_lacking} samples of silence"
-            print(f"the ring ran empty {n} times, {silence}; a longer --lead-ms than {lead_ms:g} helps")
+            silence = f"{counted(statistics.n_lacking, 'sample')} of silence"
+            print(f"the ring ran empty {counted(n, 'time')}, {silence}; a longer --lead-ms than {lead_ms:g} helps")
         if n := played.n_device_underruns:
             busy = "this machine is busy with something else"
-            print(f"the sound card got its samples too late {n} times, whatever the ring held: {busy}")
+            print(f"the sound card got its samples too late {counted(n, 'time')}, whatever the ring held: {busy}")
         if n := played.n_late:
-            print(f"this machine stood still for {n} blocks of the sink, which were not made up for")
+            print(f"this machine stood still for {counted(n, 'block')} of the sink, which were not made up for")
         if n := played.n_cut:
-            print(f"{n} samples were beyond full scale and cut; a smaller --gain than {scale:.3g} keeps them")
+            cut = f"cut beyond full scale: {counted(n, 'sample')}"
+            print(f"{cut}; a smaller --gain than {scale:.3g} keeps them")
     if played.interrupted:
         raise Exit(130)
 
@@ -223,8 +249,37 @@ def provenance(texture: Texture, source: str, seed: int, deterministic: bool) ->
     }
 
 
-def report_gaps(stroke: Stroke) -> None:
-    """Say where a stroke had to be bridged, or the pen was taken as lifted."""
+def _check_units(units: list[str] | None, stroke: Path | None) -> None:
+    if units and stroke is None:
+        raise ValueError("--unit is for the columns of --stroke: leave it out")
+
+
+def _stroke_from(path: Path, units: list[str] | None, rate_hz: float) -> Stroke:
+    from foten.datasets.importing import read_stroke
+    from foten.datasets.options import parse_pairs
+    from foten.runtime.stroke import tabled_stroke
+
+    return tabled_stroke(read_stroke(path, dict(parse_pairs(units or [], "--unit"))), rate_hz)
+
+
+def _rendered(renderer: Renderer, speed: Array, force: Array) -> Array:
+    """Return the acceleration [m/s²] under a stroke, second by second: a Ctrl-C ends it, and a long one says how far it is."""
+    import numpy as np
+
+    second = max(1, round(renderer.texture_rate))
+    pieces, said_s = [], time.monotonic()
+    for start in range(0, speed.size, second):
+        if time.monotonic() - said_s >= SAY_EVERY_S:
+            said_s = time.monotonic()
+            say(f"rendered {start / renderer.texture_rate:.0f} of {speed.size / renderer.texture_rate:.0f} s")
+        pieces.append(renderer.render(speed[start : start + second], force[start : start + second]))
+    return np.concatenate(pieces).astype(float)
+
+
+def _report(stroke: Stroke) -> None:
+    """Say what is doubtful of a stroke, where it had to be bridged, and where the pen was taken as lifted."""
+    for doubt in stroke.doubts:
+        say(doubt)
     if stroke.gap_s:
         say(f"the stroke has a hole of {stroke.gap_s:.3g} s, bridged in a straight line")
     if stroke.n_lifted:
@@ -233,6 +288,8 @@ def report_gaps(stroke: Stroke) -> None:
 
 def print_outside_range(statistics: dict[str, int], texture: Texture) -> None:
     """Print how much of a rendering lay outside of what was recorded, and what was done there; nothing where none did."""
+    from foten.recording.inspection.values import counted
+
     share = {name: f"{100 * count / statistics['n']:.1f} %" for name, count in statistics.items()}
     for name, unit in (("speed", "mm/s"), ("force", "N")):
         if statistics[f"n_{name}_beyond"]:
@@ -244,8 +301,9 @@ def print_outside_range(statistics: dict[str, int], texture: Texture) -> None:
     if statistics["n_below"]:
         print(f"speed or force was below the trained range for {share['n_below']}; the vibration fades there")
     if statistics["n_saturated"]:
-        say(f"the saturator cut {statistics['n_saturated']} samples: the loop ran away there")
+        say(f"the saturator cut {counted(statistics['n_saturated'], 'sample')}: the loop ran away there")
     if statistics["n_refused"]:
-        say(f"the hand was negative or no number {statistics['n_refused']} times, taken as 0 or as it was before")
+        times = counted(statistics["n_refused"], "time")
+        say(f"the hand was negative or no number {times}, taken as 0 or as it was before")
     if statistics["n_lost"]:
-        say(f"{statistics['n_lost']} samples were no numbers, and silence instead; is the file foten's own?")
+        say(f"silence in place of {counted(statistics['n_lost'], 'sample')} without a number; is the file foten's own?")

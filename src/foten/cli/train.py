@@ -184,6 +184,8 @@ def _document(trained: Trained) -> dict[str, Any]:
 
 def _summary(trained: Trained) -> str:
     """Return the result of a training for people, in lines."""
+    from foten.recording.inspection.values import counted
+
     card, trace = trained.texture.card, trained.trace
     metrics, sizes, condition = card["metrics"], card["sizes"], card["warm_start"]["recorded"]
     summary, origin = f"validation blocks: {validation_summary(card)}", "recorded"
@@ -191,7 +193,7 @@ def _summary(trained: Trained) -> str:
         summary += f", order {sizes['order']}, {sizes['n_models']} models from {metrics['n_pieces']} pieces"
         summary += ", those around it counted"
         if metrics["n_pieces_left_out"]:
-            summary += f", {metrics['n_pieces_left_out']} pieces that do not vibrate left out"
+            summary += f", {counted(metrics['n_pieces_left_out'], 'piece')} without vibration left out"
         origin = "modelled"
     else:
         summary += f" (epoch {metrics['best_epoch']})"
@@ -199,23 +201,23 @@ def _summary(trained: Trained) -> str:
         summary += f", {metrics['validation_mae_scaled_lattice']:.4f} sd without its network"
     lines = [summary]
     if trace.n_uncovered:
-        lines.append(f"{trace.n_uncovered} samples that not every channel covers were left out")
+        lines.append(f"left out: {counted(trace.n_uncovered, 'sample')}, not covered by every channel")
     if trace.n_dropped:
-        lines.append(f"{trace.n_dropped} samples at the end did not fill a block and were left out")
+        lines.append(f"left out: {counted(trace.n_dropped, 'sample')} at the end, too few for a block")
     where = f"{condition['speed']:.0f} mm/s and {condition['force']:.2f} N"
-    return "\n".join([*lines, f"warm start {origin} at {where} (asked: 45 mm/s, 0.8 N)"])
+    return "\n".join([*lines, f"warm start {origin} at {where}, the nearest to the paper's 45 mm/s and 0.8 N"])
 
 
 def _notes(recording: Recording, rate_hz: float) -> Iterator[str]:
     """Return what the inspection of a recording has to say to its training."""
     from foten.dsp import perception
     from foten.recording.inspection import inspect_recording
+    from foten.recording.inspection.values import counted
 
     inspection = inspect_recording(recording)
     problems, shares = inspection.problems, inspection.carried
     if problems:
-        many = f"{len(problems)} problem{'s' * (len(problems) > 1)}"
-        yield f"foten inspect finds {many} in the recording, the first: {problems[0].text}"
+        yield f"foten inspect finds {counted(len(problems), 'problem')} in the recording, the first: {problems[0].text}"
     if shares and rate_hz < perception.smallest_rate(shares):
         yield (
             f"of what can be felt of it, {perception.in_words(shares)}: "

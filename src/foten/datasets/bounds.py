@@ -11,6 +11,7 @@ import numpy as np
 
 from foten.datasets.units import FACTORS, quantity
 from foten.dsp import Array
+from foten.recording.inspection.values import counted
 from foten.recording.recording import LIMITS, UNITS, Channel
 
 LARGEST = 1e12  # of a sample in any unit; a converter of 32 bits counts to 4e9
@@ -37,7 +38,7 @@ def check_length(where: str, channel: Channel) -> None:
         raise ValueError(f"{where}: the rate is {channel.rate_hz:g} Hz, expected {FASTEST_HZ:g} at most; is it right?")
     if not channel.duration_s <= LONGEST_S:
         raise ValueError(
-            f"{where}: {channel.samples.size} samples at {channel.rate_hz:g} Hz last {channel.duration_s:.4g} s, expected "
+            f"{where}: {counted(channel.samples.size, 'sample')} at {channel.rate_hz:g} Hz, {channel.duration_s:.4g} s, expected "
             f"{LONGEST_S:g} s at most; is the rate right, or was the time given in ms?"
         )
 
@@ -76,7 +77,9 @@ def check_hand(channel: str, one: Channel, force_units: bool) -> str:
         raise ValueError(f"{what}, expected below {limit:g} {unit}; {guess} (--force-units imports it all the same)")
     if one.duration_s < SHORTEST_S:
         raise ValueError(
-            f"{channel} is too short: {size.size} samples at {one.rate_hz:g} Hz last {one.duration_s * 1000:.3g} ms, "
+            f"{channel} is too short: {counted(size.size, 'sample')} at {one.rate_hz:g} Hz, {one.duration_s * 1000:.3g} ms, "
             f"expected {SHORTEST_S * 1000:g} ms or more; is the rate right?"
         )
-    return f"{what}; {n_beyond} samples beyond {limit:g} {unit} were let through (--force-units)" if n_beyond else ""
+    return (
+        f"{what}; {counted(n_beyond, 'sample')} beyond {limit:g} {unit} let through (--force-units)" if n_beyond else ""
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,8 @@ class Column:
     n_blank: int = 0  # blank cells after the last value, which are not in `samples`
     fault: str = ""  # why this column cannot be a channel: a word among the numbers, for example
     file: Path = Path()  # that it was imported from
+    row_numbers: Sequence[int] = ()  # of each sample and of the blank cells, from 1, where the file is a table
+    n_comments: int = 0  # lines of comment below the header of its table, which hold no samples
 
     def __post_init__(self) -> None:
         for text in ("name", "unit", "fault"):
@@ -37,6 +39,10 @@ class Column:
     def n_rows(self) -> int:
         """Return the rows of the table that the column came from; columns with equal rows belong together."""
         return self.samples.size + self.n_blank
+
+    def row_of(self, sample: int) -> str:
+        """Return the row that a sample stands in, as " (row 12)"; nothing where the file has no rows."""
+        return f" (row {self.row_numbers[sample]})" if sample < len(self.row_numbers) else ""
 
 
 def columns_of_array(name: str, array: NDArray[Any]) -> list[Column]:

@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 from foten.atomic_write import atomic_write
 from foten.datasets.bounds import check_length, check_size
 from foten.datasets.isolated import read_isolated
+from foten.recording.inspection.values import counted
 from foten.recording.recording import UNITS, Channel, Recording
 from foten.untrusted import check_numbers, parse_json
 
@@ -158,7 +159,7 @@ def _vector(entry: Mapping[str, Any], arrays: list[NDArray[np.float64]], where: 
         raise ValueError(f"{where}: has shape {tuple(entry['shape'])}, expected (n,) with n > 0")
     bad = np.flatnonzero(~np.isfinite(samples))
     if bad.size:
-        raise ValueError(f"{where}: {bad.size} samples are NaN or infinite, the first at {bad[0]}")
+        raise ValueError(f"{where}: {counted(bad.size, 'sample')} NaN or infinite, the first is sample {bad[0]}")
     check_size(where, samples)
     return samples
 

@@ -1,4 +1,4 @@
-"""From columns of files to a Recording: which column is which channel, in what unit, at what rate.
+"""From columns of files to a Recording, or to a stroke: which column is which channel, in what unit, at what rate.
 
 Nothing is resampled or padded. Every conversion and every filled gap is written into the recording's history.
 """
@@ -16,12 +16,15 @@ import numpy as np
 from foten.datasets.binary import read_hdf5, read_matlab, read_numpy, read_tdms, read_wav
 from foten.datasets.bounds import check_hand, check_overlap
 from foten.datasets.columns import Column
-from foten.datasets.mapping import clocks_of, column_of, guessed_mapping, names_of
+from foten.datasets.mapping import clocks_of, column_of, guessed_mapping, names_of, stroke_columns
 from foten.datasets.options import ImportOptions
 from foten.datasets.table import read_delimited, read_excel
 from foten.datasets.timing import bridged, filled, irregular, rate_and_source, times_of
-from foten.datasets.units import factor_of, quantity
-from foten.recording.recording import Channel, Recording
+from foten.datasets.units import factor_of, quantity, split_header
+from foten.dsp import Array
+from foten.recording.inspection.one_channel import check_units
+from foten.recording.inspection.values import counted
+from foten.recording.recording import UNITS, Channel, Recording
 from foten.untrusted import check_regular
 
 DATASETS: dict[str, Callable[[Path], list[Column]]] = {
@@ -34,6 +37,9 @@ DATASETS: dict[str, Callable[[Path], list[Column]]] = {
     ".wav": read_wav,
 }
 """What reads a file, by its extension."""
+
+STROKE = "t (s), and speed (mm/s) or x, y (mm), and force (N) or pressure (0 to 1)"
+"""What a table of a stroke has to hold; units in its header come before these."""
 
 SLOWEST_HZ = 40.0  # of an acceleration: half of it is the lowest frequency that training keeps
 
@@ -103,8 +109,11 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
     for channel, column in picked.items():
         path = column.file
         history.append(f"{channel} is column {column.name} of {path.name} (sha256 {digests[path][:16]})")
+        if column.n_comments:
+            passed = f"{counted(column.n_comments, 'line')} of comment in {path.name} passed over"
+            history += [passed] if passed not in history else []
         if column.n_blank:
-            history.append(f"{channel} ends {column.n_blank} rows before the table does")
+            history.append(f"{channel} ends {counted(column.n_blank, 'row')} before the table does")
         factor, on_unit = factor_of(channel, column.name, column.unit, options.units.get(channel))
         times, on_time = times_of(channel, column, clocks, options)
         rate_hz, on_rate = rate_and_source(channel, column, times, options, files[path])
@@ -133,17 +142,86 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
             why = irregular(times, one.rate_hz)
             one = replace(one, times_s=times if why else None)
             on_clock = f"{channel} keeps its own times: {why}" if why else ""
-        one, on_samples = filled(channel, one, options.fill_gaps_ms)
+        one, on_samples = filled(channel, one, options.fill_gaps_ms, picked[channel])
         channels[channel], on_rows = bridged(channel, one, options.fill_gaps_ms)
         history += [said for said in (on_clock, on_samples, on_rows) if said]
     check_overlap(channels)
     history += [said for name, one in channels.items() if (said := check_hand(name, one, options.force_units))]
-    kinds = {quantity(channel) for channel in channels}
-    if "acceleration" not in kinds:
+    recording = Recording(channels, history=tuple(history))
+    unstated = {
+        channel: f"{channel} {UNITS.get(channel, 's')}"
+        for channel, column in [*picked.items(), *(("time", clock) for clock in clocks)]
+        if not (options.units.get(channel) or column.unit or split_header(column.name, quantity(channel))[1])
+    }
+    if unstated:
+        decisions.append(f"no unit is stated: taken as {', '.join(unstated.values())}; --unit changes it")
+    for name, one in channels.items():
+        decisions += [finding.text for finding in check_units(name, one, recording) if finding.code == "units"]
+    present = {
+        "acceleration": recording.axes("acceleration"),
+        "speed (or position)": recording.movement,
+        "force": recording.normal_force,
+    }
+    missing = " and no ".join(what for what, there in present.items() if not there)
+    if missing == "acceleration":
         decisions.append("there is no acceleration: strokes can be rendered from this recording, nothing learned")
-    elif not {"speed", "position"} & kinds or "force" not in kinds:
-        decisions.append("without speed (or position) and force nothing can be learned from this recording")
-    return Recording(channels, history=tuple(history)), decisions
+    elif missing:
+        decisions.append(f"there is no {missing}: nothing can be learned from this recording")
+    return recording, decisions
+
+
+def read_stroke(path: Path, units: Mapping[str, str]) -> dict[str, Array]:
+    """Return the columns of a stroke's table, shape (n,) each, without its blank lines.
+
+    They are time [s], which increases, speed [mm/s] or position_x and position_y [mm], and force [N] or pressure [0 … 1].
+
+    Args:
+        units: by channel, before those of the file.
+
+    Raises:
+        ValueError: it is no table, a column is missing, a unit unknown, a value no finite number, or time does not increase.
+    """
+    if DATASETS.get(path.suffix.lower()) not in (read_delimited, read_excel):
+        raise ValueError(f"{path.name} is no table (.csv, .tsv, .txt, .dat, .xlsx), expected one of {STROKE}")
+    there = read_columns(path)
+    columns = stroke_columns(there)
+    if "time" not in columns or not (
+        ("speed" in columns or {"position_x", "position_y"} <= columns.keys())
+        and ("force" in columns or "pressure" in columns)
+    ):
+        raise ValueError(f"{path.name} has the columns {', '.join(c.name for c in there)}; expected {STROKE}")
+    for channel in ImportOptions(units=units).units:
+        if channel not in columns:
+            raise ValueError(f"{channel} has a unit, and {path.name} has no column of it")
+    stroke: dict[str, Array] = {}
+    for channel, column in columns.items():
+        if column.fault:
+            raise ValueError(f"{path.name}: {channel}, column {column.name}: {column.fault}")
+        is_share = channel == "pressure"
+        factor = _share(column) if is_share else factor_of(channel, column.name, column.unit, units.get(channel))[0]
+        stroke[channel] = factor * np.append(column.samples, np.full(column.n_blank, np.nan))
+    kept = ~np.all([np.isnan(samples) for samples in stroke.values()], axis=0)
+    rows = np.array(columns["time"].row_numbers)[kept]
+    stroke = {channel: samples[kept] for channel, samples in stroke.items()}
+    if rows.size < 2:
+        raise ValueError(f"{path.name} has {counted(rows.size, 'row')} below its header, expected two or more")
+    for channel, samples in stroke.items():
+        bad = np.flatnonzero(~np.isfinite(samples))
+        if bad.size:
+            given = "blank or NaN" if np.isnan(samples[bad[0]]) else "infinite"
+            raise ValueError(f"{path.name}: {channel} at row {rows[bad[0]]} is {given}, expected a finite number")
+    back = np.flatnonzero(np.diff(stroke["time"]) <= 0)
+    if back.size:
+        raise ValueError(f"{path.name}: the time does not increase at row {rows[back[0] + 1]}; are the rows sorted?")
+    return stroke
+
+
+def _share(column: Column) -> float:
+    """Return what to multiply a pressure by to get a share from 0 to 1, where it is one."""
+    unit = column.unit or split_header(column.name, "force")[1]
+    if any(map(str.isalpha, unit)):
+        raise ValueError(f"the pressure is in {unit}, expected a share, 0 to 1 or in %; is it a force?")
+    return 0.01 if "%" in unit else 1.0
 
 
 def _for_axes(options: ImportOptions, picked: Mapping[str, object]) -> ImportOptions:

@@ -72,6 +72,33 @@ def guessed_mapping(files: Files, options: ImportOptions) -> tuple[tuple[str, st
     return tuple((channel, name_of(files, column)) for channel, candidates in places.items() for column in candidates)
 
 
+def stroke_columns(columns: Sequence[Column]) -> dict[str, Column]:
+    """Return the columns of a stroke by channel: time, speed, position_x, position_y, force, pressure; others are left out.
+
+    The headers are t, speed, x, y, force and pressure; where one is missing, what an import takes for the channel.
+    """
+    names = {
+        "time": "t",
+        "speed": "speed",
+        "position_x": "x",
+        "position_y": "y",
+        "force": "force",
+        "pressure": "pressure",
+    }
+    found: dict[str, Column] = {}
+    for channel, name in names.items():
+        kind = "force" if channel == "pressure" else quantity(channel)
+        headers = [split_header(column.name, kind)[0].lower().replace(" ", "_") for column in columns]
+        own = [column for column, header in zip(columns, headers, strict=True) if header == name]
+        guessed = _GUESSES.get(channel, frozenset())
+        candidates = own or [column for column, header in zip(columns, headers, strict=True) if header in guessed]
+        if len(candidates) > 1:
+            raise ValueError(f"{channel} could be any of {', '.join(column.name for column in candidates)}; keep one")
+        if candidates:
+            found[channel] = candidates[0]
+    return found
+
+
 def name_of(files: Files, column: Column) -> str:
     """Return what a column goes by: its name, with several files `FILE:COLUMN`."""
     return column.name if len(files) == 1 else f"{column.file.name}:{column.name}"

@@ -9,7 +9,7 @@ import contextlib
 import csv
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,12 @@ import numpy as np
 
 from foten.datasets.columns import Column
 from foten.datasets.units import is_unit
+from foten.recording.inspection.values import counted
 from foten.untrusted import brief
 
+COMMENTS = ("#", "%", "//")  # that a line of comment begins with
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+_DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?")
 MOST_CELLS = 50_000_000  # of a sheet
 MOST_ROWS = 2_000_000  # of a sheet; a program of tables has 1,048,576
 
@@ -28,29 +31,43 @@ MOST_ROWS = 2_000_000  # of a sheet; a program of tables has 1,048,576
 def read_delimited(path: Path) -> list[Column]:
     """Return the columns of a text table; the separator and the decimal comma are seen from its lines.
 
-    Lines before the table, lines that begin with # or %, and a second header row that holds only units are understood.
+    Lines before the table, comments anywhere, and a second header row that holds only units are understood. A comment may
+    name the columns; those below the header are counted in each column's `n_comments`.
     """
     lines = _decode(path.read_bytes(), path.name).splitlines()
-    filled = [line for line in lines if line.strip()]
-    if not filled:
+    if not any(map(str.strip, lines)):
         raise ValueError(f"{path.name} is empty")
+    comments = {i: line.lstrip("#%/ \t") for i, line in enumerate(lines) if line.lstrip().startswith(COMMENTS)}
+    lines = ["" if i in comments else line for i, line in enumerate(lines)]
+    filled = [line for line in lines if line.strip()] or [""]
     sample = filled[len(filled) // 2]
     delimiter = next((mark for mark in "\t;," if mark in sample), None)
-    remarks = frozenset(i for i, line in enumerate(lines) if line.startswith(("#", "%")))
     if delimiter is None:
-        rows: list[list[Any]] = [line.lstrip("#% ").split() for line in lines]
+        rows: list[list[Any]] = [comments.get(i, line).split() for i, line in enumerate(lines)]
     else:
         try:
             rows = list(csv.reader(lines, delimiter=delimiter))
+            if len(rows) != len(lines):
+                raise ValueError(f"{path.name}: a quotation mark opens and never closes; was the file cut off?")
+            for i, comment in comments.items():  # each by itself: a quotation mark in it opens nothing
+                rows[i] = next(csv.reader([comment], delimiter=delimiter))
         except csv.Error as error:
             raise ValueError(f"{path.name} is not a table ({brief(error)})") from None
-        if len(rows) != len(lines):
-            raise ValueError(f"{path.name}: a quotation mark opens and never closes; was the file cut off?")
-        for i in remarks:
-            rows[i][0] = rows[i][0].lstrip("#% ")
-    if delimiter != "," and any(_DECIMAL_COMMA.fullmatch(cell.strip()) for cell in sample.split(delimiter)):
+    if delimiter != "," and _has_decimal_commas(filled, sample, delimiter):
         rows = [[cell.replace(",", ".") for cell in row] for row in rows]
-    return _table(rows, path.name, remarks)
+    return _table(rows, path.name, comments.keys())
+
+
+def _has_decimal_commas(lines: list[str], sample: str, delimiter: str | None) -> bool:
+    """Return whether numbers have a decimal comma: in the line amid the others, or in any of them where none has a point."""
+
+    def has(decimal: re.Pattern[str], mark: str, among: Iterable[str]) -> bool:
+        cells = (cell.strip() for line in among if mark in line for cell in line.split(delimiter))
+        return any(map(decimal.fullmatch, cells))
+
+    return has(_DECIMAL_COMMA, ",", [sample]) or (
+        has(_DECIMAL_COMMA, ",", lines) and not has(_DECIMAL_POINT, ".", lines)
+    )
 
 
 def read_excel(path: Path) -> list[Column]:
@@ -109,14 +126,14 @@ def _is_number(cell: Any) -> bool:
     return False
 
 
-def _table(rows: list[list[Any]], where: str, remarks: frozenset[int] = frozenset()) -> list[Column]:
+def _table(rows: list[list[Any]], where: str, comments: Collection[int] = ()) -> list[Column]:
     """Return the columns below the header of a table. Rows are counted from 1, as editors do.
 
-    Rows in `remarks`, counted from 0, may name the columns but hold no data.
+    Rows in `comments`, counted from 0, may name the columns but hold no data.
     """
-    while rows and not _width(rows[-1]):
+    while rows and (len(rows) - 1 in comments or not _width(rows[-1])):
         rows.pop()
-    numbers = [row for row in rows if any(map(_is_number, row))]
+    numbers = [row for i, row in enumerate(rows) if i not in comments and any(map(_is_number, row))]
     if not numbers:
         raise ValueError(f"{where} has no row of numbers")
     typical = numbers[len(numbers) // 2]
@@ -127,13 +144,15 @@ def _table(rows: list[list[Any]], where: str, remarks: frozenset[int] = frozense
         cells = [row[k] for k in numeric] if len(row) == width else []
         return any(map(_is_number, cells)) and all(_is_number(cell) or _is_blank(cell) for cell in cells)
 
-    start = next((i for i, row in enumerate(rows) if fits(row)), 0)
+    start = next((i for i, row in enumerate(rows) if i not in comments and fits(row)), 0)
     has_numbers = [any(map(_is_number, row)) for row in rows[:start]]
     worded = [i for i in range(start) if len(rows[i]) == width and _width(rows[i]) and not has_numbers[i]]
+    # A comment below a header is no header; above a table without one it is.
+    worded = [i for i in worded if i not in comments] or worded
     # A row that does not fit is still data where it cannot be anything else: an overflow in the first row is no
     # header, and to skip it would shift this table against all others.
     after_words = worded[-1] + 1 if worded else 0
-    skipped = [i for i in range(after_words, start) if i not in remarks and has_numbers[i]]
+    skipped = [i for i in range(after_words, start) if i not in comments and has_numbers[i]]
     if worded:
         start = min([start, *skipped])
     else:
@@ -144,21 +163,25 @@ def _table(rows: list[list[Any]], where: str, remarks: frozenset[int] = frozense
                 raise ValueError(
                     f"{where}, row {i + 1} holds numbers and words: is it a header, or data? Correct or remove it"
                 )
-    for i in range(start, len(rows)):
+    data = [i for i in range(start, len(rows)) if i not in comments]
+    for i in data:
         if not _width(rows[i]):
             rows[i] = [None] * width  # a blank line among the data is a row that is missing, not no row
         elif len(rows[i]) != width:
-            raise ValueError(f"{where}, row {i + 1} has {len(rows[i])} cells, expected {width}; was the file cut off?")
+            cells = counted(len(rows[i]), "cell")
+            raise ValueError(f"{where}, row {i + 1} has {cells}, expected {width}; was the file cut off?")
     names, units = [str(k) for k in range(width)], [""] * width
-    heads = [rows[i] for i in worded[-2:] if i >= worded[-1] - 1]
+    heads = [rows[i] for i in worded[-2:] if all(between in comments for between in range(i + 1, worded[-1]))]
     if len(heads) == 2 and _are_units(list(map(_words, heads[1]))):
         units = [_words(cell).strip("[]() ") for cell in heads[1]]
         heads.pop()
     if heads:
         names = [_words(cell) or str(k) for k, cell in enumerate(heads[-1])]
+    n_comments = sum(i > (worded[-1] if worded else start) for i in comments)
+    row_numbers = [i + 1 for i in data] if n_comments else range(start + 1, len(rows) + 1)
     return [
-        _column(name, unit, [row[k] for row in rows[start:]], start + 1)
-        for k, (name, unit) in enumerate(zip(names, units, strict=True))
+        _column(Column(name, np.zeros(0), unit=unit, row_numbers=row_numbers, n_comments=n_comments), cells)
+        for name, unit, cells in zip(names, units, zip(*(rows[i] for i in data), strict=True), strict=True)
     ]
 
 
@@ -174,12 +197,13 @@ def _words(cell: Any) -> str:
     return "" if cell is None else " ".join(str(cell).split())
 
 
-def _column(name: str, unit: str, cells: list[Any], first_row: int) -> Column:
+def _column(empty: Column, cells: Sequence[Any]) -> Column:
+    """Return a column with the numbers that its cells hold, or with why they are none."""
     n = _width(cells)
     numbers = [float("nan") if _is_blank(cell) else cell for cell in cells[:n]]
     try:
-        return Column(name, np.array(numbers, dtype=np.float64), unit=unit, n_blank=len(cells) - n)
+        return replace(empty, samples=np.array(numbers, dtype=np.float64), n_blank=len(cells) - n)
     except (TypeError, ValueError, OverflowError):
         bad = next((i for i, cell in enumerate(numbers) if not _is_number(cell)), 0)
-        fault = f"row {first_row + bad} is {str(cells[bad])!r}, expected a number"
-        return Column(name, np.zeros(0), unit=unit, n_blank=n, fault=fault)
+        fault = f"row {empty.row_numbers[bad]} is {str(cells[bad])!r}, expected a number"
+        return replace(empty, n_blank=n, fault=fault)

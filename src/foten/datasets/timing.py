@@ -15,6 +15,7 @@ from foten.datasets.columns import Column
 from foten.datasets.options import ImportOptions
 from foten.datasets.units import factor_of, quantity
 from foten.dsp import Array
+from foten.recording.inspection.values import counted
 from foten.recording.recording import Channel
 
 JITTER = 0.01  # of a period: less, and times are called regular
@@ -41,7 +42,8 @@ def times_of(
     times = clock.samples[: column.samples.size]
     bad = np.flatnonzero(~np.isfinite(times))
     if bad.size or times.size < column.samples.size:
-        raise ValueError(f"{column.file.name}: the time is blank or NaN at sample {bad[0] if bad.size else times.size}")
+        at = int(bad[0]) if bad.size else times.size
+        raise ValueError(f"{column.file.name}: the time is blank or NaN at sample {at}{clock.row_of(at)}")
     bad = np.flatnonzero(np.diff(times) <= 0)
     if bad.size:
         before, after = times[bad[0]], times[bad[0] + 1]
@@ -49,8 +51,8 @@ def times_of(
         if before == after:
             what, hint = "repeats", "are the times rounded? Leave time out and give --rate"
         raise ValueError(
-            f"{column.file.name}: the time {what} at sample {bad[0] + 1}: {after:.9g} after {before:.9g} "
-            f"({bad.size} such places); {hint}"
+            f"{column.file.name}: the time {what} at sample {bad[0] + 1}{clock.row_of(int(bad[0]) + 1)}: {after:.9g} after "
+            f"{before:.9g} ({counted(bad.size, 'such place')}); {hint}"
         )
     factor, said = factor_of("time", clock.name, clock.unit, options.units.get("time"))
     return times * factor, said
@@ -118,27 +120,36 @@ def irregular(times: Array, rate_hz: float) -> str:
     return ""
 
 
-def filled(channel: str, one: Channel, gap_ms: float) -> tuple[Channel, str]:
-    """Return a channel without NaN, marker drop-outs filled with straight lines if asked, and a sentence."""
-    samples, missing = one.samples, np.isnan(one.samples)
+def filled(channel: str, one: Channel, gap_ms: float, column: Column) -> tuple[Channel, str]:
+    """Return a channel without NaN, marker drop-outs filled with straight lines if asked, and a sentence.
+
+    `column` is what the channel was taken from; it knows the rows of the samples.
+    """
+    samples, missing, clock = one.samples, np.isnan(one.samples), one.times
+
+    def place(sample: int) -> str:
+        return f"{clock[sample]:.6g} s{column.row_of(sample)}"
+
     infinite = np.flatnonzero(np.isinf(samples))
     if infinite.size:
-        raise ValueError(f"{channel}: {infinite.size} samples are infinite, the first at {infinite[0]}")
+        n = infinite.size
+        are = " is" if n == 1 else "s are"
+        raise ValueError(f"{channel}: {n} sample{are} infinite, the first at {place(int(infinite[0]))}")
     if not missing.any():
         return one, ""
     first, count = int(missing.argmax()), int(missing.sum())
-    what = f"{channel}: {count} samples are NaN or blank"
+    what = f"{channel}: {count} sample{' is' if count == 1 else 's are'} NaN or blank"
     if quantity(channel) not in FILLED:
-        raise ValueError(f"{what}, the first at {first}; only position, speed and force may have gaps filled")
+        raise ValueError(f"{what}, the first at {place(first)}; only position, speed and force may have gaps filled")
     starts, ends = np.flatnonzero(np.diff(missing, prepend=False, append=False)).reshape(-1, 2).T
     # A gap is as long as its lost samples: three of them at 100 Hz are 30 ms.
-    clock, lengths = one.times, (ends - starts) / one.rate_hz
+    lengths = (ends - starts) / one.rate_hz
     if one.times_s is not None:
         lengths = clock[np.minimum(ends, clock.size - 1)] - clock[starts]
     longest_ms = lengths.max() * 1000
     if gap_ms == 0:
         raise ValueError(
-            f"{what} in {starts.size} gaps, the first at {first}, the longest {longest_ms:.4g} ms; "
+            f"{what} in {counted(starts.size, 'gap')}, the first at {place(first)}, the longest {longest_ms:.4g} ms; "
             f"--fill-gaps {max(1, int(np.ceil(longest_ms)))} would fill them"
         )
     if missing[0] or missing[-1]:
@@ -148,13 +159,13 @@ def filled(channel: str, one: Channel, gap_ms: float) -> tuple[Channel, str]:
     if long.size:
         i = int(long[0])
         raise ValueError(
-            f"{channel}: {long.size} of {starts.size} gaps are longer than {gap_ms:g} ms, the first at "
-            f"sample {starts[i]} ({clock[starts[i]]:.4g} s) lasts {lengths[i] * 1000:.4g} ms"
+            f"{channel}: of {counted(starts.size, 'gap')} {long.size} last longer than {gap_ms:g} ms, the first, at "
+            f"{place(int(starts[i]))}, {lengths[i] * 1000:.4g} ms"
         )
     without = np.where(missing, np.interp(clock, clock[~missing], samples[~missing]), samples)
     return Channel(without, one.rate_hz, one.times_s), (
-        f"{channel}: {starts.size} gaps ({count} samples, the longest {longest_ms:.4g} ms) were "
-        f"filled with straight lines, up to {gap_ms:g} ms allowed"
+        f"{channel}: {counted(starts.size, 'gap')} ({counted(count, 'sample')}, the longest {longest_ms:.4g} ms) filled "
+        f"with straight lines, up to {gap_ms:g} ms allowed"
     )
 
 
@@ -167,7 +178,7 @@ def bridged(channel: str, one: Channel, gap_ms: float) -> tuple[Channel, str]:
     period = float(np.median(steps))
     lengths = steps[holes] - period  # as long as what was lost
     longest = int(lengths.argmax())
-    places = f"{holes.size} place{'s' * (holes.size > 1)}"
+    places = counted(holes.size, "place")
     worst, since = lengths[longest] * 1000, one.times_s[holes[longest]]
     what = f"{channel}: rows are missing in {places}, the longest {worst:.4g} ms after {since:.4g} s"
     if worst > gap_ms + 1e-6:
@@ -179,5 +190,5 @@ def bridged(channel: str, one: Channel, gap_ms: float) -> tuple[Channel, str]:
     times = np.sort(np.concatenate([one.times_s, *added]))
     samples = np.interp(times, one.times_s, one.samples)
     return Channel(samples, one.rate_hz, times), (
-        f"{what}; {times.size - one.times_s.size} samples on straight lines were put there, up to {gap_ms:g} ms allowed"
+        f"{what}; {counted(times.size - one.times_s.size, 'sample')} on straight lines put there, up to {gap_ms:g} ms allowed"
     )

@@ -11,11 +11,22 @@ from foten.dsp import Array
 from foten.dsp.dft321 import dft321
 from foten.dsp.filters import Biquads, Sections, butterworth, delay_s, filter_recorded
 from foten.dsp.kinematics import at_rate, speed_of, velocity
+from foten.dsp.perception import RATES_HZ
 from foten.dsp.resample import decimate
 from foten.recording.recording import LIMITS, UNITS, Channel, Recording
+from foten.recording.split import FEWEST_BLOCKS
 from foten.recording.trace import Trace
 
 HIGHEST_ORDER = 20  # of a high-pass; one of 20 already rings for longer than a window
+SHORT_BLOCKS_MS = (
+    2000.0,
+    1000.0,
+    500.0,
+    200.0,
+    100.0,
+)  # of a recording too short for the defaults; less holds no level
+ENOUGH_BLOCKS = 9  # of a split: two of them choose and two judge
+ENOUGH_SAMPLES = 5000  # to learn from, by our choice; below it a higher rate gives more of them
 WRONG_SIGN = (5.0, 0.5)  # mm/s, N; below minus this a magnitude is not a magnitude with noise
 
 
@@ -63,21 +74,51 @@ class PreprocessConfig:
         return max(1, round(self.block_ms * self.rate_hz / 1000))
 
     @property
+    def shortest_s(self) -> float:
+        """Return what every channel has to cover for a training [s]."""
+        return (2 * self.trim_ms + FEWEST_BLOCKS * self.block_ms) / 1000
+
+    @property
     def delay_ms(self) -> float:
         """Return what the causal low-pass of speed and force delays them by when rendering [ms]."""
         return 1000 * delay_s(butterworth("lowpass", self.render_lowpass_hz, self.rate_hz), self.rate_hz)
 
 
-def preprocess(recording: Recording, config: PreprocessConfig | None = None) -> Trace:
+def fitting_options(seconds: float, rate_hz: float, captured_hz: float | None = None) -> str:
+    """Return the options of `foten train` that fit a recording: "--rate 10000 --trim 0 --block 200"; empty where none do.
+
+    Args:
+        seconds: that every channel covers.
+        rate_hz: of the model. So few samples are too few to learn from in a short recording: then it is a higher one.
+        captured_hz: of the acceleration, which is never upsampled; None leaves the rate as it is, and unnamed.
+    """
+    config = PreprocessConfig()
+    if seconds >= config.shortest_s:
+        rate, trim_ms, blocks_ms = rate_hz, config.trim_ms, [config.block_ms]
+    else:
+        rates = sorted({rate_hz, *(rate for rate in RATES_HZ if rate_hz < rate <= (captured_hz or 0))})
+        rate, trim_ms = next((rate for rate in rates if rate * seconds >= ENOUGH_SAMPLES), rates[-1]), 0.0
+        usable_ms = 1000 * (seconds - 1 / rate) - config.delay_ms  # which is whole samples
+        blocks_ms = [ms for n in (ENOUGH_BLOCKS, FEWEST_BLOCKS) for ms in SHORT_BLOCKS_MS if usable_ms >= n * ms]
+    if not blocks_ms:
+        return ""
+    named = "" if captured_hz is None else f"--rate {min(rate, captured_hz):g} "
+    return f"{named}--trim {trim_ms:g} --block {blocks_ms[0]:g}"
+
+
+def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_blocks: int | None = None) -> Trace:
     """Return the trace of a recording: whole blocks of acceleration, speed and force at one rate.
 
     Used is the stretch that every channel covers. The low-pass of speed and force is causal, as in rendering; the whole
     samples nearest its delay are then cut off, so that speed and force stand beside the acceleration that they caused.
     With three axes, DFT321 makes one of them in each block by itself.
 
+    Args:
+        n_blocks: that a training needs; None, at a rate that a texture has already, takes one.
+
     Raises:
         ValueError: a quantity is missing or beyond what a hand can do, the acceleration is slower than the rate or irregular
-            in time, speed or force has holes or the wrong sign, or the recording is too short for the trim and one block.
+            in time, speed or force has holes or the wrong sign, or the recording is too short for the trim and the blocks.
 
     Source: Sec. III-c, Sec. VI.
     """
@@ -105,11 +146,13 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None) -> 
     delay = 0 if config.zero_phase else round(delay_s(lowpass, rate) * rate)
     trim = round(config.trim_ms * rate / 1000)
     usable = stop - start - trim - max(trim, delay)
-    if usable < config.block:
+    if usable < (n_blocks or 1) * config.block:
+        covered_s = (stop - start) / rate
+        options = fitting_options(covered_s, rate, axes[0].rate_hz if n_blocks else None)
         raise ValueError(
-            f"{(stop - start) / rate:.3g} s are covered by every channel; a trim of {config.trim_ms:g} ms at both ends leaves "
-            f"{max(0, usable) / rate:.3g} s, less than one block of {config.block_ms:g} ms; "
-            "use a shorter --trim and --block"
+            f"{covered_s:.3g} s are covered by every channel; a trim of {config.trim_ms:g} ms at both ends leaves "
+            f"{max(0, usable) / rate:.3g} s, less than {n_blocks or 'a'} block{'s' * bool(n_blocks)} of {config.block_ms:g} ms; "
+            + (f"use {options}" if options else "that is too short: record for longer")
         )
     n_dropped = usable % config.block
 
@@ -169,8 +212,9 @@ def hand_of(recording: Recording, rate_hz: float) -> tuple[Array, Array]:
             lengths = np.diff(times)[holes]
             longest = int(lengths.argmax())
             raise ValueError(
-                f"{name} has {holes.size} holes in its times, the longest {1000 * lengths[longest]:.4g} ms after "
-                f"{times[holes[longest]]:.4g} s; import the recording again with --fill-gaps MS, or cut it"
+                f"{name} has {holes.size} hole{'s' * (holes.size > 1)} in its times, the longest "
+                f"{1000 * lengths[longest]:.4g} ms after {times[holes[longest]]:.4g} s; import the recording again with "
+                "--fill-gaps MS, or cut it"
             )
     rows = np.stack([_slow(recording[name], rate_hz, stop)[start:] for name in recording.movement])
     if "speed" not in recording:

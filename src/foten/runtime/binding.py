@@ -27,7 +27,15 @@ class Info(Structure):
     ]
 
 
-class NativeStatistics(Structure):
+class _Counts(Structure):
+    """What was counted, shown by name."""
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{name}={getattr(self, name)}" for name, *_ in self._fields_)
+        return f"{type(self).__name__.removeprefix('Native')}({counts})"
+
+
+class NativeStatistics(_Counts):
     """What a state has counted: foten_stats."""
 
     _names = (
@@ -36,7 +44,7 @@ class NativeStatistics(Structure):
     _fields_ = [(name, c_uint64) for name in _names.split()]
 
 
-class NativeStylusStatistics(Structure):
+class NativeStylusStatistics(_Counts):
     """What a stylus has counted: foten_stylus_stats."""
 
     _fields_ = [(name, c_uint64) for name in ("n", "n_refused", "n_late", "n_dropped", "n_clipped", "n_jumps")]

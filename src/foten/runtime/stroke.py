@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import csv
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
 from foten.dsp.kinematics import at_rate, velocity
+from foten.recording.inspection.one_channel import unit_doubt
 from foten.recording.preprocess import condition, hand_of
-from foten.recording.recording import LIMITS, Recording
+from foten.recording.recording import LIMITS, UNITS, Recording
 from foten.runtime.stylus import PressureCalibration
 
 LONGEST_S = 3600.0
-COLUMNS = "t (s), and speed (mm/s) or x, y (mm), and force (N) or pressure (0 to 1)"
+LONG_S, SLOW_STEP_S = 60.0, 0.5  # a stroke as long as that, in steps as long as that, may have its times in ms
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,7 @@ class Stroke:
     rate_hz: float
     gap_s: float = 0.0  # the longest hole between given samples that was bridged, of ten times the usual step; else 0
     n_lifted: int = 0  # holes and jumps between positions that were taken as lifting the pen
+    doubts: tuple[str, ...] = ()  # sentences on units that were perhaps not meant
 
     def conditioned(self, lowpass_hz: float) -> tuple[Array, Array]:
         """Return speed [mm/s] and force [N] through the causal low-pass of rendering, shapes (n,)."""
@@ -49,7 +50,8 @@ def constant_stroke(speed: float, force: float, seconds: float, rate_hz: float) 
     n = round(seconds * rate_hz)
     if n < 1:
         raise ValueError(f"{seconds:g} s are less than one sample at {rate_hz:g} Hz")
-    return Stroke(np.full((1, n), float(speed)), np.full(n, float(force)), rate_hz)
+    doubts = (*doubts_of("speed", speed), *doubts_of("force", force))
+    return Stroke(np.full((1, n), float(speed)), np.full(n, float(force)), rate_hz, doubts=doubts)
 
 
 def recorded_stroke(recording: Recording, rate_hz: float) -> Stroke:
@@ -58,67 +60,64 @@ def recorded_stroke(recording: Recording, rate_hz: float) -> Stroke:
     return Stroke(moved, np.maximum(pressed, 0.0), rate_hz)
 
 
-def read_stroke(path: Path, rate_hz: float, calibration: PressureCalibration | None = None) -> Stroke:
-    """Return the stroke in a CSV file at a model's rate: as many samples as it lasts × rate, rounded.
+def tabled_stroke(
+    columns: Mapping[str, Array], rate_hz: float, calibration: PressureCalibration | None = None
+) -> Stroke:
+    """Return the stroke in columns at a model's rate: as many samples as it lasts × rate, rounded.
 
-    The header names `t` [s], and `speed` [mm/s] or `x`, `y` [mm], and `force` [N] or `pressure` [0 … 1]; other columns are
-    ignored. Values between rows are interpolated linearly, as positions of a recording are. Where positions are given, the
+    Values between rows are interpolated linearly, as positions of a recording are. Where positions are given, the
     pen is lifted in holes of ten times the usual step, since tablets tell nothing of a pen in the air, and where it jumps
     faster than 5 m/s from or to a row without force: no force, no movement.
 
+    Args:
+        columns: `time` [s], which increases, `speed` [mm/s] or `position_x` and `position_y` [mm], and `force` [N] or
+            `pressure` [0 … 1]; two finite numbers or more each, shape (n,).
+
     Raises:
-        ValueError: a column is missing, a value is no finite number, or time does not increase.
+        ValueError: it lasts too long or too short, or a value is one of no hand.
     """
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ValueError(f"{path.name} is no CSV text ({error}), expected a header with {COLUMNS}") from error
-    if not rows:
-        raise ValueError(f"{path.name} is empty, expected a header with {COLUMNS}")
-    header = [cell.strip().lower() for cell in rows[0]]
-    known = [name for name in header if name in ("t", "speed", "x", "y", "force", "pressure")]
-    columns = {name: _column(path, rows[1:], header.index(name), name) for name in known}
-    if "t" not in columns or not (
-        ("speed" in columns or {"x", "y"} <= columns.keys()) and ("force" in columns or "pressure" in columns)
-    ):
-        raise ValueError(f"{path.name} has the columns {', '.join(rows[0])}; expected {COLUMNS}")
-    times = columns["t"]
-    if times.size < 2:
-        raise ValueError(f"{path.name} has {times.size} rows below its header, expected two or more")
-    wrong = np.flatnonzero(np.diff(times) <= 0)
-    if wrong.size:
-        raise ValueError(f"{path.name}: t does not increase at row {int(wrong[0]) + 3}")
-    times = times - times[0]
+    times = columns["time"] - columns["time"][0]
     if "force" in columns:
         force = columns["force"]
     else:
         pressure = columns["pressure"]
         if pressure.min() < 0 or pressure.max() > 1:
-            raise ValueError(f"{path.name}: pressure runs to {pressure.max():g}, expected 0 to 1")
+            raise ValueError(f"pressure runs from {pressure.min():g} to {pressure.max():g}, expected 0 to 1")
         force = (calibration or PressureCalibration()).force(pressure)
     if force.min() < 0 or ("speed" in columns and columns["speed"].min() < 0):
-        raise ValueError(f"{path.name}: speed and force are magnitudes, found one below zero")
-    if times[-1] > LONGEST_S or (times.size > 50 and np.median(np.diff(times)) >= 0.5):
-        span = f"{path.name} has {times.size} rows over {times[-1]:g} s"
-        raise ValueError(f"{span}, expected at most an hour; is t in ms?")
+        raise ValueError("speed and force of a stroke are magnitudes, found one below zero")
+    if times[-1] > LONGEST_S:
+        raise ValueError(
+            f"the stroke lasts {times[-1]:g} s in {times.size} rows, expected at most an hour; is t in ms?"
+        )
+    doubts = [doubt for name in ("speed", "force") if name in columns for doubt in doubts_of(name, columns[name].max())]
+    if times[-1] >= LONG_S and np.median(np.diff(times)) >= SLOW_STEP_S:
+        doubts.append(f"the stroke lasts {times[-1]:g} s in {times.size} rows; is t in ms? It is taken as s")
     n_lifted = 0
     if "speed" not in columns:
-        times, positions, force, n_lifted = _lifted(times, np.stack([columns["x"], columns["y"]]), force)
+        positions = np.stack([columns["position_x"], columns["position_y"]])
+        doubts += doubts_of("position", np.ptp(positions, axis=1).max())
+        times, positions, force, n_lifted = _lifted(times, positions, force)
     n = round(times[-1] * rate_hz)
     if n < 1:
-        raise ValueError(f"{path.name} lasts {times[-1]:g} s, less than one sample at {rate_hz:g} Hz; is t in seconds?")
+        raise ValueError(f"the stroke lasts {times[-1]:g} s, less than one sample at {rate_hz:g} Hz; is t in seconds?")
     if "speed" in columns:
         moved = at_rate(columns["speed"], times, rate_hz, n)[None]
     else:
         moved = velocity(np.stack([at_rate(axis, times, rate_hz, n) for axis in positions]), rate_hz)
     fastest = float(np.abs(moved).max())
     if fastest > LIMITS["speed"]:
-        raise ValueError(f"{path.name}: speed reaches {fastest:g} mm/s; is it, or t, in another unit?")
+        raise ValueError(f"the stroke's speed reaches {fastest:g} mm/s; is it, or t, in another unit?")
     if force.max() > 100:
-        raise ValueError(f"{path.name}: force reaches {force.max():g} N; is it in mN or grams?")
+        raise ValueError(f"the stroke's force reaches {force.max():g} N; is it in mN or grams?")
     gap = 0.0 if n_lifted else float(np.diff(times)[_holes(times)].max(initial=0.0))
-    return Stroke(moved, at_rate(force, times, rate_hz, n), rate_hz, gap, n_lifted)
+    return Stroke(moved, at_rate(force, times, rate_hz, n), rate_hz, gap, n_lifted, tuple(doubts))
+
+
+def doubts_of(kind: str, largest: float) -> list[str]:
+    """Return a sentence where the largest speed [mm/s], force [N] or movement [mm] is that of another unit; 0 is none."""
+    doubt = unit_doubt(kind, largest) if largest > 0 else ""
+    return [f"{kind} {doubt} It is taken as {UNITS.get(kind, 'mm')}"] if doubt else []
 
 
 def _holes(times: Array) -> NDArray[np.int64]:
@@ -147,16 +146,3 @@ def _lifted(times: Array, positions: Array, force: Array) -> tuple[Array, Array,
     rows = [np.concatenate([axis, np.interp(added, times, axis)])[order] for axis in positions]
     pressed = np.concatenate([force, np.zeros_like(added)])[order]
     return merged[order], np.stack(rows), pressed, int(lifts.size)
-
-
-def _column(path: Path, rows: list[list[str]], index: int, name: str) -> Array:
-    values = np.empty(len(rows))
-    for i, row in enumerate(rows):
-        try:
-            values[i] = float(row[index])
-        except (ValueError, IndexError) as error:
-            given = repr(row[index]) if index < len(row) else "nothing"
-            raise ValueError(f"{path.name}: {name} at row {i + 2} is {given}, expected a number") from error
-        if not math.isfinite(values[i]):
-            raise ValueError(f"{path.name}: {name} at row {i + 2} is {values[i]}, expected a finite number")
-    return values

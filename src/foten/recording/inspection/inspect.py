@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from foten.dsp import perception
 from foten.recording.inspection import one_channel, sampling
 from foten.recording.inspection.hand import Hand, check_contact, check_ranges, check_signs, coverage_of, hand_in
 from foten.recording.inspection.values import PROBLEM, ChannelReport, Finding, Inspection
+from foten.recording.preprocess import PreprocessConfig, fitting_options
 from foten.recording.recording import UNITS, Channel, Recording
 
 
@@ -39,7 +41,14 @@ def inspect_recording(recording: Recording) -> Inspection:
     coverage = None if hand is None else coverage_of(hand)
     if coverage is not None:
         findings += check_ranges(coverage)
-    return Inspection(reports, tuple(findings), coverage, psd, recording.sha256())
+    captured_hz = min((recording[name].rate_hz for name in psd), default=None)
+    shares = {} if captured_hz is None else perception.carried(psd, captured_hz)
+    rate_hz = perception.smallest_rate(shares) if shares else PreprocessConfig().rate_hz
+    options, common_s = f"--rate {rate_hz:g}", sampling.common_s(recording)
+    if common_s < PreprocessConfig().shortest_s:
+        options = fitting_options(common_s, rate_hz, captured_hz)
+    findings += sampling.check_short(recording, options)
+    return Inspection(reports, tuple(findings), coverage, psd, shares, options, recording.sha256())
 
 
 def _report(name: str, channel: Channel, hand: Hand | None) -> ChannelReport:

@@ -33,6 +33,12 @@ _GUESSES = {
 """The least and the largest usual size of a quantity in its unit, and what is said beyond."""
 
 
+def unit_doubt(kind: str, size: float) -> str:
+    """Return what the size of a quantity says against its unit, such as "peaks at 0.1, … was it given in m/s?"; else nothing."""
+    (least, too_small), (most, too_large) = _GUESSES[kind]
+    return too_small.format(size) if size < least else too_large.format(size) if size > most else ""
+
+
 def check_units(name: str, channel: Channel, recording: Recording) -> Iterable[Finding]:
     """Yield a finding where a channel is constant, or its size is that of another unit."""
     x, unit = channel.samples, UNITS[name]
@@ -42,17 +48,14 @@ def check_units(name: str, channel: Channel, recording: Recording) -> Iterable[F
         yield Finding(severity, "constant", name, text)
         return
     kind, guess = name.split("_")[0], ""
-    (least, too_small), (most, too_large) = _GUESSES[kind]
     size = swing(x, 0.001) if kind == "position" else float(np.quantile(np.abs(x), 0.999))
     # A stroke along one axis leaves the others constant: only the one that moves most shows the unit.
     if kind == "position" and size < max(swing(axis.samples, 0.001) for axis in recording.axes("position")):
         return
     if kind == "acceleration" and 0.9 < abs(x.mean()) < 1.1 and x.std() < abs(x.mean()):
         guess = f"has a mean of {x.mean():.3g}, which is gravity in g; was it given in g?"
-    elif size < least and name not in ("force_x", "force_y"):
-        guess = too_small.format(size)
-    elif size > most:
-        guess = too_large.format(size)
+    elif name not in ("force_x", "force_y") or size > 1:  # across the normal there may be none
+        guess = unit_doubt(kind, size)
     if guess:
         yield Finding(PROBLEM, "units", name, f"{name} {guess}")
 

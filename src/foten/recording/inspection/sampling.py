@@ -12,8 +12,7 @@ from foten.recording.inspection.one_channel import slow_noise
 from foten.recording.inspection.values import NOTE, PROBLEM, Finding, counted, places, swing
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import UNITS, Channel, Recording
-
-FEWEST_BLOCKS = 5  # that a split needs
+from foten.recording.split import FEWEST_BLOCKS
 
 
 def check_missing(recording: Recording) -> Iterable[Finding]:
@@ -35,7 +34,7 @@ def check_missing(recording: Recording) -> Iterable[Finding]:
 
 
 def check_durations(recording: Recording) -> Iterable[Finding]:
-    """Yield notes where channels cover different times, or all of them too little."""
+    """Yield notes where channels cover different times."""
     spans = {name: channel.span_s for name, channel in recording.channels.items()}
     fast = next((name for name in recording.channels if name.startswith("acceleration")), "")
     outside = set()
@@ -53,15 +52,24 @@ def check_durations(recording: Recording) -> Iterable[Finding]:
             "are both rates right?"
         )
         yield Finding(NOTE, "durations", early, text)
-    config = PreprocessConfig()
-    common = min(end for _, end in spans.values()) - max(start for start, _ in spans.values())
-    needed = (2 * config.trim_ms + FEWEST_BLOCKS * config.block_ms) / 1000
-    if common < needed:
+
+
+def check_short(recording: Recording, options: str) -> Iterable[Finding]:
+    """Yield a note where all channels cover less than the defaults of training need, with the options that fit."""
+    config, common = PreprocessConfig(), common_s(recording)
+    if common < config.shortest_s:
         text = (
             f"it lasts {common:.2f} s, and trimming {config.trim_ms / 1000:g} s at both ends and {FEWEST_BLOCKS} blocks of "
-            f"{config.block_ms / 1000:g} s take {needed:g} s: train with a shorter --trim and --block"
+            f"{config.block_ms / 1000:g} s take {config.shortest_s:g} s: "
+            + (f"train with {options}" if options else "too short to learn from; record for longer")
         )
         yield Finding(NOTE, "short", "", text)
+
+
+def common_s(recording: Recording) -> float:
+    """Return the time that every channel covers [s]."""
+    starts, ends = zip(*(channel.span_s for channel in recording.channels.values()), strict=True)
+    return float(min(ends) - max(starts))
 
 
 def check_gaps(name: str, channel: Channel) -> Iterable[Finding]:

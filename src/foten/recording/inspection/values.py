@@ -78,13 +78,9 @@ class Inspection:
     findings: tuple[Finding, ...]
     coverage: Coverage | None
     psd: Mapping[str, tuple[Array, Array]]  # of each acceleration: frequency [Hz], one-sided density [(m/s²)²/Hz]
+    carried: Mapping[float, float]  # share of the perceived power that each rate [Hz] keeps; empty where none is known
+    options: str  # of `foten train` that fit the recording; empty where it is too short for any
     recording_sha256: str
-
-    @property
-    def carried(self) -> dict[float, float]:
-        """Return the share of the perceived power that each rate [Hz] keeps; empty where none is known."""
-        rates = [channel.rate_hz for channel in self.channels if channel.name in self.psd]
-        return perception.carried(self.psd, min(rates)) if rates else {}
 
     @property
     def problems(self) -> tuple[Finding, ...]:
@@ -110,6 +106,7 @@ class Inspection:
             "coverage": coverage,
             "findings": [asdict(finding) for finding in self.findings],
             "carried_by_rate_hz": {f"{rate:g}": share for rate, share in self.carried.items()},
+            "options": self.options,
         }
 
     def to_text(self) -> str:
@@ -129,8 +126,8 @@ class Inspection:
                 f"speed {speed[0]:.4g} to {speed[1]:.4g} mm/s, force {force[0]:.3g} to {force[1]:.3g} N"
             )
         if self.carried:
-            best = perception.smallest_rate(self.carried)
-            lines.append(f"of the perceived power, {perception.in_words(self.carried)}; train with --rate {best:g}")
+            advice = f"; train with {self.options}" if self.options else ""
+            lines.append(f"of the perceived power, {perception.in_words(self.carried)}{advice}")
         for severity in (PROBLEM, NOTE):
             lines += [f"{severity:<8} {f.text}" for f in self.findings if f.severity == severity]
         if not self.problems:

@@ -19,6 +19,7 @@ from foten.dsp.resample import interpolate, rate_ratio
 
 AUDIBLE_HZ = 48_000
 AUDIBLE_PEAK = 0.7  # of full scale
+HEADER = "t [s],acceleration [m/s^2],speed [mm/s],force [N]"  # of a CSV; foten import reads it
 SPECTROGRAM_S = 0.064  # window of the picture
 SPECTROGRAM_DB = 60.0  # its range below the loudest
 
@@ -37,8 +38,8 @@ def write_rendered(
                 head, tail = float_wav_ends(acceleration.size, rate_hz, about)
                 part.write_bytes(head + acceleration.astype("<f4").tobytes() + tail)
             case ".csv":
-                rows = np.stack([np.arange(acceleration.size) / rate_hz, acceleration], axis=1)
-                np.savetxt(part, rows, "%.9g", ",", header="t,accel", comments="")
+                rows = np.stack([np.arange(acceleration.size) / rate_hz, acceleration, speed, force], axis=1)
+                np.savetxt(part, rows, "%.9g", ",", header=HEADER, comments="")
             case ".npz":
                 with part.open("wb") as file:
                     rate, text = np.array(rate_hz), np.array(json.dumps(dict(about), sort_keys=True))
