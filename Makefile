@@ -8,7 +8,7 @@ THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 # A file's tests stay together, for what they share.
 PYTEST := $(THREADS) $(BIN)/python -m pytest -q --numprocesses auto --maxprocesses 4 --dist loadfile
 
-.PHONY: demo test check slow docs paper-small wasm wasm-check wheels wheels-check web clean
+.PHONY: demo test check slow browser docs paper-small wasm wasm-check wheels wheels-check web clean
 
 # An editable install takes Python from here, and the kernel from when it was built.
 $(VENV)/.installed: pyproject.toml constraints.txt CMakeLists.txt $(wildcard native/src/* native/include/*)
@@ -45,6 +45,14 @@ paper-small: $(VENV)/.installed
 	  && $(BIN)/foten figures build/paper/results/$$name -o build/paper/$$name || exit 1; done
 	$(THREADS) $(BIN)/python benchmarks/efficiency.py --seconds 12 --steps 300 --csv build/paper/table-3.csv > build/paper/table-3.md
 
+$(VENV)/.browser: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt playwright axe-playwright-python # of the extra browser, as above
+	touch $@
+
+# The page in Chromium, which the system has to have; screenshots in build/screenshots. Without it the tests are skipped.
+browser: $(VENV)/.browser
+	$(THREADS) $(BIN)/python -m pytest -q -m 'browser and not slow' tests/test_studio_page.py
+
 check: $(VENV)/.installed
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -72,7 +80,15 @@ wheels: $(VENV)/.wheels
 	$(BIN)/python native/wasm/pack.py
 
 # The wheel of this machine, built and installed where no compiler is; those of other systems in 'make slow', after 'make wheels' once.
-wheels-check: $(VENV)/.installed $(VENV)/.wheels
+wheels-$(VENV)/.browser: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt playwright axe-playwright-python # of the extra browser, as above
+	touch $@
+
+# The page in Chromium, which the system has to have; screenshots in build/screenshots. Without it the tests are skipped.
+browser: $(VENV)/.browser
+	$(THREADS) $(BIN)/python -m pytest -q -m 'browser and not slow' tests/test_studio_page.py
+
+check: $(VENV)/.installed $(VENV)/.wheels
 	$(PYTEST) -m slow -k without_a_compiler tests/test_wheels.py
 
 # A page that renders on this machine alone: open what it says.

@@ -57,7 +57,7 @@ export class Settings {
       <h3>Actuator</h3>
       <div class="row"><label class="plain" tabindex="0">Open a profile<input id="profile" type="file" accept=".json" hidden></label><output id="actuator">none: acceleration is played as it is</output></div>
       <h3>Delay</h3>
-      <table aria-label="Delay"><tr><th></th><th>median</th><th>99 %</th></tr>
+      <table aria-label="Delay"><tr><td></td><th>median</th><th>99 %</th></tr>
         <tr><th>pen to graph</th><td id="own50"></td><td id="own99"></td></tr><tr><th>pen to sound</th><td id="all50"></td><td id="all99"></td></tr></table>
       <p><output id="buffers"></output></p>`;
     const $ = (id) => dialog.querySelector(`#${id}`);

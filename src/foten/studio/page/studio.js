@@ -193,8 +193,13 @@ function shuffled(list) {
 
 async function open(files) {
   for (const file of files) {
-    const texture = await textureOf(file);
-    await pictureOf(texture); // refuses what is none, in a sentence
+    let texture;
+    try {
+      texture = await textureOf(file);
+      await pictureOf(texture); // which proves it
+    } catch (error) {
+      throw new Error(`${file.name} was refused: ${error.message}`);
+    }
     textures.push(texture);
     shelve();
     await use(texture);
