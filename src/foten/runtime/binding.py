@@ -84,6 +84,7 @@ _SIGNATURES = {
     "foten_render_stroke": (c_size_t, [c_void_p, _FLOATS, _FLOATS, c_size_t, _FLOATS]),
     "foten_rendered": (c_size_t, [c_void_p, c_size_t]),
     "foten_delay_s": (c_double, [c_void_p]),
+    "foten_condition": (None, [c_void_p, _FLOATS, _FLOATS]),
     "foten_statistics": (NativeStatistics, [c_void_p]),
     "foten_stylus_new": (c_void_p, [c_void_p, POINTER(StylusOptions)]),
     "foten_stylus_free": (None, [c_void_p]),
