@@ -41,6 +41,12 @@ MUTANTS = (
     Mutant(
         "the fade with force begins at 0.2 N", NATIVE + "constants.h", "FOTEN_FADE_FORCE 0.1", "FOTEN_FADE_FORCE 0.2"
     ),
+    Mutant(
+        "what fades is counted below the range alone", NATIVE + "api.c", "below |= x < fade;", "below |= x < m->low[i];"
+    ),
+    Mutant(
+        "smoothing begins from rest", NATIVE + "api.c", "= settled(&s->filter, speed_force[i]);", "= (memory){0, 0};"
+    ),
     Mutant("there is no fade", NATIVE + "api.c", "if (x < fade) factor *= x / fade;", ""),
     Mutant("the level does not grow", NATIVE + "api.c", "factor *= pow(kept[i] / m->high[i], m->exponents[i]);", ";"),
     Mutant("the level grows without end", NATIVE + "constants.h", "FOTEN_FURTHEST 2.0", "FOTEN_FURTHEST 4.0"),

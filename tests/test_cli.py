@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import errno
 import json
 import pickle
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 
 from foten.cli.command_line import _status
-from foten.families.texture_file import read_texture
+from foten.families.texture_file import read_texture, write_texture
 
 FAST = ["--trim", "0", "--block", "500", "--epochs", "1", "--threads", "1", "--window", "12"]
 TINY = [f"--set={size}" for size in ("d_model=8", "n_heads=2", "n_layers=1", "d_feedforward=8", "head=[8,4]")]
@@ -173,9 +174,9 @@ def test_settings_change_the_network(recording: Path, tmp_path: Path, capsys: py
     assert _status(["train", str(recording), "-o", str(out), *FAST, *small]) == 0
     sizes = read_texture(out).card["sizes"]
     assert (sizes["d_model"], sizes["n_layers"], sizes["head"], sizes["bins"]) == (8, 1, [16, 8], "half")
-    assert re.search(
-        r"warm start recorded at \d+ mm/s and .* N, the nearest to the paper's 45 mm/s", capsys.readouterr().out
-    )
+    printed = capsys.readouterr().out
+    assert re.search(r"warm start recorded at \d+ mm/s and .* N, the nearest to the paper's 45 mm/s", printed)
+    assert f"\nabove the trained range {read_texture(out).beyond_in_words()}\n" in printed
     assert _status(["train", str(recording), "-o", str(out), *FAST, "--set", "depth=3"]) == 2
     assert "depth" in one_line(capsys)
 
@@ -229,6 +230,26 @@ def test_info_shows_units(texture: Path, capsys: pytest.CaptureFixture[str]) -> 
     out = capsys.readouterr().out
     assert "mm/s" in out
     assert "m/s²" in out
+    assert read_texture(texture).beyond_in_words() in out
+
+
+def test_render_says_what_became_of_samples_outside_the_range(
+    texture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A range that begins at almost nothing fades below 5 mm/s all the same, where it said nothing of it."""
+    whole = read_texture(texture)
+    held, path = tmp_path / "held.foten", str(tmp_path / "o.csv")
+    entries = {"trained_range": {"speed": [0.0026, 150.0], "force": [0.3, 1.5]}}
+    entries["beyond_exponents"] = {"speed": 0.0, "force": 0.0}
+    write_texture(dataclasses.replace(whole, card={**whole.card, **entries}), held)
+    for speed, said in (
+        ("1", "speed was below 5 mm/s or force below 0.3 N for 100.0 %; the vibration fades there"),
+        ("200", "speed was above the trained 150 mm/s for 100.0 %; the level was held there"),
+    ):
+        capsys.readouterr()
+        constants = ["--speed", speed, "--force", "1", "--seconds", "0.2"]
+        assert _status(["render", str(held), *constants, "-o", path]) == 0
+        assert capsys.readouterr().out.splitlines()[2:] == [said]
 
 
 CONSTANT = ("--speed", "1", "--force", "1")

@@ -188,6 +188,22 @@ def test_growth_beyond_the_range_is_that_of_the_texture_however_quiet_it_is() ->
     assert exponents[1] == pytest.approx(exponents[0], rel=1e-9)
 
 
+@pytest.mark.parametrize("why", ["nothing", "speed hardly varies", "the level falls", "too few frames"])
+def test_no_growth_is_learned_where_the_recording_shows_none(why: str) -> None:
+    """As docs/concepts.md lists it. White noise as loud as the speed, and independent of the force."""
+    rng = np.random.default_rng(0)
+    n_blocks, block = (4, 200) if why == "too few frames" else (60, 1000)
+    t = np.arange(n_blocks * block) / 1000
+    speed = 100 * (1.02 if why == "speed hardly varies" else 2.5) ** np.sin(0.7 * t)
+    force = 1.0 * 2.0 ** np.sin(1.9 * t)
+    power = -1 if why == "the level falls" else 1
+    trace = Trace((speed / 100) ** power * rng.standard_normal(t.size), speed, force, 1000.0, block)
+    train, rest = tuple(range(n_blocks - 2)), (n_blocks - 2, n_blocks - 1)
+    split = Split(train, rest[:1], rest[1:], n_blocks, block, "contiguous", 0)
+    exponent = _beyond_exponents(scaled_blocks(trace, split))["speed"]
+    assert exponent == (pytest.approx(1.0, abs=0.1) if why == "nothing" else 0.0)
+
+
 def test_the_growth_of_foten_plus_is_in_its_card_and_the_papers_network_clamps(
     recording: Recording, prepared: FotenPlusTask
 ) -> None:

@@ -301,7 +301,10 @@ def test_ranges_that_were_never_visited_are_said():
     samples["speed"] = samples["speed"] + 110
     text = " ".join(f.text for f in _inspect(samples).findings if f.code == "range")
     assert "never slower than 12" in text
-    assert "force above 2.7 N never visited: above it the level grows by a power law, it is not learnt" in text
+    assert (
+        "force above 2.7 N never visited: above it the level grows by a fitted power law, or is held, it is not learnt"
+        in text
+    )
 
 
 def test_missing_channels_and_slow_accelerometers_are_problems():

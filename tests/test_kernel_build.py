@@ -7,6 +7,7 @@ import hashlib
 import importlib.util
 import io
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -17,9 +18,11 @@ import pytest
 
 from conftest import exported
 from corpus import KINDS, write_corpus
-from foten.runtime.binding import library
-from foten.runtime.native import NativeTexture
+from foten.families.texture_file import Texture
+from foten.runtime.binding import ABI, NativeActuator, library
+from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.renderer import Renderer
+from test_rendering import with_card
 
 ROOT = Path(__file__).parents[1]
 WASM = ROOT / "native" / "wasm"
@@ -70,10 +73,14 @@ def corpus(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 def stroke_of(file: Path) -> np.ndarray:
-    """Return what `stroke` renders in every language: 100 blocks of 20 samples, faster from one to the next."""
-    renderer = Renderer(file)
+    """Return what `stroke` renders in every language: 2 s in blocks of 32 samples, faster from one to the next, smoothed."""
+    renderer = Renderer(file, smooth=True)
     low, high = renderer.native_texture.info.trained_speed
-    blocks = [renderer.render(np.float32(low + (high - low) * b / 100), 0.8, 20) for b in range(100)]
+    n = int(2 * renderer.rate)
+    blocks = [
+        renderer.render(np.float32(low + (high - low) * first / n), 0.8, min(32, n - first))
+        for first in range(0, n, 32)
+    ]
     return np.concatenate(blocks)
 
 
@@ -136,15 +143,52 @@ def test_the_kernel_is_clean_under_sanitizers(sanitized: Path, file: Path, isa: 
 
 
 @needs_cmake
-def test_a_c_program_renders_what_python_does(build: Path, file: Path, tmp_path: Path) -> None:
-    program = tmp_path / "stroke"
+@pytest.mark.parametrize("rate", [1000.0, 2500.0])
+def test_a_c_program_renders_what_python_does(build: Path, texture: Texture, rate: float, tmp_path: Path) -> None:
+    """A stroke of two seconds, whatever the texture's rate: it had 2000 samples, 0.2 s of a texture of 10 kHz."""
+    program, file = tmp_path / "stroke", tmp_path / "t.foten"
+    made = {**texture.card["preprocess"], "rate_hz": rate}
+    file.write_bytes(with_card(texture, rate_hz=rate, preprocess=made).to_bytes())
+    source = ROOT / "examples" / "c" / "stroke.c"
+    (compiled,) = re.findall(r"^ \* +cc stroke\.c (.*) -o stroke$", source.read_text(), re.MULTILINE)
+    assert compiled == "$(foten doctor --c-flags)"  # as in the tutorial, where the library that is installed is meant
     ran(
-        *("cc", "-std=c11", "-Wall", "-Werror", ROOT / "examples" / "c" / "stroke.c", "-o", program),
+        *("cc", "-std=c11", "-Wall", "-Werror", source, "-o", program),
         *("-I", ROOT / "native" / "include", "-L", build, "-lfoten", "-lm", f"-Wl,-rpath,{build}"),
     )
-    np.testing.assert_array_equal(accelerations(ran(program, file)), [float(f"{x:g}") for x in stroke_of(file)])
+    table = ran(program, file)
+    np.testing.assert_array_equal(accelerations(table), [float(f"{x:g}") for x in stroke_of(file)])
+    assert accelerations(table).size == 2 * rate
+    assert float(table.splitlines()[-1].split(",")[0]) == pytest.approx(2 - 1 / rate, rel=1e-5)
     done = subprocess.run([program, ROOT / "README.md"], capture_output=True, text=True, check=False)
     assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+@pytest.mark.parametrize(
+    ("path", "compiler"), [("c/stroke.c", ("cc", "-std=c11")), ("cpp/haptic_callback.cpp", ("c++", "-std=c++17"))]
+)
+def test_examples_refuse_a_library_of_another_version(
+    file: Path, tmp_path: Path, path: str, compiler: tuple[str]
+) -> None:
+    """Of which they call nothing but `foten_abi`: all else of it ends the program."""
+    if shutil.which(compiler[0]) is None:
+        pytest.skip(f"needs {compiler[0]}")
+    header = (ROOT / "native" / "include" / "foten.h").read_text()
+    others = set(re.findall(r"\b(foten_\w+)\(", header)) - {"foten_abi", "foten_predictor"}
+    library = tmp_path / "other.c"
+    ends = "".join(f"void {name}(void) {{ abort(); }}\n" for name in sorted(others))
+    library.write_text(f"#include <stdlib.h>\nint foten_abi(void) {{ return {ABI + 1}; }}\n{ends}")
+    ran("cc", "-c", library, "-o", tmp_path / "other.o")
+    program = tmp_path / "program"
+    ran(
+        *(*compiler, "-pthread", ROOT / "examples" / path, tmp_path / "other.o", "-o", program),
+        *("-I", ROOT / "native" / "include", "-lm"),
+    )
+    done = subprocess.run([program, file], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "of another version" in done.stderr
     assert len(done.stderr.splitlines()) == 1
 
 
@@ -173,14 +217,16 @@ using System.Globalization;
 public static class Try {
     public static void Main(string[] arguments) {
         using (var texture = new Foten.Texture(File.ReadAllBytes(arguments[0])))
-        using (var renderer = new Foten.Renderer(texture)) {
-            var block = new float[20];
+        using (var renderer = new Foten.Renderer(texture, smooth: true)) {
+            var block = new float[32];
+            int n = (int)(2 * texture.Rate);
             Console.WriteLine("acceleration_m_s2");
-            for (int b = 0; b < 100; b++) {
-                var share = b / 100.0;
-                renderer.SetCondition((float)(texture.LowestSpeed + (texture.HighestSpeed - texture.LowestSpeed) * share), 0.8f);
-                renderer.Render(block);
-                foreach (var x in block) Console.WriteLine(x.ToString("R", CultureInfo.InvariantCulture));
+            for (int first = 0; first < n; first += block.Length) {
+                int rendered = Math.Min(block.Length, n - first);
+                double speed = texture.LowestSpeed + (texture.HighestSpeed - texture.LowestSpeed) * first / n;
+                renderer.SetCondition((float)speed, 0.8f);
+                renderer.Render(block, rendered);
+                for (int i = 0; i < rendered; i++) Console.WriteLine(block[i].ToString("R", CultureInfo.InvariantCulture));
             }
             renderer.Dispose();
             Action[] uses = {
@@ -265,6 +311,49 @@ tried(() => texture.renderer(), () => renderer.stylus());
     assert name == NativeTexture(named.read_bytes()).info.texture == "untr�ined"
     assert same == "true"
     assert freed == [*["this stylus was freed"] * 3, *["this renderer was freed"] * 6, *["this texture was freed"] * 2]
+
+
+@needs_node
+def test_node_drives_actuators_and_counts_as_python_does(texture: Texture, tmp_path: Path) -> None:
+    """At 8 kHz with a resonance and a limit, without either, and acceleration again."""
+    path, program = tmp_path / "t.foten", tmp_path / "actuator.mjs"
+    path.write_bytes(with_card(texture, trained_range={"speed": [0.0026, 220.0], "force": [0.3, 2.5]}).to_bytes())
+    program.write_text(
+        f"""
+import {{ readFileSync }} from "node:fs";
+import {{ Foten }} from "{(WASM / "foten.mjs").as_uri()}";
+const foten = await Foten.load(readFileSync("{WASM / "foten.wasm"}"));
+const texture = foten.texture(readFileSync("{path}")), renderer = texture.renderer({{ rate: 8000 }});
+const actuators = [{{ resonanceHz: 70, damping: 0.25, gain: 2, lowestHz: 30, limit: 0.5 }}, {{ gain: -2 }}, null];
+for (const [i, actuator] of actuators.entries()) {{
+  renderer.setCondition([80, 3, 80][i], 0.8);
+  renderer.setActuator(actuator);
+  console.log(Array.from(renderer.render(new Float32Array(800))).join(" "));
+}}
+console.log(renderer.stats.n, renderer.stats.nBelow, renderer.stats.nLimited);
+for (const actuator of [{{}}, {{ gain: 0 }}, {{ gain: 1, limit: -1 }}, {{ gain: 1, resonanceHz: 600 }}])
+  try {{ renderer.setActuator(actuator); }} catch (error) {{ console.log(error.message); }}
+renderer.free();
+try {{ renderer.setActuator(null); }} catch (error) {{ console.log(error.message); }}
+"""
+    )
+    *driven, counts, first, second, third, fourth, freed = ran("node", program).splitlines()
+    state = NativeState(NativeTexture(path.read_bytes()), 8000.0)
+    actuators = (NativeActuator(70.0, 0.25, 2.0, 30.0, 0.5), NativeActuator(0.0, 0.0, -2.0, 0.0, 0.0), None)
+    ours = np.empty(800, dtype=np.float32)
+    for line, actuator, speed in zip(driven, actuators, (80.0, 3.0, 80.0), strict=True):
+        state.set_condition(speed, 0.8)
+        state.set_actuator(actuator)
+        state.render(ours)
+        np.testing.assert_allclose(np.array(line.split(), dtype=float), ours, atol=1e-4 * np.abs(ours).max())
+    counted = state.statistics
+    assert list(map(int, counts.split())) == [counted.n, counted.n_below, counted.n_limited]
+    assert counted.n_below == 100
+    assert counted.n_limited > 0
+    assert first == second == third == fourth
+    with pytest.raises(ValueError, match=re.escape(first)):
+        state.set_actuator(NativeActuator(600.0, 0.0, 1.0, 0.0, 0.0))
+    assert freed == "this renderer was freed"
 
 
 def test_the_wasm_has_the_digest_that_is_beside_it() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import ctypes
+import dataclasses
 import json
 import os
 import re
@@ -20,7 +22,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.signal import butter, lfilter
+from scipy.signal import butter, lfilter, lfilter_zi
 
 import foten
 from conftest import SCALING, SMALL, exported, untrained
@@ -30,12 +32,12 @@ from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, Texture
 from foten.reference import model_of
 from foten.reference import render as reference
 from foten.reference.stream import run
-from foten.runtime.binding import NativeActuator, isa, library
+from foten.runtime.binding import _SIGNATURES, NativeActuator, Options, isa, library
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.renderer import Renderer
 from foten.train.export import in_float64
 from test_loops import EVERY, GRAPHS, case, in_float64_alone, rounding
-from test_rendering import stroke
+from test_rendering import stroke, with_card
 
 
 @pytest.fixture(scope="module")
@@ -193,19 +195,44 @@ def test_a_reset_keeps_the_condition(native: NativeTexture) -> None:
     assert np.abs(out).max() > 0
 
 
-def test_a_smoothed_condition_is_the_low_pass_of_the_one_that_is_set(native: NativeTexture, texture: Texture) -> None:
-    """Oracle: SciPy's Butterworth low-pass of second order; the texture's rate, so that a block is a sample."""
+@pytest.mark.parametrize("after_reset", [False, True])
+def test_a_smoothed_condition_is_the_low_pass_of_the_one_that_is_set(
+    native: NativeTexture, texture: Texture, after_reset: bool
+) -> None:
+    """Oracle: SciPy's Butterworth low-pass of second order, begun as after a long time of the first condition."""
     b, a = butter(2, float(texture.card["lowpass_hz"]), fs=texture.rate_hz)
     steps = np.repeat([100.0, 140.0, 90.0], 60)
     smooth, given = NativeState(native, seed=3, smooth=True), NativeState(native, seed=3)
     out, sample = [], np.empty(1, dtype=np.float32)
-    for speed in steps:
+    if after_reset:
+        smooth.set_condition(20.0, 2.0)
+        smooth.render(np.empty(100, dtype=np.float32))
+        smooth.reset(3)
+    for speed in steps:  # at the texture's rate, so that a block is a sample
         smooth.set_condition(speed, 1.0)
         smooth.render(sample)
         out.append(sample[0])
-    speed, force = (lfilter(b, a, channel) for channel in (steps, np.ones(180)))
-    expected = given.render_stroke(np.maximum(speed, 0), np.maximum(force, 0))
+    speed, _ = lfilter(b, a, steps, zi=steps[0] * lfilter_zi(b, a))
+    expected = given.render_stroke(speed, np.ones(180))
     np.testing.assert_allclose(out, expected, atol=1e-4 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("rate", [None, 8000.0])
+def test_smoothing_does_not_fade_a_held_condition_in(native: NativeTexture, rate: float | None) -> None:
+    """It began at zero: the first 20 ms rose from silence. Whatever the blocks, and again after a reset."""
+    smooth, given = NativeState(native, rate, seed=3, smooth=True), NativeState(native, rate, seed=3)
+    for state in (smooth, given):
+        state.set_condition(90.0, 1.0)
+    expected = np.empty(400, dtype=np.float32)
+    given.render(expected)
+    for _ in range(2):
+        parts = [np.empty(n, dtype=np.float32) for n in (1, 7, 150, 242)]
+        for part in parts:
+            smooth.render(part)
+        # The low-pass rounds in float64, what comes out is in float32.
+        np.testing.assert_allclose(np.concatenate(parts), expected, atol=1e-6 * np.abs(expected).max())
+        assert smooth.statistics.n_below == 0
+        smooth.reset(3)
 
 
 def test_reset_begins_again_and_seeds_and_streams_differ(native: NativeTexture) -> None:
@@ -254,6 +281,24 @@ def test_what_it_counts(native: NativeTexture) -> None:
     assert state.statistics.n_refused == 3
     state.reset(0)
     assert state.statistics.n == state.statistics.n_refused == 0
+
+
+def test_every_sample_that_fades_is_counted_as_below(texture: Texture) -> None:
+    """A range that begins below 5 mm/s and 0.1 N ends where it fades: it was not counted there."""
+    slow = with_card(texture, trained_range={"speed": [0.0026, 220.0], "force": [0.02, 2.5]})
+    native = NativeTexture(slow.to_bytes())
+    for speed, force, below in (
+        (1.0, 1.0, 50),
+        (4.999, 1.0, 50),
+        (5.0, 1.0, 0),
+        (80.0, 0.05, 50),
+        (80.0, 0.1001, 0),
+        (1.0, 0.05, 50),  # once a sample, though both fade
+    ):
+        state = NativeState(native)
+        state.set_condition(speed, force)
+        state.render(np.empty(50, dtype=np.float32))
+        assert state.statistics.n_below == below, (speed, force)
 
 
 def test_a_refused_condition_leaves_the_last_one(native: NativeTexture) -> None:
@@ -376,6 +421,75 @@ def test_rates_that_cannot_be_are_refused(native: NativeTexture) -> None:
     for rate in (40.0, 500_000.0, -1.0, float("nan"), float("inf")):
         with pytest.raises(ValueError, match="expected 50 to 400000 Hz"):
             NativeState(native, rate)
+        options = Options(rate, 0, 0, 0, 0)
+        assert library().foten_state_new(native.pointer, ctypes.byref(options)) is None
+
+
+@pytest.mark.parametrize("own", [101.0, 1000.0, 10_000.0])
+def test_both_ends_of_the_rates_can_be_rendered(texture: Texture, own: float) -> None:
+    """A twentieth of 101 Hz was refused, for want of memory: 101 · 0.05 is more than 101 / 20 in float64."""
+    made = {**texture.card["preprocess"], "rate_hz": own}
+    native = NativeTexture(with_card(texture, rate_hz=own, preprocess=made).to_bytes())
+    for rate in (own / 20, 400 * own):
+        assert NativeState(native, rate).delay_s > 0
+
+
+NULLS = """
+import sys
+from ctypes import Structure, c_double, c_float, c_int, c_size_t, c_uint64
+from foten.runtime.binding import PREDICTOR, _SIGNATURES, library
+from foten.runtime.native import NativeState, NativeTexture
+
+def tried(name, *first):
+    kinds = _SIGNATURES[name][1]
+    nulls = [1 if kind in (c_double, c_float, c_int, c_size_t, c_uint64) else None for kind in kinds]
+    nulls = [PREDICTOR() if kind is PREDICTOR else null for kind, null in zip(kinds, nulls)]
+    if None in nulls:
+        given = getattr(library(), name)(*first, *nulls[len(first):])
+        print(name, sum(bytes(given)) if isinstance(given, Structure) else given)
+
+native = NativeTexture(open(sys.argv[1], "rb").read())
+state = NativeState(native)
+for name in _SIGNATURES:
+    tried(name)
+for end in ("condition", "start", "start_scaled", "run_scaled", "predict", "render", "render_stroke", "render_stylus"):
+    tried("foten_" + end, state.pointer)
+tried("foten_stylus_next", library().foten_stylus_new(native.pointer, None))
+"""
+
+
+def test_null_is_refused_or_does_nothing(texture: Texture, tmp_path: Path) -> None:
+    """Of every function, for all pointers; and for all but the state. In a process of its own, which a crash ends."""
+    path = tmp_path / "t.foten"
+    path.write_bytes(texture.to_bytes())
+    command = [sys.executable, "-c", NULLS, str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    results = [line.split() for line in done.stdout.splitlines()]
+    assert len(results) == len(_SIGNATURES) - 3 + 9  # three take no pointer
+    refused = {"foten_model_load", "foten_model_load_with", "foten_start", "foten_start_scaled", "foten_predict"}
+    for name, result in results:
+        expected = ["2"] if name in {*refused, "foten_set_actuator"} else ["None", "0", "0.0"]
+        assert result in expected, name
+
+
+def test_why_nothing_was_loaded_is_always_said() -> None:
+    """Also where it is the caller's own mistake: `why` was left as it had been."""
+    model, data = ctypes.c_void_p(1), b"no texture"
+    cases = (
+        ((data, len(data), None), 2, "model is NULL"),
+        ((None, 100, ctypes.byref(model)), 2, "bytes is NULL"),
+        ((None, 0, ctypes.byref(model)), 1, "the file has 0 bytes, expected a texture file; is it truncated?"),
+        ((data, len(data), ctypes.byref(model)), 1, "this is not a texture file, or it is truncated"),
+    )
+    for arguments, status, message in cases:
+        why = ctypes.create_string_buffer(b"before", 64)
+        assert library().foten_model_load(*arguments, why, len(why)) == status
+        assert why.value.decode() == message
+        assert library().foten_model_load(*arguments, None, 0) == status
+        library().foten_model_load(*arguments, why, 5)
+        assert why.value.decode() == message[:4]
+    assert not model  # it was set to NULL
 
 
 @pytest.mark.parametrize("rate", [None, 8000.0])
@@ -407,6 +521,31 @@ def test_a_file_cut_anywhere_is_refused(texture: Texture) -> None:
     for n in [*range(0, 40), *rng.integers(40, len(data) - 1, 60)]:
         with pytest.raises(ValueError, match=r"texture|tensor|card|header"):
             NativeTexture(data[:n])
+
+
+def test_a_file_whose_tensors_were_cut_off_is_called_truncated(texture: Texture) -> None:
+    """Its header is whole: the tensor that was read first was said to be missing, or damaged."""
+    data = texture.to_bytes()
+    header = 8 + int.from_bytes(data[:8], "little")
+    for n in (header, header + 1, (header + len(data)) // 2, len(data) - 1):
+        with pytest.raises(
+            ValueError, match=f"{n - header} bytes of tensors, expected {len(data) - header}: is it truncated"
+        ):
+            NativeTexture(data[:n])
+
+
+def test_the_proof_finds_damage_that_is_large(texture: Texture) -> None:
+    """A flipped bit of a weight, as docs/texture-file.md says: an exponent's is found, the last of a mantissa is not."""
+    name = "lattice.reflections"
+    for bit, found in ((0, False), (29, True)):
+        bits = np.ascontiguousarray(texture.tensors[name], dtype=np.float32).view(np.uint32).copy()
+        bits.flat[0] ^= np.uint32(1 << bit)
+        damaged = dataclasses.replace(texture, tensors={**texture.tensors, name: bits.view(np.float32)})
+        if not found:
+            NativeTexture(damaged.to_bytes())
+            continue
+        with pytest.raises(ValueError, match=r"proof|stable"):
+            NativeTexture(damaged.to_bytes())
 
 
 def test_what_is_wrong_in_a_file_is_named(texture: Texture) -> None:

@@ -100,6 +100,8 @@ def _judgement(rate_hz=1000.0, block=2000):
 
 def _texture(**card):
     fields = {
+        "model": "foten-plus",
+        "beyond_exponents": {"speed": 0.0, "force": 0.4},
         "tool": "steel ball",
         "sensors": "",
         "notes": "",
@@ -172,6 +174,14 @@ def test_one_file_that_asks_for_nothing_else(written):
         for name in ("src", "href", "xlink:href", "srcset", "data"):
             assert attributes.get(name, "#").startswith(("data:", "#"))
     assert all(target.startswith("#") for target in re.findall(r"url\(([^)]*)\)", written))
+
+
+def test_it_says_how_the_level_goes_on_above_the_trained_range(written):
+    words = "".join(_Page(written).words)
+    assert (
+        "the level grows with force^0.4, up to twice the range; with speed it is held: no growth could be learned"
+        in words
+    )
 
 
 def test_identifiers_are_unique_and_every_reference_is_met(written):

@@ -73,6 +73,28 @@ def test_it_says_what_it_holds(texture: Texture, plain_texture: Texture) -> None
     assert not plain_texture.has_excitation
 
 
+NONE = "no growth could be learned from the recording"
+
+
+@pytest.mark.parametrize(
+    ("model", "speed", "force", "words"),
+    [
+        ("foten-plus", 0.714, 0.4, "the level grows with speed^0.71 and force^0.4, up to twice the range"),
+        (
+            "foten-plus",
+            0.0,
+            1.5,
+            f"the level grows with force^1.5, up to twice the range; with speed it is held: {NONE}",
+        ),
+        ("foten-plus", 0.0, 0.0, f"the level is held: {NONE}"),
+        ("foten", 0.0, 0.0, "the level is held: foten learns no growth"),
+    ],
+)
+def test_it_says_how_the_level_goes_on_above_its_range(model: str, speed: float, force: float, words: str) -> None:
+    card = {"model": model, "beyond_exponents": {"force": force, "speed": speed}}
+    assert Texture(card=card, tensors={}).beyond_in_words() == words
+
+
 def test_every_truncation_is_refused(texture: Texture) -> None:
     data = texture.to_bytes()
     header = 8 + struct.unpack("<Q", data[:8])[0]

@@ -1,12 +1,14 @@
-/* A texture under a stroke that speeds up, as CSV on stdout.
+/* A texture under a stroke of two seconds that speeds up, as CSV on stdout.
  *
- *     cc stroke.c -I ../../native/include -L ../../build -Wl,-rpath,../../build -lfoten -lm -o stroke
+ *     cc stroke.c $(foten doctor --c-flags) -o stroke
  *     ./stroke denim.foten > stroke.csv
  */
 #include <stdio.h>
 #include <stdlib.h>
 
 #include "foten.h"
+
+enum { BLOCK = 32 }; /* samples that a device asks for at once */
 
 static void *read_file(const char *name, size_t *n) {
     FILE *file = fopen(name, "rb");
@@ -25,6 +27,10 @@ int main(int n_arguments, char **arguments) {
         fprintf(stderr, "usage: stroke TEXTURE.foten\n");
         return 2;
     }
+    if (foten_abi() != FOTEN_ABI) { /* before any other call: structures may differ */
+        fprintf(stderr, "the foten library is of another version than the header that this program was built with\n");
+        return 2;
+    }
     size_t n_bytes;
     void *bytes = read_file(arguments[1], &n_bytes);
     if (!bytes) {
@@ -33,27 +39,35 @@ int main(int n_arguments, char **arguments) {
     }
     foten_model *model;
     char why[256];
-    if (foten_model_load(bytes, n_bytes, &model, why, sizeof why) != FOTEN_OK) {
+    foten_status status = foten_model_load(bytes, n_bytes, &model, why, sizeof why);
+    free(bytes);
+    if (status != FOTEN_OK) {
         fprintf(stderr, "%s: %s\n", arguments[1], why);
         return 2;
     }
-    free(bytes);
     foten_info info = foten_model_info(model);
     fprintf(stderr, "%s, %s, %g Hz, rendered with %s\n", info.texture, info.model, info.rate_hz, foten_isa());
 
-    foten_state *state = foten_state_new(model, NULL);
-    if (!state) return 1;
-    enum { BLOCK = 20, BLOCKS = 100 };
-    float samples[BLOCK];
+    foten_options options = {0}; /* .rate_hz = 48000 would be a sound card's */
+    options.smooth = 1;          /* the condition is set once a block: its steps would be perceptible */
+    foten_state *state = foten_state_new(model, &options);
+    if (!state) {
+        fprintf(stderr, "no memory, or a texture of %g Hz cannot be rendered at %g Hz\n", info.rate_hz, options.rate_hz);
+        foten_model_free(model);
+        return 1;
+    }
+    size_t n = (size_t)(2 * info.rate_hz);
+    double slow = info.trained_speed[0], fast = info.trained_speed[1];
     printf("t,speed_mm_s,acceleration_m_s2\n");
-    for (int b = 0; b < BLOCKS; b++) {
-        float speed = (float)(info.trained_speed[0] + (info.trained_speed[1] - info.trained_speed[0]) * b / BLOCKS);
+    for (size_t first = 0; first < n; first += BLOCK) {
+        float samples[BLOCK], speed = (float)(slow + (fast - slow) * (double)first / (double)n);
+        size_t n_block = n - first < BLOCK ? n - first : BLOCK;
         foten_set_condition(state, speed, 0.8f);
-        foten_render(state, samples, BLOCK);
-        for (int i = 0; i < BLOCK; i++) printf("%g,%g,%g\n", (b * BLOCK + i) / info.rate_hz, speed, samples[i]);
+        foten_render(state, samples, n_block);
+        for (size_t i = 0; i < n_block; i++) printf("%g,%g,%g\n", (double)(first + i) / info.rate_hz, speed, samples[i]);
     }
     foten_stats stats = foten_statistics(state);
-    fprintf(stderr, "%llu samples, %llu of them below the trained range, where the texture fades\n", (unsigned long long)stats.n,
+    fprintf(stderr, "%llu samples, %llu of them so slow or light that the texture fades\n", (unsigned long long)stats.n,
             (unsigned long long)stats.n_below);
     foten_state_free(state);
     foten_model_free(model);

@@ -1,8 +1,8 @@
 // A texture on a force-feedback device, the way a CHAI3D program has it: the haptic thread gives the tool's speed and force, once a
 // millisecond, and adds the vibration along the normal to the force that it sends.
 //
-//     g++ -std=c++17 haptic_callback.cpp -I ../../native/include -L ../../build -Wl,-rpath,../../build -lfoten -lm -pthread -o haptic_callback
-//     ./haptic_callback denim.foten
+//     c++ -std=c++17 -pthread haptic_callback.cpp $(foten doctor --c-flags) -o haptic
+//     ./haptic denim.foten
 //
 // With CHAI3D, `Tool` is a cToolCursor or cGenericHapticDevicePtr: position, velocity and contact force come from it, and the
 // result of `TextureOnTool::force` goes to setForce. Here a simulated tool moves for two seconds, so that it runs anywhere.
@@ -31,6 +31,7 @@ struct Tool {
 class TextureOnTool {
 public:
     TextureOnTool(const std::string &path, double movedKilograms, double mostNewtons) : mass_(movedKilograms), most_(mostNewtons) {
+        if (foten_abi() != FOTEN_ABI) throw std::runtime_error("the foten library is of another version than its header");
         std::ifstream file(path, std::ios::binary);
         if (!file) throw std::runtime_error(path + ": cannot be read");
         std::vector<char> bytes((std::istreambuf_iterator<char>(file)), {});
@@ -42,7 +43,7 @@ public:
         foten_options options{};
         options.smooth = 1; // an encoder's speed is not smooth
         state_.reset(foten_state_new(model, &options));
-        if (!state_) throw std::runtime_error("the texture cannot be rendered at that rate");
+        if (!state_) throw std::runtime_error("no memory for the state"); // or, of another rate, one that cannot be
     }
 
     // Once for each tick of the haptic thread, `seconds` after the one before: no allocation, no lock. A haptic thread runs as fast as it

@@ -1,4 +1,4 @@
-// A texture under a stroke that speeds up, as CSV on stdout: node stroke.mjs denim.foten > stroke.csv
+// A texture under a stroke of two seconds that speeds up, as CSV on stdout: node stroke.mjs denim.foten > stroke.csv
 import { readFileSync } from "node:fs";
 import { Foten } from "../../native/wasm/foten.mjs";
 
@@ -12,13 +12,14 @@ try {
   const texture = foten.texture(readFileSync(path));
   const { info } = texture;
   console.error(`${info.texture}, ${info.model}, ${info.rate} Hz, rendered with ${foten.isa}`);
-  const renderer = texture.renderer();
-  const block = new Float32Array(20);
+  const renderer = texture.renderer({ smooth: true }); // the condition is set once a block: its steps would be perceptible
+  const block = new Float32Array(32), n = Math.floor(2 * info.rate), [slow, fast] = info.trainedSpeed;
   const lines = ["t,speed_mm_s,acceleration_m_s2"];
-  for (let b = 0; b < 100; b++) {
-    const speed = info.trainedSpeed[0] + ((info.trainedSpeed[1] - info.trainedSpeed[0]) * b) / 100;
+  for (let first = 0; first < n; first += block.length) {
+    const speed = slow + ((fast - slow) * first) / n;
     renderer.setCondition(speed, 0.8);
-    renderer.render(block).forEach((x, i) => lines.push(`${(b * 20 + i) / info.rate},${Math.fround(speed)},${x}`));
+    const samples = renderer.render(block.subarray(0, n - first));
+    samples.forEach((x, i) => lines.push(`${(first + i) / info.rate},${Math.fround(speed)},${x}`));
   }
   console.log(lines.join("\n"));
 } catch (error) {

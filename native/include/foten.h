@@ -4,6 +4,7 @@
  *     char why[256];
  *     if (foten_model_load(bytes, n_bytes, &model, why, sizeof why) != FOTEN_OK) { puts(why); return 1; }
  *     foten_state *state = foten_state_new(model, NULL);     // allocates, once
+ *     if (!state) { puts("no memory, or a rate that cannot be"); return 1; }
  *
  *     foten_set_condition(state, 80.0f, 0.8f);               // mm/s and N; from any thread; does not wait
  *     foten_render(state, samples, n);                       // m/s2; from one thread; does not allocate, lock, log or touch files
@@ -13,7 +14,8 @@
  *
  * A model is a texture file (.foten), checked and ready to run. It never changes. Any number of states on any threads may share it, and it
  * must outlive them. A state is one rendering of it. `foten_set_condition` and `foten_statistics` may be called from any thread; all other
- * functions of a state from one thread at a time. Pointers must not be NULL unless the comment allows it.
+ * functions of a state from one thread at a time. Where a pointer is NULL that the comment does not allow to be, a function has no effect and
+ * returns FOTEN_BAD_ARGUMENT, NULL or zeros.
  *
  * Units: acceleration m/s2, speed mm/s, force N, rates Hz. "Scaled" means less the mean and over the standard deviation in the file's card.
  *
@@ -49,7 +51,7 @@ extern "C" {
 #define FOTEN_VERSION "0.1.0"
 #define FOTEN_VERSION_MAJOR 0
 #define FOTEN_VERSION_MINOR 1
-#define FOTEN_ABI 4 /* of this header's structures and functions; foten_abi() has to be the same */
+#define FOTEN_ABI 4 /* of this header's structures and functions; foten_abi() has to be the same: compare them before anything else */
 
 typedef struct foten_model foten_model;
 typedef struct foten_state foten_state;
@@ -84,7 +86,7 @@ typedef struct {
 } foten_info;
 
 /* Load a texture file from memory. The bytes may be freed afterwards. The file is checked and its golden windows are replayed, which takes
- * milliseconds. On failure *model is NULL and `why` holds one line for people; `why` may be NULL. */
+ * milliseconds. On failure *model is NULL and `why` holds one line for people, cut to `why_size` bytes; `why` may be NULL. */
 FOTEN_API foten_status foten_model_load(const void *bytes, size_t n_bytes, foten_model **model, char *why, size_t why_size);
 FOTEN_API void foten_model_free(foten_model *model);
 
@@ -100,20 +102,21 @@ FOTEN_API foten_status foten_model_load_with(const void *bytes, size_t n_bytes, 
 FOTEN_API foten_info foten_model_info(const foten_model *model);
 
 typedef struct {
-    double rate_hz;     /* of the output: 0 for the texture's own, or from 1/20 of it to 400 times it; see foten_delay_s */
+    double rate_hz;     /* of the output: 0 for the texture's own, or from 1/20 of it to 400 times it, ends included; see foten_delay_s */
     uint64_t seed;      /* of the noise */
     uint64_t stream;    /* of the noise; streams are independent */
     int deterministic;  /* 1: no random part */
     int smooth;         /* 1: conditions go through a low-pass at foten_info.lowpass_hz, as the recorded ones did; see foten_set_condition */
 } foten_options;
 
-/* Make a state. NULL options are all zeros. Returns NULL if there is no memory or the rate is out of range. */
+/* Make a state. NULL options are all zeros. Returns NULL if there is no memory, the model is NULL, or options->rate_hz is none of these: 0, or
+ * from foten_info.rate_hz / 20 to 400 foten_info.rate_hz. A texture of 10 kHz has states from 500 Hz to 4 MHz. */
 FOTEN_API foten_state *foten_state_new(const foten_model *model, const foten_options *options);
 FOTEN_API void foten_state_free(foten_state *state);
 
 /* Begin again, as a new state with this seed; the condition and the actuator stay. A state begins as if its first condition had lasted for a
- * long time, with random initial values. A deterministic state, or a model without a random part, begins with the window in the file. With a
- * network in the loop, the first sample takes as many of its steps as its window is long. */
+ * long time, with random initial values; so does the low-pass of `smooth`. A deterministic state, or a model without a random part, begins with
+ * the window in the file. With a network in the loop, the first sample takes as many of its steps as its window is long. */
 FOTEN_API void foten_reset(foten_state *state, uint64_t seed);
 
 /* Go on from a recorded window: foten_info.window samples of acceleration, speed and force, all finite. Models of noise use only the speed and
@@ -147,7 +150,8 @@ FOTEN_API foten_status foten_predict(foten_state *state, const double *samples, 
 /* Set the condition. Negative values count as 0. If a value is not finite, the condition stays as it was. Both are counted as refused.
  *
  * Textures expect conditions as smooth as the recorded ones, which went through a 20 Hz low-pass. Steps, as of a game that sets the condition
- * 60 times a second, and an encoder's velocity noise are perceptible. The option `smooth` removes them and delays by 11 ms. */
+ * 60 times a second, and an encoder's velocity noise are perceptible. The option `smooth` removes them and delays by 11 ms. The condition is 0
+ * until it is set: set it before the first sample is rendered, or smoothing begins from rest. */
 FOTEN_API void foten_set_condition(foten_state *state, float speed_mm_s, float force_n);
 
 /* Render n samples at the state's rate. The condition is read once per sample of the texture's own rate. */
@@ -161,11 +165,13 @@ FOTEN_API size_t foten_rendered(const foten_state *state, size_t n);
 /* Delay of the output by the change of rate [s]; 0 at the texture's own rate. */
 FOTEN_API double foten_delay_s(const foten_state *state);
 
+/* Above its trained range a texture's level grows by powers of speed and force that `foten train` fitted to the recording, or is held where it
+ * could fit none: `foten info` names them. */
 typedef struct {
     uint64_t n;                                /* samples rendered at the texture's own rate */
-    uint64_t n_speed_beyond, n_force_beyond;   /* of those: above the trained range, where the level grows */
+    uint64_t n_speed_beyond, n_force_beyond;   /* of those: above the trained range, where the level grows, or is held */
     uint64_t n_speed_clamped, n_force_clamped; /* of these: above twice the range's end, where the level grows no more */
-    uint64_t n_below;                          /* below the trained range of speed or force, where the vibration fades */
+    uint64_t n_below;                          /* of n: below 5 mm/s, 0.1 N or the trained range, where the vibration fades */
     uint64_t n_saturated;                      /* cut by the saturator */
     uint64_t n_refused;                        /* conditions that were negative or not finite */
     uint64_t n_limited;                        /* output samples in the range where the actuator's limit acts */
@@ -204,6 +210,8 @@ typedef struct {
     uint64_t n_jumps;        /* movements in the air */
 } foten_stylus_stats;
 
+/* Make a stylus. NULL options are all zeros. Returns NULL if there is no memory, the model is NULL, or the options are not 0 <= newtons < 1e6
+ * and |steepness| < 100. */
 FOTEN_API foten_stylus *foten_stylus_new(const foten_model *model, const foten_stylus_options *options);
 FOTEN_API void foten_stylus_free(foten_stylus *stylus);
 

@@ -1,5 +1,6 @@
 #include <math.h>
 #include <stdatomic.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -21,7 +22,8 @@ struct foten_state {
     void *memory; /* that it lies in, aligned */
     const foten_model *model;
     uint64_t seed, stream;
-    int deterministic, smooth, fresh; /* fresh: the next sample begins the stream */
+    int deterministic, smooth;
+    int fresh, unsmoothed; /* the next sample begins the stream; the next condition set begins the low-pass */
     loop *loop;
     resampler *resampler; /* NULL at the texture's own rate */
     actuator actuator;
@@ -53,8 +55,11 @@ foten_status foten_model_load(const void *bytes, size_t n_bytes, foten_model **m
 foten_status foten_model_load_with(const void *bytes, size_t n_bytes, foten_predictor predictor, void *user, foten_model **model, char *why,
                                    size_t why_size) {
     texture_file file;
-    if (!model) return FOTEN_BAD_ARGUMENT;
-    *model = NULL;
+    if (model) *model = NULL;
+    if (!model || (!bytes && n_bytes)) { /* an empty file may lie nowhere */
+        if (why) snprintf(why, why_size, "%s is NULL", model ? "bytes" : "model");
+        return FOTEN_BAD_ARGUMENT;
+    }
     if (file_open(&file, bytes, n_bytes, why, why_size)) {
         foten_model *m = calloc(1, sizeof *m);
         if (!m) file_refuse(&file, FOTEN_NO_MEMORY, "no memory");
@@ -87,6 +92,7 @@ static size_t state_bytes(const foten_model *model, double rate) {
 }
 
 foten_info foten_model_info(const foten_model *m) {
+    if (!m) return (foten_info){0};
     foten_info info = {m->name, m->texture, m->rate_hz, m->history, model_is_random(m), {m->low[0], m->high[0]}, {m->low[1], m->high[1]}, m->sd[0],
                        m->lowpass_hz, state_bytes(m, m->rate_hz), m->predictor.hop};
     return info;
@@ -94,8 +100,9 @@ foten_info foten_model_info(const foten_model *m) {
 
 foten_state *foten_state_new(const foten_model *model, const foten_options *options) {
     foten_options o = options ? *options : (foten_options){0};
+    if (!model) return NULL;
     double rate = o.rate_hz == 0 ? model->rate_hz : o.rate_hz;
-    if (!(rate >= model->rate_hz * SLOWEST && rate <= model->rate_hz * FASTEST)) return NULL;
+    if (!(rate >= model->rate_hz / SLOWEST && rate <= model->rate_hz * FASTEST)) return NULL;
     size_t n = state_bytes(model, rate);
     unsigned char *memory = malloc(n);
     if (!memory) return NULL;
@@ -117,17 +124,18 @@ void foten_state_free(foten_state *state) {
 }
 
 void foten_reset(foten_state *s, uint64_t seed) {
+    if (!s) return;
     s->seed = seed;
-    s->fresh = 1;
+    s->fresh = s->unsmoothed = 1;
     for (int i = 0; i < COUNTS; i++) atomic_store_explicit(&s->counts[i], 0, memory_order_relaxed);
     s->last[0] = s->last[1] = 0;
-    s->smoothed[0] = s->smoothed[1] = (memory){0, 0};
     loop_copy(s->model, s->loop, s->model->begin);
     if (s->resampler) resampler_reset(s->resampler);
     s->actuator.memory = (memory){0, 0};
 }
 
 foten_status foten_set_actuator(foten_state *s, const foten_actuator *of) {
+    if (!s) return FOTEN_BAD_ARGUMENT;
     double rate = s->resampler ? resampler_rate(s->resampler) : s->model->rate_hz;
     return actuator_make(&s->actuator, of, rate) ? FOTEN_OK : FOTEN_BAD_ARGUMENT;
 }
@@ -147,6 +155,7 @@ static float given(foten_state *s, double sample) {
 }
 
 foten_status foten_start(foten_state *s, const float *acceleration, const float *speed, const float *force) {
+    if (!s || !acceleration || !speed || !force) return FOTEN_BAD_ARGUMENT;
     const foten_model *m = s->model;
     for (int t = 0; t < m->history; t++) {
         const float sample[3] = {acceleration[t], speed[t], force[t]};
@@ -165,13 +174,14 @@ static int all_finite(const double *numbers, size_t n) {
 }
 
 foten_status foten_start_scaled(foten_state *s, const double *windows) {
-    if (!all_finite(windows, 3 * (size_t)s->model->history)) return FOTEN_BAD_ARGUMENT;
+    if (!s || !windows || !all_finite(windows, 3 * (size_t)s->model->history)) return FOTEN_BAD_ARGUMENT;
     s->model->kind->start(s->model, s->loop, windows, s->model->history, 0);
     s->fresh = 0;
     return FOTEN_OK;
 }
 
 void foten_run_scaled(foten_state *s, const double *conditions, const double *noise, double limit, size_t n, double *out) {
+    if (!s || !conditions || !out) return;
     for (size_t i = 0; i < n; i++) {
         condition c = {{conditions[3 * i], conditions[3 * i + 1]}, conditions[3 * i + 2]};
         out[i] = s->model->kind->step(s->model, s->loop, &c, noise ? noise + i : NULL, limit);
@@ -179,6 +189,7 @@ void foten_run_scaled(foten_state *s, const double *conditions, const double *no
 }
 
 foten_status foten_predict(foten_state *s, const double *samples, size_t n, foten_prediction_part part, foten_prediction *out) {
+    if (!s || !samples || !out) return FOTEN_BAD_ARGUMENT;
     const foten_model *m = s->model;
     size_t window = (size_t)m->history;
     if (m->of_noise || n < window || !all_finite(samples, 3 * n)) return FOTEN_BAD_ARGUMENT;
@@ -202,7 +213,7 @@ static int accepted(foten_state *s, float *speed, float *force) {
 }
 
 void foten_set_condition(foten_state *s, float speed, float force) {
-    if (!accepted(s, &speed, &force)) return;
+    if (!s || !accepted(s, &speed, &force)) return;
     uint64_t both;
     memcpy(&both, (const float[2]){speed, force}, sizeof both);
     atomic_store_explicit(&s->condition, both, memory_order_release);
@@ -226,7 +237,7 @@ static double sample_of(foten_state *s, const double speed_force[2]) {
     for (int i = 0; i < 2; i++) {
         double x = speed_force[i], clamped = x < m->low[i] ? m->low[i] : x > m->high[i] ? m->high[i] : x;
         double fade = m->low[i] > FADE[i] ? m->low[i] : FADE[i];
-        below |= x < m->low[i];
+        below |= x < fade;
         count(s, SPEED_BEYOND + i, x > m->high[i]);
         count(s, SPEED_CLAMPED + i, x > FOTEN_FURTHEST * m->high[i]);
         kept[i] = x < FOTEN_FURTHEST * m->high[i] ? x : FOTEN_FURTHEST * m->high[i];
@@ -261,9 +272,11 @@ static double sample_under(foten_state *s, foten_stylus *stylus) {
     }
     condition_set(s, speed_force);
     for (int i = 0; s->smooth && i < 2; i++) {
+        if (s->unsmoothed) s->smoothed[i] = settled(&s->filter, speed_force[i]);
         double smoothed = filtered(&s->filter, &s->smoothed[i], speed_force[i]);
         speed_force[i] = smoothed > 0 ? smoothed : 0; /* a second-order low-pass undershoots by 4 % */
     }
+    s->unsmoothed = 0;
     return sample_of(s, speed_force);
 }
 
@@ -275,12 +288,18 @@ static void render(foten_state *s, foten_stylus *stylus, float *out, size_t n) {
     }
 }
 
-void foten_render(foten_state *s, float *out, size_t n) { render(s, NULL, out, n); }
-void foten_render_stylus(foten_state *s, foten_stylus *stylus, float *out, size_t n) { render(s, stylus, out, n); }
+void foten_render(foten_state *s, float *out, size_t n) {
+    if (s && out) render(s, NULL, out, n);
+}
+
+void foten_render_stylus(foten_state *s, foten_stylus *stylus, float *out, size_t n) {
+    if (s && stylus && out) render(s, stylus, out, n);
+}
 
 size_t foten_render_stroke(foten_state *s, const float *speed, const float *force, size_t n, float *out) {
     double held[2];
     size_t rendered = 0;
+    if (!s || !speed || !force || !out) return 0;
     condition_set(s, held);
     for (size_t i = 0; i <= n; i++) {
         /* What the last sample of the texture's still has to give, after a block that ended between two of them, comes first. */
@@ -298,20 +317,22 @@ size_t foten_render_stroke(foten_state *s, const float *speed, const float *forc
     return rendered;
 }
 
-size_t foten_rendered(const foten_state *s, size_t n) { return s->resampler ? resampler_most(s->resampler, n) : n; }
-double foten_delay_s(const foten_state *s) { return s->resampler ? resampler_delay_s(s->resampler) : 0; }
+size_t foten_rendered(const foten_state *s, size_t n) { return s && s->resampler ? resampler_most(s->resampler, n) : s ? n : 0; }
+double foten_delay_s(const foten_state *s) { return s && s->resampler ? resampler_delay_s(s->resampler) : 0; }
 
 void foten_condition(const foten_state *s, float *speed, float *force) {
+    if (!s || !speed || !force) return;
     *speed = (float)s->last[0];
     *force = (float)s->last[1];
 }
 
 foten_stats foten_statistics(const foten_state *s) {
+    if (!s) return (foten_stats){0};
     return (foten_stats){counted(s, N),         counted(s, SPEED_BEYOND), counted(s, FORCE_BEYOND), counted(s, SPEED_CLAMPED),
                          counted(s, FORCE_CLAMPED), counted(s, BELOW),    counted(s, SATURATED),    counted(s, REFUSED),
                          counted(s, LIMITED),   counted(s, LOST)};
 }
 
 void foten_noise(uint64_t seed, uint64_t stream, uint64_t first, size_t n, double *out) {
-    for (size_t i = 0; i < n; i++) out[i] = noise_at(seed, stream, first + i);
+    for (size_t i = 0; out && i < n; i++) out[i] = noise_at(seed, stream, first + i);
 }

@@ -27,6 +27,21 @@ static int list_entries(texture_file *file, json header) {
     return 1;
 }
 
+/* Where a tensor begins and ends among the data, as the header says. */
+static int ends_of(json said, long long *begin, long long *end) {
+    json ends[2];
+    return json_items(json_member(said, "data_offsets"), ends, 2) == 2 && json_integer(ends[0], begin) && json_integer(ends[1], end);
+}
+
+/* A file that was copied in part has its header, which comes first. */
+static int check_length(texture_file *file) {
+    long long begin, end, last = 0;
+    for (size_t i = 0; i < file->n_entries; i++)
+        if (ends_of(file->entries[i].value, &begin, &end) && end > last) last = end;
+    return (unsigned long long)last <= file->n_data ||
+           file_refuse(file, FOTEN_BAD_FILE, "the file holds %zu bytes of tensors, expected %lld: is it truncated?", file->n_data, last);
+}
+
 /* What an entry of the header says, the last of that name. */
 static json entry_of(const texture_file *file, const char *name) {
     for (size_t i = file->n_entries; i > 0; i--)
@@ -49,7 +64,7 @@ int file_open(texture_file *file, const void *bytes, size_t n_bytes, char *why, 
     file->n_data = n_bytes - 8 - (size_t)length;
     if (!header.begin || *header.begin != '{')
         return file_refuse(file, FOTEN_BAD_FILE, "this is not a texture file, or it is damaged: its header is not JSON");
-    if (!list_entries(file, header)) return 0;
+    if (!list_entries(file, header) || !check_length(file)) return 0;
     json written = json_member(entry_of(file, "__metadata__"), "foten");
     if (!written.begin)
         return file_refuse(file, FOTEN_BAD_FILE, "this is a safetensors file without a texture card, expected one written by 'foten train'");
@@ -75,17 +90,16 @@ typedef struct {
 
 /* Where a tensor lies: nothing is trusted, neither its shape nor its offsets. */
 static int locate(const texture_file *file, size_t shape[4], tensor *at) {
-    json said = entry_of(file, at->name), kind = json_member(said, "dtype"), sizes[4], ends[2];
+    json said = entry_of(file, at->name), kind = json_member(said, "dtype"), sizes[4];
     int dimensions = json_items(json_member(said, "shape"), sizes, 4), wide = json_is_string(kind, "F64");
     long long size, begin, end;
     size_t n = 1;
-    if (dimensions < 0 || json_items(json_member(said, "data_offsets"), ends, 2) != 2) return -1;
+    if (dimensions < 0 || !ends_of(said, &begin, &end) || (!wide && !json_is_string(kind, "F32"))) return -1;
     for (int i = 0; i < dimensions; i++) {
         if (!json_integer(sizes[i], &size) || size < 0 || size > 1 << 28 || (size && n > (SIZE_MAX >> 8) / (size_t)size)) return -1;
         shape[i] = (size_t)size;
         n *= shape[i];
     }
-    if (!json_integer(ends[0], &begin) || !json_integer(ends[1], &end) || (!wide && !json_is_string(kind, "F32"))) return -1;
     if (begin < 0 || end < begin || (unsigned long long)end > file->n_data) return -1;
     if ((unsigned long long)(end - begin) != (unsigned long long)n * (wide ? 8 : 4)) return -1;
     at->data = file->data + begin;

@@ -22,3 +22,6 @@ static inline double filtered(const section *s, memory *m, double x) {
     if (fabs(m->first) + fabs(m->second) < 1e-30) m->first = m->second = 0;
     return y;
 }
+
+/* What a low-pass that passes a constant unchanged remembers after a long time of it. */
+static inline memory settled(const section *s, double x) { return (memory){(1 - s->b0) * x, (s->b2 - s->a2) * x}; }

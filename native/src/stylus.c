@@ -37,7 +37,7 @@ struct foten_stylus {
 
 foten_stylus *foten_stylus_new(const foten_model *model, const foten_stylus_options *options) {
     foten_stylus_options o = options ? *options : (foten_stylus_options){0, 0};
-    if (!(o.newtons >= 0 && o.newtons < 1e6 && fabs(o.steepness) < 100)) return NULL;
+    if (!model || !(o.newtons >= 0 && o.newtons < 1e6 && fabs(o.steepness) < 100)) return NULL;
     foten_stylus *s = calloc(1, sizeof *s);
     if (!s) return NULL;
     s->period_s = 1 / model->rate_hz;
@@ -53,6 +53,7 @@ void foten_stylus_free(foten_stylus *stylus) { free(stylus); }
 static void count(_Atomic uint64_t *of) { atomic_fetch_add_explicit(of, 1, memory_order_relaxed); }
 
 void foten_stylus_push(foten_stylus *s, double x, double y, double pressure, double t) {
+    if (!s) return;
     if (!isfinite(x) || !isfinite(y) || !isfinite(pressure) || !isfinite(t)) {
         count(&s->n_refused);
         return;
@@ -153,6 +154,7 @@ void stylus_next(foten_stylus *s, double out[2]) {
 
 void foten_stylus_next(foten_stylus *s, float *speed, float *force) {
     double speed_force[2];
+    if (!s || !speed || !force) return;
     stylus_block(s);
     stylus_next(s, speed_force);
     *speed = (float)speed_force[0];
@@ -161,6 +163,7 @@ void foten_stylus_next(foten_stylus *s, float *speed, float *force) {
 
 foten_stylus_stats foten_stylus_statistics(const foten_stylus *stylus) {
     foten_stylus *s = (foten_stylus *)stylus; /* an atomic load does not change it */
+    if (!s) return (foten_stylus_stats){0};
     return (foten_stylus_stats){atomic_load(&s->n), atomic_load(&s->n_refused), atomic_load(&s->n_late), atomic_load(&s->n_dropped),
                                 atomic_load(&s->n_clipped), atomic_load(&s->n_jumps)};
 }

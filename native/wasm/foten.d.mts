@@ -50,12 +50,22 @@ export interface RendererStats {
   readonly nLost: number;
 }
 
+/** Its gain is in m/s² per unit of drive. */
+export interface Actuator {
+  resonanceHz?: number;
+  damping?: number;
+  gain: number;
+  lowestHz?: number;
+  limit?: number;
+}
+
 declare class Renderer {
   readonly rate: number;
   readonly delay: number;
   readonly condition: [speed: number, force: number];
   readonly stats: RendererStats;
   setCondition(speed: number, force: number): void;
+  setActuator(actuator: Actuator | null): void;
   render(out: Float32Array): Float32Array;
   renderStylus(stylus: Stylus, out: Float32Array): Float32Array;
   stylus(curve?: { newtons?: number; steepness?: number }): Stylus;

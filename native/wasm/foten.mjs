@@ -12,6 +12,7 @@
  */
 
 const OPTIONS_BYTES = 32; // foten_options: double, uint64, uint64, int, int
+const ACTUATOR_BYTES = 40; // foten_actuator: five doubles
 const WHY_BYTES = 512;
 const ABI = 4; // FOTEN_ABI of the header that this follows
 
@@ -182,6 +183,25 @@ class Renderer {
   /** Set speed and force: mm/s and N. */
   setCondition(speed, force) {
     this.foten.c.foten_set_condition(alive(this), speed, force);
+  }
+
+  /**
+   * Render what drives an actuator from now on, or acceleration again (null): gain in m/s² per unit of drive; the rest may be left
+   * out. With a resonance the renderer's rate has to be 4000 Hz or more, and 16 times the resonance.
+   */
+  setActuator(actuator) {
+    const pointer = alive(this), { c } = this.foten;
+    const status = !actuator
+      ? c.foten_set_actuator(pointer, 0)
+      : this.foten.within(ACTUATOR_BYTES, (at) => {
+          const { resonanceHz = 0, damping = 0, gain, lowestHz = 0, limit = 0 } = actuator;
+          new Float64Array(c.memory.buffer, at, 5).set([resonanceHz, damping, gain, lowestHz, limit]);
+          return c.foten_set_actuator(pointer, at);
+        });
+    if (status !== 0)
+      throw new FotenError(
+        "the actuator's figures cannot be, or the output rate is below 4000 Hz or 16 times its resonance; render at 8000 Hz?",
+      );
   }
 
   /** Fill a Float32Array with the next samples. Allocates only where its length is another one than before. */

@@ -23,7 +23,7 @@ namespace Foten
         public double Rate { get; }
         /// <summary>Standard deviation of the recorded acceleration [m/s²].</summary>
         public double AccelerationSd { get; }
-        /// <summary>What it was recorded at: mm/s and N. It fades below and grows above.</summary>
+        /// <summary>What it was recorded at: mm/s and N. Below it fades; above, its level grows or is held.</summary>
         public double LowestSpeed { get; }
         public double HighestSpeed { get; }
         public double LightestForce { get; }

@@ -69,6 +69,7 @@ def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
         "rate": f"{texture.rate_hz:g} Hz",
         "trained speed": "{:.4g} to {:.4g} mm/s".format(*texture.trained_range("speed")),
         "trained force": "{:.3g} to {:.3g} N".format(*texture.trained_range("force")),
+        "above these": texture.beyond_in_words(),
         "acceleration": f"{texture.scaling.sd[0]:.4g} m/s² standard deviation",
         "delay": f"{card['delay_ms']:.1f} ms, of the {card['lowpass_hz']:g} Hz low-pass of speed and force",
         "excitation": "yes" if texture.has_excitation else "no",

@@ -288,18 +288,22 @@ def _report(stroke: Stroke) -> None:
 
 def print_outside_range(statistics: dict[str, int], texture: Texture) -> None:
     """Print how much of a rendering lay outside of what was recorded, and what was done there; nothing where none did."""
+    from foten.families.conditions import FADE_FORCE, FADE_SPEED
     from foten.recording.inspection.values import counted
 
     share = {name: f"{100 * count / statistics['n']:.1f} %" for name, count in statistics.items()}
     for name, unit in (("speed", "mm/s"), ("force", "N")):
         if statistics[f"n_{name}_beyond"]:
             high, power = texture.trained_range(name)[1], texture.beyond_exponent(name)
-            grown = f"the level grew with {name}^{power:.2g} there" if power else "the level stayed there"
+            grown = f"the level grew with {name}^{power:.2g} there" if power else "the level was held there"
             print(f"{name} was above the trained {high:.4g} {unit} for {share[f'n_{name}_beyond']}; {grown}")
         if statistics[f"n_{name}_clamped"]:
             print(f"{name} was above twice that for {share[f'n_{name}_clamped']}, and taken as twice that")
     if statistics["n_below"]:
-        print(f"speed or force was below the trained range for {share['n_below']}; the vibration fades there")
+        slow = max(texture.trained_range("speed")[0], FADE_SPEED)
+        light = max(texture.trained_range("force")[0], FADE_FORCE)
+        below = f"speed was below {slow:.4g} mm/s or force below {light:.3g} N"
+        print(f"{below} for {share['n_below']}; the vibration fades there")
     if statistics["n_saturated"]:
         say(f"the saturator cut {counted(statistics['n_saturated'], 'sample')}: the loop ran away there")
     if statistics["n_refused"]:

@@ -178,6 +178,7 @@ def _document(trained: Trained) -> dict[str, Any]:
         "n_samples_dropped": trace.n_dropped,
         "n_samples_uncovered": trace.n_uncovered,
         "split_sha256": texture.card["split_sha256"],
+        "beyond_exponents": texture.card["beyond_exponents"],
         **texture.card["metrics"],
     }
 
@@ -199,7 +200,7 @@ def _summary(trained: Trained) -> str:
         summary += f" (epoch {metrics['best_epoch']})"
     if metrics.get("validation_mae_scaled_lattice") is not None:
         summary += f", {metrics['validation_mae_scaled_lattice']:.4f} sd without its network"
-    lines = [summary]
+    lines = [summary, f"above the trained range {trained.texture.beyond_in_words()}"]
     if trace.n_uncovered:
         lines.append(f"left out: {counted(trace.n_uncovered, 'sample')}, not covered by every channel")
     if trace.n_dropped:

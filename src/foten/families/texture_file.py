@@ -96,6 +96,18 @@ class Texture:
         """Return the power of `speed` or `force` that the level grows with above its trained range."""
         return float(self.card["beyond_exponents"][channel])
 
+    def beyond_in_words(self) -> str:
+        """Return how the level goes on above the trained range: where it grows, and where and why it is held."""
+        powers = {name: self.beyond_exponent(name) for name in ("speed", "force")}
+        grows = " and ".join(f"{name}^{power:.2g}" for name, power in powers.items() if power)
+        held = " and ".join(name for name, power in powers.items() if not power)
+        ours = self.card["model"] == "foten-plus"
+        why = "no growth could be learned from the recording" if ours else f"{self.card['model']} learns no growth"
+        if not grows:
+            return f"the level is held: {why}"
+        text = f"the level grows with {grows}, up to twice the range"
+        return f"{text}; with {held} it is held: {why}" if held else text
+
     def to_bytes(self) -> bytes:
         """Return the file's bytes; the same texture gives the same bytes."""
         from safetensors.numpy import save

@@ -28,7 +28,8 @@ def render(
     The closed loop's output times a fade that falls linearly to zero, with speed below the trained range (at least below
     5 mm/s) and with force likewise (at least below 0.1 N): a still pen does not buzz, whatever was recorded. Above the trained
     range the loop keeps to the range's end, tones go on with the path, and the level grows by a power law of the training
-    blocks, up to twice the range. It grows after the loop, so that a jump back is soft at once.
+    blocks, up to twice the range, or is held where they gave none. It grows after the loop, so that a jump back is soft at
+    once.
 
     Differs from the paper: it clamps to the recorded range on both sides (Sec. VIII), and so vibrates at rest and does not
     grow.

@@ -202,7 +202,8 @@ def _check_frame(blocks: ScaledBlocks, m: int, max_order: int) -> None:
 def _beyond_exponents(blocks: ScaledBlocks) -> dict[str, float]:
     """Return the powers of speed and force that the level grows with, from the faster and the firmer half of the training blocks.
 
-    Levels in frames, least squares over their logarithms; 0 where speed or force hardly varies.
+    Levels in frames, least squares over their logarithms. 0, which holds the level, where there are fewer than 20 frames, speed
+    or force varies by less than a factor of 1.2 in them, or the level falls.
     """
     rate = blocks.trace.rate_hz
     if blocks.trace.block < FRAME_MS * rate / 1000:

@@ -109,7 +109,7 @@ def check_ranges(coverage: Coverage) -> Iterable[Finding]:
     """Yield notes on speeds and forces in common use that the recording does not cover."""
     (slow, quick), (light, heavy) = coverage.speed_range, coverage.force_range
     fades = "below it the texture fades, it is not learnt"
-    grows = "above it the level grows by a power law, it is not learnt"
+    grows = "above it the level grows by a fitted power law, or is held, it is not learnt"
     if slow > 30:
         yield Finding(NOTE, "range", "speed", f"never slower than {slow:.0f} mm/s: {fades}")
     if quick < 150:
