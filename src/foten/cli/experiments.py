@@ -81,7 +81,7 @@ def tables(
 ) -> None:
     """Set the results of a sweep beside references and beside the paper's figures."""
     from foten.experiments.results import chosen, read_records, title_of, written_records
-    from foten.experiments.tables import FIGURES, FORMATS, findings, ratios, summary, table, written
+    from foten.experiments.tables import FIGURES, FORMATS, caveats, findings, ratios, summary, table, written
 
     records = read_records(results)
     check_folder(output)
@@ -90,7 +90,11 @@ def tables(
     if any(one["beside"] for one in shown):
         cells["ratios"] = ratios(shown)
     title, sentences = title_of(records), list(findings(records))
-    texts = {f"{name}.{form}": written(rows, form) for name, rows in cells.items() for form in FORMATS}
+    texts = {
+        f"{name}.{form}": written(rows, form, title, caveats(shown, name))
+        for name, rows in cells.items()
+        for form in FORMATS
+    }
     texts["runs.csv"] = written(written_records(records), "csv")
     texts["findings.md"] = "\n\n".join([f"# {title}", *sentences]) + "\n"
     if output is not None:
@@ -98,7 +102,7 @@ def tables(
         for name, text in texts.items():
             with atomic_write(output / name) as part:
                 part.write_text(text, encoding="utf-8")
-    printed = [texts[f"{name}.md"] for name in ("summary", "ratios") if name in cells]
+    printed = [written(cells[name], "md") for name in ("summary", "ratios") if name in cells]
     print_result(
         {"title": title, "tables": cells, "findings": sentences},
         "\n".join([f"{title}\n", *printed, *sentences]),
