@@ -119,6 +119,18 @@ def test_ctrl_c_keeps_the_best_and_resume_goes_on(
     assert "nothing to resume" in one_line(capsys)
 
 
+def test_ctrl_c_is_a_line_and_status_130(
+    texture: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("foten.families.texture_file.read_texture", interrupted)
+    capsys.readouterr()
+    assert _status(["info", str(texture)]) == 130
+    assert one_line(capsys) == "foten: interrupted"
+
+
 def test_ctrl_c_in_the_first_epoch_leaves_the_playable_file(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -6,9 +6,11 @@ import copy
 import json
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +37,7 @@ from foten.experiments.results import (
     title_of,
     written_records,
 )
-from foten.experiments.sweep import _kept, sweep
+from foten.experiments.sweep import _kept, _stoppable, sweep
 from foten.experiments.tables import PAPERS, findings, ratios, summary, table, written
 
 
@@ -57,6 +59,45 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
             assert "4/4" in done.stderr
             assert "min left" in done.stderr
     return folder / "results"
+
+
+def test_a_sweep_that_a_queue_ends_says_what_is_done(tmp_path: Path) -> None:
+    """SIGTERM once a run is done: one line more, no trace of Ray's, the status of Ctrl-C, and no part of a file."""
+    long = '{model = "foten", name = "long", train = {epochs = 10000}}'
+    text = TINY.replace('{model = "fnn", name = "excited", sizes = {excitation = true}}', long)
+    program = "from foten.cli import main; main()"
+    command = [sys.executable, "-c", program, "sweep", str(experiment(tmp_path, text)), "-o", str(tmp_path / "results")]
+    with subprocess.Popen([*command, "--workers", "1"], stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if line.startswith("1/4"):
+                process.send_signal(signal.SIGTERM)
+                break
+        said = process.stderr.read().splitlines()
+    assert process.returncode == 130
+    assert said == ["stopped, 1 of 4 done; the same command goes on"]
+    assert len(list((tmp_path / "results").iterdir())) == 1
+
+
+def test_a_signal_as_ray_starts_is_not_lost() -> None:
+    """What its handler raises is: Python swallows it in what runs at a fork, and Ray's own handler exits."""
+
+    def swallowed() -> None:
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+    def exits() -> None:
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(15))
+        signal.raise_signal(signal.SIGTERM)
+
+    before = signal.getsignal(signal.SIGTERM)
+    for start in (swallowed, exits):
+        with pytest.raises(KeyboardInterrupt):
+            _stoppable(start)
+    signal.signal(signal.SIGTERM, before)
+    with pytest.raises(SystemExit):
+        _stoppable(lambda: sys.exit(1))
+    _stoppable(lambda: None)
 
 
 def test_every_run_is_one_file_named_by_what_it_depends_on(swept: Path) -> None:

@@ -49,7 +49,10 @@ def sweep(
     dry_run: Annotated[bool, Option("--dry-run", help="List the runs and stop.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Train and judge every method of an experiment on every texture and split; goes on where it stopped."""
+    """Train and judge every method of an experiment on every texture and split; goes on where it stopped.
+
+    Ctrl-C or SIGTERM stops it with exit status 130 and keeps every run that is done.
+    """
     from foten.experiments.experiment import experiment_path, read_experiment
 
     experiment = read_experiment(experiment_path(experiment_file), recordings)
@@ -63,7 +66,10 @@ def sweep(
     check_folder(output)
     from foten.experiments import sweep as sweeping
 
-    n_done, n_failed = sweeping.sweep(experiment, output, workers, address, gpus_per_run, say, batched)
+    try:
+        n_done, n_failed = sweeping.sweep(experiment, output, workers, address, gpus_per_run, say, batched)
+    except sweeping.Stopped as stopped:
+        raise Exit(130) from stopped
     result = {"output": str(output), "n_runs": len(runs), "n_done": n_done, "n_failed": n_failed}
     print_result(result, f"{len(runs)} runs, {n_done} now, {n_failed} failed; next: foten tables {output}", as_json)
     if n_failed:
