@@ -11,8 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rich.text import Text
+from typer.main import get_command
 
-from foten.cli.command_line import _status
+from foten.cli.command_line import _status, app
 from foten.families.texture_file import read_texture
 
 FAST = ["--trim", "0", "--block", "500", "--epochs", "1", "--threads", "1", "--window", "12"]
@@ -375,6 +377,13 @@ def test_help_says_what_each_command_does(command: str, capsys: pytest.CaptureFi
     capsys.readouterr()
     assert _status([command, "--help"]) == 0
     assert len(capsys.readouterr().out) > 200
+
+
+def test_help_is_printed_as_it_is_written() -> None:
+    """Rich takes a word in square brackets for a style and drops it: a default in words is `show_default`."""
+    for name, command in get_command(app).commands.items():  # type: ignore[attr-defined]
+        for text in (command.help, *(parameter.help for parameter in command.params)):
+            assert Text.from_markup(text).plain == text, name
 
 
 def test_the_demo_makes_everything_it_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -20,10 +20,11 @@ def evaluate(
     report: Annotated[Path | None, Option(metavar="DIR", help="Write DIR/report.html and DIR/evaluation.json.")] = None,
     seed: Annotated[int, Option(min=0, max=2**32 - 1, help="Of the excitation.")] = 0,
     trim: Annotated[
-        float | None, Option(help="Of another recording, discarded at both ends (ms). [the trained one's]")
+        float | None,
+        Option(help="Of another recording, discarded at both ends (ms).", show_default="the trained one's"),
     ] = None,
     block: Annotated[
-        float | None, Option(help="Of another recording, what is scored as one (ms). [the trained one's]")
+        float | None, Option(help="Of another recording, what is scored as one (ms).", show_default="the trained one's")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -16,16 +16,15 @@ ResultsFolder = Annotated[Path, Argument(metavar="DIR", help="Results of foten s
 
 def sweep(
     experiment_file: Annotated[
-        str,
+        str | None,
         Argument(
             metavar="FILE.toml",
-            help="Which methods learn which textures; or one of ours: table-1, table-2, figure-5, figure-5-delta; reduced: "
-            "table-1-small, and for a glance paper-small-table-1, -table-2, -figure-5, -figure-5-delta.",
+            help="Which methods learn which textures; or the name of an experiment that comes with foten, as --list shows them.",
         ),
-    ],
-    output: Annotated[Path, folder_option("Folder of the results, one file a run.")],
+    ] = None,
+    output: Annotated[Path | None, folder_option("Folder of the results, one file a run.")] = None,
     workers: Annotated[
-        int | None, Option(min=1, help="Runs at a time on this machine, a thread each. [its cores]")
+        int | None, Option(min=1, help="Runs at a time on this machine, a thread each.", show_default="its cores")
     ] = None,
     address: Annotated[
         str | None, Option(help="Of a Ray cluster; auto for the one that this machine is part of.")
@@ -44,20 +43,28 @@ def sweep(
         ),
     ] = 1,
     recordings: Annotated[
-        Path | None, Option(metavar="DIR", help="Folder of the experiment's recordings. [that of the file]")
+        Path | None,
+        Option(metavar="DIR", help="Folder of the experiment's recordings.", show_default="that of the file"),
     ] = None,
-    dry_run: Annotated[bool, Option("--dry-run", help="List the runs and stop.")] = False,
+    dry_run: Annotated[bool, Option("--dry-run", help="List the runs and stop; needs no -o.")] = False,
+    show_list: Annotated[bool, Option("--list", help="Show the experiments that come with foten and stop.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Train and judge every method of an experiment on every texture and split; goes on where it stopped.
 
     Ctrl-C or SIGTERM stops it with exit status 130 and keeps every run that is done.
     """
-    from foten.experiments.experiment import experiment_path, read_experiment
+    from foten.experiments.experiment import experiment_path, experiments, read_experiment
 
+    if show_list:
+        ours = experiments()
+        print_result(ours, "\n".join(f"{name:28s}{title}" for name, title in ours.items()), as_json)
+        return
+    if experiment_file is None or (output is None and not dry_run):
+        raise ValueError("expected an experiment and -o DIR; --list shows those that come with foten")
     experiment = read_experiment(experiment_path(experiment_file), recordings)
     runs = experiment.runs()
-    if dry_run:
+    if output is None or dry_run:
         listed = "\n".join(f"{run.label}, {run.texture}, split {run.split_seed}" for run in runs)
         print_result([dataclasses.asdict(run) for run in runs], listed, as_json)
         if not as_json:
@@ -123,7 +130,8 @@ def figures(
         Path | None,
         Option(
             metavar="DIR",
-            help="Of the recordings, from which Fig. 4 is drawn. [where they were when the sweep was started]",
+            help="Of the recordings, from which Fig. 4 is drawn.",
+            show_default="where they were when the sweep was started",
         ),
     ] = None,
     as_json: JsonOption = False,
