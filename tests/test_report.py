@@ -18,7 +18,7 @@ from foten.evaluate.one_step import fit_linear, one_step
 from foten.evaluate.report import figures, signals
 from foten.evaluate.report.page import page, write_report
 from foten.evaluate.report.signals import AUDIO_HZ, sounds
-from foten.evaluate.report.tables import REFERENCES
+from foten.evaluate.report.tables import REFERENCES, to_text
 from foten.evaluate.report.verdict import cautions, reason, verdict
 from foten.families.texture_file import Texture
 from foten.recording.scaling import fit_scaling
@@ -82,7 +82,7 @@ def _judgement(rate_hz=1000.0, block=2000):
         "references": references,
         **free,
         "reasons": {
-            "references.lattice": "foten has none",
+            "references.lattice": "foten has no linear part",
             "references.ar_scheduled": "fewer than two training windows for each coefficient",
             "references.bound_window": "known for simulated textures alone",
             "free_run": "it carries no excitation",
@@ -201,11 +201,39 @@ def test_the_tables_show_the_numbers_of_the_document(judged, written):
     assert json.dumps(document["one_step"]["mae_m_s2"]) in written  # the raw document, in full
 
 
+def test_a_terminal_shows_the_same_names_and_numbers(judged):
+    document = judged.document
+    lines = to_text(document).splitlines()
+    for key, (name, _) in REFERENCES.items():
+        error = document["references"][key]["mae_scaled"]
+        shown = [line.removeprefix(name).split()[-3:] for line in lines if re.match(re.escape(name) + "(:|  )", line)]
+        assert [row[0] for row in shown] == ([] if error is None else [f"{error:.4f}"])
+    (distance,) = (line for line in lines if line.startswith("log-spectral distance [dB]"))
+    shown = [float(cell) for cell in distance.split()[-4:]]
+    assert shown == pytest.approx([document[run]["lsd_db"] for run in RUNS], abs=0.0501)
+    assert "the ceiling is 2 further realisations of the same stroke" in to_text(document)
+
+
+def test_a_terminal_shows_no_key_and_gathers_what_is_missing(judged):
+    text = to_text(judged.document)
+    assert not re.search(r"\w_\w|references\.", text)
+    assert text.splitlines()[-2:] == [
+        "One step, not computed: the model without its network (foten has no linear part); AR(20) following speed and force "
+        "(fewer than two training windows for each coefficient); bound of a window (known for simulated textures alone).",
+        "Free run, not computed: level correlation without excitation (the level does not vary).",
+    ]
+    text = to_text(_without(judged, "free_run_ar", "ceiling").document)
+    assert text.endswith(
+        "Free run, not computed: AR(20) (no training blocks); ceiling (a foreign recording); "
+        "level correlation without excitation (the level does not vary)."
+    )
+
+
 def test_what_is_unknown_is_a_dash_with_its_reason(judged, written):
     rows = _Page(written).rows
     words = "".join(_Page(written).words)
     expected = {
-        "references.lattice": (0, "foten has none"),
+        "references.lattice": (0, "foten has no linear part"),
         "references.ar_scheduled": (0, "fewer than two training windows for each coefficient"),
         "references.bound": (4, "a bound on the error says nothing of the spectrum"),
         "free_run.level_corr": (2, "the level does not vary"),

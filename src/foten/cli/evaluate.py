@@ -32,6 +32,7 @@ def evaluate(
     from foten import __version__
     from foten.datasets.hdf5 import load_recording
     from foten.evaluate import evaluate as judge
+    from foten.evaluate.report.tables import to_text
     from foten.experiments.truth import truth_for
     from foten.families.texture_file import read_texture
 
@@ -45,7 +46,7 @@ def evaluate(
         report.mkdir(parents=True, exist_ok=True)
         write_json(report / "evaluation.json", {"foten": __version__, **judgement.document})
         say(f"wrote {write_report(judgement, texture, report)}")
-    print_result(judgement.document, judge.to_text(judgement.document), as_json)
+    print_result(judgement.document, to_text(judgement.document), as_json)
 
 
 def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
