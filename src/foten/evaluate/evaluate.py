@@ -155,16 +155,6 @@ def _one_step(
         return document
     n = targets(blocks, block, first).reshape(len(blocks), -1)
     recorded = samples[n, 0]
-    if texture.sizes.from_noise:
-        reasons["one_step"] = f"{texture.card['model']} predicts spectra, and no sample"
-    else:
-        result.update(one_step(recorded, predict(kernel, samples, n).sample, sd))
-    if texture.sizes.excited:
-        counted = (trace.speed[n] >= FADE_SPEED) & (trace.force[n] >= FADE_FORCE)
-        scores = excitation_scores(kernel, samples, n, counted)
-        if scores["nll"] is None:
-            reasons["one_step.nll"] = "the excitation is that of a rendering, or the hand was at rest"
-        result.update({**scores, "intervals": {**result["intervals"], **scores["intervals"]}})
     predicted = {"zero": np.zeros(n.shape), "persistence": samples[n - 1, 0]}
     if texture.card["model"] == "foten-plus":
         predicted["lattice"] = predict(kernel, samples, n, "linear").sample
@@ -178,7 +168,17 @@ def _one_step(
         else:
             predicted[name] = linear.predict(samples, n)
     for name, values in predicted.items():
-        references[name].update(one_step(recorded, values, sd))
+        references[name].update(one_step(recorded, values, sd, predicted.get("ar")))
+    if texture.sizes.from_noise:
+        reasons["one_step"] = f"{texture.card['model']} predicts spectra, and no sample"
+    else:
+        result.update(one_step(recorded, predict(kernel, samples, n).sample, sd, predicted.get("ar")))
+    if texture.sizes.excited:
+        counted = (trace.speed[n] >= FADE_SPEED) & (trace.force[n] >= FADE_FORCE)
+        scores = excitation_scores(kernel, samples, n, counted)
+        if scores["nll"] is None:
+            reasons["one_step.nll"] = "the excitation is that of a rendering, or the hand was at rest"
+        result.update({**scores, "intervals": {**result["intervals"], **scores["intervals"]}})
     for name, bound in (("bound", truth.bound), ("bound_window", truth.bound_window)):
         if bound is None:
             reasons[f"references.{name}"] = truth.why_no_bound

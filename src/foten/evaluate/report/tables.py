@@ -90,7 +90,7 @@ def one_step_section(document: Mapping[str, Any]) -> str:
         '<section id="one-step"><h2>One step</h2><p>Predicts each sample from recorded history. Errors are mean '
         f"absolute errors; 1 sd is {document['sd_m_s2']:.4g} m/s². The first {document['first_scored']} samples of each "
         "block are history for all. Small print: 95 % interval over blocks (Student's t). The blocks are the same for all, so "
-        "two rows can differ for certain though their intervals overlap.</p>"
+        "two rows can differ for certain though the intervals of their errors overlap: see the one to AR(20).</p>"
         '<div class="scroll"><table><thead><tr><th>predictor</th><th colspan="2">error [sd] <i>lower is better</i></th>'
         "<th>to AR(20)</th><th>error [m/s²]</th><th>GFC <i>higher, blind to delay and gain</i></th></tr></thead>"
         f"<tbody>{body}</tbody></table></div>{cells.footnotes()}{_excitation(document['one_step'])}</section>"
@@ -105,6 +105,9 @@ def _one_step_row(
     within = row.get("intervals", {})
     bar = "" if mae is None else f'<span class="bar" style="width:{100 * mae / largest:.1f}%"></span>'
     ratio = f"{signed(100 * (mae / linear - 1), 1)} %" if mae is not None and linear else ""
+    if "mae_to_ar" in within and key != "references.ar":
+        ends = " … ".join(signed(100 * (end - 1), 1) for end in within["mae_to_ar"])
+        ratio += f"<small>{ends} %</small>"
     why_gfc = why if mae is None else "a bound on the error says nothing of the spectrum"
     return (
         f'<tr id="{key}"{" class=own" if key == "one_step" else ""}>'
