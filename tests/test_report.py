@@ -327,6 +327,39 @@ def test_the_figures_draw_what_was_scored(judged):
     np.testing.assert_array_equal(line.get_ydata(), judged.trace.acceleration[2000 * block + 400 :][:400])
 
 
+def test_figures_of_a_fast_texture_reach_half_its_rate():
+    """What is above 1 kHz is drawn beside what is scored, and the axes say which is which."""
+    judged = _judgement(rate_hz=10_000.0)
+    (axes,) = figures.spectrum(judged).axes
+    assert axes.get_xlim() == (20, 5000)
+    assert "up to half the rate; scored from 20 to 1000 Hz" in axes.get_xlabel()
+    frequencies, pooled = signals.densities(judged, unscored=True)
+    assert max(line.get_xdata().max() for line in axes.lines) == frequencies[-1] == 5000
+    (axes,) = (figure.axes[0] for figure in [figures.bands(judged)])
+    edges = [float(label.get_text()) for label in axes.get_xticklabels()]
+    assert edges[-5:] == [1000, 1495, 2236, 3344, 5000]
+    bars = axes.containers[0].patches
+    scored = [error for error in judged.document["free_run"]["band_errors_db"] if error is not None]
+    assert [bar.get_height() for bar in bars[:-4]] == pytest.approx(scored)
+    highest = (frequencies >= 5000 * 5**-0.25) & (frequencies <= 5000)
+    expected = 10 * np.log10(pooled["free_run"][highest].sum() / pooled["recorded"][highest].sum())
+    assert bars[-1].get_height() == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("tone_hz", "highest_hz"), [(300.0, 1000.0), (3000.0, 3000.0)])
+def test_spectrograms_reach_what_has_power(tone_hz, highest_hz):
+    judged = _judgement(rate_hz=10_000.0)
+    tone = np.sin(2 * np.pi * tone_hz * np.arange(len(judged.trace.acceleration)) / 10_000.0)
+    judged = replace(judged, trace=replace(judged.trace, acceleration=tone), synthesized={})
+    axes = figures.over_time(judged).axes[0]
+    assert axes.images[0].get_extent()[3] == pytest.approx(
+        highest_hz, abs=100
+    )  # a Hann window's lobe is two bins of 39 Hz
+    words = axes.get_title(loc="right")
+    assert words.startswith("drawn up to ")
+    assert words.endswith("Hz: 99.9 % of the power or more")
+
+
 def test_spectrograms_share_a_scale_and_show_a_tone_where_it_is(judged):
     tone = np.sin(2 * np.pi * 200.0 * np.arange(2000) / 1000.0)
     figure = figures.over_time(replace(judged, synthesized={"free_run": np.tile(tone, (1, len(TEST), 1))}))
@@ -437,7 +470,7 @@ def test_no_mark_praises_what_the_data_do_not_bear(judged, which, run, key, ends
     finding = verdict(document)[which]
     assert finding.tone == "unknown"
     assert finding.beside.startswith("too little data to say")
-    assert finding.sentence.endswith("There is too little data to say so.")
+    assert finding.sentence.endswith("too wide to say so.") == (ends is not None)
     assert [one.tone for one in verdict(document)].count("good") == 3
 
 

@@ -34,7 +34,9 @@ def _finding(
     borne = tone not in ("good", "even") if interval is None else tone != "good" or all(map(holds, interval))
     if borne:
         return Finding(tone, title, figure, beside, sentence)
-    return Finding("unknown", title, figure, f"{TOO_LITTLE}; {beside}", f"{sentence} There is {TOO_LITTLE} so.")
+    # Where there are no intervals at all, a caution says so once.
+    wide = "" if interval is None else " Its 95 % interval is too wide to say so."
+    return Finding("unknown", title, figure, f"{TOO_LITTLE}; {beside}", sentence + wide)
 
 
 def _interval(figures: Mapping[str, Any], key: str) -> Interval:
