@@ -15,6 +15,7 @@ from rich.text import Text
 from typer.main import get_command
 
 from foten.cli.command_line import _status, app
+from foten.cli.evaluate import network_summary
 from foten.families.texture_file import read_texture
 
 FAST = ["--trim", "0", "--block", "500", "--epochs", "1", "--threads", "1", "--window", "12"]
@@ -240,6 +241,37 @@ def test_info_shows_units(texture: Path, capsys: pytest.CaptureFixture[str]) -> 
     out = capsys.readouterr().out
     assert "mm/s" in out
     assert "m/s²" in out
+    sizes = read_texture(texture).card["sizes"]
+    history = sizes["window"] + max(sizes["order"], sizes["residual_order"]) + 1
+    assert (
+        f"a prediction is made from the last {history} samples: the network is given {sizes['window']} of them" in out
+    )
+
+
+@pytest.mark.parametrize(
+    ("sizes", "metrics", "words"),
+    [
+        ({}, {"validation_mae_scaled": 0.95}, "improves one-step predictions by 5.0 %, and is part of a rendering"),
+        (
+            {"network_in_loop": False},
+            {"validation_mae_scaled": 0.9999},
+            "does not improve one-step predictions; a rendering does without it, as it did not help on the validation blocks",
+        ),
+        (
+            {"n_tones": 3},
+            {"validation_mae_scaled": 0.9},
+            "improves one-step predictions by 10.0 %; a rendering, which is made of tones, does without it",
+        ),
+        ({}, {"n_epochs": 0}, "not trained: the file was written before"),
+    ],
+)
+def test_what_the_network_is_for_is_said_plainly(
+    texture: Path, sizes: dict[str, Any], metrics: dict[str, Any], words: str
+) -> None:
+    card = read_texture(texture).card
+    metrics = {**card["metrics"], "validation_mae_scaled_lattice": 1.0, **metrics}
+    sizes = {**card["sizes"], "network_in_loop": True, "n_tones": 0, **sizes}
+    assert network_summary({**card, "sizes": sizes, "metrics": metrics}) == words
 
 
 CONSTANT = ("--speed", "1", "--force", "1")

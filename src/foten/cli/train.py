@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Exit, Option
 
 from foten.cli.console import JsonOption, RecordingFile, check_folders, print_result
-from foten.cli.evaluate import validation_summary
+from foten.cli.evaluate import network_summary, validation_summary
 
 if TYPE_CHECKING:
     from foten.recording.recording import Recording
@@ -202,6 +202,8 @@ def _summary(trained: Trained) -> str:
     if metrics.get("validation_mae_scaled_lattice") is not None:
         summary += f", {metrics['validation_mae_scaled_lattice']:.4f} sd without its network"
     lines = [summary]
+    if card["model"] == "foten-plus":
+        lines.append(f"network: {network_summary(card)}")
     if trace.n_uncovered:
         lines.append(f"{trace.n_uncovered} samples that not every channel covers were left out")
     if trace.n_dropped:
