@@ -13,8 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rich.text import Text
+from typer.main import get_command
 
-from foten.cli.command_line import _status
+from foten.cli.command_line import _status, app
+from foten.cli.evaluate import network_summary
 from foten.families.texture_file import read_texture, write_texture
 
 FAST = ["--trim", "0", "--block", "500", "--epochs", "1", "--threads", "1", "--window", "12"]
@@ -119,6 +122,18 @@ def test_ctrl_c_keeps_the_best_and_resume_goes_on(
     capsys.readouterr()
     assert _status([*command, "--resume"]) == 2  # one epoch was all there was, and its checkpoint not yet written
     assert "nothing to resume" in one_line(capsys)
+
+
+def test_ctrl_c_is_a_line_and_status_130(
+    texture: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("foten.families.texture_file.read_texture", interrupted)
+    capsys.readouterr()
+    assert _status(["info", str(texture)]) == 130
+    assert one_line(capsys) == "foten: interrupted"
 
 
 def test_ctrl_c_in_the_first_epoch_leaves_the_playable_file(
@@ -231,6 +246,37 @@ def test_info_shows_units(texture: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert "mm/s" in out
     assert "m/s²" in out
     assert read_texture(texture).beyond_in_words() in out
+    sizes = read_texture(texture).card["sizes"]
+    history = sizes["window"] + max(sizes["order"], sizes["residual_order"]) + 1
+    assert (
+        f"a prediction is made from the last {history} samples: the network is given {sizes['window']} of them" in out
+    )
+
+
+@pytest.mark.parametrize(
+    ("sizes", "metrics", "words"),
+    [
+        ({}, {"validation_mae_scaled": 0.95}, "improves one-step predictions by 5.0 %, and is part of a rendering"),
+        (
+            {"network_in_loop": False},
+            {"validation_mae_scaled": 0.9999},
+            "does not improve one-step predictions; a rendering does without it, as it did not help on the validation blocks",
+        ),
+        (
+            {"n_tones": 3},
+            {"validation_mae_scaled": 0.9},
+            "improves one-step predictions by 10.0 %; a rendering, which is made of tones, does without it",
+        ),
+        ({}, {"n_epochs": 0}, "not trained: the file was written before"),
+    ],
+)
+def test_what_the_network_is_for_is_said_plainly(
+    texture: Path, sizes: dict[str, Any], metrics: dict[str, Any], words: str
+) -> None:
+    card = read_texture(texture).card
+    metrics = {**card["metrics"], "validation_mae_scaled_lattice": 1.0, **metrics}
+    sizes = {**card["sizes"], "network_in_loop": True, "n_tones": 0, **sizes}
+    assert network_summary({**card, "sizes": sizes, "metrics": metrics}) == words
 
 
 def test_render_says_what_became_of_samples_outside_the_range(
@@ -461,6 +507,13 @@ def test_help_says_what_each_command_does(command: str, capsys: pytest.CaptureFi
     capsys.readouterr()
     assert _status([command, "--help"]) == 0
     assert len(capsys.readouterr().out) > 200
+
+
+def test_help_is_printed_as_it_is_written() -> None:
+    """Rich takes a word in square brackets for a style and drops it: a default in words is `show_default`."""
+    for name, command in get_command(app).commands.items():  # type: ignore[attr-defined]
+        for text in (command.help, *(parameter.help for parameter in command.params)):
+            assert Text.from_markup(text).plain == text, name
 
 
 def test_the_demo_makes_everything_it_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

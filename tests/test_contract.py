@@ -18,7 +18,8 @@ from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
 from foten.dsp.noise import gaussian
-from foten.evaluate.evaluate import evaluate, to_text
+from foten.evaluate.evaluate import evaluate
+from foten.evaluate.report.tables import to_text
 from foten.families import FAMILIES
 from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, Texture, texture_from_bytes, write_texture
 from foten.recording.preprocess import PreprocessConfig
@@ -271,7 +272,7 @@ def test_an_evaluation_keeps_the_model_apart_from_the_references(
     """There is a reference "ar" beside a model "ar": each has a line with its own error."""
     document = evaluate(textures[key], recording).document
     lines = to_text(document).splitlines()
-    for name, row in ((f"{key}, this texture", document["one_step"]), ("ar ", document["references"]["ar"])):
+    for name, row in ((f"{key}, this texture", document["one_step"]), ("AR(20)  ", document["references"]["ar"])):
         (line,) = (one for one in lines if one.startswith(name))
         assert f"{row['mae_scaled']:.4f}"[:5] in line
     assert document["one_step"]["mae_scaled"] != document["references"]["ar"]["mae_scaled"]

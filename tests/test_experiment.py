@@ -157,5 +157,19 @@ def test_what_is_wrong_in_a_file_is_said_in_one_line(
 def test_runs_are_listed_without_running(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert _status(["sweep", str(experiment(tmp_path)), "-o", str(tmp_path / "results"), "--dry-run"]) == 0
     assert capsys.readouterr().out.splitlines()[0] == "FNN [13], linear-cloth, split 1"
+    assert _status(["sweep", str(experiment(tmp_path)), "--dry-run"]) == 0
+    assert capsys.readouterr().out.splitlines()[0] == "FNN [13], linear-cloth, split 1"
     assert _status(["sweep", "no-such", "-o", str(tmp_path / "results")]) == 2
     assert "table-1-small" in capsys.readouterr().err
+
+
+def test_every_experiment_that_comes_with_foten_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert _status(["sweep", "--list"]) == 0
+    lines = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    assert set(lines) == {path.stem for path in experiment_path("table-1").parent.glob("*.toml")}
+    assert all(
+        read_experiment(experiment_path(name)).title == title for name, title in lines.items() if "real" not in name
+    )
+    for lacking in (["sweep"], ["sweep", "table-2"]):
+        assert _status(lacking) == 2
+        assert "--list shows" in capsys.readouterr().err

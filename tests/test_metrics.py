@@ -129,21 +129,21 @@ def test_a_band_that_is_louder_shows_in_its_band_alone() -> None:
     edges = metrics.band_edges(RATE_HZ)
     p = np.ones(frequencies.size)
     q = np.where((frequencies >= edges[4]) & (frequencies < edges[5]), 4.0, 1.0)
-    errors = metrics.band_errors(p, q, frequencies, RATE_HZ)
+    errors = metrics.band_errors(p, q, frequencies, metrics.band_edges(RATE_HZ))
     expected = [0.0] * 9
     expected[4] = 10 * math.log10(4)
     np.testing.assert_allclose(np.array(errors, dtype=float), expected, atol=1e-9)  # rounding
-    silent = metrics.band_errors(p, 0 * p, frequencies, RATE_HZ)
+    silent = metrics.band_errors(p, 0 * p, frequencies, metrics.band_edges(RATE_HZ))
     np.testing.assert_allclose(np.array(silent, dtype=float), -120.0, atol=1e-9)
 
 
 def test_a_band_without_a_bin_is_unknown() -> None:
     frequencies = np.arange(0.0, 501.0, 50.0)
-    errors = metrics.band_errors(np.ones(11), np.ones(11), frequencies, RATE_HZ)
+    errors = metrics.band_errors(np.ones(11), np.ones(11), frequencies, metrics.band_edges(RATE_HZ))
     assert errors[0] is None  # 20 to 28 Hz
     assert errors[-1] == pytest.approx(0.0)
     highest = np.where(frequencies == 450, 4.0, 0.0)  # the upper edge belongs to the last band
-    assert metrics.band_errors(highest, highest, frequencies, RATE_HZ)[-1] == pytest.approx(0.0)
+    assert metrics.band_errors(highest, highest, frequencies, metrics.band_edges(RATE_HZ))[-1] == pytest.approx(0.0)
 
 
 def test_the_modulation_of_a_tone_is_at_its_frequency() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.io import wavfile
 
-from foten.runtime.live.sinks import AUDIBLE_PEAK, write_audible, write_rendered
+from foten.runtime.live.sinks import AUDIBLE_PEAK, picture, write_audible, write_rendered
 
 ABOUT = {"texture": "dënim", "seed": 3}
 
@@ -42,6 +42,25 @@ def test_audible_sound_keeps_the_tone(tmp_path: Path) -> None:
     # Away from the ends, where the interpolator looks past the signal: 16 bits and the sinc's window.
     assert np.abs(pcm - expected)[2000:-2000].max() < 2e-4
     assert np.abs(pcm).max() == pytest.approx(AUDIBLE_PEAK, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("rate", "tone", "highest"), [(1000.0, 100.0, 500.0), (10_000.0, 100.0, 1000.0), (10_000.0, 3000.0, 3000.0)]
+)
+def test_a_spectrogram_covers_the_time_of_its_axes(rate: float, tone: float, highest: float) -> None:
+    """And the frequencies that have power; its first and last columns show the tone, as all do."""
+    n = round(rate) + 1
+    a = np.cos(2 * np.pi * tone * np.arange(n) / rate)  # whole periods of a cosine: mirrored at its ends it goes on
+    _, axes, *_ = picture(a, a, a, rate, ABOUT).axes
+    (image,) = axes.images
+    left, right, low, high = image.get_extent()
+    assert left <= axes.get_xlim()[0] < axes.get_xlim()[1] <= right
+    assert axes.get_ylim() == (0, pytest.approx(highest, abs=35))
+    assert ("99.9 %" in axes.get_ylabel()) == (highest < rate / 2)
+    cells = np.asarray(image.get_array())
+    loudest = low + (cells.argmax(axis=0) + 0.5) * (high - low) / len(cells)
+    np.testing.assert_allclose(loudest, tone, atol=(high - low) / len(cells))
+    np.testing.assert_allclose(cells.max(axis=0), 0, atol=0.1)  # dB re loudest
 
 
 def test_silence_is_written_as_silence(tmp_path: Path) -> None:

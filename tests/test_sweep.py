@@ -6,9 +6,11 @@ import copy
 import json
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -35,8 +37,8 @@ from foten.experiments.results import (
     title_of,
     written_records,
 )
-from foten.experiments.sweep import _kept, sweep
-from foten.experiments.tables import findings, ratios, summary, table, written
+from foten.experiments.sweep import _kept, _stoppable, sweep
+from foten.experiments.tables import PAPERS, findings, ratios, summary, table, written
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +61,45 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "results"
 
 
+def test_a_sweep_that_a_queue_ends_says_what_is_done(tmp_path: Path) -> None:
+    """SIGTERM once a run is done: one line more, no trace of Ray's, the status of Ctrl-C, and no part of a file."""
+    long = '{model = "foten", name = "long", train = {epochs = 10000}}'
+    text = TINY.replace('{model = "fnn", name = "excited", sizes = {excitation = true}}', long)
+    program = "from foten.cli import main; main()"
+    command = [sys.executable, "-c", program, "sweep", str(experiment(tmp_path, text)), "-o", str(tmp_path / "results")]
+    with subprocess.Popen([*command, "--workers", "1"], stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if line.startswith("1/4"):
+                process.send_signal(signal.SIGTERM)
+                break
+        said = process.stderr.read().splitlines()
+    assert process.returncode == 130
+    assert said == ["stopped, 1 of 4 done; the same command goes on"]
+    assert len(list((tmp_path / "results").iterdir())) == 1
+
+
+def test_a_signal_as_ray_starts_is_not_lost() -> None:
+    """What its handler raises is: Python swallows it in what runs at a fork, and Ray's own handler exits."""
+
+    def swallowed() -> None:
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+    def exits() -> None:
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(15))
+        signal.raise_signal(signal.SIGTERM)
+
+    before = signal.getsignal(signal.SIGTERM)
+    for start in (swallowed, exits):
+        with pytest.raises(KeyboardInterrupt):
+            _stoppable(start)
+    signal.signal(signal.SIGTERM, before)
+    with pytest.raises(SystemExit):
+        _stoppable(lambda: sys.exit(1))
+    _stoppable(lambda: None)
+
+
 def test_every_run_is_one_file_named_by_what_it_depends_on(swept: Path) -> None:
     results = read_results(swept)
     assert len(results) == 4
@@ -75,12 +116,14 @@ def test_a_summary_has_references_methods_and_the_papers_figure(swept: Path) -> 
     records = read_records(swept)
     fnn = [one for one in records if one["method"] == "FNN [13]"]
     cells = summary(fnn)
-    assert cells[0] == ["", "MAE [sd]", "paper's", "p", "GFC [%]", "LSD [dB]", "level error [dB]", "training [s]"]
+    # Two textures have no p, and a column without a cell is left out.
+    assert cells[0] == ["", "MAE [sd]", PAPERS, "GFC [%]", "LSD [dB]", "level error [dB]", "training [s]"]
+    assert "unit not stated" in PAPERS
     rows = {row[0]: dict(zip(cells[0], row, strict=True)) for row in cells[1:]}
     assert list(rows)[:2] == ["zero", "persistence"]
     shown = rows["FNN [13], without excitation"]
     errors = [one["one_step.mae_scaled"] for one in fnn]
-    assert (shown["MAE [sd]"], shown["paper's"]) == (f"{np.mean(errors):.3f}", str(PAPER["fnn"].mae))
+    assert (shown["MAE [sd]"], shown[PAPERS]) == (f"{np.mean(errors):.3f}", str(PAPER["fnn"].mae))
     assert shown["LSD [dB]"] == f"{np.mean([one['free_run_deterministic.lsd_db'] for one in fnn]):.2f}"
     assert float(shown["training [s]"]) >= 0
     assert float(rows["least possible"]["MAE [sd]"]) < float(rows["best AR"]["MAE [sd]"])
@@ -92,14 +135,51 @@ def test_a_table_has_textures_by_references_and_methods(swept: Path) -> None:
     cells = table(records, "mae")
     assert cells[0] == [
         *("one-step MAE [sd]", "zero", "persistence", "AR(20)", "AR(20) by speed and force", "best AR"),
-        *("least possible", "FNN [13]", "excited"),
+        *("least possible", "FNN [13], without excitation", "excited"),
     ]
     assert [row[0] for row in cells[1:]] == ["linear-cloth", "linear-twin", "mean"]
     errors = [one["one_step.mae_scaled"] for one in records if one["method"] == "FNN [13]"]
     assert [row[7] for row in cells[1:]] == [f"{errors[0]:.3f}", f"{errors[1]:.3f}", f"{np.mean(errors):.3f}"]
     free = ["AR(20) with white noise", "ceiling", "FNN [13], without excitation", "excited"]
     assert table(records, "lsd")[0][1:] == free
-    assert any("best on the mean" in line for line in findings(records))
+    assert any("best on the mean of 2 trained methods" in line for line in findings(records))
+
+
+def test_findings_say_who_is_compared_and_what_a_linear_predictor_has(swept: Path) -> None:
+    records = copy.deepcopy(read_records(swept))
+    for one, error in zip(records, (0.5, 0.2, 0.7, 0.4), strict=True):  # FNN and excited on each texture
+        one |= {"one_step.mae_scaled": error, "references.ar_best.mae_scaled": 0.25}
+
+    def said(some: list[dict]) -> str:
+        return next(line for line in findings(some) if line.startswith("one-step MAE"))
+
+    beside = "A linear predictor, best AR, has 0.250"
+    best = "one-step MAE [sd]: excited is best on the mean of 2 trained methods, with 0.300."
+    assert said(records) == f"{best} {beside}: every trained method loses to it."
+    for one in records:
+        one["references.ar_best.mae_scaled"] = 0.45
+    assert said(records).endswith("has 0.450: 1 of 2 trained methods are better.")
+    assert said(records[1::2]).endswith("excited has 0.300. A linear predictor, best AR, has 0.450: excited is better.")
+    del records[0]["references.ar_best.mae_scaled"], records[1]["references.ar_best.mae_scaled"]
+    assert said(records) == best  # not of all textures
+
+
+def test_a_table_says_what_was_reduced_and_what_a_figure_is_blind_to(swept: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "results"
+    shutil.copytree(swept, folder)
+    asked = read_experiment(experiment(tmp_path, TINY.replace('"Two methods"', '"Two"\nnote = "8 s, one epoch."')))
+    assert sweep(asked, folder) == (0, 0)
+    assert _status(["tables", str(folder), "-o", str(tmp_path / "tables")]) == 0
+    blind = "blind to delay and gain: persistence, which repeats the last sample, has "
+    # What was written of the runs says it too.
+    assert _status(["tables", str(tmp_path / "tables" / "runs.csv"), "-o", str(tmp_path / "again")]) == 0
+    for made in (tmp_path / "tables", tmp_path / "again"):
+        for name in ("summary", "mae", "gfc", "lsd", "level"):
+            text, latex = ((made / f"{name}.{form}").read_text() for form in ("md", "tex"))
+            assert text.startswith("# Two\n\n8 s, one epoch.\n\n")
+            assert latex.startswith("% Two\n% 8 s, one epoch.\n")
+            assert (blind in text) == (blind in latex) == (name in ("summary", "gfc"))
+        assert (made / "findings.md").read_text().startswith("# Two\n\n8 s, one epoch.\n\n")
 
 
 def test_tables_are_written_in_three_forms(swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -258,7 +338,7 @@ def test_a_panel_is_of_one_recording(swept: Path) -> None:
     second["run"]["split_seed"] = other["run"]["split_seed"] = 2
     other["run"]["method"] = "other"
     axes = dict(figures([first, second, other]))["figure-6"].axes[0]
-    assert [label.get_text() for label in axes.get_yticklabels()] == ["recorded", "FNN [13]"]
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["recorded", "FNN [13],\nwithout excitation"]
 
 
 def test_methods_of_like_names_have_files_of_their_own(swept: Path) -> None:
@@ -288,15 +368,37 @@ def test_blocks_without_a_free_run_have_tables(swept: Path, tmp_path: Path) -> N
     assert len(rows) == 4
 
 
-def test_what_falls_silent_runs_along_the_lower_edge(swept: Path) -> None:
-    result = copy.deepcopy(read_results(swept)[0])
-    n = len(result["signals"]["frequencies_hz"])
-    result["signals"]["density"]["free_run"] = [1e-40] * n
+def test_what_falls_silent_runs_along_the_lower_edge_and_is_said(swept: Path) -> None:
+    result, other = copy.deepcopy(read_results(swept)[0::2])  # one method, two textures
+    for one in (result, other):
+        for name, power in (("recorded", 1.0), ("free_run", 1.0)):
+            one["signals"]["density"][name] = [power] * len(one["signals"]["frequencies_hz"])
+    result["signals"]["density"]["free_run"] = [1e-4] * len(result["signals"]["frequencies_hz"])
+    name = "FNN [13], without excitation"
+
+    def legend(*results: dict) -> str:
+        return dict(figures(results))["figure-7"].legends[0].get_texts()[0].get_text()
+
+    assert legend(other) == name
+    assert legend(result) == f"{name}: falls silent, 40 dB below the recording"
+    assert legend(result, other) == f"{name}: falls silent on 1 of 2 textures, 40 dB below the recording"
     axes = dict(figures([result]))["figure-7"].axes[0]
     low, high = axes.get_ylim()
     drawn = axes.get_lines()[0].get_ydata()
     assert low < drawn.min()
     assert drawn.max() < low + 0.05 * (high - low)
+
+
+def test_waveforms_have_a_scale_and_say_where_one_is_silent(swept: Path) -> None:
+    result = copy.deepcopy(read_results(swept)[0])
+    recorded = 3.0 * np.sin(np.arange(400))
+    for factor, words in ((0.9, []), (0.01, ["silent here: 40 dB below the recording"])):
+        result["signals"] |= {"recorded": recorded.tolist(), "free_run": (factor * recorded).tolist()}
+        axes = dict(figures([result]))["figure-6"].axes[0]
+        assert [text.get_text() for text in axes.texts] == [*words, "2 m/s²"]
+        bar = axes.get_lines()[-1].get_ydata()
+        assert bar[1] - bar[0] == 2  # in the unit of the recorded one, drawn as it is
+        np.testing.assert_array_equal(axes.get_lines()[0].get_ydata(), recorded)
 
 
 def test_splits_that_are_the_same_blocks_are_said(swept: Path) -> None:
@@ -377,8 +479,10 @@ def test_what_is_not_complete_is_said_and_not_compared(swept: Path) -> None:
 
 
 def papers(records: list[dict]) -> dict[str, str]:
-    """Return the paper's figure of each method in the summary."""
-    return {row[0].removesuffix(", without excitation"): row[2] for row in summary(records)[1:]}
+    """Return the paper's figure of each method in the summary, empty where it has none."""
+    heading, *rows = summary(records)
+    lines = [dict(zip(heading, row, strict=True)) for row in rows]
+    return {line[""].removesuffix(", without excitation"): line.get(PAPERS, "") for line in lines}
 
 
 def test_the_papers_figure_is_of_the_one_row_without_excitation(swept: Path) -> None:
@@ -400,8 +504,8 @@ def test_a_method_without_one_step_has_a_row_and_the_papers_figure(swept: Path) 
         one["evaluation"]["one_step"] = dict.fromkeys(one["evaluation"]["one_step"])
     records = records_of([*results, *copied])
     rows = {row[0]: row for row in summary(records)}
-    assert rows["spectra"][1:5] == ["–", "0.298", "", "–"]
-    assert float(rows["spectra"][5]) > 0
+    assert rows["spectra"][1:4] == ["–", "0.298", "–"]
+    assert float(rows["spectra"][4]) > 0
     said = list(findings(records))
     assert "one-step MAE [sd]: there is none of spectra." in said
     assert not any("for want of" in one for one in said)

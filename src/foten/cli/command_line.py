@@ -1,6 +1,7 @@
 """The command line: one subcommand per stage; parse, call one function, write.
 
-Exit status: 0; 1 for a result that fails a check; 2 for bad input or usage, one line on stderr; 130 after Ctrl-C.
+Exit status: 0; 1 for a result that fails a check; 2 for bad input or usage, one line on stderr; 130 after
+Ctrl-C, and of a sweep after SIGTERM.
 Results go to stdout, progress to stderr. Heavy imports stay inside the subcommands.
 """
 
@@ -8,7 +9,7 @@ from __future__ import annotations
 
 import os
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from typer.exceptions import Abort, TyperException
@@ -23,8 +24,20 @@ from foten.cli.render import play, render
 from foten.cli.serve import serve
 from foten.cli.train import train
 
+
+class _Commands(typer.core.TyperGroup):
+    """The subcommands, Ctrl-C in which is an `Abort`: Typer would end without a word."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as interrupted:
+            raise Abort from interrupted
+
+
 app = typer.Typer(
     name="foten",
+    cls=_Commands,
     help="Haptic textures learned from a recording and given back as vibration.",
     add_completion=True,
     pretty_exceptions_enable=False,

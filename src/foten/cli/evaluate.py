@@ -20,10 +20,11 @@ def evaluate(
     report: Annotated[Path | None, Option(metavar="DIR", help="Write DIR/report.html and DIR/evaluation.json.")] = None,
     seed: Annotated[int, Option(min=0, max=2**32 - 1, help="Of the excitation.")] = 0,
     trim: Annotated[
-        float | None, Option(help="Of another recording, discarded at both ends (ms). [the trained one's]")
+        float | None,
+        Option(help="Of another recording, discarded at both ends (ms).", show_default="the trained one's"),
     ] = None,
     block: Annotated[
-        float | None, Option(help="Of another recording, what is scored as one (ms). [the trained one's]")
+        float | None, Option(help="Of another recording, what is scored as one (ms).", show_default="the trained one's")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -31,6 +32,7 @@ def evaluate(
     from foten import __version__
     from foten.datasets.hdf5 import load_recording
     from foten.evaluate import evaluate as judge
+    from foten.evaluate.report.tables import to_text
     from foten.experiments.truth import truth_for
     from foten.families.texture_file import read_texture
 
@@ -44,7 +46,7 @@ def evaluate(
         report.mkdir(parents=True, exist_ok=True)
         write_json(report / "evaluation.json", {"foten": __version__, **judgement.document})
         say(f"wrote {write_report(judgement, texture, report)}")
-    print_result(judgement.document, judge.to_text(judgement.document), as_json)
+    print_result(judgement.document, to_text(judgement.document), as_json)
 
 
 def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
@@ -60,10 +62,11 @@ def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
         cost, holds = card["metrics"]["multiply_adds"], f"{own['graph'].size:,} bytes for ONNX Runtime"
     else:
         cost = texture.sizes.multiply_adds()
-        holds = f"{sum(t.size for t in own.values())} numbers"
+        holds = f"{sum(t.size for t in own.values()):,} numbers"
     rows = {
         "texture": card["texture"] or "(unnamed)",
-        "model": f"{card['model']}, {holds}, predicts from {card['window']} samples",
+        "model": f"{card['model']}, {holds}",
+        "history": f"a prediction is made from the last {card['window']} samples",
         **_linear_part(texture),
         "cost": f"{cost:,} multiply-adds a rendered sample",
         "rate": f"{texture.rate_hz:g} Hz",
@@ -93,17 +96,35 @@ def _linear_part(texture: Texture) -> dict[str, str]:
     vertices = sizes["n_speed"] * sizes["n_force"]
     over = "for all speeds and forces" if vertices == 1 else f"over {vertices} speeds and forces"
     gain = ", gain before the filter" if sizes["gain_before_filter"] else ""
-    rows = {"lattice": f"{sizes['order']} samples, {over}{gain}", "tones": "none"}
-    in_loop = sizes["network_in_loop"] and not sizes["n_tones"]
-    rows["network"] = "in the loop" if in_loop else "predicts, and is not in the loop"
+    parts = f"the network is given {sizes['window']} of them, and the lattice those before"
+    rows = {"history": f"a prediction is made from the last {texture.window} samples: {parts}"}
+    rows |= {"lattice": f"order {sizes['order']}, {over}{gain}", "tones": "none"}
+    rows["network"] = network_summary(texture.card)
     if sizes["n_tones"]:
         length = (metrics.get("linear_part") or {}).get("wavelength_mm")
         every = f", the surface repeats every {length:.3g} mm" if length else ""
         rows["tones"] = (
-            f"{sizes['n_tones']} multiples{every}; for the residual a lattice of {sizes['residual_order']} samples"
+            f"{sizes['n_tones']} multiples{every}; for the residual a lattice of order {sizes['residual_order']}"
             f"{', gain before the filter' if sizes['residual_gain_before_filter'] else ''}"
         )
     return rows
+
+
+def network_summary(card: Mapping[str, Any]) -> str:
+    """Return what the network of a foten-plus texture is used for, in words."""
+    sizes, metrics = card["sizes"], card["metrics"]
+    if metrics.get("n_epochs") == 0:
+        return "not trained: the file was written before"
+    without = metrics.get("validation_mae_scaled_lattice")
+    gain = 100 * (1 - metrics["validation_mae_scaled"] / without) if without else 0.0
+    improves = (
+        f"improves one-step predictions by {gain:.1f} %" if gain >= 0.05 else "does not improve one-step predictions"
+    )
+    if sizes["n_tones"]:
+        return f"{improves}; a rendering, which is made of tones, does without it"
+    if sizes["network_in_loop"]:
+        return f"{improves}, and is part of a rendering"
+    return f"{improves}; a rendering does without it, as it did not help on the validation blocks"
 
 
 def validation_summary(card: Mapping[str, Any]) -> str:

@@ -16,16 +16,15 @@ ResultsFolder = Annotated[Path, Argument(metavar="DIR", help="Results of foten s
 
 def sweep(
     experiment_file: Annotated[
-        str,
+        str | None,
         Argument(
             metavar="FILE.toml",
-            help="Which methods learn which textures; or one of ours: table-1, table-2, figure-5, figure-5-delta; reduced: "
-            "table-1-small, and for a glance paper-small-table-1, -table-2, -figure-5, -figure-5-delta.",
+            help="Which methods learn which textures; or the name of an experiment that comes with foten, as --list shows them.",
         ),
-    ],
-    output: Annotated[Path, folder_option("Folder of the results, one file a run.")],
+    ] = None,
+    output: Annotated[Path | None, folder_option("Folder of the results, one file a run.")] = None,
     workers: Annotated[
-        int | None, Option(min=1, help="Runs at a time on this machine, a thread each. [its cores]")
+        int | None, Option(min=1, help="Runs at a time on this machine, a thread each.", show_default="its cores")
     ] = None,
     address: Annotated[
         str | None, Option(help="Of a Ray cluster; auto for the one that this machine is part of.")
@@ -44,17 +43,28 @@ def sweep(
         ),
     ] = 1,
     recordings: Annotated[
-        Path | None, Option(metavar="DIR", help="Folder of the experiment's recordings. [that of the file]")
+        Path | None,
+        Option(metavar="DIR", help="Folder of the experiment's recordings.", show_default="that of the file"),
     ] = None,
-    dry_run: Annotated[bool, Option("--dry-run", help="List the runs and stop.")] = False,
+    dry_run: Annotated[bool, Option("--dry-run", help="List the runs and stop; needs no -o.")] = False,
+    show_list: Annotated[bool, Option("--list", help="Show the experiments that come with foten and stop.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Train and judge every method of an experiment on every texture and split; goes on where it stopped."""
-    from foten.experiments.experiment import experiment_path, read_experiment
+    """Train and judge every method of an experiment on every texture and split; goes on where it stopped.
 
+    Ctrl-C or SIGTERM stops it with exit status 130 and keeps every run that is done.
+    """
+    from foten.experiments.experiment import experiment_path, experiments, read_experiment
+
+    if show_list:
+        ours = experiments()
+        print_result(ours, "\n".join(f"{name:28s}{title}" for name, title in ours.items()), as_json)
+        return
+    if experiment_file is None or (output is None and not dry_run):
+        raise ValueError("expected an experiment and -o DIR; --list shows those that come with foten")
     experiment = read_experiment(experiment_path(experiment_file), recordings)
     runs = experiment.runs()
-    if dry_run:
+    if output is None or dry_run:
         listed = "\n".join(f"{run.label}, {run.texture}, split {run.split_seed}" for run in runs)
         print_result([dataclasses.asdict(run) for run in runs], listed, as_json)
         if not as_json:
@@ -63,7 +73,10 @@ def sweep(
     check_folder(output)
     from foten.experiments import sweep as sweeping
 
-    n_done, n_failed = sweeping.sweep(experiment, output, workers, address, gpus_per_run, say, batched)
+    try:
+        n_done, n_failed = sweeping.sweep(experiment, output, workers, address, gpus_per_run, say, batched)
+    except sweeping.Stopped as stopped:
+        raise Exit(130) from stopped
     result = {"output": str(output), "n_runs": len(runs), "n_done": n_done, "n_failed": n_failed}
     print_result(result, f"{len(runs)} runs, {n_done} now, {n_failed} failed; next: foten tables {output}", as_json)
     if n_failed:
@@ -81,7 +94,7 @@ def tables(
 ) -> None:
     """Set the results of a sweep beside references and beside the paper's figures."""
     from foten.experiments.results import chosen, read_records, title_of, written_records
-    from foten.experiments.tables import FIGURES, FORMATS, findings, ratios, summary, table, written
+    from foten.experiments.tables import FIGURES, FORMATS, caveats, findings, ratios, summary, table, written
 
     records = read_records(results)
     check_folder(output)
@@ -90,7 +103,11 @@ def tables(
     if any(one["beside"] for one in shown):
         cells["ratios"] = ratios(shown)
     title, sentences = title_of(records), list(findings(records))
-    texts = {f"{name}.{form}": written(rows, form) for name, rows in cells.items() for form in FORMATS}
+    texts = {
+        f"{name}.{form}": written(rows, form, title, caveats(shown, name))
+        for name, rows in cells.items()
+        for form in FORMATS
+    }
     texts["runs.csv"] = written(written_records(records), "csv")
     texts["findings.md"] = "\n\n".join([f"# {title}", *sentences]) + "\n"
     if output is not None:
@@ -98,7 +115,7 @@ def tables(
         for name, text in texts.items():
             with atomic_write(output / name) as part:
                 part.write_text(text, encoding="utf-8")
-    printed = [texts[f"{name}.md"] for name in ("summary", "ratios") if name in cells]
+    printed = [written(cells[name], "md") for name in ("summary", "ratios") if name in cells]
     print_result(
         {"title": title, "tables": cells, "findings": sentences},
         "\n".join([f"{title}\n", *printed, *sentences]),
@@ -113,7 +130,8 @@ def figures(
         Path | None,
         Option(
             metavar="DIR",
-            help="Of the recordings, from which Fig. 4 is drawn. [where they were when the sweep was started]",
+            help="Of the recordings, from which Fig. 4 is drawn.",
+            show_default="where they were when the sweep was started",
         ),
     ] = None,
     as_json: JsonOption = False,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Exit, Option
 
 from foten.cli.console import JsonOption, RecordingFile, check_folders, print_result
-from foten.cli.evaluate import validation_summary
+from foten.cli.evaluate import network_summary, validation_summary
 
 if TYPE_CHECKING:
     from foten.recording.recording import Recording
@@ -29,24 +29,27 @@ def train(
         ),
     ] = "foten-plus",
     recipe: Annotated[str, Option(help="default (ours) or paper (Adam 1e-3, batch 16, 100 epochs).")] = "default",
-    rate: Annotated[float | None, Option(help="Of the model (Hz); the acceleration's own at most. [1000]")] = None,
-    trim: Annotated[float | None, Option(help="Discarded at both ends (ms). [2000]")] = None,
-    block: Annotated[float | None, Option(help="Unit of the split (ms). [2000]")] = None,
+    rate: Annotated[
+        float | None, Option(help="Of the model (Hz); the acceleration's own at most.", show_default="1000")
+    ] = None,
+    trim: Annotated[float | None, Option(help="Discarded at both ends (ms).", show_default="2000")] = None,
+    block: Annotated[float | None, Option(help="Unit of the split (ms).", show_default="2000")] = None,
     window: Annotated[
         int | None,
-        Option(help="m, samples that a prediction sees. [20; ten 25, ten-mfcc and ten-wavelet 30, dstn 40, fnn 144]"),
+        Option(
+            help="m, samples that a prediction sees.",
+            show_default="20; ten 25, ten-mfcc and ten-wavelet 30, dstn 40, fnn 144",
+        ),
     ] = None,
     seed: Annotated[int, Option(min=0, max=2**32 - 1, help="Of initial weights, order and dropout.")] = 0,
     split: Annotated[str, Option(help="regrouped by speed and force, or contiguous in time.")] = "regrouped",
     split_seed: Annotated[int, Option(min=0, help="Of the regrouped split.")] = 0,
     epochs: Annotated[int | None, Option(help="At most; the recipe's by default. (Of gan, of 50 steps each.)")] = None,
-    loss: Annotated[str | None, Option(help="huber, mse or mae. [huber]")] = None,
-    delta: Annotated[float | None, Option(help="Huber threshold, scaled. [1.6]")] = None,
+    loss: Annotated[str | None, Option(help="huber, mse or mae.", show_default="huber")] = None,
+    delta: Annotated[float | None, Option(help="Huber threshold, scaled.", show_default="1.6")] = None,
     batch: Annotated[int | None, Option(help="Windows a step; the recipe's by default.")] = None,
     learning_rate: Annotated[float | None, Option(help="Highest; the recipe's by default.")] = None,
-    dropout: Annotated[
-        float | None, Option(help="Share of hidden values; the recipe's by default. [0; paper 0.2]")
-    ] = None,
+    dropout: Annotated[float | None, Option(help="Share of hidden values.", show_default="0; paper 0.2")] = None,
     excitation: Annotated[
         bool,
         Option(
@@ -71,12 +74,13 @@ def train(
     ] = False,
     resume: Annotated[bool, Option("--resume", help="Go on from the run folder's checkpoint.")] = False,
     run_folder: Annotated[
-        Path | None, Option("--run", metavar="DIR", help="Log, curves, split, checkpoint. [T.run]")
+        Path | None, Option("--run", metavar="DIR", help="Log, curves, split, checkpoint.", show_default="T.run")
     ] = None,
     texture: Annotated[str, Option(help="Name in the card; the recording's by default.")] = "",
     licence: Annotated[str, Option(help="Licence of the texture, for the card.")] = "",
     threads: Annotated[
-        int | None, Option(help="Share each batch among so many cores (on a GPU there is one share). [2; paper 1]")
+        int | None,
+        Option(help="Share each batch among so many cores (on a GPU there is one share).", show_default="2; paper 1"),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -200,7 +204,10 @@ def _summary(trained: Trained) -> str:
         summary += f" (epoch {metrics['best_epoch']})"
     if metrics.get("validation_mae_scaled_lattice") is not None:
         summary += f", {metrics['validation_mae_scaled_lattice']:.4f} sd without its network"
-    lines = [summary, f"above the trained range {trained.texture.beyond_in_words()}"]
+    lines = [summary]
+    if card["model"] == "foten-plus":
+        lines.append(f"network: {network_summary(card)}")
+    lines.append(f"above the trained range {trained.texture.beyond_in_words()}")
     if trace.n_uncovered:
         lines.append(f"left out: {counted(trace.n_uncovered, 'sample')}, not covered by every channel")
     if trace.n_dropped:

@@ -116,7 +116,9 @@ def joined(events: PenEvents, sound: Array, rate_hz: float) -> PenClock:
     reach = taps - taps[0]
     for delay in (knocks[:, None] - taps[None, : LEAST_TAPS + 2]).ravel():
         pairs = _pairs(taps + delay, knocks, WIDE_S + MOST_DRIFT * reach)
-        if pairs[0].size > best[0].size or (pairs[0].size == best[0].size and _spread(taps, knocks, pairs) < _spread(taps, knocks, best)):
+        if pairs[0].size > best[0].size or (
+            pairs[0].size == best[0].size and _spread(taps, knocks, pairs) < _spread(taps, knocks, best)
+        ):
             best = pairs
     if best[0].size < least:
         raise ValueError(
@@ -182,7 +184,10 @@ def pen_channels(events: PenEvents, clock: PenClock, force: Callable[[Array], Ar
         began = float(events.times_s[first])
         if ended is not None:
             left = left + (events.x_mm[first] - left[0] - ended[1], events.y_mm[first] - left[1] - ended[2])
-            times += [min(ended[0] + step, 0.5 * (ended[0] + began)), max(began - step, 0.5 * (ended[0] + began) + 1e-6)]
+            times += [
+                min(ended[0] + step, 0.5 * (ended[0] + began)),
+                max(began - step, 0.5 * (ended[0] + began) + 1e-6),
+            ]
             x += [ended[1], ended[1]]
             y += [ended[2], ended[2]]
             pressed += [0.0, 0.0]

@@ -155,21 +155,11 @@ def _one_step(
         return document
     n = targets(blocks, block, first).reshape(len(blocks), -1)
     recorded = samples[n, 0]
-    if texture.sizes.from_noise:
-        reasons["one_step"] = f"{texture.card['model']} predicts spectra, and no sample"
-    else:
-        result.update(one_step(recorded, predict(kernel, samples, n).sample, sd))
-    if texture.sizes.excited:
-        counted = (trace.speed[n] >= FADE_SPEED) & (trace.force[n] >= FADE_FORCE)
-        scores = excitation_scores(kernel, samples, n, counted)
-        if scores["nll"] is None:
-            reasons["one_step.nll"] = "the excitation is that of a rendering, or the hand was at rest"
-        result.update({**scores, "intervals": {**result["intervals"], **scores["intervals"]}})
     predicted = {"zero": np.zeros(n.shape), "persistence": samples[n - 1, 0]}
     if texture.card["model"] == "foten-plus":
         predicted["lattice"] = predict(kernel, samples, n, "linear").sample
     else:
-        reasons["references.lattice"] = f"{texture.card['model']} has none"
+        reasons["references.lattice"] = f"{texture.card['model']} has no linear part"
     if not fitted:
         reasons["references.ar"] = "a foreign recording has no training blocks to fit linear predictors on"
     for name, linear in fitted.items():
@@ -178,7 +168,17 @@ def _one_step(
         else:
             predicted[name] = linear.predict(samples, n)
     for name, values in predicted.items():
-        references[name].update(one_step(recorded, values, sd))
+        references[name].update(one_step(recorded, values, sd, predicted.get("ar")))
+    if texture.sizes.from_noise:
+        reasons["one_step"] = f"{texture.card['model']} predicts spectra, and no sample"
+    else:
+        result.update(one_step(recorded, predict(kernel, samples, n).sample, sd, predicted.get("ar")))
+    if texture.sizes.excited:
+        counted = (trace.speed[n] >= FADE_SPEED) & (trace.force[n] >= FADE_FORCE)
+        scores = excitation_scores(kernel, samples, n, counted)
+        if scores["nll"] is None:
+            reasons["one_step.nll"] = "the excitation is that of a rendering, or the hand was at rest"
+        result.update({**scores, "intervals": {**result["intervals"], **scores["intervals"]}})
     for name, bound in (("bound", truth.bound), ("bound_window", truth.bound_window)):
         if bound is None:
             reasons[f"references.{name}"] = truth.why_no_bound
@@ -232,25 +232,3 @@ def _free_run(
             scores[name]["n_saturated"] = saturated[name]
     scores["ceiling"]["of"] = ceiling_of
     return scores, signals
-
-
-def to_text(document: Mapping[str, Any]) -> str:
-    """Return the document's figures as two aligned tables."""
-
-    def cell(value: float | None) -> str:
-        return f"{'–' if value is None else f'{value:.4f}' if abs(value) < 1 else f'{value:.3f}':>10}"
-
-    lines = [
-        f"{document['texture'] or 'texture'}, {document['model']} at {document['rate_hz']:g} Hz; split {document['split']}, "
-        f"{document['n_blocks']} blocks of {document['block']} samples",
-        "",
-        f"{'one-step error':26s}{'scaled':>10}{'m/s²':>10}{'GFC':>10}",
-    ]
-    # "ar" is a reference's name and a model's.
-    rows = [(f"{document['model']}, this texture", document["one_step"]), *document["references"].items()]
-    lines += [f"{name:26s}" + "".join(cell(row[key]) for key in ONE_STEP_KEYS) for name, row in rows]
-    heads = ("LSD dB", "long dB", "GFC raw", "Welch", "bias dB", "error dB", "corr", "kurtosis", "max sd")
-    lines += ["", f"{'free run':22s}" + "".join(f"{head:>10}" for head in heads)]
-    lines += [f"{name:22s}" + "".join(cell(document[name][key]) for key in FREE_RUN_KEYS) for name in RUNS]
-    lines += [f"{name}: {reason}" for name, reason in document["reasons"].items()]
-    return "\n".join(lines)

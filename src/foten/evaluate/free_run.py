@@ -144,7 +144,7 @@ def free_run(
             "level_error_db": float(np.abs(difference).mean()) if framed else None,
             "level_corr": _correlation(level_p[index], level_q[:, index]) if framed else None,
             "kurtosis": _kurtosis(moments[:, index].mean(axis=1)),
-            "band_errors_db": metrics.band_errors(pooled_p, pooled_q, frequencies[bins], rate_hz),
+            "band_errors_db": metrics.band_errors(pooled_p, pooled_q, frequencies[bins], metrics.band_edges(rate_hz)),
             "level_slopes": metrics.level_slopes(
                 level_q[:, index].mean(axis=0), frame_speed[index], frame_force[index]
             ),

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
-from foten.dsp.distance import HIGHEST_HZ, LOWEST_HZ, POWER_FLOOR
+from foten.dsp.distance import LOWEST_HZ, POWER_FLOOR, highest_scored
 
 N_BANDS = 9
 
@@ -59,12 +59,11 @@ def kurtosis(samples: Array) -> float:
 
 def band_edges(rate_hz: float) -> Array:
     """Return the edges of nine bands, equal in log frequency, over the scored range [Hz], shape (10,)."""
-    return np.geomspace(LOWEST_HZ, min(HIGHEST_HZ, 0.45 * rate_hz), N_BANDS + 1)
+    return np.geomspace(LOWEST_HZ, highest_scored(rate_hz), N_BANDS + 1)
 
 
-def band_errors(recorded: Array, synthesized: Array, frequencies: Array, rate_hz: float) -> list[float | None]:
-    """Return the error of each band's energy [dB], from pooled densities (k,); None where a band holds no bin."""
-    edges = band_edges(rate_hz)
+def band_errors(recorded: Array, synthesized: Array, frequencies: Array, edges: Array) -> list[float | None]:
+    """Return the error of the energy of each band between edges [Hz], in dB, from pooled densities (k,); None without a bin."""
     starts = np.searchsorted(frequencies, edges)
     starts[-1] = np.searchsorted(frequencies, edges[-1], side="right")  # the last band includes both edges
     errors: list[float | None] = []

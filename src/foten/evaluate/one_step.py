@@ -27,21 +27,25 @@ FIRST_SCORED = 320  # samples of each block that no method is scored on: more th
 _HALF, _NINE_TENTHS = 0.6744897501960817, 1.6448536269514722  # quantiles of a standard normal, |z| < …
 
 
-def one_step(recorded: Array, predicted: Array, sd: float) -> dict[str, Any]:
+def one_step(recorded: Array, predicted: Array, sd: float, linear: Array | None = None) -> dict[str, Any]:
     """Return the one-step figures of a predictor over the scored samples of some blocks.
 
     Args:
         recorded, predicted: scaled acceleration, shape (n_blocks, k); the same samples for every method that is compared.
         sd: training standard deviation of the acceleration [m/s²].
+        linear: what AR(20) predicts of the same samples, scaled.
 
     Returns:
-        `mae_scaled`, `mae_m_s2`, `gfc` (Eq. 13 on raw bins, mean over blocks), `intervals`.
+        `mae_scaled`, `mae_m_s2`, `gfc` (Eq. 13 on raw bins, mean over blocks), `intervals`; with `linear` also `mae_to_ar`, the
+        error over AR(20)'s, whose interval is that of a difference on the same blocks.
     """
     error, fit = np.abs(recorded - predicted).mean(axis=1), goodness_of_fit(recorded, predicted)
+    beside = np.zeros(len(error)) if linear is None else np.abs(recorded - linear).mean(axis=1)
 
     def figures(index: NDArray[np.int64]) -> dict[str, float]:
         mae = float(error[index].mean())
-        return {"mae_scaled": mae, "mae_m_s2": mae * sd, "gfc": float(fit[index].mean())}
+        ratio = {"mae_to_ar": mae / float(beside[index].mean())} if beside.all() else {}
+        return {"mae_scaled": mae, "mae_m_s2": mae * sd, "gfc": float(fit[index].mean()), **ratio}
 
     return {**figures(np.arange(len(error))), "intervals": intervals(figures, len(error))}
 

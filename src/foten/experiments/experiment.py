@@ -91,7 +91,7 @@ class Experiment:
     title: str  # of its tables
     textures: tuple[str, ...]  # keys of the simulator, or recordings (.h5)
     methods: tuple[Method, ...]  # rows
-    note: str = ""  # what tables say below, of what was reduced for one
+    note: str = ""  # what tables say above, of what was reduced for one
     seconds: float = 60.0  # that textures are simulated for
     split_seeds: tuple[int, ...] = (1,)  # of the splits; of simulated textures other strokes too
     recipe: str = "default"  # of training
@@ -148,6 +148,12 @@ class Experiment:
         )
 
 
+def experiments() -> dict[str, str]:
+    """Return the titles of the experiments that come with foten, by name."""
+    paths = sorted(Path(__file__).parent.glob("*.toml"), key=lambda path: path.stem)
+    return {path.stem: tomllib.loads(path.read_text(encoding="utf-8"))["title"] for path in paths}
+
+
 def experiment_path(name: str) -> Path:
     """Return the path of an experiment: a file, or by its name one that comes with foten.
 
@@ -159,8 +165,7 @@ def experiment_path(name: str) -> Path:
         return Path(name)
     if (ours / f"{name}.toml").exists():
         return ours / f"{name}.toml"
-    known = ", ".join(sorted(path.stem for path in ours.glob("*.toml")))
-    raise FileNotFoundError(f"no experiment {name!r}, expected a .toml file or one of {known}")
+    raise FileNotFoundError(f"no experiment {name!r}, expected a .toml file or one of {', '.join(experiments())}")
 
 
 def read_experiment(path: Path, recordings: Path | None = None) -> Experiment:

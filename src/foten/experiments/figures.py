@@ -24,6 +24,7 @@ from foten.recording.split import split_blocks
 COLOURS = ("#2b83cf", "#e08a1e", "#1a9c72", "#b77ab0", "#c2452d", "#7a6a10", "#4f4fb5", "#12b5cb")
 RECORDED = "#222222"
 PARTS = {"train": "#8fd3e8", "validation": "#f3e28a", "test": "#f0a3a0"}
+SILENT_DB = 20.0  # below the recording, from where on a free run is called silent
 
 
 def figures(
@@ -157,7 +158,8 @@ def thresholds(results: Results) -> Figure:
 def waveforms(results: Results) -> Figure:
     """Return 400 samples of a test block of each texture, recorded and of each method's free run, as Fig. 6.
 
-    The waveforms are independent realisations: compare level and character, not samples.
+    The waveforms are independent realisations: compare level and character, not samples. All of a panel have one scale, which
+    the bar beside the recorded one states. One that is silent is a flat line, and the number says how far below it lies.
     """
     textures, colours = _first_split(results)
     figure, panels = _panels(textures, 3.4, 1.1 + 0.45 * len(colours))
@@ -168,19 +170,40 @@ def waveforms(results: Results) -> Figure:
         times = 1000 * np.arange(len(recorded)) / first["evaluation"]["rate_hz"]
         axes.plot(times, recorded, color=RECORDED, lw=0.7)
         for k, (method, one) in enumerate(by_method.items()):
-            run = np.clip(one["signals"]["free_run"], -0.5 * step, 0.5 * step)
-            axes.plot(times, run - (k + 1) * step, color=colours[method], lw=0.7)
-        axes.set_yticks([-k * step for k in range(len(by_method) + 1)], ["recorded", *by_method], fontsize=7)
+            run = np.array(one["signals"]["free_run"])
+            axes.plot(times, run.clip(-0.5 * step, 0.5 * step) - (k + 1) * step, color=colours[method], lw=0.7)
+            below = _below_db(recorded.var(), run.var())
+            if below > SILENT_DB:
+                place = {"xy": (times[-1], (0.12 - k - 1) * step), "ha": "right", "va": "bottom"}
+                axes.annotate(f"silent here: {below:.0f} dB below the recording", **place, fontsize=6.5)
+        bar, beyond = _round_below(0.45 * step), 1.03 * times[-1]
+        axes.plot([beyond, beyond], [-bar / 2, bar / 2], color=RECORDED, lw=2)
+        axes.annotate(f"{bar:g} m/s²", (1.04 * times[-1], 0), rotation=90, va="center", fontsize=6.5)
+        names = [method.replace(", ", ",\n") for method in by_method]
+        axes.set_yticks([-k * step for k in range(len(names) + 1)], ["recorded", *names], fontsize=7)
     figure.supxlabel("time [ms]", fontsize=9)
     return figure
+
+
+def _below_db(recorded: float, synthesized: float) -> float:
+    """Return how far a power lies below the recorded one [dB], 300 at most."""
+    return 10 * float(np.log10(recorded / max(synthesized, 1e-30 * recorded))) if recorded > 0 else 0.0
+
+
+def _round_below(limit: float) -> float:
+    """Return the largest of 1, 2 and 5 times a power of ten up to a limit."""
+    power = 10.0 ** np.floor(np.log10(limit)) if limit > 0 else 1.0
+    return max(step * power for step in (1, 2, 5) if step == 1 or step * power <= limit)
 
 
 def spectra(results: Results) -> Figure:
     """Return power spectra of the test blocks of each texture, recorded and of each method's free run, as Fig. 7.
 
-    Densities below the axis, as of a free run that falls silent, are drawn along its lower edge.
+    Densities below the axis, as of a free run that falls silent, are drawn along its lower edge; the legend says how far below
+    the recording its level lies.
     """
     textures, colours = _first_split(results)
+    labels = {method: method + _silence(method, textures) for method in colours}
     figure, panels = _panels(textures, 3.0, 2.2)
     for axes, by_method in zip(panels, textures.values(), strict=True):
         first = next(iter(by_method.values()))["signals"]
@@ -189,15 +212,28 @@ def spectra(results: Results) -> Figure:
         for method, one in by_method.items():
             frequencies, density = one["signals"]["frequencies_hz"], one["signals"]["density"]["free_run"]
             shown = np.maximum(10 * np.log10(np.maximum(density, 1e-30)), low + 0.3)
-            axes.plot(frequencies, shown, color=colours[method], lw=1, label=method)
+            axes.plot(frequencies, shown, color=colours[method], lw=1, label=labels[method])
         axes.plot(first["frequencies_hz"], recorded, color=RECORDED, lw=1.2, label="recorded")
         axes.set_ylim(low, high)
     named = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    columns = min(4, len(named))
+    # As many beside each other as the width has room for, about 14 characters an inch and 3 for the line.
+    columns = max(1, min(4, len(named), int(14 * figure.get_figwidth() / (3 + max(map(len, named))))))
     figure.legend(named.values(), named, loc="outside upper center", ncols=columns, frameon=False, fontsize=8)
+    figure.set_figheight(figure.get_figheight() + 0.18 * (len(named) // columns - 1))
     figure.supxlabel("frequency [Hz]", fontsize=9)
     figure.supylabel("power density [dB re 1 (m/s²)²/Hz]", fontsize=9)
     return figure
+
+
+def _silence(method: str, textures: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
+    """Say on how many textures a method falls silent, and how far below the recording; nothing where on none."""
+    densities = [by_method[method]["signals"]["density"] for by_method in textures.values() if method in by_method]
+    below = [_below_db(np.mean(density["recorded"]), np.mean(density["free_run"])) for density in densities]
+    silent = [f"{one:.0f}" for one in sorted(below) if one > SILENT_DB]
+    if not silent:
+        return ""
+    where = "falls silent" if len(silent) == len(below) else f"falls silent on {len(silent)} of {len(below)} textures"
+    return f": {where}, {' to '.join(dict.fromkeys((silent[0], silent[-1])))} dB below the recording"
 
 
 def _first_split(results: Results) -> tuple[dict[str, dict[str, Mapping[str, Any]]], dict[str, str]]:

@@ -61,28 +61,30 @@ class Figure:
 
     name: str  # in headings, with its unit
     path: str  # its key in a record
-    reported: tuple[str, int] | None  # the attribute of `Reported` to print beside it, and its digits
+    digits: int  # behind the point, of means
     better: int  # 1 where more is better, −1 where less is
+    linear: str  # the linear predictor among the references, that a method is to beat
     factor: float = 1.0  # from the number in the file to the one in tables
 
 
+PERSISTENCE, BEST_LINEAR, LINEAR_RUN = "persistence", "best AR", "AR(20) with white noise"
 FIGURES = {
-    "mae": Figure("one-step MAE [sd]", "one_step.mae_scaled", ("mae", 3), -1),
-    "gfc": Figure("one-step GFC [%]", "one_step.gfc", ("gfc", 2), 1, factor=100.0),
-    "lsd": Figure("free-run log-spectral distance [dB]", "free_run.lsd_db", None, -1),
-    "level": Figure("free-run level error [dB]", "free_run.level_error_db", None, -1),
+    "mae": Figure("one-step MAE [sd]", "one_step.mae_scaled", 3, -1, BEST_LINEAR),
+    "gfc": Figure("one-step GFC [%]", "one_step.gfc", 1, 1, BEST_LINEAR, factor=100.0),
+    "lsd": Figure("free-run log-spectral distance [dB]", "free_run.lsd_db", 2, -1, LINEAR_RUN),
+    "level": Figure("free-run level error [dB]", "free_run.level_error_db", 2, -1, LINEAR_RUN),
 }
 REFERENCES = {
     "zero": "references.zero",
-    "persistence": "references.persistence",
+    PERSISTENCE: "references.persistence",
     "AR(20)": "references.ar",
     "AR(20) by speed and force": "references.ar_scheduled",
-    "best AR": "references.ar_best",
+    BEST_LINEAR: "references.ar_best",
     "least possible": "references.bound",
 }
-FREE_RUN_REFERENCES = {"AR(20) with white noise": "free_run_ar", "ceiling": "ceiling"}
+FREE_RUN_REFERENCES = {LINEAR_RUN: "free_run_ar", "ceiling": "ceiling"}
 WITHOUT = ", without excitation"
-"""What is added to a method's name where its free run has no excitation."""
+"""What is added to a method's name, in tables and figures, where its free run has no excitation."""
 VALIDATION = ("validation.mae_scaled", "validation.spectrum_db")
 """What the recipe of a method is chosen by, the first that it has: a one-step error, of models of spectra a distance."""
 _KEPT = ("one_step", "free_run", "free_run_deterministic", "free_run_ar", "ceiling", "references", "validation")
@@ -109,7 +111,7 @@ def _record(result: Mapping[str, Any]) -> dict[str, Any]:
         "rate_hz": judged["rate_hz"],
         "split": run.split_seed,
         "n_blocks": judged["n_blocks"],
-        "excitation": "yes" if judged["free_run"]["lsd_db"] is not None else "no" if _rendered(judged) else "",
+        "excitation": _excitation(judged),
         "network_in_loop": result.get("network_in_loop"),
         "recording_sha256": result["recording_sha256"][:12],
         "split_sha256": (judged["split_sha256"] or "")[:12],
@@ -129,8 +131,11 @@ def _record(result: Mapping[str, Any]) -> dict[str, Any]:
     return record
 
 
-def _rendered(judged: Mapping[str, Any]) -> bool:
-    return judged["free_run_deterministic"]["lsd_db"] is not None
+def _excitation(judged: Mapping[str, Any]) -> str:
+    """Return whether a free run has the random excitation, "yes" or "no"; empty where there is no free run."""
+    if judged["free_run"]["lsd_db"] is not None:
+        return "yes"
+    return "no" if judged["free_run_deterministic"]["lsd_db"] is not None else ""
 
 
 def _flat(scores: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -174,7 +179,7 @@ def _parsed(key: str, text: str) -> Any:
 
 def written_records(records: Records) -> list[list[str]]:
     """Return records as the cells of `runs.csv`, its heading first: numbers with six digits, empty where there is none."""
-    keys = [key for key in dict.fromkeys(key for one in records for key in one) if key != "note"]
+    keys = list(dict.fromkeys(key for one in records for key in one))
     keys = [key for key in keys if any(one.get(key) not in (None, "") for one in records)]
 
     def cell(value: Any) -> str:
@@ -197,7 +202,8 @@ def chosen(records: Records) -> list[Mapping[str, Any]]:
 def chosen_results(results: Results) -> list[Mapping[str, Any]]:
     """Return the result files of the recipes that are `chosen`."""
     kept = {(one["method"], one["recipe"]) for one in chosen(records_of(results))}
-    return [one for one in results if (label_of(one), Run(**one["run"]).recipe) in kept]
+    runs = [Run(**one["run"]) for one in results]
+    return [one for one, run in zip(results, runs, strict=True) if (run.label, run.recipe) in kept]
 
 
 def by_recipe(records: Records) -> dict[str, dict[str, float]]:
@@ -261,8 +267,8 @@ def read_result(path: Path) -> dict[str, Any] | None:
 
 
 def label_of(result: Mapping[str, Any]) -> str:
-    """Return the name of a result's row in tables."""
-    return Run(**result["run"]).label
+    """Return the name of a result's row in tables, and of its line in figures."""
+    return Run(**result["run"]).label + (WITHOUT if _excitation(result["evaluation"]) == "no" else "")
 
 
 def name_of(texture: str) -> str:
@@ -310,11 +316,12 @@ def rows_of(records: Records, figure: str) -> tuple[list[str], list[Row]]:
     rows = [one for one in rows if one.values]
     for name in dict.fromkeys(one["method"] for one in records):
         own = [one for one in records if one["method"] == name]
-        model, excited = own[-1]["model"], own[0]["excitation"] == "yes"
-        method = row(name, model, head, own, excited)
-        if not method.values and head == "free_run":
-            method = row(name + WITHOUT, model, "free_run_deterministic", own)
-        rows.append(method)
+        model, excitation = own[-1]["model"], {one["excitation"] for one in own}
+        if "no" in excitation and "yes" not in excitation:
+            where = "free_run_deterministic" if head == "free_run" else head
+            rows.append(row(name + WITHOUT, model, where, own))
+        else:
+            rows.append(row(name, model, head, own, "yes" in excitation))
     return textures, rows
 
 

@@ -1,17 +1,20 @@
 """Every run of an experiment, on one machine or a cluster: Ray distributes them, this process writes the results.
 
 A result is one file, named by the hash of all that it depends on and written atomically by the process that sweeps. So a sweep
-continues where it stopped and may be started twice. Ray restarts the runs of a lost worker or node elsewhere. A recording goes
-to each node once, through Ray's object store.
+continues where it stopped and may be started twice. Ctrl-C and SIGTERM, by which batch queues end a job, stop it. Ray restarts
+the runs of a lost worker or node elsewhere. A recording goes to each node once, through Ray's object store.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import signal
 import socket
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -33,6 +36,12 @@ ANSWER_S = 5.0  # in which a cluster has to answer
 NO_CLUSTER = (
     "no Ray cluster answers at {}: was it started with 'ray start --head', and is RAY_AUTH_TOKEN its token? ({})"
 )
+
+
+class Stopped(KeyboardInterrupt):
+    """A sweep that was stopped, and has said so."""
+
+
 THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
@@ -55,6 +64,7 @@ def sweep(
 
     Raises:
         ValueError: a setting does not fit, or there is no such cluster.
+        Stopped: by Ctrl-C or SIGTERM.
     """
     if address is not None and workers is not None:
         raise ValueError("--workers is of this machine: a cluster at --address has as many as its nodes have cores")
@@ -75,8 +85,10 @@ def sweep(
     say(f"{len(runs)} runs, {len(runs) - len(waiting)} of them done before")
     if not waiting:
         return 0, 0
-    _start_ray(workers, address, gpus_per_run)
+    before = signal.getsignal(signal.SIGTERM)
     try:
+        _stoppable(lambda: _start_ray(workers, address, gpus_per_run))
+        _handle_sigterm(signal.default_int_handler)
         if gpus_per_run > ray.cluster_resources().get("GPU", 0):
             raise ValueError(f"--gpus-per-run is {gpus_per_run:g}, and Ray finds no such GPU")
         kept = {source: ray.put(recordings[source][1]) for source in {run.source for _, run, _ in waiting}}
@@ -87,8 +99,46 @@ def sweep(
             for some in _groups(waiting, n_batched)
         }
         return _collected(experiment, pending, say)
+    except KeyboardInterrupt as error:
+        # Before Ray is shut down, which takes seconds.
+        n_done = sum(path.exists() for path in named)
+        say(f"stopped, {n_done} of {len(runs)} done; the same command goes on")
+        raise Stopped from error
     finally:
         ray.shutdown()
+        _handle_sigterm(before)
+
+
+def _handle_sigterm(handler: Any) -> None:
+    """Set the handler of SIGTERM, where this thread may: Ray's own print a trace and abort."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, handler)
+
+
+def _stoppable(start: Callable[[], None]) -> None:
+    """Start Ray, and raise KeyboardInterrupt where Ctrl-C or SIGTERM came meanwhile.
+
+    What a handler raises while Ray forks a process is lost, and at SIGTERM Ray exits. The signals' numbers are kept in any case.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return start()
+    received, sent = socket.socketpair()
+    with received, sent:
+        for end in (received, sent):
+            end.setblocking(False)
+        before = signal.set_wakeup_fd(sent.fileno())
+        ended: SystemExit | None = None
+        try:
+            start()
+        except SystemExit as error:
+            ended = error
+        finally:
+            signal.set_wakeup_fd(before)
+        with suppress(BlockingIOError):
+            if {signal.SIGINT, signal.SIGTERM} & set(received.recv(64)):
+                raise KeyboardInterrupt
+        if ended is not None:
+            raise ended
 
 
 def _about(experiment: Experiment, index: int, run: Run) -> dict[str, Any]:

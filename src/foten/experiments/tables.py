@@ -13,7 +13,9 @@ from foten.dsp import Array
 from foten.experiments.results import (
     FIGURES,
     PAPER,
+    PERSISTENCE,
     WITHOUT,
+    Figure,
     Records,
     Row,
     as_in_paper,
@@ -32,6 +34,7 @@ RATIOS = (
     ("test: level error", "free_run.level_error_db"),
 )
 FORMATS = ("md", "csv", "tex")
+PAPERS = "paper's MAE, unit not stated"
 _LATEX = str.maketrans(
     {
         **{character: "\\" + character for character in "&%_#${}"},
@@ -45,23 +48,23 @@ def summary(records: Records) -> list[list[str]]:
     """Return the methods and references with their means over textures, beside the paper's, and the seconds of training.
 
     `p` is of the one-step errors' differences from the best method's. Means are ± the standard error that the splits of the
-    textures give them, where there are several.
+    textures give them, where there are several. A column without a cell is left out.
     """
-    rows = {figure: {row.name.removesuffix(WITHOUT): row for row in rows_of(records, figure)[1]} for figure in FIGURES}
+    rows = {figure: {row.name: row for row in rows_of(records, figure)[1]} for figure in FIGURES}
     textures, of_mae = rows_of(records, "mae")
     _, p = compared(of_mae, textures, FIGURES["mae"].better)
     in_paper = as_in_paper(of_mae)
-    cells = [["", "MAE [sd]", "paper's", "p", "GFC [%]", "LSD [dB]", "level error [dB]", "training [s]"]]
+    cells = [["", "MAE [sd]", PAPERS, "p", "GFC [%]", "LSD [dB]", "level error [dB]", "training [s]"]]
     for name in dict.fromkeys(name for by_name in rows.values() for name in by_name):
-        mae, gfc, lsd, level = (by_name.get(name) for by_name in rows.values())
-        own = [one for one in records if one["method"] == name]
-        reported = f"{PAPER[mae.model].mae:.3f}" if mae is not None and name in in_paper else ""
-        shown = name + (WITHOUT if lsd is not None and lsd.name != name else "")
-        line = [shown, mean_cell(mae, textures, 3), reported, f"{p[name]:.3f}" if name in p else ""]
-        line += [mean_cell(gfc, textures, 1), mean_cell(lsd, textures, 2), mean_cell(level, textures, 2)]
-        line.append(f"{np.mean([one['training_s'] for one in own]):.0f}" if own else "")
-        cells.append(line)
-    return cells
+        mae, gfc, lsd, level = (
+            mean_cell(by_name.get(name), textures, FIGURES[figure].digits) for figure, by_name in rows.items()
+        )
+        own = [one for one in records if one["method"] == name.removesuffix(WITHOUT)]
+        reported = f"{PAPER[rows['mae'][name].model].mae:.3f}" if name in in_paper else ""
+        seconds = f"{np.mean([one['training_s'] for one in own]):.0f}" if own else ""
+        cells.append([name, mae, reported, f"{p[name]:.3f}" if name in p else "", gfc, lsd, level, seconds])
+    kept = [k for k in range(len(cells[0])) if k == 0 or any(row[k] for row in cells[1:])]
+    return [[row[k] for k in kept] for row in cells]
 
 
 def mean_cell(row: Row | None, textures: Sequence[str], digits: int) -> str:
@@ -117,28 +120,46 @@ def _ratio(pairs: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]], path: s
     return f"{values.mean():.3f}{error}"
 
 
-def written(cells: Sequence[Sequence[str]], form: str) -> str:
-    """Return a table as Markdown, CSV or LaTeX."""
+def caveats(records: Records, name: str = "summary") -> list[str]:
+    """Return what a reader of a table has to know: what the experiment reduced, and what a figure is blind to."""
+    notes = list(dict.fromkeys(one["note"] for one in records if one.get("note")))
+    textures, rows = rows_of(records, "gfc")
+    for row in rows:
+        if row.name == PERSISTENCE and name in ("summary", "gfc"):
+            blind = "The GFC of a one-step prediction is blind to delay and gain"
+            notes.append(
+                f"{blind}: {PERSISTENCE}, which repeats the last sample, has {row.means(textures).mean():.1f} %."
+            )
+    return notes
+
+
+def written(cells: Sequence[Sequence[str]], form: str, title: str = "", notes: Sequence[str] = ()) -> str:
+    """Return a table as Markdown, CSV or LaTeX.
+
+    Title and notes stand above it, in LaTeX as comments; a CSV has none.
+    """
     if form == "csv":
         out = io.StringIO()
         csv.writer(out, lineterminator="\n").writerows(cells)
         return out.getvalue()
     if form == "md":
         lines = ["| " + " | ".join(cell.replace("|", r"\|") for cell in row) + " |" for row in cells]
-        return "\n".join([lines[0], "|" + "---|" * len(cells[0]), *lines[1:]]) + "\n"
+        above = "".join(f"{text}\n\n" for text in [*([f"# {title}"] if title else []), *notes])
+        return above + "\n".join([lines[0], "|" + "---|" * len(cells[0]), *lines[1:]]) + "\n"
     rows = [" & ".join(cell.translate(_LATEX) for cell in row) + r" \\" for row in cells]
     columns = "l" + "r" * (len(cells[0]) - 1)
     body = "\n".join([rows[0], r"\midrule", *rows[1:]])
-    return f"\\begin{{tabular}}{{{columns}}}\n\\toprule\n{body}\n\\bottomrule\n\\end{{tabular}}\n"
+    above = "".join(f"% {text}\n" for text in [*([title] if title else []), *notes])
+    return f"{above}\\begin{{tabular}}{{{columns}}}\n\\toprule\n{body}\n\\bottomrule\n\\end{{tabular}}\n"
 
 
 def findings(records: Records) -> Iterator[str]:
-    """Yield what was reduced, which recipe and which method is best in each figure, and whether the order is the paper's.
+    """Yield what to know first, which recipe and which method is best in each figure, beside a linear predictor and the paper.
 
     Args:
         records: those of all recipes.
     """
-    yield from dict.fromkeys(one["note"] for one in records if one.get("note"))
+    yield from caveats(records)
     yield from _several_versions(records)
     yield from _same_blocks(records)
     for method, errors in by_recipe(records).items():
@@ -187,11 +208,27 @@ def _best_method(records: Records, figure: str) -> Iterator[str]:
         yield f"{judged_by.name}: not compared, for want of textures or splits: {', '.join(lacking)}."
     best, p = compared(rows, textures, judged_by.better)
     if best:
+        means = {row.name: float(row.means(textures).mean()) for row in complete(rows, textures)}
         chance = ", ".join(other for other, value in p.items() if value >= 0.05)
         differ = (
             f"; the difference may be chance for {chance}" if chance else "; all others differ (p < 0.05)" if p else ""
         )
-        yield f"{judged_by.name}: {best} is best on the mean{differ}."
+        is_best = f"is best on the mean of {len(means)} trained methods, with" if len(means) > 1 else "has"
+        shown = f"{judged_by.name}: {best} {is_best} {means[best]:.{judged_by.digits}f}{differ}."
+        linear = next((row for row in rows if row.name == judged_by.linear), None)
+        yield shown + ("" if linear is None else _beside_linear(judged_by, means, float(linear.means(textures).mean())))
+
+
+def _beside_linear(figure: Figure, means: Mapping[str, float], linear: float) -> str:
+    """Say how many of the methods a linear predictor loses to; nothing where it lacks a texture (NaN)."""
+    if not np.isfinite(linear):
+        return ""
+    n, n_better = len(means), sum(figure.better * (mean - linear) > 0 for mean in means.values())
+    those = f"{n_better} of {n} trained methods are better"
+    if n_better in (0, n):
+        every = next(iter(means)) if n == 1 else "every trained method"
+        those = f"{every} {'is better' if n_better else 'loses to it'}"
+    return f" A linear predictor, {figure.linear}, has {linear:.{figure.digits}f}: {those}."
 
 
 def _order(records: Records) -> Iterator[str]:

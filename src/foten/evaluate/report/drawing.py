@@ -56,7 +56,11 @@ def log_hertz(axes: Any, low: float, high: float) -> None:
 
     axes.set_xscale("log")
     axes.set_xlim(low, high)
-    ticks = [tick for tick in (20, 30, 50, 100, 200, 300, 500, 1000) if low <= tick <= 1.001 * high]
+    ticks = [
+        tick
+        for tick in (20, 30, 50, 100, 200, 300, 500, 1000, 2000, 3000, 5000, 10_000, 20_000)
+        if low <= tick <= 1.001 * high
+    ]
     ticks += [] if ticks and high < 1.2 * ticks[-1] else [round(high)]
     axes.set_xticks(ticks, [str(tick) for tick in ticks])
     axes.xaxis.set_minor_formatter(NullFormatter())

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from foten.dsp import Array
-from foten.dsp.distance import HIGHEST_HZ, LOWEST_HZ
+from foten.dsp.distance import LOWEST_HZ, highest_scored, highest_with_power
 from foten.dsp.level import FRAME_MS, frame_levels
 from foten.evaluate.evaluate import Judgement
-from foten.evaluate.metrics import band_edges
+from foten.evaluate.metrics import band_edges, band_errors
 from foten.evaluate.report import signals
 from foten.evaluate.report.drawing import COLOURS, INK, STYLES, add_legend, log_hertz, new_figure, style_colorbar
 from foten.evaluate.report.signals import LABELS, scored_hand, scored_runs, shown_blocks, shown_run
@@ -47,13 +47,16 @@ def waveform(judgement: Judgement) -> Figure:
 
 
 def spectrum(judgement: Judgement) -> Figure:
-    """Return the pooled power spectral densities [dB re 1 (m/s²)²/Hz] of every run over log frequency."""
-    frequencies, pooled = signals.densities(judgement)
+    """Return the pooled power spectral densities [dB re 1 (m/s²)²/Hz] of every run over log frequency, up to half the rate."""
+    frequencies, pooled = signals.densities(judgement, unscored=True)
+    rate_hz = judgement.trace.rate_hz
     in_db = {name: 10 * np.log10(np.maximum(density, 1e-30)) for name, density in pooled.items()}
     figure, axes = new_figure(9.6, 3.7)
     top = max(float(line.max()) for line in in_db.values())
     lowest = min(float(line.min()) for name, line in in_db.items() if name != "free_run_deterministic")
-    bottom = max(lowest, float(in_db["recorded"].min()) - 20) - 4  # a silent run may not flatten the others
+    # Neither a silent run nor what a low-pass left above the scored range may flatten the others.
+    scored = float(in_db["recorded"][frequencies <= highest_scored(rate_hz)].min())
+    bottom = max(lowest, min(float(in_db["recorded"].min()) - 20, scored - 20), scored - 40) - 4
     for name, line in in_db.items():
         style = {
             "linewidth": 2.2 if name == "recorded" else 1.5,
@@ -64,19 +67,40 @@ def spectrum(judgement: Judgement) -> Figure:
         hidden = " (below the axis)" if line.max() < bottom else ""
         axes.plot(frequencies, line, color=COLOURS[name], markersize=3, label=LABELS[name] + hidden, **style)
     axes.set_ylim(bottom, top + 3)
-    log_hertz(axes, LOWEST_HZ, min(HIGHEST_HZ, 0.45 * judgement.trace.rate_hz))
-    axes.set(xlabel="frequency [Hz]", ylabel="density [dB re 1 (m/s²)²/Hz]")
+    log_hertz(axes, LOWEST_HZ, rate_hz / 2)
+    _shade_unscored(axes, highest_scored(rate_hz), rate_hz / 2)
+    axes.set(xlabel=_up_to_half("frequency [Hz]", rate_hz), ylabel="density [dB re 1 (m/s²)²/Hz]")
     add_legend(axes, fontsize=9)
     return figure
 
 
+def _up_to_half(label: str, rate_hz: float) -> str:
+    """Return an axis label that says up to where is drawn, and scored."""
+    return f"{label}, up to half the rate; scored from {LOWEST_HZ:g} to {highest_scored(rate_hz):g} Hz"
+
+
+def _shade_unscored(axes: Any, first: float, last: float) -> None:
+    """Shade the part of the x axis that is not scored."""
+    axes.axvspan(first, last, color=INK, alpha=0.06, linewidth=0)
+
+
 def bands(judgement: Judgement) -> Figure | None:
-    """Return the energy error of the nine bands for the texture's run, AR(20) and the ceiling; None without any."""
+    """Return the energy error of the nine bands, and above them of as wide ones up to half the rate, which are not scored.
+
+    For the texture's run, AR(20) and the ceiling; None without any.
+    """
     names = [name for name in (shown_run(judgement), "free_run_ar", "ceiling") if name is not None]
     errors_of = {name: judgement.document[name].get("band_errors_db") for name in names}
     shown = {name: errors for name, errors in errors_of.items() if errors}
     if not shown:
         return None
+    edges = band_edges(judgement.trace.rate_hz)
+    beyond = _edges_beyond(edges, judgement.trace.rate_hz / 2)
+    frequencies, pooled = signals.densities(judgement, unscored=True)
+    above = frequencies > edges[-1]
+    for name, errors in shown.items():
+        p, q = (pooled[which][above] for which in ("recorded", name))
+        shown[name] = [*errors, *band_errors(p, q, frequencies[above], beyond)]
     figure, axes = new_figure(4.9, 3.4)
     width = 0.8 / len(shown)
     for k, (name, errors) in enumerate(shown.items()):
@@ -87,15 +111,23 @@ def bands(judgement: Judgement) -> Figure | None:
     for i, error in enumerate(next(iter(shown.values()))):
         if error is None:
             axes.text(i, 0, " no bin", rotation=90, ha="center", va="bottom", fontsize=8, color=INK, alpha=0.6)
-    edges = band_edges(judgement.trace.rate_hz)
-    axes.set_xticks(np.arange(len(edges)) - 0.5, [f"{edge:.0f}" for edge in edges])
-    axes.tick_params(axis="x", labelsize=8)
+    every = [*edges, *beyond[1:]]
+    axes.set_xticks(np.arange(len(every)) - 0.5, [f"{edge:.0f}" for edge in every])
+    axes.tick_params(axis="x", labelsize=8, rotation=45 if len(every) > len(edges) else 0)
+    if len(every) > len(edges):
+        _shade_unscored(axes, len(edges) - 1.5, len(every) - 1.5)
     axes.grid(visible=False, axis="x")
     low, high = axes.get_ylim()
-    axes.set(xlabel="band edges [Hz]", ylabel="energy error [dB]")
-    axes.set(xlim=(-0.55, len(edges) - 1.45), ylim=(low, high + 0.16 * (high - low)))
+    axes.set(xlabel=f"band edges [Hz]; scored from {edges[0]:g} to {edges[-1]:g} Hz", ylabel="energy error [dB]")
+    axes.set(xlim=(-0.55, len(every) - 1.45), ylim=(low, high + 0.16 * (high - low)))
     add_legend(axes, ncols=3, loc="upper center", columnspacing=1.2)
     return figure
+
+
+def _edges_beyond(edges: Array, highest_hz: float) -> Array:
+    """Return the edges of further bands of about the same ratio [Hz], from the last edge; that alone where none fits."""
+    n = round(math.log(highest_hz / edges[-1]) / math.log(edges[1] / edges[0]))
+    return np.geomspace(edges[-1], highest_hz, n + 1) if n else edges[-1:]
 
 
 def conditions(judgement: Judgement, texture: Texture) -> Figure | None:
@@ -134,7 +166,9 @@ def over_time(judgement: Judgement) -> Figure:
     n = len(pictured)
     ratios = [1.45] * n + [1.5, 0.75, 0.75]
     figure, panels = new_figure(9.6, 1.6 * n + 4.0, nrows=n + 3, sharex=True, height_ratios=ratios)
-    _draw_spectrograms(panels[:n], pictured, rate_hz, borders)
+    frequencies, pooled = signals.densities(judgement, unscored=True)
+    highest_hz = max(highest_with_power(frequencies, pooled[key], rate_hz) for key in pictured)
+    _draw_spectrograms(panels[:n], pictured, rate_hz, borders, highest_hz)
     bar = figure.colorbar(panels[0].images[0], ax=list(panels[:n]), pad=0.01, aspect=15 * n)
     style_colorbar(bar, "dB re 1 (m/s²)²/Hz")
     lines = {key: runs[key] for key in ("recorded", name, "free_run_ar") if key in runs}
@@ -158,9 +192,13 @@ def over_time(judgement: Judgement) -> Figure:
     return figure
 
 
-def _draw_spectrograms(panels: Any, blocks_of: Mapping[str, Array], rate_hz: float, borders: Array) -> None:
-    """Draw a spectrogram of each signal (n_blocks, n) on the colour scale of the recorded one."""
-    cells = {key: _spectrogram(blocks, rate_hz) for key, blocks in blocks_of.items()}
+def _draw_spectrograms(
+    panels: Any, blocks_of: Mapping[str, Array], rate_hz: float, borders: Array, highest_hz: float
+) -> None:
+    """Draw a spectrogram of each signal (n_blocks, n) up to a frequency, on the colour scale of the recorded one."""
+    cells = {key: _spectrogram(blocks, rate_hz, highest_hz) for key, blocks in blocks_of.items()}
+    limit = "half the rate" if highest_hz == rate_hz / 2 else f"{highest_hz:.0f} Hz: 99.9 % of the power or more"
+    panels[0].set_title(f"drawn up to {limit}", loc="right", color=INK, fontsize=8.5)
     loudest = float(cells["recorded"][1].max())
     scale = {"cmap": "magma", "vmin": loudest - _SPECTROGRAM_DB, "vmax": loudest}
     for axes, (key, (edges, decibels)) in zip(panels, cells.items(), strict=True):
@@ -189,7 +227,7 @@ def _draw_levels(axes: Any, runs: Mapping[str, Array], rate_hz: float, borders: 
     add_legend(axes, ncols=len(runs), loc="lower right", bbox_to_anchor=(1.0, 0.98), borderaxespad=0)
 
 
-def _spectrogram(blocks: Array, rate_hz: float) -> tuple[tuple[float, float], Array]:
+def _spectrogram(blocks: Array, rate_hz: float, highest_hz: float) -> tuple[tuple[float, float], Array]:
     """Return the lowest and highest edge [Hz] and the density [dB], shape (k, time), of joined blocks (n_blocks, n)."""
     from scipy import signal
 
@@ -202,7 +240,7 @@ def _spectrogram(blocks: Array, rate_hz: float) -> tuple[tuple[float, float], Ar
     taper = signal.get_window("hann", n_segment)
     density = np.square(np.abs(np.fft.rfft(windows * taper, axis=-1))) * 2 / (rate_hz * np.square(taper).sum())
     frequencies = np.fft.rfftfreq(n_segment, 1 / rate_hz)
-    kept = frequencies <= min(HIGHEST_HZ, 0.45 * rate_hz)
+    kept = frequencies <= highest_hz
     decibels = 10 * np.log10(np.maximum(density[..., kept], 1e-30)).reshape(-1, int(kept.sum())).T
     half = frequencies[1] / 2
     return (-half, float(frequencies[kept][-1]) + half), decibels

@@ -128,8 +128,9 @@ def _figures_section(judgement: Judgement, texture: Texture) -> str:
         "Waveform": f"The first {signals.N_WAVEFORM} scored samples of block {block}, the one of median level. "
         f"A free run is another realisation: its character should match, its samples cannot.{same}",
         "Power spectral density": "Pooled over the scored samples of all judged blocks and all seeds: the spectra that "
-        "the log-spectral distance is measured on.",
-        "Error in nine bands": "Energy against the recorded, in bands equal in log frequency; above 0 is too much.",
+        "the log-spectral distance is measured on, where they are not shaded.",
+        "Error by band": "Energy against the recorded, in bands equal in log frequency; above 0 is too much. Shaded bands "
+        "are not scored.",
         "Where it is right": "Each judged block at its mean speed and force; red is too loud, blue too soft.",
         "Over time": "Spectrograms of the first seed on one colour scale, level in frames of 40 ms (band: lowest to highest "
         f"seed), speed and force, on one time axis; lines mark block borders.{some}",

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
-from foten.dsp.distance import scored_bins, segment_length, welch
+from foten.dsp.distance import LOWEST_HZ, scored_bins, segment_length, welch
 from foten.dsp.level import frame_levels
 from foten.dsp.resample import decimate, interpolate
 from foten.evaluate.evaluate import Judgement
@@ -71,15 +71,15 @@ def level_errors(judgement: Judgement, name: str) -> Array:
     return np.asarray((synthesized - recorded).mean(axis=(0, 2)))
 
 
-def densities(judgement: Judgement) -> tuple[Array, dict[str, Array]]:
+def densities(judgement: Judgement, unscored: bool = False) -> tuple[Array, dict[str, Array]]:
     """Return the scored frequencies [Hz] and each run's density [(m/s²)²/Hz] there, pooled over blocks and seeds.
 
-    The log-spectral distance of pooled spectra is computed on the same densities.
+    The log-spectral distance of pooled spectra is computed on the same densities. With `unscored` up to half the rate.
     """
     rate_hz, n_segment = judgement.trace.rate_hz, segment_length(judgement.trace.block)
     spectra = {name: welch(run, rate_hz, n_segment) for name, run in scored_runs(judgement).items()}
     frequencies, _ = spectra["recorded"]
-    bins = scored_bins(frequencies, rate_hz)
+    bins = frequencies >= LOWEST_HZ if unscored else scored_bins(frequencies, rate_hz)
     return frequencies[bins], {name: density.mean(axis=(0, 1))[bins] for name, (_, density) in spectra.items()}
 
 

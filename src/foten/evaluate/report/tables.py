@@ -1,9 +1,9 @@
-"""The report's tables: one-step errors beside references, and figures of the free runs."""
+"""The tables of a judgement, one-step errors beside references and figures of the free runs: as HTML, and for a terminal."""
 
 from __future__ import annotations
 
 import html
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from foten.evaluate.evaluate import RUNS
@@ -90,9 +90,9 @@ def one_step_section(document: Mapping[str, Any]) -> str:
         '<section id="one-step"><h2>One step</h2><p>Predicts each sample from recorded history. Errors are mean '
         f"absolute errors; 1 sd is {document['sd_m_s2']:.4g} m/s². The first {document['first_scored']} samples of each "
         "block are history for all. Small print: 95 % interval over blocks (Student's t). The blocks are the same for all, so "
-        "two rows can differ for certain though their intervals overlap.</p>"
+        "two rows can differ for certain though the intervals of their errors overlap: see the one to AR(20).</p>"
         '<div class="scroll"><table><thead><tr><th>predictor</th><th colspan="2">error [sd] <i>lower is better</i></th>'
-        "<th>to AR(20)</th><th>error [m/s²]</th><th>GFC <i>higher, blind to gain</i></th></tr></thead>"
+        "<th>to AR(20)</th><th>error [m/s²]</th><th>GFC <i>higher, blind to delay and gain</i></th></tr></thead>"
         f"<tbody>{body}</tbody></table></div>{cells.footnotes()}{_excitation(document['one_step'])}</section>"
     )
 
@@ -100,14 +100,14 @@ def one_step_section(document: Mapping[str, Any]) -> str:
 def _one_step_row(
     document: Mapping[str, Any], cells: _Cells, key: str, name: str, what: str, row: Mapping[str, Any], largest: float
 ) -> str:
-    if key == "references.ar_best" and row.get("order") is not None:
-        name += f": {ar_name(row)}"
-    family = ("references.ar",) if key.startswith("references.ar") else ()
-    why = reason(document, key, *family, "one_step")
+    name, why = _named(name, row), _why_no_error(document, key)
     mae, linear = row["mae_scaled"], document["references"]["ar"]["mae_scaled"]
     within = row.get("intervals", {})
     bar = "" if mae is None else f'<span class="bar" style="width:{100 * mae / largest:.1f}%"></span>'
     ratio = f"{signed(100 * (mae / linear - 1), 1)} %" if mae is not None and linear else ""
+    if "mae_to_ar" in within and key != "references.ar":
+        ends = " … ".join(signed(100 * (end - 1), 1) for end in within["mae_to_ar"])
+        ratio += f"<small>{ends} %</small>"
     why_gfc = why if mae is None else "a bound on the error says nothing of the spectrum"
     return (
         f'<tr id="{key}"{" class=own" if key == "one_step" else ""}>'
@@ -118,6 +118,16 @@ def _one_step_row(
         + cells.number(row["gfc"], "{:.3f}".format, why_gfc, within.get("gfc", ()))
         + "</tr>"
     )
+
+
+def _named(name: str, row: Mapping[str, Any]) -> str:
+    """Return the name of a one-step row, with what the best linear predictor is."""
+    return f"{name}: {ar_name(row)}" if row.get("order") is not None else name
+
+
+def _why_no_error(document: Mapping[str, Any], key: str) -> str:
+    """Return why a one-step row has no error."""
+    return reason(document, key, *(("references.ar",) if key.startswith("references.ar") else ()), "one_step")
 
 
 def _excitation(one_step: Mapping[str, Any]) -> str:
@@ -164,14 +174,19 @@ def free_run_section(document: Mapping[str, Any]) -> str:
 
 def _free_run_cell(document: Mapping[str, Any], cells: _Cells, run: str, key: str) -> str:
     value, interval = document[run].get(key), document[run].get("intervals", {}).get(key, ())
-    digits = 1 if value is not None and abs(value) >= 30 else 2
+    why = reason(document, f"{run}.{key}", run, "free_run")
+    return cells.number(value, lambda value: _shown(key, value), why, interval, _digits(value))
 
-    def shown(value: float) -> str:
-        if key == "max_sd" and value < 0.01:
-            return f"{value:.1g}"
-        return signed(value, digits) if "bias" in key else minus(f"{value:.{digits}f}")
 
-    return cells.number(value, shown, reason(document, f"{run}.{key}", run, "free_run"), interval, digits)
+def _digits(value: float | None) -> int:
+    return 1 if value is not None and abs(value) >= 30 else 2
+
+
+def _shown(key: str, value: float) -> str:
+    """Return a figure of a free run as text."""
+    if key == "max_sd" and value < 0.01:
+        return f"{value:.1g}"
+    return signed(value, _digits(value)) if "bias" in key else minus(f"{value:.{_digits(value)}f}")
 
 
 def _slopes(document: Mapping[str, Any]) -> str:
@@ -185,3 +200,85 @@ def _slopes(document: Mapping[str, Any]) -> str:
         f"{signed(theirs[0], 1)}), <b>{signed(ours[1], 1)}</b> dB per decade of force (recorded "
         f"{signed(theirs[1], 1)}).</p>"
     )
+
+
+def to_text(document: Mapping[str, Any]) -> str:
+    """Return the figures of a document as two aligned tables for a terminal, and below them what could not be computed."""
+    block_ms = 1000 * document["block"] / document["rate_hz"]
+    judged = f"{document['n_blocks']} blocks of {block_ms:g} ms, split {document['split']}"
+    lines = [f"{document['texture'] or 'texture'}, {document['model']} at {document['rate_hz']:g} Hz: {judged}"]
+    runs = [run for run in RUNS if document[run]["lsd_db"] is not None]
+    errors, figures = _errors(document), _figures(document, runs)
+    if len(errors) > 1:
+        about = f"each sample from recorded history; lower errors are better; 1 sd is {document['sd_m_s2']:.4g} m/s²"
+        lines += ["", f"One step: {about}", *_aligned(errors)]
+    if len(figures) > 1:
+        ceiling = f"; the ceiling is {document['ceiling']['of']}" if document["ceiling"].get("of") else ""
+        lines += ["", f"Free run: its own output is its history{ceiling}", *_aligned(figures)]
+    missing = {"One step": _missing_errors(document), "Free run": _missing_figures(document, runs)}
+    sentences = [f"{what}, not computed: {_grouped(why_of)}." for what, why_of in missing.items() if why_of]
+    return "\n".join([*lines, *([""] if sentences else []), *sentences])
+
+
+def _errors(document: Mapping[str, Any]) -> list[list[str]]:
+    """Return the one-step errors that are known as cells, their heading first."""
+    rows = {f"{document['model']}, this texture": document["one_step"]}
+    for key, (name, _) in REFERENCES.items():
+        rows[_named(name, document["references"][key])] = document["references"][key]
+    cells = [["", "error [sd]", "error [m/s²]", "GFC"]]
+    for name, row in rows.items():
+        if row["mae_scaled"] is not None:
+            fit = "–" if row["gfc"] is None else f"{row['gfc']:.3f}"
+            cells.append([name, f"{row['mae_scaled']:.4f}", f"{row['mae_m_s2']:#.4g}", fit])
+    return cells
+
+
+def _figures(document: Mapping[str, Any], runs: Sequence[str]) -> list[list[str]]:
+    """Return the figures of some free runs that any of them has as cells, their heading first."""
+    cells = [["", "better", *(LABELS[run] for run in runs)]]
+    for key, (name, unit, better) in FREE_RUN_FIGURES.items():
+        values = [document[run].get(key) for run in runs]
+        if any(value is not None for value in values):
+            shown = ("–" if value is None else _shown(key, value) for value in values)
+            cells.append([name + (f" [{unit}]" if unit else ""), better, *shown])
+    return cells
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    """Yield the rows of a table: the first column, and words, from the left, numbers and their headings from the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        cells = [
+            cell.ljust(width) if k == 0 or rows[0][k] == "better" else cell.rjust(width)
+            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        yield "  ".join(cells).rstrip()
+
+
+def _missing_errors(document: Mapping[str, Any]) -> dict[str, str]:
+    """Return which one-step errors there are not, and why."""
+    if document["one_step"]["mae_scaled"] is None and "one_step" in document["reasons"]:
+        missing = {"this texture": reason(document, "one_step")}
+    else:
+        missing = {}
+    unknown = {key: name for key, (name, _) in REFERENCES.items() if document["references"][key]["mae_scaled"] is None}
+    return missing | {name: _why_no_error(document, f"references.{key}") for key, name in unknown.items()}
+
+
+def _missing_figures(document: Mapping[str, Any], runs: Sequence[str]) -> dict[str, str]:
+    """Return which free runs there are not, which of their figures, and why; `runs` are those that there are."""
+    missing = {LABELS[run]: reason(document, run, "free_run") for run in RUNS if run not in runs}
+    for key, (name, *_) in FREE_RUN_FIGURES.items():
+        lacking = [run for run in runs if document[run].get(key) is None]
+        for run in lacking:
+            shown = name if len(lacking) == len(runs) else f"{name} {LABELS[run]}"
+            missing[shown] = reason(document, f"{run}.{key}")
+    return missing
+
+
+def _grouped(why_of: Mapping[str, str]) -> str:
+    """Return things that are missing, those of one reason together."""
+    by_reason: dict[str, list[str]] = {}
+    for name, why in why_of.items():
+        by_reason.setdefault(why, []).append(name)
+    return "; ".join(f"{', '.join(names)} ({why})" for why, names in by_reason.items())

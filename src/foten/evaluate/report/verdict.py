@@ -1,8 +1,8 @@
-"""The verdict: what the figures of a judgement say in plain language."""
+"""The verdict: what the figures of a judgement say in plain language, and how much of it the data bear."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,31 @@ class Finding:
     figure: str  # the number, with unit
     beside: str  # what it is compared with, short
     sentence: str  # the same in plain language
+
+
+TOO_LITTLE = "too little data to say"
+Interval = Sequence[float] | None
+
+
+def _finding(
+    tone: str, title: str, figure: str, beside: str, sentence: str, interval: Interval, holds: Callable[[float], bool]
+) -> Finding:
+    """Return a finding, unless it praises what the data do not bear.
+
+    Args:
+        interval: of its number, None with too few blocks for one.
+        holds: whether a number at an end of the interval would not contradict a good mark.
+    """
+    borne = tone not in ("good", "even") if interval is None else tone != "good" or all(map(holds, interval))
+    if borne:
+        return Finding(tone, title, figure, beside, sentence)
+    # Where there are no intervals at all, a caution says so once.
+    wide = "" if interval is None else " Its 95 % interval is too wide to say so."
+    return Finding("unknown", title, figure, f"{TOO_LITTLE}; {beside}", sentence + wide)
+
+
+def _interval(figures: Mapping[str, Any], key: str) -> Interval:
+    return (figures.get("intervals") or {}).get(key)
 
 
 def reason(document: Mapping[str, Any], *keys: str) -> str:
@@ -59,7 +84,10 @@ def cautions(document: Mapping[str, Any]) -> list[str]:
             "can be fitted beside."
         )
     if (n_blocks := document["n_blocks"]) < 5:
-        notes.append(f"Only {n_blocks} block{'s' * (n_blocks != 1)} judged: intervals are missing or coarse.")
+        few = (
+            "intervals are coarse" if n_blocks == 4 else "too few for intervals, so no mark says that anything is good"
+        )
+        notes.append(f"Only {n_blocks} block{'s' * (n_blocks != 1)} judged: {few}.")
     if document["ceiling"]["lsd_db"] is not None and "training block" in str(document["ceiling"].get("of")):
         notes.append(
             "The ceiling is a recorded training block under a similar, not the same, hand: a good run can lie beyond it."
@@ -81,8 +109,10 @@ def _one_step(document: Mapping[str, Any]) -> Finding:
     if linear is None:
         naive = (zero, "predicting the mean") if zero <= persistence else (persistence, "persistence")
         tone, beside = _compared(error, *naive)
+        interval, least = _interval(document["one_step"], "mae_scaled"), naive[0]
     else:
         tone, beside = _compared(error, linear, "AR(20)")
+        interval, least = _interval(document["one_step"], "mae_to_ar"), 1.0
         if tone == "bad":
             caution = " A linear predictor does this better."
         elif best is not None and error - best > 0.01 * best:
@@ -91,7 +121,8 @@ def _one_step(document: Mapping[str, Any]) -> Finding:
             caution = f" The best linear predictor, {name}, does this better."
     end = f"; no predictor can reach less than {bound:.3f} sd on this texture." if bound is not None else "."
     start = f"One step: error {figure} ({document['one_step']['mae_m_s2']:.3g} m/s²)"
-    return Finding(tone, "One step", figure, beside, f"{start}, {beside}{end}{caution}")
+    sentence = f"{start}, {beside}{end}{caution}"
+    return _finding(tone, "One step", figure, beside, sentence, interval, lambda value: value < least)
 
 
 def _compared(error: float, reference: float, name: str) -> tuple[str, str]:
@@ -105,10 +136,9 @@ def _compared(error: float, reference: float, name: str) -> tuple[str, str]:
 def _spectrum(document: Mapping[str, Any], key: str) -> Finding:
     distance, linear, ceiling = (document[run]["lsd_db"] for run in (key, "free_run_ar", "ceiling"))
     start = "Free run" if key == "free_run" else "Free run without excitation (the file carries none)"
-    tone, beside, words = "unknown", "no ceiling known", ""
+    beside, words = "no ceiling known", ""
     if ceiling:
         ratio = distance / ceiling
-        tone = "good" if ratio <= 1.1 else "even" if ratio <= 1.5 else "bad"
         beside = f"{ratio:.2f} × the ceiling's {ceiling:.2f} dB"
         words = f", {ratio:.2f} × the ceiling's ({document['ceiling'].get('of') or 'unknown'})"
     if linear is not None:
@@ -116,11 +146,28 @@ def _spectrum(document: Mapping[str, Any], key: str) -> Finding:
         words += f", {abs(distance - linear):.2f} dB {how} AR(20) with white noise"
         if not ceiling:
             beside = f"AR(20): {linear:.2f} dB"
-            tone = "good" if distance < linear / 1.1 else "even"
-        if distance > 1.1 * linear:
-            tone = "even" if tone == "good" else "bad"
-    sentence = f"{start}: log-spectral distance {distance:.2f} dB{words}."
-    return Finding(tone, "Spectrum", f"{distance:.2f} dB", beside, sentence)
+
+    def holds(value: float) -> bool:
+        return _spectrum_tone(value, ceiling, linear) != "bad" and (bool(ceiling) or linear is None or value < linear)
+
+    tone, sentence = (
+        _spectrum_tone(distance, ceiling, linear),
+        f"{start}: log-spectral distance {distance:.2f} dB{words}.",
+    )
+    interval = _interval(document[key], "lsd_db")
+    return _finding(tone, "Spectrum", f"{distance:.2f} dB", beside, sentence, interval, holds)
+
+
+def _spectrum_tone(distance: float, ceiling: float | None, linear: float | None) -> str:
+    """Return the tone of a log-spectral distance beside the ceiling's and AR(20)'s, where they are known."""
+    tone = "unknown"
+    if ceiling:
+        tone = "good" if distance <= 1.1 * ceiling else "even" if distance <= 1.5 * ceiling else "bad"
+    elif linear is not None:
+        tone = "good" if distance < linear / 1.1 else "even"
+    if linear is not None and distance > 1.1 * linear:
+        tone = "even" if tone == "good" else "bad"
+    return tone
 
 
 def _level(run: Mapping[str, Any]) -> Finding:
@@ -130,7 +177,9 @@ def _level(run: Mapping[str, Any]) -> Finding:
     # Levels below −30 dB count as −30 dB, and a hand pauses: of a silent run the bias alone is too small.
     silent = " It all but falls silent." if bias < -10 and run["lsd_db"] > 20 else ""
     sentence = f"Level: {side}, {error:.1f} dB off in a frame of 40 ms.{silent}"
-    return Finding(tone, "Level", f"{signed(bias, 1)} dB", f"{error:.1f} dB off in 40 ms frames", sentence)
+    figure, beside = f"{signed(bias, 1)} dB", f"{error:.1f} dB off in 40 ms frames"
+    interval = _interval(run, "level_bias_db")
+    return _finding(tone, "Level", figure, beside, sentence, interval, lambda value: abs(value) <= 3)
 
 
 def _dynamics(document: Mapping[str, Any], key: str) -> Finding:
@@ -147,4 +196,5 @@ def _dynamics(document: Mapping[str, Any], key: str) -> Finding:
     beside = "1 follows every rise and fall" if best is None else f"the ceiling's is {minus(f'{best:.2f}')}"
     figure = minus(f"{correlation:.2f}")
     sentence = f"Dynamics: the level follows the recording's with a correlation of {figure} ({beside})."
-    return Finding(tone, "Dynamics", figure, f"level correlation; {beside}", sentence)
+    beside, interval = f"level correlation; {beside}", _interval(document[key], "level_corr")
+    return _finding(tone, "Dynamics", figure, beside, sentence, interval, lambda value: value >= 0.5 * target)

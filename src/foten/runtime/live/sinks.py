@@ -9,13 +9,17 @@ import wave
 from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from foten.atomic_write import atomic_write
 from foten.dsp import Array
+from foten.dsp.distance import highest_with_power
 from foten.dsp.resample import interpolate, rate_ratio
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 AUDIBLE_HZ = 48_000
 AUDIBLE_PEAK = 0.7  # of full scale
@@ -47,7 +51,8 @@ def write_rendered(
                         file, acceleration=acceleration, speed=speed, force=force, rate_hz=rate, about=text
                     )
             case ".png":
-                _write_picture(part, acceleration, speed, force, rate_hz, about)
+                figure = picture(acceleration, speed, force, rate_hz, about)
+                figure.savefig(part, format="png", dpi=120, metadata={"Software": None})
 
 
 def check_suffix(path: Path) -> None:
@@ -100,9 +105,8 @@ def float_wav_ends(n: int, rate_hz: float, about: Mapping[str, Any]) -> tuple[by
     return b"RIFF" + struct.pack("<I", len(head) + 4 * n + len(tail)) + head, tail
 
 
-def _write_picture(
-    part: Path, acceleration: Array, speed: Array, force: Array, rate_hz: float, about: Mapping[str, Any]
-) -> None:
+def picture(acceleration: Array, speed: Array, force: Array, rate_hz: float, about: Mapping[str, Any]) -> Figure:
+    """Return a rendered stroke as a figure: waveform, spectrogram, speed and force on one time axis."""
     from matplotlib.figure import Figure
 
     t = np.arange(acceleration.size) / rate_hz
@@ -111,18 +115,24 @@ def _write_picture(
     waveform, spectrum, hand = figure.subplots(3, 1)
     waveform.plot(t, acceleration, lw=0.5, color="#0072B2")
     waveform.set(ylabel="acceleration [m/s²]", title=f"{about.get('texture') or 'texture'}, rendered", xlim=limits)
+    highest = min(1000.0, rate_hz / 2)
     if acceleration.size >= 64:
         n = min(max(32, round(SPECTROGRAM_S * rate_hz)), acceleration.size // 4)
-        frames = np.lib.stride_tricks.sliding_window_view(acceleration, n)[:: max(1, n // 8)]
+        hop = max(1, n // 8)
+        # Mirrored at both ends: a frame is drawn around every sample.
+        padded = np.pad(acceleration, (n // 2, n // 2 + hop), mode="reflect")
+        frames = np.lib.stride_tricks.sliding_window_view(padded, n)[: acceleration.size + hop : hop]
         power = np.abs(np.fft.rfft(frames * np.hanning(n), axis=1)) ** 2
         top = float(power.max()) or 1.0
         level = 10 * np.log10(np.maximum(power / top, 10 ** (-SPECTROGRAM_DB / 10)))
-        edge = 0.5 * rate_hz / n
-        extent = (0.5 * n / rate_hz, t[-1] - 0.5 * n / rate_hz, -edge, rate_hz / 2 + edge)
+        left, edge = -0.5 * hop / rate_hz, 0.5 * rate_hz / n
+        extent = (left, left + len(frames) * hop / rate_hz, -edge, (n // 2) * rate_hz / n + edge)
         image = spectrum.imshow(level.T, origin="lower", aspect="auto", cmap="magma", extent=extent)
-        spectrum.set_facecolor("black")
         figure.colorbar(image, ax=spectrum, label="dB re loudest", pad=0.01)
-    spectrum.set(ylabel="frequency [Hz]", ylim=(0, min(1000, rate_hz / 2)), xlim=limits)
+        frequencies = np.arange(n // 2 + 1, dtype=np.float64) * rate_hz / n
+        highest = max(highest, highest_with_power(frequencies, power.mean(axis=0), rate_hz))
+    above = "" if highest == rate_hz / 2 else "\nwhere 99.9 % of the power lies"
+    spectrum.set(ylabel=f"frequency [Hz]{above}", ylim=(0, highest), xlim=limits)
     hand.plot(t, speed, color="#009E73")
     hand.set(ylabel="speed [mm/s]", xlabel="time [s]", xlim=limits, ylim=(0, 1.05 * float(speed.max()) or 1))
     hand.yaxis.label.set_color("#009E73")
@@ -130,4 +140,4 @@ def _write_picture(
     press.plot(t, force, color="#D55E00")
     press.set(ylabel="force [N]", ylim=(0, 1.15 * float(force.max()) or 1))
     press.yaxis.label.set_color("#D55E00")
-    figure.savefig(part, format="png", dpi=120, metadata={"Software": None})
+    return figure
