@@ -80,15 +80,7 @@ wheels: $(VENV)/.wheels
 	$(BIN)/python native/wasm/pack.py
 
 # The wheel of this machine, built and installed where no compiler is; those of other systems in 'make slow', after 'make wheels' once.
-wheels-$(VENV)/.browser: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt playwright axe-playwright-python # of the extra browser, as above
-	touch $@
-
-# The page in Chromium, which the system has to have; screenshots in build/screenshots. Without it the tests are skipped.
-browser: $(VENV)/.browser
-	$(THREADS) $(BIN)/python -m pytest -q -m 'browser and not slow' tests/test_studio_page.py
-
-check: $(VENV)/.installed $(VENV)/.wheels
+wheels-check: $(VENV)/.installed $(VENV)/.wheels
 	$(PYTEST) -m slow -k without_a_compiler tests/test_wheels.py
 
 # A page that renders on this machine alone: open what it says.

@@ -26,6 +26,7 @@ lief.logging.disable()  # it reports what a file does not have, as stamps of tim
 
 ROOT = Path(__file__).parents[1]
 KERNEL = "foten/runtime/kernel"
+BESIDE = ("foten.h", "foten.mjs", "foten.wasm")  # the library, whatever the system
 
 # What the linker adds to every library of macOS.
 OF_THE_LINKER = {"__mh_dylib_header", "___dso_handle"}
@@ -141,9 +142,9 @@ def check(target: Target, wheel: Path) -> str:
     """Return a line about a wheel, or raise ValueError where it is not what its name says."""
     with zipfile.ZipFile(wheel) as archive:
         names = sorted(name for name in archive.namelist() if name.startswith(f"{KERNEL}/"))
-        if names != [f"{KERNEL}/foten.h", f"{KERNEL}/{target.file_name}"]:
+        if names != sorted(f"{KERNEL}/{name}" for name in (*BESIDE, target.file_name)):
             raise ValueError(
-                f"{wheel.name} has {', '.join(names)}, expected foten.h and {target.file_name} in {KERNEL}"
+                f"{wheel.name} has {', '.join(names)}, expected {', '.join(BESIDE)} and {target.file_name} in {KERNEL}"
             )
         content = archive.read(f"{KERNEL}/{target.file_name}")
     library = read_library(content)

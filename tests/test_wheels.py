@@ -79,7 +79,8 @@ def test_a_wheel_that_is_not_what_it_says_is_refused(wheels: ModuleType, tmp_pat
             continue
         wheel = tmp_path / f"foten-0-py3-none-{target.tags[0]}.whl"
         with zipfile.ZipFile(wheel, "w") as archive:
-            archive.writestr(f"{wheels.KERNEL}/foten.h", "")
+            for name in wheels.BESIDE:
+                archive.writestr(f"{wheels.KERNEL}/{name}", "")
             archive.writestr(f"{wheels.KERNEL}/{target.file_name}", content)
         with pytest.raises(ValueError, match=r"is for .*, expected"):
             wheels.check(target, wheel)
