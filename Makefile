@@ -8,10 +8,10 @@ THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 # A file's tests stay together, for what they share.
 PYTEST := $(THREADS) $(BIN)/python -m pytest -q --numprocesses auto --maxprocesses 4 --dist loadfile
 
-.PHONY: demo test check slow browser docs paper-small wasm wasm-check wheels wheels-check web clean
+.PHONY: demo test check slow browser docs paper-small wasm wasm-check wheels wheels-check clean
 
 # An editable install takes Python from here, and the kernel from when it was built.
-$(VENV)/.installed: pyproject.toml constraints.txt CMakeLists.txt $(wildcard native/src/* native/include/*)
+$(VENV)/.installed: pyproject.toml constraints.txt CMakeLists.txt $(wildcard native/src/* native/include/* native/wasm/foten.*)
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	touch $@
@@ -82,12 +82,6 @@ wheels: $(VENV)/.wheels
 # The wheel of this machine, built and installed where no compiler is; those of other systems in 'make slow', after 'make wheels' once.
 wheels-check: $(VENV)/.installed $(VENV)/.wheels
 	$(PYTEST) -m slow -k without_a_compiler tests/test_wheels.py
-
-# A page that renders on this machine alone: open what it says.
-web:
-	mkdir -p build/web
-	cp examples/web/* native/wasm/foten.mjs native/wasm/foten.wasm src/foten/runtime/example.foten build/web
-	$(PYTHON) -m http.server --bind 127.0.0.1 --directory build/web 8000
 
 clean:
 	rm -rf $(VENV) demo build dist

@@ -232,7 +232,7 @@ def of_experiment(name: str, table: Callable[[Records], Cells]) -> Cells:
 
 
 def compared(records: Records) -> Cells:
-    """Return the summary of an experiment without the references that no method is worse than, or that a better one stands for."""
+    """Return the summary of an experiment without the references that a better one stands for, or that nothing is worse than."""
     left_out = ("zero", "persistence", "AR(20)", "AR(20) by speed and force")
     return [row for row in summary(records) if row[0] not in left_out]
 

@@ -16,7 +16,7 @@ from foten.untrusted import check_regular
 
 # A texture that comes with the package, so that there is something to play before anything was recorded: a woven steel mesh,
 # learned with the default recipe from `foten simulate steel-mesh-1`, no recording of anyone's.
-EXAMPLE = Path(__file__).with_name("example.foten")
+EXAMPLE = Path(__file__).parents[1] / "textures" / "steel-mesh-1.foten"
 
 
 class Renderer:

@@ -1,0 +1,40 @@
+"""Train the textures that come with foten, on simulated recordings, and write them where the package has them.
+
+    python examples/textures.py [KEY]…
+
+Each takes about a minute on one core. The network is a small one, since no rendering of these uses it: it would be most of the file.
+`steel-mesh-1` has the default sizes, as `foten train` has them.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import foten
+
+OUT = Path(foten.EXAMPLE).parent
+SMALL = ["d_model=8", "n_heads=2", "n_layers=1", "d_feedforward=16", "head=[32,16]", "spectral_width=8"]
+SIZES = dict.fromkeys(("artificial-grass", "cardboard", "jeans", "textured-rubber", "towel"), SMALL) | {
+    "steel-mesh-1": []
+}
+LARGEST = 500_000  # bytes
+
+
+def main() -> None:
+    for key in sys.argv[1:] or SIZES:
+        with tempfile.TemporaryDirectory() as folder:
+            recording, texture = Path(folder) / f"{key}.h5", OUT / f"{key}.foten"
+            command = [sys.executable, "-m", "foten.cli"]
+            subprocess.run([*command, "simulate", key, "--seconds", "64", "--seed", "3", "-o", recording], check=True)
+            sizes = [word for size in SIZES[key] for word in ("--set", size)]
+            run = ["--run", Path(folder) / "run", "--licence", "CC0-1.0"]
+            subprocess.run([*command, "train", recording, "-o", texture, *sizes, *run], check=True)
+        if texture.stat().st_size > LARGEST:
+            sys.exit(f"{texture.name} has {texture.stat().st_size} bytes, expected {LARGEST} at most")
+
+
+if __name__ == "__main__":
+    main()
