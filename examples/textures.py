@@ -2,7 +2,7 @@
 
     python examples/textures.py [KEY]…
 
-Each takes about a minute on one core. The network is a small one, since no rendering of these uses it: it would be most of the file.
+A minute each on one core. The network is a small one: no rendering of these uses it, and it would be most of a file.
 `steel-mesh-1` has the default sizes, as `foten train` has them.
 """
 

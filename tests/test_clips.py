@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.io.wavfile
 
+from conftest import exported
 from foten.dsp import Array
 from foten.export.ahap import write_ahap
 from foten.export.android import write_android
@@ -250,3 +252,104 @@ int main(void) {
     ran = subprocess.run(["./main"], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert ran.stdout == "steel-mesh-1 1000\n"
     assert (tmp_path / "mesh.h").read_text().count(",") > EXAMPLE.stat().st_size * 0.95
+
+
+def ran(*arguments: str | Path) -> int:
+    from foten.cli.command_line import _status
+
+    return _status(["export", str(EXAMPLE), *map(str, arguments)])
+
+
+@pytest.mark.parametrize("name", ["a.wav", "a.csv", "a.npz", "a.ahap", "a.haptic", "a.hjif", "a.json"])
+def test_a_stroke_is_exported_by_the_name_of_the_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    """Each says what its format keeps; the samples are those that `foten render` has at that rate."""
+    stroke = tmp_path / "s.csv"
+    stroke.write_text("t,x,y,pressure\n0,0,0,0.5\n0.5,40,0,0.5\n1.0,90,0,0.4\n")
+    assert ran("--stroke", stroke, "-o", tmp_path / name) == 0
+    out = capsys.readouterr().out
+    assert "1 s, 1 is " in out
+    assert "keep" in out or "kept" in out
+    if name == "a.wav":
+        rate, samples = scipy.io.wavfile.read(tmp_path / name)
+        assert (rate, samples.dtype, samples.size) == (48_000, np.int16, 48_000)
+        assert 32_000 < np.abs(samples).max() <= 32_767
+    elif name == "a.csv":
+        table = np.loadtxt(tmp_path / name, delimiter=",", skiprows=1)
+        assert table.shape == (8000, 2)
+        assert np.abs(table[:, 1]).max() == pytest.approx(1.0)
+    elif name == "a.npz":
+        with np.load(tmp_path / name) as held:
+            assert held["drive"].shape == (8000,)
+            assert json.loads(str(held["about"]))["texture"] == "steel-mesh-1"
+    elif name == "a.ahap":
+        check_ahap(json.loads((tmp_path / name).read_text()), 1.0)
+
+
+def test_clips_of_one_full_scale_compare(tmp_path: Path) -> None:
+    levels = []
+    for speed in ("40", "160"):
+        path = tmp_path / f"{speed}.npz"
+        stroke = ("--speed", speed, "--force", "0.8", "--seconds", "1")
+        assert ran(*stroke, "--full-scale", "20", "-o", path) == 0
+        with np.load(path) as held:
+            levels.append(float(held["drive"].std()))
+    assert levels[1] > 1.3 * levels[0]
+
+
+def test_onnx_is_checked_and_predicts_what_the_kernel_does(tmp_path: Path) -> None:
+    """Another reader: ONNX's own checker, and ONNX Runtime on the golden windows of a network that is the whole model."""
+    onnx = pytest.importorskip("onnx")
+    runtime = pytest.importorskip("onnxruntime")
+    from foten.cli.command_line import _status
+
+    texture = exported("foten")
+    (tmp_path / "t.foten").write_bytes(texture.to_bytes())
+    assert _status(["export", str(tmp_path / "t.foten"), "-o", str(tmp_path / "t.onnx")]) == 0
+    model = onnx.load(tmp_path / "t.onnx")
+    onnx.checker.check_model(model, full_check=True)
+    card = json.loads({prop.key: prop.value for prop in model.metadata_props}["foten"])
+    assert card["model"] == "foten"
+    session = runtime.InferenceSession(str(tmp_path / "t.onnx"))
+    windows = texture.tensors["golden.windows"].astype(np.float32)
+    (predicted,) = session.run(None, {session.get_inputs()[0].name: windows})
+    np.testing.assert_allclose(predicted, texture.tensors["golden.one_step"], atol=1e-5)
+
+
+def test_a_site_is_the_page_with_the_texture_and_without_a_server(tmp_path: Path) -> None:
+    assert ran("--to", "web", "-o", tmp_path / "site") == 0
+    site = tmp_path / "site"
+    assert {"index.html", "studio.js", "worklet.js", "foten.mjs", "foten.wasm"} <= {
+        path.name for path in site.iterdir()
+    }
+    listed = json.loads((site / "textures.json").read_text())
+    assert listed["server"] is False
+    (one,) = listed["textures"]
+    assert (site / "textures" / one["file"]).read_bytes() == EXAMPLE.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        (["-o", "x.mp3"], "the name x.mp3 is no format, expected --to wav"),
+        (["--to", "haps", "-o", "x"], "--to haps is no format"),
+        (["--to", "web", "--speed", "80", "-o", "site"], "web holds the texture itself: leave out the stroke"),
+        (["--speed", "80", "-o", "x.ahap"], "expected one of --stroke"),
+        (["-o", "nowhere/x.ahap"], "there is no folder nowhere"),
+        (["--full-scale", "-2", "-o", "x.ahap"], "full scale is -2, expected a positive number of m/s²"),
+    ],
+)
+def test_what_cannot_be_exported_is_said_in_a_line(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    match: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert ran(*arguments) == 2
+    error = capsys.readouterr().err
+    assert match in error
+    assert error.count("\n") == 1
+    assert not list(tmp_path.iterdir())

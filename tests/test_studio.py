@@ -128,7 +128,8 @@ def test_textures_of_one_name_have_keys_of_their_own(tmp_path: Path) -> None:
         "/page/index.html",
         "/access.py",
         "/textures/nothing.foten",
-        f"/textures/{KEY}/picture",
+        f"/pictures/{KEY}.png",
+        "/pictures/..%2f..%2fpyproject.toml",
     ],
 )
 def test_a_name_is_looked_up_and_is_no_path(client: TestClient, path: str) -> None:

@@ -18,6 +18,7 @@ from foten.atomic_write import reason
 from foten.cli.console import say
 from foten.cli.evaluate import evaluate, info
 from foten.cli.experiments import demo, figures, sweep, tables
+from foten.cli.export import export
 from foten.cli.machine import bench, doctor
 from foten.cli.recordings import import_, inspect, simulate
 from foten.cli.render import play, render
@@ -71,7 +72,22 @@ def _global_options(
 # In the order in which --help lists them.
 app.command()(simulate)
 app.command("import")(import_)
-for _command in (inspect, train, evaluate, render, play, serve, bench, doctor, sweep, tables, figures, info, demo):
+for _command in (
+    inspect,
+    train,
+    evaluate,
+    render,
+    play,
+    serve,
+    export,
+    bench,
+    doctor,
+    sweep,
+    tables,
+    figures,
+    info,
+    demo,
+):
     app.command()(_command)
 
 

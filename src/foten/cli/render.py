@@ -58,7 +58,6 @@ def render(
     from foten.families.texture_file import read_texture
     from foten.runtime.live import sinks
     from foten.runtime.renderer import Renderer
-    from foten.runtime.stroke import constant_stroke, recorded_stroke
 
     for path in output:
         sinks.check_suffix(path)
@@ -72,26 +71,11 @@ def render(
             raise ValueError(f"sound is written as .wav, got --audible {audible.name}")
     if len({os.path.realpath(path) for path in written}) < len(written):
         raise ValueError("two outputs have the same name")
-    constants = (speed, force, seconds)
-    sources = [stroke is not None, recording_file is not None, any(value is not None for value in constants)]
-    if sum(sources) != 1 or (sources[2] and None in constants):
-        raise ValueError("expected one of --stroke, --recording, or --speed with --force and --seconds")
-    _check_units(units, stroke)
-    if recording_file is not None:
-        from foten.datasets.hdf5 import load_recording
-
-        recording = load_recording(recording_file)
-        rendered_stroke, source = recorded_stroke(recording, rate), recording.sha256()
-    elif stroke is not None:
-        rendered_stroke, source = _stroke_from(stroke, units, rate), stroke.name
-    else:
-        rendered_stroke = constant_stroke(float(speed or 0), float(force or 0), float(seconds or 0), rate)
-        source = f"{speed:g} mm/s, {force:g} N, {seconds:g} s"
-    _report(rendered_stroke)
+    rendered_stroke, source = stroke_given(stroke, units, recording_file, speed, force, seconds, rate)
     conditions = rendered_stroke.conditioned(float(texture.card["lowpass_hz"]))
     about = {**provenance(texture, source, seed, deterministic), "rate_hz": rate}
     renderer = Renderer(texture, seed=seed, excitation=not deterministic)
-    acceleration = _rendered(renderer, *conditions)
+    acceleration = rendered_by(renderer, *conditions)
     for path in output:
         sinks.write_rendered(path, acceleration, *conditions, rate, about)
     statistics = renderer.counted()
@@ -249,6 +233,37 @@ def provenance(texture: Texture, source: str, seed: int, deterministic: bool) ->
     }
 
 
+def stroke_given(
+    stroke: Path | None,
+    units: list[str] | None,
+    recording_file: Path | None,
+    speed: float | None,
+    force: float | None,
+    seconds: float | None,
+    rate_hz: float,
+) -> tuple[Stroke, str]:
+    """Return the stroke that the options give, at a texture's rate, and what it is called; doubts about it are said."""
+    from foten.runtime.stroke import constant_stroke, recorded_stroke
+
+    constants = (speed, force, seconds)
+    sources = [stroke is not None, recording_file is not None, any(value is not None for value in constants)]
+    if sum(sources) != 1 or (sources[2] and None in constants):
+        raise ValueError("expected one of --stroke, --recording, or --speed with --force and --seconds")
+    _check_units(units, stroke)
+    if recording_file is not None:
+        from foten.datasets.hdf5 import load_recording
+
+        recording = load_recording(recording_file)
+        given, source = recorded_stroke(recording, rate_hz), recording.sha256()
+    elif stroke is not None:
+        given, source = _stroke_from(stroke, units, rate_hz), stroke.name
+    else:
+        given = constant_stroke(float(speed or 0), float(force or 0), float(seconds or 0), rate_hz)
+        source = f"{speed:g} mm/s, {force:g} N, {seconds:g} s"
+    _report(given)
+    return given, source
+
+
 def _check_units(units: list[str] | None, stroke: Path | None) -> None:
     if units and stroke is None:
         raise ValueError("--unit is for the columns of --stroke: leave it out")
@@ -262,7 +277,7 @@ def _stroke_from(path: Path, units: list[str] | None, rate_hz: float) -> Stroke:
     return tabled_stroke(read_stroke(path, dict(parse_pairs(units or [], "--unit"))), rate_hz)
 
 
-def _rendered(renderer: Renderer, speed: Array, force: Array) -> Array:
+def rendered_by(renderer: Renderer, speed: Array, force: Array) -> Array:
     """Return the acceleration [m/s²] under a stroke, second by second: a Ctrl-C ends it, and a long one says how far it is."""
     import numpy as np
 

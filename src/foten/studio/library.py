@@ -27,7 +27,7 @@ class Entry:
 
     def listed(self) -> dict[str, Any]:
         """Return what the page is told."""
-        photo = None if self.picture is None else f"textures/{self.key}/picture"
+        photo = None if self.picture is None else f"pictures/{self.key}{self.picture.suffix}"
         return {"file": self.key, "name": self.name, "method": self.method, "picture": photo}
 
 
@@ -61,6 +61,13 @@ class Library:
     def get(self, key: str) -> Entry | None:
         """Return an entry, or None where there is none."""
         return self._entries.get(key)
+
+    def files(self) -> dict[str, Path]:
+        """Return the texture files and their pictures by the names that the page asks for."""
+        files = {f"textures/{entry.key}": entry.path for entry in self._entries.values()}
+        return files | {
+            str(entry.listed()["picture"]): entry.picture for entry in self._entries.values() if entry.picture
+        }
 
     def listed(self) -> dict[str, Any]:
         """Return what the page is told of all."""

@@ -2,7 +2,7 @@
 
     GET  /                          the page, and its files
     GET  /textures.json             what is on the shelf
-    GET  /textures/KEY              a texture file; /textures/KEY/picture its photograph
+    GET  /textures/KEY              a texture file; /pictures/… its photograph
     GET  /state                     who strokes, and how rendering keeps up
     WS   /stroke                    events in, vibration out (`messages`)
 
@@ -80,7 +80,7 @@ class Studio:
         routes = [
             Route("/textures.json", self._textures),
             Route("/textures/{key}", self._texture),
-            Route("/textures/{key}/picture", self._picture),
+            Route("/pictures/{name}", self._picture),
             Route("/state", self._state),
             WebSocketRoute("/stroke", self._stroke),
             Route("/{name:path}", self._file),
@@ -103,10 +103,8 @@ class Studio:
         return FileResponse(entry.path, media_type="application/octet-stream")
 
     async def _picture(self, request: Request) -> Response:
-        entry = self.library.get(request.path_params["key"])
-        if entry is None or entry.picture is None:
-            return _missing("there is no picture of this texture")
-        return FileResponse(entry.picture)
+        path = self.library.files().get(f"pictures/{request.path_params['name']}")
+        return _missing("there is no such picture here") if path is None else FileResponse(path)
 
     async def _state(self, _request: Request) -> Response:
         pages = [page.state() for page in self.pages]

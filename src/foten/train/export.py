@@ -17,14 +17,16 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from foten.dsp import Array
 from foten.dsp.noise import gaussian
+from foten.families.foten_plus import FotenPlusSizes
 from foten.families.sizes import Sizes
 from foten.families.texture_file import FORMAT_VERSION, MIN_GOLDEN, Texture, texture_from_bytes
+from foten.networks import NETWORKS, build
 from foten.recording.scaling import Scaling
 from foten.recording.windows import windows
 from foten.reference import model_of
 from foten.reference.stream import run
 from foten.runtime.native import NativeTexture
-from foten.runtime.onnx_predictor import INPUT, OUTPUT
+from foten.runtime.onnx_predictor import GRAPH, INPUT, OUTPUT
 from foten.train.blocks import ScaledBlocks
 from foten.train.config import WARM_START
 
@@ -173,8 +175,26 @@ def in_float64(network: nn.Module) -> Callable[[Array], Array]:
     return predict
 
 
-def graph_of(network: nn.Module, m: int) -> NDArray[np.uint8]:
-    """Return a network as the bytes of an ONNX graph, windows (b, m, 3) → (b,) or (b, n_ahead), float32."""
+def graph_of_texture(texture: Texture) -> bytes:
+    """Return a texture's one-step network as an ONNX graph, as `graph_of` makes it; that of foten-plus is its correction.
+
+    Raises:
+        ValueError: the model has no network.
+    """
+    model, sizes, tensors = texture.card["model"], texture.sizes, texture.tensors
+    if GRAPH in tensors:
+        return tensors[GRAPH].tobytes()
+    if model not in NETWORKS:
+        raise ValueError(f"{model} has no network, expected one of {', '.join(NETWORKS)}")
+    network, prefix = build(model, sizes), "network." if isinstance(sizes, FotenPlusSizes) else ""
+    network.load_state_dict(
+        {key: torch.from_numpy(np.array(tensors[f"{prefix}{key}"])) for key in network.state_dict()}
+    )
+    return graph_of(network, sizes.window, 4 if prefix else 3).tobytes()
+
+
+def graph_of(network: nn.Module, m: int, n_channels: int = 3) -> NDArray[np.uint8]:
+    """Return a network as the bytes of an ONNX graph, windows (b, m, n_channels) → (b,) or (b, n_ahead), float32."""
     file = io.BytesIO()
     network = copy.deepcopy(network).cpu().float().eval()
     with warnings.catch_warnings():
@@ -182,7 +202,7 @@ def graph_of(network: nn.Module, m: int) -> NDArray[np.uint8]:
         warnings.simplefilter("ignore")
         torch.onnx.export(
             network,
-            (torch.zeros(2, m, 3),),
+            (torch.zeros(2, m, n_channels),),
             file,
             dynamo=False,
             opset_version=17,
