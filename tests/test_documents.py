@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import re
+import ssl
 import subprocess
 import sys
+import urllib.request
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +29,7 @@ class Block:
 
     language: str
     code: str
-    about: str  # "", "not run: why", "exit 2", "slow", "in the checkout: folders"
+    about: str  # "", "not run: why", "exit 2", "slow", "serves", "in the checkout: folders"
 
 
 def blocks(page: Path) -> Iterator[Block]:
@@ -47,11 +49,36 @@ def run(block: Block, folder: Path) -> None:
         for name, program in (("foten", "-c 'from foten.cli import main; main()'"), ("python", "")):
             (tools / name).write_text(f'#!/bin/sh\nexec {sys.executable} {program} "$@"\n')
             (tools / name).chmod(0o755)
+    if block.about == "serves":
+        serves(tools / "foten", *block.code.split()[1:])
+        return
     command = ["bash", "-e", "-c", block.code] if block.language == "sh" else [sys.executable, "-c", block.code]
     environment = {**os.environ, "PATH": f"{tools}:{os.environ['PATH']}", "RAY_DEDUP_LOGS": "0"}
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     expected = 2 if block.about == "exit 2" else 0
     assert done.returncode == expected, f"{block.code}\n{done.stderr[-2000:]}"
+
+
+def serves(*command: str | Path) -> None:
+    """Start a server, ask it for its page by the link that it prints, and end it."""
+    process = subprocess.Popen(
+        [*command, "--no-open", "--port", "0"], stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    try:
+        assert process.stderr is not None
+        link = process.stderr.readline().rsplit(" ", 1)[-1].strip()
+        own = ssl.create_default_context()
+        own.check_hostname, own.verify_mode = False, ssl.CERT_NONE  # as a tablet does that was told to
+        opener = urllib.request.build_opener(
+            urllib.request.HTTPSHandler(context=own),
+            urllib.request.HTTPCookieProcessor(),
+            urllib.request.ProxyHandler({}),
+        )
+        with opener.open(link, timeout=30) as answer:
+            assert b"<title>foten</title>" in answer.read()
+    finally:
+        process.terminate()
+        process.communicate(timeout=30)
 
 
 def runnable(page: Path, slow: bool) -> list[Block]:
