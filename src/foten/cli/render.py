@@ -38,7 +38,7 @@ def render(
         Path | None,
         Option(
             metavar="S.csv",
-            help="A table with the header t, speed or x and y, force or pressure (0 to 1); units in the header, t [ms] for "
+            help="A table with the header t, speed or x and y, force or pressure (0 to 1); units in the header, t (ms) for "
             "example, else s, mm/s, mm, N.",
         ),
     ] = None,
