@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+import scipy.io.wavfile
 
+from foten.cli.command_line import _status
+from foten.datasets.hdf5 import load_recording
 from foten.datasets.pen import PenEvents, joined, knocks_of, landings_of, pen_channels
 from foten.dsp import Array
 
@@ -95,3 +100,56 @@ def test_the_pen_by_the_clock_of_the_sound_without_taps_and_silent_in_the_air() 
     assert in_air.sum() == 2 * 3
     assert np.interp(begins + 3.5, position.times_s, force.samples) == 0.0
     assert np.interp(begins + 1.0, position.times_s, force.samples) == pytest.approx(0.8)
+
+
+def written(folder: Path) -> tuple[Path, Path, PenEvents]:
+    events, sound = captured()
+    scipy.io.wavfile.write(folder / "sound.wav", int(RATE_HZ), sound.astype(np.float32))
+    rows = zip(events.times_s, events.x_mm, events.y_mm, events.pressure, strict=True)
+    text = "\n".join(",".join(f"{value:.6f}" for value in row) for row in rows)
+    (folder / "events.csv").write_text(f"t,x,y,pressure\n{text}\n")
+    return folder / "sound.wav", folder / "events.csv", events
+
+
+def test_a_sound_and_events_are_imported_as_one_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sound, events, _ = written(tmp_path)
+    out = tmp_path / "r.h5"
+    assert _status(["import", str(sound), "--pen", str(events), "-o", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "6 taps join the clocks: delay 80." in said or "delay 79." in said
+    assert "in relative units: 1 is its RMS while the pen strokes" in said
+    recording = load_recording(out)
+    assert not recording.calibrated
+    assert recording.unit("acceleration") == "relative"
+    assert recording.unit("force") == "N"
+    assert recording["force"].samples.max() == pytest.approx(0.13 * np.exp(3.32 * 0.4))
+    assert recording.texture == "sound"
+
+
+def test_with_a_sensitivity_it_is_in_metres_per_second_squared(tmp_path: Path) -> None:
+    sound, events, _ = written(tmp_path)
+    out = tmp_path / "r.h5"
+    given = ["--unit", "acceleration=*50", "--pressure", "0.2,3"]
+    assert _status(["import", str(sound), "--pen", str(events), *given, "-o", str(out)]) == 0
+    recording = load_recording(out)
+    assert recording.calibrated
+    _, samples = scipy.io.wavfile.read(sound)
+    np.testing.assert_allclose(recording["acceleration"].samples, 50 * samples.astype(float), rtol=1e-6)
+    assert recording["force"].samples.max() == pytest.approx(0.2 * np.exp(3 * 0.4))
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        (["--align", "clap"], "--align is 'clap', expected taps"),
+        (["--pressure", "3"], "--pressure is '3', expected a,b such as 0.13,3.32"),
+        (["--map", "acceleration=0"], "leave out --map"),
+    ],
+)
+def test_a_capture_that_cannot_be_imported_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], match: str
+) -> None:
+    sound, events, _ = written(tmp_path)
+    assert _status(["import", str(sound), "--pen", str(events), *options, "-o", str(tmp_path / "r.h5")]) == 2
+    assert match in capsys.readouterr().err
+    assert not (tmp_path / "r.h5").exists()

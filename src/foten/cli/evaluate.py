@@ -73,7 +73,7 @@ def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
         "trained speed": "{:.4g} to {:.4g} mm/s".format(*texture.trained_range("speed")),
         "trained force": "{:.3g} to {:.3g} N".format(*texture.trained_range("force")),
         "above these": texture.beyond_in_words(),
-        "acceleration": f"{texture.scaling.sd[0]:.4g} m/s² standard deviation",
+        "acceleration": f"{texture.scaling.sd[0]:.4g} {_unit(texture)} standard deviation",
         "delay": f"{card['delay_ms']:.1f} ms, of the {card['lowpass_hz']:g} Hz low-pass of speed and force",
         "excitation": "yes" if texture.has_excitation else "no",
         "validation": validation_summary(card),
@@ -83,6 +83,10 @@ def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
     }
     text = "\n".join(f"{name:14s}{value}" for name, value in rows.items())
     print_result({"sha256": texture.sha256(), **card}, text, as_json)
+
+
+def _unit(texture: Texture) -> str:
+    return "in relative units," if texture.card["units"].get("acceleration") == "relative" else "m/s²"
 
 
 def _linear_part(texture: Texture) -> dict[str, str]:

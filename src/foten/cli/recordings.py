@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Exit, Option
 
@@ -21,6 +21,10 @@ from foten.cli.console import (
     say,
     write_json,
 )
+
+if TYPE_CHECKING:
+    from foten.datasets.options import ImportOptions
+    from foten.recording.recording import Recording
 
 
 def simulate(
@@ -110,6 +114,18 @@ def import_(
             "--force-units", help="Accept what no hand does, spikes for example: above 5 m/s, 1000 m/s², 500 N or 10 m."
         ),
     ] = False,
+    pen: Annotated[
+        Path | None,
+        Option(
+            metavar="E.csv",
+            help="Events of a pen (t, x, y, pressure) beside the sound of a microphone on it; its taps before and after the "
+            "strokes join the clocks. Without --unit acceleration=*FACTOR the texture is in relative units.",
+        ),
+    ] = None,
+    align: Annotated[str, Option(help="How --pen and the sound are joined: taps.")] = "taps",
+    pressure: Annotated[
+        str, Option(help="a,b of force = a exp(b pressure), of --pen (N); fit it on the page of foten serve.")
+    ] = "0.13,3.32",
     texture: Annotated[str, Option(help="What was stroked; the first file's name by default.")] = "",
     tool: Annotated[str, Option(help="What it was stroked with.")] = "",
     sensors: Annotated[str, Option(help="Sensors, amplifiers, ranges.")] = "",
@@ -122,6 +138,8 @@ def import_(
 
     foten import acc.wav rest.csv --map acceleration=acc.wav:0,speed=rest.csv:v,force=rest.csv:f
     --unit acceleration=*50 --rate 1000 -o denim.h5
+
+    foten import sound.wav --pen events.csv -o denim.h5: a microphone on a pen, joined to its events by taps.
 
     foten import Models_Denim.xml -o denim.foten: a model file of the Penn Haptic Texture Toolkit becomes a texture.
     """
@@ -143,7 +161,6 @@ def import_(
     from foten.datasets.hdf5 import write_recording
     from foten.datasets.importing import import_recording
     from foten.datasets.options import ImportOptions, parse_pairs, parse_rates
-    from foten.recording.recording import UNITS
 
     if output.suffix.lower() not in (".h5", ".hdf5"):
         raise ValueError(f"a recording is written as .h5, got -o {output.name}")
@@ -152,14 +169,17 @@ def import_(
     units_of = dict(parse_pairs(units or [], "--unit"))
     pairs = tuple(parse_pairs(mapping or [], "--map"))
     options = ImportOptions(pairs, units_of, rate_hz, rates_hz, fill_gaps, force_units)
-    imported, decisions = import_recording(files, options)
+    if pen is None:
+        imported, decisions = import_recording(files, options)
+    else:
+        imported, decisions = _import_capture(files, pen, align, pressure, options)
     for decision in decisions:
         say(decision)
     recording = replace(imported, texture=texture or files[0].stem, tool=tool, sensors=sensors, notes=notes)
     write_recording(recording, output)
     channels: dict[str, dict[str, Any]] = {
         name: {
-            "unit": UNITS[name],
+            "unit": recording.unit(name),
             "rate_hz": channel.rate_hz,
             "regular": channel.times_s is None,
             "n_samples": channel.samples.size,
@@ -176,6 +196,23 @@ def import_(
     lines += [f"  {line}" for line in recording.history]
     document = {"file": str(output), "sha256": recording.sha256(), "channels": channels, "history": recording.history}
     print_result(document, "\n".join([*lines, f"wrote {output}; next: foten inspect {output}"]), as_json)
+
+
+def _import_capture(
+    files: list[Path], pen: Path, align: str, pressure: str, options: ImportOptions
+) -> tuple[Recording, list[str]]:
+    from foten.datasets.importing import import_capture
+    from foten.runtime.stylus import PressureCalibration
+
+    if align != "taps":
+        raise ValueError(f"--align is {align!r}, expected taps")
+    if len(files) != 1 or options.mapping:
+        raise ValueError("--pen stands beside one sound, whose first channel is the acceleration: leave out --map")
+    try:
+        a, b = map(float, pressure.split(","))
+    except ValueError:
+        raise ValueError(f"--pressure is {pressure!r}, expected a,b such as 0.13,3.32") from None
+    return import_capture(files[0], pen, options, PressureCalibration(a, b).force)
 
 
 def _import_models(files: list[Path], output: Path, texture: str, notes: str, as_json: bool) -> None:

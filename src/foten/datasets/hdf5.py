@@ -10,7 +10,7 @@ Layout, version 1::
                             attributes  rate_hz, and unit: that of the table below, spelled so
     /times_s/NAME           dataset of n float64, seconds, only where the capture was irregular
 
-NAME and unit are one of: acceleration, acceleration_x, _y, _z [m/s^2]; speed [mm/s]; position_x, _y, _z [mm];
+NAME and unit are one of: acceleration, acceleration_x, _y, _z [m/s^2, or relative]; speed [mm/s]; position_x, _y, _z [mm];
 force, force_x, _y, _z [N]; z is the surface normal. In MATLAB::
 
     h5create('denim.h5', '/channels/force', numel(f));  h5write('denim.h5', '/channels/force', f(:));
@@ -36,7 +36,7 @@ from foten.atomic_write import atomic_write
 from foten.datasets.bounds import check_length, check_size
 from foten.datasets.isolated import read_isolated
 from foten.recording.inspection.values import counted
-from foten.recording.recording import UNITS, Channel, Recording
+from foten.recording.recording import RELATIVE, UNITS, Channel, Recording
 from foten.untrusted import check_numbers, parse_json
 
 FORMAT = "foten-recording"
@@ -68,7 +68,7 @@ def write_recording(recording: Recording, path: Path) -> None:
                 single = channel.samples.astype(np.float32)
             samples = single if np.array_equal(single, channel.samples) else channel.samples
             dataset = _store(file, f"channels/{name}", samples)
-            dataset.attrs["rate_hz"], dataset.attrs["unit"] = float(channel.rate_hz), UNITS[name]
+            dataset.attrs["rate_hz"], dataset.attrs["unit"] = float(channel.rate_hz), recording.unit(name)
             if channel.times_s is not None:
                 _store(file, f"times_s/{name}", channel.times_s)
         file.flush()
@@ -104,7 +104,7 @@ def load_recording(path: Path) -> Recording:
     if version != VERSION:
         raise ValueError(f"{name} has version {version:g}, expected {VERSION}; a newer foten may read it")
     objects = {entry["name"]: entry for entry in contents["objects"]}
-    channels = {}
+    channels, calibrated = {}, True
     for place, entry in objects.items():
         folder, _, channel = place.rpartition("/")
         if folder != "channels":
@@ -114,7 +114,9 @@ def load_recording(path: Path) -> Recording:
             raise ValueError(f"{where}: unknown, expected one of {', '.join(UNITS)}")
         of_channel = entry.get("attributes", {})
         unit = of_channel.get("unit", "")
-        if unit != UNITS[channel] and "fault" not in entry:
+        if unit == RELATIVE and channel.startswith("acceleration"):
+            calibrated = False
+        elif unit != UNITS[channel] and "fault" not in entry:
             raise ValueError(f"{where}: unit is {unit!r}, expected {UNITS[channel]!r}; convert the samples")
         samples = _vector(entry, arrays, where)
         rate_hz = _number(of_channel.get("rate_hz"))
@@ -134,7 +136,8 @@ def load_recording(path: Path) -> Recording:
         raise ValueError(f"{name} has no channel: the group /channels is missing or empty")
     texts = {key: str(attributes.get(key, "")) for key in _TEXTS}
     history = tuple(line for line in str(attributes.get("history", "")).split("\n") if line)
-    return Recording(channels, **texts, simulation=_simulation(attributes, name), history=history)
+    simulation = _simulation(attributes, name)
+    return Recording(channels, **texts, simulation=simulation, history=history, calibrated=calibrated)
 
 
 def _simulation(attributes: Mapping[str, Any], name: str) -> dict[str, Any] | None:

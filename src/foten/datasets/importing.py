@@ -18,6 +18,7 @@ from foten.datasets.bounds import check_hand, check_overlap
 from foten.datasets.columns import Column
 from foten.datasets.mapping import clocks_of, column_of, guessed_mapping, names_of, stroke_columns
 from foten.datasets.options import ImportOptions
+from foten.datasets.pen import PenEvents, joined, pen_channels
 from foten.datasets.table import read_delimited, read_excel
 from foten.datasets.timing import bridged, filled, irregular, rate_and_source, times_of
 from foten.datasets.units import factor_of, quantity, split_header
@@ -168,6 +169,56 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
     elif missing:
         decisions.append(f"there is no {missing}: nothing can be learned from this recording")
     return recording, decisions
+
+
+def import_capture(
+    sound: Path, pen: Path, options: ImportOptions, force: Callable[[Array], Array]
+) -> tuple[Recording, list[str]]:
+    """Return what a microphone on a pen and the pen's events hold, joined by taps, and what was decided: sentences for the user.
+
+    Without a unit for the acceleration it is in relative units: 1 is its RMS while the pen strokes.
+
+    Args:
+        sound: a file with one channel, or several of which the first counts.
+        pen: a table of t, x, y and pressure.
+        force: of pressures 0 … 1, shape (n,) → (n,).
+
+    Raises:
+        ValueError: one sentence on what is missing or impossible.
+    """
+    columns = [column for column in read_columns(sound) if column.rate_hz]
+    if not columns:
+        raise ValueError(f"{sound.name} is no sound with a rate, expected a .wav beside --pen")
+    column, decisions, rate_hz = columns[0], [], float(columns[0].rate_hz or 0)
+    if len(columns) > 1:
+        decisions.append(f"the first of {len(columns)} channels of {sound.name} is taken")
+    events = read_stroke(pen, {name: unit for name, unit in options.units.items() if name != "acceleration"})
+    if not {"position_x", "position_y", "pressure"} <= events.keys():
+        raise ValueError(f"{pen.name} has no x, y and pressure, expected those of a pen")
+    touching = PenEvents(events["time"], events["position_x"], events["position_y"], events["pressure"])
+    clock = joined(touching, column.samples, rate_hz)
+    channels = pen_channels(touching, clock, force)
+    given = options.units.get("acceleration")
+    history = [
+        f"acceleration is column {column.name} of {sound.name}",
+        f"position and force are those of {pen.name}",
+        str(clock),
+    ]
+    if given is None:
+        strokes = channels["force"]
+        touches = np.interp(np.arange(column.samples.size) / rate_hz, strokes.times, strokes.samples, 0.0, 0.0) > 0
+        level = float(np.sqrt(np.square(column.samples[touches] - column.samples[touches].mean()).mean()))
+        if not level > 0:
+            raise ValueError(f"{sound.name} is silent while the pen strokes: is it the right input?")
+        said = f"acceleration is in relative units: 1 is its RMS while the pen strokes, {level:.3g} of full scale"
+        factor = 1.0 / level
+    else:
+        factor, said = factor_of("acceleration", column.name, column.unit, given)
+    channels["acceleration"] = Channel(column.samples * factor, rate_hz)
+    history.append(said)
+    check_overlap(channels)
+    history += [said for name, one in channels.items() if (said := check_hand(name, one, options.force_units))]
+    return Recording(channels, history=tuple(history), calibrated=given is not None), decisions
 
 
 def read_stroke(path: Path, units: Mapping[str, str]) -> dict[str, Array]:

@@ -23,6 +23,9 @@ UNITS: Mapping[str, str] = {
 }
 """Every channel a recording may have, with the unit it is stored in. `z` is the surface normal."""
 
+RELATIVE = "relative"
+"""The unit of an acceleration that is not calibrated: 1 is its RMS while the tool touches."""
+
 LIMITS: Mapping[str, float] = {"speed": 5000.0, "acceleration": 1000.0, "force": 500.0, "position": 10_000.0}
 """Beyond these no hand stroked a surface: mm/s, m/s², N, mm."""
 
@@ -91,6 +94,9 @@ class Recording:
     notes: str = ""
     simulation: Mapping[str, Any] | None = None  # parameters of the simulator that made it: the judge asks it for truth
     history: tuple[str, ...] = ()  # what was done to the samples on the way in, one sentence each
+    calibrated: bool = (
+        True  # False where the acceleration is in relative units, of a sensor whose sensitivity nobody knows
+    )
 
     def __post_init__(self) -> None:
         unknown = sorted(set(self.channels) - set(UNITS))
@@ -126,6 +132,10 @@ class Recording:
     def duration_s(self) -> float:
         """Return the time covered by every channel [s]."""
         return min(channel.duration_s for channel in self.channels.values())
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a channel's samples."""
+        return UNITS[name] if self.calibrated or not name.startswith("acceleration") else RELATIVE
 
     def sha256(self) -> str:
         """Return a digest of the samples, rates and times, whatever file held them."""

@@ -62,6 +62,7 @@ class TrainingJob:
             "saturation": blocks.saturation,
             "lowpass_hz": self.preprocess.render_lowpass_hz,
             "delay_ms": self.preprocess.delay_ms,
+            "units": {"acceleration": recording.unit("acceleration"), "speed": "mm/s", "force": "N"},
             "texture": self.texture_name or recording.texture,
             "tool": recording.tool,
             "sensors": recording.sensors,
