@@ -31,9 +31,9 @@ from foten.runtime.stylus import PressureCalibration
 from foten.studio import server
 from foten.studio.access import LOOPBACK, Access, access_to, write_certificate
 from foten.studio.contact import Contact
-from foten.studio.library import Library
 from foten.studio.messages import Allowance, RefusedError, parse_events, parse_message
 from foten.studio.server import Studio
+from foten.studio.shelf import Shelf
 
 LOCAL = Access(LOOPBACK, 8000)
 HERE = "http://127.0.0.1:8000"
@@ -43,7 +43,7 @@ KEY = EXAMPLE.name
 
 @pytest.fixture
 def studio() -> Studio:
-    return Studio(Library([EXAMPLE]))
+    return Studio(Shelf([EXAMPLE]))
 
 
 @pytest.fixture
@@ -101,7 +101,7 @@ def test_a_texture_is_listed_and_given_as_it_is(client: TestClient) -> None:
 def test_a_photograph_beside_a_texture_is_its_picture(tmp_path: Path) -> None:
     (tmp_path / "mesh.foten").write_bytes(EXAMPLE.read_bytes())
     (tmp_path / "mesh.png").write_bytes(b"\x89PNG picture")
-    with TestClient(Studio(Library([tmp_path])).app(LOCAL), base_url=HERE) as client:
+    with TestClient(Studio(Shelf([tmp_path])).app(LOCAL), base_url=HERE) as client:
         (listed,) = client.get("/textures.json").json()["textures"]
         assert client.get(f"/{listed['picture']}").content == b"\x89PNG picture"
 
@@ -110,8 +110,8 @@ def test_textures_of_one_name_have_keys_of_their_own(tmp_path: Path) -> None:
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "mesh.foten").write_bytes(EXAMPLE.read_bytes())
-    library = Library([tmp_path / "a", tmp_path / "b"])
-    assert [one["file"] for one in library.listed()["textures"]] == ["mesh.foten", "mesh-2.foten"]
+    shelf = Shelf([tmp_path / "a", tmp_path / "b"])
+    assert [one["file"] for one in shelf.listed()["textures"]] == ["mesh.foten", "mesh-2.foten"]
 
 
 @pytest.mark.parametrize(
@@ -305,7 +305,7 @@ def test_no_message_brings_it_down(monkeypatch: pytest.MonkeyPatch, n: int) -> N
     """Each is taken or refused with a reason; afterwards a page strokes as before."""
     monkeypatch.setattr(server, "MOST_REFUSED", 10 * n)
     monkeypatch.setattr(server, "MESSAGES_A_SECOND", 1e9)
-    studio, rng = Studio(Library([EXAMPLE])), random.Random(0)
+    studio, rng = Studio(Shelf([EXAMPLE])), random.Random(0)
     with TestClient(studio.app(LOCAL), base_url=HERE, headers={"origin": HERE}) as client:
         with client.websocket_connect(f"{WS}/stroke") as socket:
             for _ in range(n):
@@ -323,7 +323,7 @@ def test_no_message_brings_it_down(monkeypatch: pytest.MonkeyPatch, n: int) -> N
 
 def test_a_flood_is_refused_and_then_sent_away(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "MOST_REFUSED", 50)
-    with TestClient(Studio(Library([EXAMPLE])).app(LOCAL), base_url=HERE, headers={"origin": HERE}) as client:
+    with TestClient(Studio(Shelf([EXAMPLE])).app(LOCAL), base_url=HERE, headers={"origin": HERE}) as client:
         with client.websocket_connect(f"{WS}/stroke") as socket:
             for _ in range(100):
                 socket.send_text("{}")
@@ -363,15 +363,15 @@ def test_a_hostile_texture_is_refused(tmp_path: Path, damage: str) -> None:
     contact.close()
     if damage != "proof":  # which only rendering finds
         with pytest.raises(ValueError, match=r"hostile\.foten"):
-            Library([path])
+            Shelf([path])
 
 
-def test_a_library_says_what_is_missing(tmp_path: Path) -> None:
+def test_a_shelf_says_what_is_missing(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"no such file: .*nothing\.foten"):
-        Library([tmp_path / "nothing.foten"])
+        Shelf([tmp_path / "nothing.foten"])
     with pytest.raises(ValueError, match=r"holds no texture file \(\.foten\)"):
-        Library([tmp_path])
-    assert len(Library()) >= 1
+        Shelf([tmp_path])
+    assert len(Shelf()) >= 1
 
 
 def started(*arguments: str) -> tuple[subprocess.Popen[str], str]:

@@ -138,11 +138,11 @@ def _write_onnx(texture: Texture, _file: Path, output: Path) -> tuple[dict[str, 
 
 def _write_site(_texture: Texture, file: Path, output: Path) -> tuple[dict[str, Any], str]:
     from foten.export import web
-    from foten.studio.library import Library
     from foten.studio.server import page_files
+    from foten.studio.shelf import Shelf
 
-    library = Library([file])
-    web.write_site(page_files(), library.listed(), library.files(), output)
+    shelf = Shelf([file])
+    web.write_site(page_files(), shelf.listed(), shelf.files(), output)
     return {}, f"{web.KEEPS}; put the folder on any host, and open it by HTTPS"
 
 

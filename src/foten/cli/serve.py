@@ -34,15 +34,15 @@ def serve(
 
     foten serve denim.foten mesh.foten --host 0.0.0.0: for a tablet on the same network, by the link or code that is printed.
     """
-    from foten.studio.library import Library
     from foten.studio.serve import serve as serve_studio
     from foten.studio.server import Studio
+    from foten.studio.shelf import Shelf
 
-    studio = Studio(Library(textures or []))
+    studio = Studio(Shelf(textures or []))
 
     def on_start(access: Access, shown: str) -> None:
         link = access.link(shown)
-        many = f"{len(studio.library)} texture{'s' if len(studio.library) != 1 else ''}"
+        many = f"{len(studio.shelf)} texture{'s' if len(studio.shelf) != 1 else ''}"
         say(f"{many} at {link}")
         if access.token is not None:
             import segno

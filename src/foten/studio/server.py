@@ -38,7 +38,6 @@ from foten.runtime.live.paced import NullSink
 from foten.runtime.stylus import PressureCalibration
 from foten.studio.access import Access, Guarded
 from foten.studio.contact import Contact
-from foten.studio.library import Library
 from foten.studio.messages import (
     EVENTS_A_SECOND,
     MESSAGES_A_SECOND,
@@ -48,6 +47,7 @@ from foten.studio.messages import (
     parse_events,
     parse_message,
 )
+from foten.studio.shelf import Shelf
 
 PAGE = Path(__file__).with_name("page")
 KERNEL = ("foten.mjs", "foten.wasm")
@@ -66,12 +66,12 @@ class Studio:
     """What the server has, and who is there.
 
     Args:
-        library: the textures.
+        shelf: the textures.
         sinks: as `SINKS`; others for tests.
     """
 
-    def __init__(self, library: Library, sinks: Mapping[str, Callable[[float], Sink]] = SINKS) -> None:
-        self.library, self.sinks = library, sinks
+    def __init__(self, shelf: Shelf, sinks: Mapping[str, Callable[[float], Sink]] = SINKS) -> None:
+        self.shelf, self.sinks = shelf, sinks
         self.pages: set[Page] = set()
         self.n_refused = 0
 
@@ -94,16 +94,16 @@ class Studio:
             await page.close()
 
     async def _textures(self, _request: Request) -> Response:
-        return JSONResponse(self.library.listed())
+        return JSONResponse(self.shelf.listed())
 
     async def _texture(self, request: Request) -> Response:
-        entry = self.library.get(request.path_params["key"])
+        entry = self.shelf.get(request.path_params["key"])
         if entry is None:
             return _missing(f"there is no texture {request.path_params['key'][:80]!r} here")
         return FileResponse(entry.path, media_type="application/octet-stream")
 
     async def _picture(self, request: Request) -> Response:
-        path = self.library.files().get(f"pictures/{request.path_params['name']}")
+        path = self.shelf.files().get(f"pictures/{request.path_params['name']}")
         return _missing("there is no such picture here") if path is None else FileResponse(path)
 
     async def _state(self, _request: Request) -> Response:
@@ -231,7 +231,7 @@ class Page:
             self._contact.set_volume(float(message["volume_db"]))
 
     async def _open(self, message: Mapping[str, Any]) -> None:
-        entry = self._studio.library.get(message["texture"])
+        entry = self._studio.shelf.get(message["texture"])
         if entry is None:
             raise RefusedError(f"there is no texture {message['texture'][:80]!r} here")
         sink = message.get("sink", "stream")

@@ -1,5 +1,5 @@
 // The page: textures on a shelf, one of them under the pen.
-import { grouped, shipped, textureOf } from "./library.js";
+import { grouped, shipped, textureOf } from "./shelf.js";
 import { Monitor } from "./monitor.js";
 import { Pad } from "./pad.js";
 import { Settings } from "./settings.js";

@@ -31,7 +31,7 @@ class Entry:
         return {"file": self.key, "name": self.name, "method": self.method, "picture": photo}
 
 
-class Library:
+class Shelf:
     """Texture files by key. Only these are ever read: a name in a request is looked up, and is no path.
 
     Raises:
