@@ -212,7 +212,8 @@ def _import_capture(
         a, b = map(float, pressure.split(","))
     except ValueError:
         raise ValueError(f"--pressure is {pressure!r}, expected a,b such as 0.13,3.32") from None
-    return import_capture(files[0], pen, options, PressureCalibration(a, b).force)
+    recording, _, decisions = import_capture(files[0], pen, options, PressureCalibration(a, b).force)
+    return recording, decisions
 
 
 def _import_models(files: list[Path], output: Path, texture: str, notes: str, as_json: bool) -> None:

@@ -26,9 +26,13 @@ def serve(
         ),
     ] = "127.0.0.1",
     port: Annotated[int, Option(min=0, max=65535, help="0 for any that is free.")] = 8000,
+    captures: Annotated[
+        Path,
+        Option(metavar="DIR", help="Where captured surfaces are kept, and shown from again; made when there is one."),
+    ] = Path("captures"),
     open_page: Annotated[bool, Option("--open/--no-open", help="Open the page in this machine's browser.")] = True,
 ) -> None:
-    """Open a page to stroke textures on, with a mouse, a finger or a pen. Ctrl-C ends it.
+    """Open a page to stroke textures on, with a mouse, a finger or a pen, and to capture surfaces of one's own. Ctrl-C ends it.
 
     foten serve
 
@@ -36,9 +40,12 @@ def serve(
     """
     from foten.studio.serve import serve as serve_studio
     from foten.studio.server import Studio
-    from foten.studio.shelf import Shelf
+    from foten.studio.shelf import SUFFIX, Shelf
 
-    studio = Studio(Shelf(textures or []))
+    shelf = Shelf(textures or [])
+    for kept in sorted(captures.glob(f"*/*{SUFFIX}")):
+        shelf.put(kept)
+    studio = Studio(shelf, captures)
 
     def on_start(access: Access, shown: str) -> None:
         link = access.link(shown)

@@ -18,7 +18,7 @@ from foten.datasets.bounds import check_hand, check_overlap
 from foten.datasets.columns import Column
 from foten.datasets.mapping import clocks_of, column_of, guessed_mapping, names_of, stroke_columns
 from foten.datasets.options import ImportOptions
-from foten.datasets.pen import PenEvents, joined, pen_channels
+from foten.datasets.pen import PenClock, PenEvents, joined, pen_channels
 from foten.datasets.table import read_delimited, read_excel
 from foten.datasets.timing import bridged, filled, irregular, rate_and_source, times_of
 from foten.datasets.units import factor_of, quantity, split_header
@@ -173,8 +173,8 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
 
 def import_capture(
     sound: Path, pen: Path, options: ImportOptions, force: Callable[[Array], Array]
-) -> tuple[Recording, list[str]]:
-    """Return what a microphone on a pen and the pen's events hold, joined by taps, and what was decided: sentences for the user.
+) -> tuple[Recording, PenClock, list[str]]:
+    """Return what a microphone on a pen and the pen's events hold, what joined them, and what was decided, in sentences.
 
     Without a unit for the acceleration it is in relative units: 1 is its RMS while the pen strokes.
 
@@ -218,7 +218,7 @@ def import_capture(
     history.append(said)
     check_overlap(channels)
     history += [said for name, one in channels.items() if (said := check_hand(name, one, options.force_units))]
-    return Recording(channels, history=tuple(history), calibrated=given is not None), decisions
+    return Recording(channels, history=tuple(history), calibrated=given is not None), clock, decisions
 
 
 def read_stroke(path: Path, units: Mapping[str, str]) -> dict[str, Array]:

@@ -1,6 +1,6 @@
 """What a page may say to the server, and no more: each message is checked here once, and refused with a reason.
 
-Text is JSON, one object with `do`:
+Text is JSON, one object with `do`. A page that strokes says:
 
     {"do": "open", "texture": KEY, "sink": "stream" | "device", "rate_hz": 48000, "volume_db": 0,
      "newtons": 0.13, "steepness": 3.32}
@@ -10,6 +10,14 @@ Text is JSON, one object with `do`:
 
 Bytes are events of a pen, 1 to `MOST_EVENTS` at once, each four little-endian float64: x and y [mm], pressure 0 … 1 (0 is
 lifted), the device's time [s].
+
+A page that captures says:
+
+    {"do": "begin", "name": "denim", "rate_hz": 48000, "newtons": 0.13, "steepness": 3.32, "full_scale_m_s2": 50, "input": "…"}
+    {"do": "train"}
+    {"do": "discard"}
+
+Its bytes begin with a letter: `e` and events as above, or `s` and samples of the sound in their order, little-endian float32.
 """
 
 from __future__ import annotations
@@ -35,24 +43,33 @@ class RefusedError(ValueError):
     """A message that is not one of those above; the text says why."""
 
 
+LONGEST_NAME = 100  # characters of a texture's or an input's
+LOUDEST = 16.0  # of full scale, that a sample of a sound may be: floats go beyond 1
 _NUMBERS: Mapping[str, tuple[float, float]] = {
     "volume_db": (-60.0, 24.0),
     "newtons": (1e-3, 1e3),
     "steepness": (-50.0, 50.0),
     "rate_hz": (8000.0, 192_000.0),
+    "full_scale_m_s2": (1e-3, 1e5),
 }
 _SINKS = ("stream", "device")
-_FIELDS: Mapping[str, tuple[frozenset[str], frozenset[str]]] = {
-    "open": (frozenset({"texture"}), frozenset({"sink", *_NUMBERS})),
+Kinds = Mapping[str, tuple[frozenset[str], frozenset[str]]]
+STROKE: Kinds = {
+    "open": (frozenset({"texture"}), frozenset({"sink", "rate_hz", "volume_db", "newtons", "steepness"})),
     "volume": (frozenset({"volume_db"}), frozenset()),
     "calibrate": (frozenset({"newtons", "steepness"}), frozenset()),
     "close": (frozenset(), frozenset()),
 }
+CAPTURE: Kinds = {
+    "begin": (frozenset({"name", "rate_hz"}), frozenset({"newtons", "steepness", "full_scale_m_s2", "input"})),
+    "train": (frozenset(), frozenset()),
+    "discard": (frozenset(), frozenset()),
+}
 """What each kind of message must have, and what it may have."""
 
 
-def parse_message(text: str) -> dict[str, Any]:
-    """Return a message in text.
+def parse_message(text: str, kinds: Kinds = STROKE) -> dict[str, Any]:
+    """Return a message in text, one of some kinds.
 
     Raises:
         RefusedError: it is too long, no JSON object, of an unknown kind, or a field is missing, unknown or out of range.
@@ -66,9 +83,9 @@ def parse_message(text: str) -> dict[str, Any]:
     if not isinstance(message, dict) or not isinstance(message.get("do"), str):
         raise RefusedError("the message is no object with 'do'")
     kind = message["do"]
-    if kind not in _FIELDS:
-        raise RefusedError(f"unknown message {kind[:40]!r}, expected one of {', '.join(_FIELDS)}")
-    needed, allowed = _FIELDS[kind]
+    if kind not in kinds:
+        raise RefusedError(f"unknown message {kind[:40]!r}, expected one of {', '.join(kinds)}")
+    needed, allowed = kinds[kind]
     given = message.keys() - {"do"}
     if missing := sorted(needed - given):
         raise RefusedError(f"{kind}: {missing[0]} is missing")
@@ -80,6 +97,17 @@ def parse_message(text: str) -> dict[str, Any]:
             raise RefusedError(f"{kind}: {name} is {value!r:.40}, expected a number from {low:g} to {high:g}")
     if not isinstance(message.get("texture", ""), str) or message.get("sink", _SINKS[0]) not in _SINKS:
         raise RefusedError(f"{kind}: texture is a name, and sink one of {', '.join(_SINKS)}")
+    for name in ("name", "input"):
+        said = message.get(name, "-")
+        if (
+            not isinstance(said, str)
+            or len(said) > LONGEST_NAME
+            or not (said or name == "input")
+            or not said.isprintable()
+        ):
+            raise RefusedError(
+                f"{kind}: {name} is {said!r:.40}, expected up to {LONGEST_NAME} characters that can be read"
+            )
     return message
 
 
@@ -98,6 +126,25 @@ def parse_events(data: bytes) -> NDArray[np.float64]:
     if (events[:, 2] < 0).any() or (events[:, 2] > 1).any():
         raise RefusedError("a pressure is outside of 0 to 1")
     return events
+
+
+def parse_captured(data: bytes) -> tuple[str, NDArray[np.float64]]:
+    """Return what a message of bytes of a capture holds: `events`, shape (n, 4), or `sound`, shape (n,).
+
+    Raises:
+        RefusedError: it is too long, neither of the two, or a value is not finite or out of range.
+    """
+    if len(data) > MOST_BYTES:
+        raise RefusedError(f"the message has {len(data)} bytes, expected {MOST_BYTES} at most")
+    kind, rest = data[:1], data[1:]
+    if kind == b"e":
+        return "events", parse_events(rest)
+    if kind != b"s" or not rest or len(rest) % 4:
+        raise RefusedError(f"{len(data)} bytes that are neither events nor whole samples of a sound")
+    sound = np.frombuffer(rest, dtype="<f4").astype(np.float64)
+    if not (np.abs(sound) <= LOUDEST).all():
+        raise RefusedError(f"a sample of the sound is not finite, or above {LOUDEST:g} times full scale")
+    return "sound", sound
 
 
 @dataclass

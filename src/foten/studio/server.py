@@ -5,6 +5,7 @@
     GET  /textures/KEY              a texture file; /pictures/… its photograph
     GET  /state                     who strokes, and how rendering keeps up
     WS   /stroke                    events in, vibration out (`messages`)
+    WS   /capture                   sound and events in, a texture out (`messages`)
 
 Each page has its own state, which a lost page frees.
 """
@@ -37,6 +38,7 @@ from foten.runtime.live.live import Sink
 from foten.runtime.live.paced import NullSink
 from foten.runtime.stylus import PressureCalibration
 from foten.studio.access import Access, Guarded
+from foten.studio.capturing import CapturePage, Trainings, why_not
 from foten.studio.contact import Contact
 from foten.studio.messages import (
     EVENTS_A_SECOND,
@@ -54,6 +56,8 @@ KERNEL = ("foten.mjs", "foten.wasm")
 MOST_PAGES = 64  # that stroke at once
 MOST_REFUSED = 1000  # messages of a page, after which it is sent away
 MOST_WAITING = 64  # blocks for a page that does not take them; the oldest go
+MOST_CAPTURING = 4  # pages at once, each of which holds its sound
+CAPTURES = Path("captures")  # below where the server is started
 STATE_S = 1.0  # between two reports of how rendering keeps up
 SINKS: Mapping[str, Callable[[float], Sink]] = {
     "stream": NullSink,
@@ -67,11 +71,16 @@ class Studio:
 
     Args:
         shelf: the textures.
+        captures: the folder where pages' captures are kept.
         sinks: as `SINKS`; others for tests.
     """
 
-    def __init__(self, shelf: Shelf, sinks: Mapping[str, Callable[[float], Sink]] = SINKS) -> None:
+    def __init__(
+        self, shelf: Shelf, captures: Path = CAPTURES, sinks: Mapping[str, Callable[[float], Sink]] = SINKS
+    ) -> None:
         self.shelf, self.sinks = shelf, sinks
+        self.trainings = Trainings(captures, shelf)
+        self.n_capturing = 0
         self.pages: set[Page] = set()
         self.n_refused = 0
 
@@ -83,6 +92,7 @@ class Studio:
             Route("/pictures/{name}", self._picture),
             Route("/state", self._state),
             WebSocketRoute("/stroke", self._stroke),
+            WebSocketRoute("/capture", self._capture),
             Route("/{name:path}", self._file),
         ]
         return Guarded(Starlette(routes=routes, lifespan=self._lifespan), access)
@@ -92,9 +102,10 @@ class Studio:
         yield
         for page in list(self.pages):
             await page.close()
+        await self.trainings.close()
 
     async def _textures(self, _request: Request) -> Response:
-        return JSONResponse(self.shelf.listed())
+        return JSONResponse({**self.shelf.listed(), "cannot_train": why_not()})
 
     async def _texture(self, request: Request) -> Response:
         entry = self.shelf.get(request.path_params["key"])
@@ -131,6 +142,17 @@ class Studio:
             with anyio.CancelScope(shield=True):  # a page that is lost in the middle of something frees its sound too
                 await page.close()
             self.pages.discard(page)
+
+    async def _capture(self, socket: WebSocket) -> None:
+        await socket.accept()
+        if self.n_capturing >= MOST_CAPTURING:
+            await socket.close(1013, f"{MOST_CAPTURING} pages capture already: close one")
+            return
+        self.n_capturing += 1
+        try:
+            await CapturePage(socket, self.trainings).run()
+        finally:
+            self.n_capturing -= 1
 
 
 class Page:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from foten.families.texture_file import read_texture
+from foten.recording.recording import RELATIVE
 from foten.runtime.renderer import EXAMPLE
 
 SUFFIX = ".foten"
@@ -24,11 +25,12 @@ class Entry:
     name: str  # of the texture, by its card
     method: str  # the model's key
     picture: Path | None  # a photograph beside the file, of the same name
+    relative: bool = False  # its acceleration is in units of the recording's RMS
 
     def listed(self) -> dict[str, Any]:
         """Return what the page is told."""
         photo = None if self.picture is None else f"pictures/{self.key}{self.picture.suffix}"
-        return {"file": self.key, "name": self.name, "method": self.method, "picture": photo}
+        return {"file": self.key, "name": self.name, "method": self.method, "picture": photo, "relative": self.relative}
 
 
 class Shelf:
@@ -42,19 +44,25 @@ class Shelf:
     def __init__(self, paths: Sequence[Path] = ()) -> None:
         self._entries: dict[str, Entry] = {}
         for path in _files(paths):
-            self.add(path)
+            self.put(path)
 
     def __len__(self) -> int:
         return len(self._entries)
 
-    def add(self, path: Path) -> Entry:
-        """Put a texture file on the shelf, and return its entry."""
+    def put(self, path: Path) -> Entry:
+        """Put a texture file on the shelf, and return its entry; one that lies there already is read again.
+
+        Raises:
+            ValueError: it is no texture file.
+        """
         texture = read_texture(path)
         key, n = path.name, 2
-        while key in self._entries:
+        while key in self._entries and self._entries[key].path != path:
             key, n = f"{path.stem}-{n}{SUFFIX}", n + 1
         picture = next((one for end in PICTURES if (one := path.with_suffix(end)).is_file()), None)
-        entry = Entry(key, path, str(texture.card["texture"]) or path.stem, str(texture.card["model"]), picture)
+        card = texture.card
+        relative = card["units"].get("acceleration") == RELATIVE
+        entry = Entry(key, path, str(card["texture"]) or path.stem, str(card["model"]), picture, relative)
         self._entries[key] = entry
         return entry
 

@@ -22,8 +22,8 @@ export function titled(name) {
 }
 
 export class Texture {
-  constructor({ file, name, method, picture = null, bytes = null }) {
-    Object.assign(this, { file, name, method, photo: picture });
+  constructor({ file, name, method, picture = null, relative = false, bytes = null }) {
+    Object.assign(this, { file, name, method, photo: picture, relative });
     this.id = file;
     this.held = bytes && Promise.resolve(bytes);
   }
@@ -42,12 +42,12 @@ export class Texture {
   }
 }
 
-/** Return the textures that come with the page, and whether its server can render them. */
+/** Return the textures that come with the page, whether its server can render them, and why that cannot train, if it cannot. */
 export async function shipped() {
   const answer = await fetch("textures.json");
   if (!answer.ok) throw new Error(`the list of textures could not be fetched: ${answer.status}`);
-  const { textures, server } = await answer.json();
-  return { textures: textures.map((one) => new Texture(one)), server: Boolean(server) };
+  const { textures, server, cannot_train } = await answer.json();
+  return { textures: textures.map((one) => new Texture(one)), server: Boolean(server), cannotTrain: cannot_train || "" };
 }
 
 let opened = 0;
@@ -56,7 +56,7 @@ let opened = 0;
 export async function textureOf(file) {
   const bytes = await file.arrayBuffer();
   const card = cardOf(bytes);
-  const texture = new Texture({ file: file.name, name: card.texture, method: card.model, bytes });
+  const texture = new Texture({ file: file.name, name: card.texture, method: card.model, relative: card.units?.acceleration === "relative", bytes });
   texture.id = `${file.name}#${++opened}`;
   texture.card = card;
   return texture;

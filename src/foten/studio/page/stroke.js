@@ -41,27 +41,8 @@ export class Taken {
     save(new Blob([["t,x,y,pressure", ...rows, ""].join("\n")], { type: "text/csv" }), `${this.name}.csv`);
   }
 
-  /** One channel of 32-bit floats, in m/s². */
   wav() {
-    const { samples, rate } = this.stroke, bytes = new DataView(new ArrayBuffer(58 + 4 * samples.length));
-    const text = (at, word) => [...word].forEach((letter, i) => bytes.setUint8(at + i, letter.charCodeAt(0)));
-    text(0, "RIFF");
-    bytes.setUint32(4, 50 + 4 * samples.length, true);
-    text(8, "WAVEfmt ");
-    bytes.setUint32(16, 18, true);
-    bytes.setUint16(20, 3, true); // IEEE floats
-    bytes.setUint16(22, 1, true);
-    bytes.setUint32(24, rate, true);
-    bytes.setUint32(28, 4 * rate, true);
-    bytes.setUint16(32, 4, true);
-    bytes.setUint16(34, 32, true);
-    text(38, "fact");
-    bytes.setUint32(42, 4, true);
-    bytes.setUint32(46, samples.length, true);
-    text(50, "data");
-    bytes.setUint32(54, 4 * samples.length, true);
-    samples.forEach((value, i) => bytes.setFloat32(58 + 4 * i, value, true));
-    save(new Blob([bytes.buffer], { type: "audio/wav" }), `${this.name}.wav`);
+    save(wavOf(this.stroke.samples, this.stroke.rate), `${this.name}.wav`);
   }
 
   get name() {
@@ -89,7 +70,30 @@ export class Taken {
   }
 }
 
-function save(blob, name) {
+/** Return a sound of one channel in 32-bit floats. */
+export function wavOf(samples, rate) {
+  const bytes = new DataView(new ArrayBuffer(58 + 4 * samples.length));
+  const text = (at, word) => [...word].forEach((letter, i) => bytes.setUint8(at + i, letter.charCodeAt(0)));
+  text(0, "RIFF");
+  bytes.setUint32(4, 50 + 4 * samples.length, true);
+  text(8, "WAVEfmt ");
+  bytes.setUint32(16, 18, true);
+  bytes.setUint16(20, 3, true); // IEEE floats
+  bytes.setUint16(22, 1, true);
+  bytes.setUint32(24, rate, true);
+  bytes.setUint32(28, 4 * rate, true);
+  bytes.setUint16(32, 4, true);
+  bytes.setUint16(34, 32, true);
+  text(38, "fact");
+  bytes.setUint32(42, 4, true);
+  bytes.setUint32(46, samples.length, true);
+  text(50, "data");
+  bytes.setUint32(54, 4 * samples.length, true);
+  samples.forEach((value, i) => bytes.setFloat32(58 + 4 * i, value, true));
+  return new Blob([bytes.buffer], { type: "audio/wav" });
+}
+
+export function save(blob, name) {
   const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(blob), download: name });
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 10_000);

@@ -1,10 +1,11 @@
 // The page: textures on a shelf, one of them under the pen.
-import { grouped, shipped, textureOf } from "./shelf.js";
+import { grouped, shipped, Texture, textureOf } from "./shelf.js";
 import { Monitor } from "./monitor.js";
 import { Pad } from "./pad.js";
 import { Settings } from "./settings.js";
 import { PageSound } from "./sound.js";
 import { Taken } from "./stroke.js";
+import { Capture } from "./capture.js";
 
 const $ = (id) => document.getElementById(id);
 const sound = new PageSound();
@@ -20,7 +21,7 @@ const taken = new Taken($("taken"), { sound, pad, groups: () => groups, use });
 const pictures = new Map(); // by a texture's id: what surface.js made
 const painter = new Worker("surface.js", { type: "module" });
 const painting = new Map();
-let textures = [], groups = [], chosen = null, blind = null;
+let textures = [], groups = [], chosen = null, blind = null, server = false, cannotTrain = "";
 
 // Pictures
 
@@ -103,6 +104,7 @@ async function use(texture) {
     const { trainedSpeed, trainedForce } = sound.infos.get(texture.id);
     const range = ([low, high], unit, digits) => `${low.toFixed(digits)} – ${high.toFixed(digits)} ${unit}`;
     $("now-range").textContent = `recorded at ${range(trainedSpeed, "mm/s", 0)}, ${range(trainedForce, "N", 1)}`;
+    $("acceleration-unit").textContent = texture.relative ? "× its RMS" : "m/s²";
   }
   await info;
 }
@@ -219,6 +221,26 @@ addEventListener("drop", (e) => {
   attempt(() => open([...e.dataTransfer.files]));
 });
 
+// A surface of one's own
+
+const capture = new Capture($("capture"), { calibration: () => settings.calibration, onTexture: learned, canTrain: () => server });
+
+/** A texture that the server learned from a capture: on the shelf and under the pen at once, and again when it is better. */
+function learned(listed, done) {
+  const texture = new Texture(listed), at = textures.findIndex((one) => one.file === texture.file), known = textures[at];
+  if (known) textures[at] = texture;
+  else textures.push(texture);
+  pictures.delete(texture.id);
+  sound.drop(texture.id);
+  shelve();
+  attempt(async () => {
+    if (!known || chosen === known) await use(texture);
+    say(done ? `${texture.title} is learned.` : `${texture.title} is there: stroke it. It may get better yet.`);
+  });
+}
+
+$("capture-one").addEventListener("click", () => (cannotTrain ? say(cannotTrain) : capture.show()));
+
 let silent = null;
 
 /** Say something for people, for a few seconds. */
@@ -239,10 +261,10 @@ async function attempt(what) {
 
 await attempt(async () => {
   const found = await shipped();
-  textures = found.textures;
-  settings.offer(found.server);
+  ({ textures, server, cannotTrain } = found);
+  settings.offer(server);
   shelve();
   if (textures.length) await use(textures[0]);
 });
 document.documentElement.dataset.ready = "true";
-window.studio = { monitor, pad, sound }; // for tests and the curious
+window.studio = { capture, monitor, pad, sound }; // for tests and the curious

@@ -1,0 +1,161 @@
+"""One page that captures: sound and events in, progress of the training out."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import importlib.util
+import json
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from foten.atomic_write import reason
+from foten.studio.capture import About, Capture
+from foten.studio.messages import CAPTURE, MESSAGES_A_SECOND, Allowance, RefusedError, parse_captured, parse_message
+from foten.studio.shelf import Shelf
+
+MOST_CAPTURES = 200  # that are kept from one start of the server
+LONGEST_LINE = 1 << 16  # that a training says
+
+
+def why_not() -> str:
+    """Return what is missing to train here; empty where nothing is."""
+    missing = [name for name in ("torch", "h5py") if importlib.util.find_spec(name) is None]
+    return f"the server cannot train without {' and '.join(missing)}: pip install 'foten[train]'" if missing else ""
+
+
+class Trainings:
+    """Trains captured folders, one at a time; a page that leaves does not end them, the server's end does.
+
+    Args:
+        captures: where they are kept.
+        shelf: what is trained goes there.
+    """
+
+    def __init__(self, captures: Path, shelf: Shelf) -> None:
+        self.captures, self._shelf = captures, shelf
+        self.n_kept = 0
+        self._one_at_a_time = asyncio.Lock()
+        self._running: set[asyncio.Task[None]] = set()
+
+    def start(self, folder: Path, say: Callable[[Mapping[str, Any]], None]) -> None:
+        """Train from a folder as soon as no other is trained; `say` is given what `training` says, textures as listed."""
+        task = asyncio.create_task(self._train(folder, say))
+        self._running.add(task)
+        task.add_done_callback(self._running.discard)
+
+    async def close(self) -> None:
+        """End every training; what was captured stays where it is."""
+        for task in (running := list(self._running)):
+            task.cancel()
+        await asyncio.gather(*running, return_exceptions=True)
+
+    async def _train(self, folder: Path, say: Callable[[Mapping[str, Any]], None]) -> None:
+        if self._one_at_a_time.locked():
+            say({"stage": "waiting for another training", "share": 0.0})
+        async with self._one_at_a_time:
+            # A process of its own, by a command: what renders here is not disturbed, and ends are clean.
+            process = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-m", "foten.studio.training", str(folder)),
+                stdin=asyncio.subprocess.DEVNULL,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=asyncio.subprocess.PIPE,
+                limit=LONGEST_LINE,
+            )
+            assert process.stdout is not None
+            assert process.stderr is not None
+            errors = asyncio.create_task(process.stderr.read())
+            try:
+                ended = False
+                async for line in process.stdout:
+                    said = json.loads(line)
+                    for kind in ("playable", "done"):
+                        if kind in said:
+                            said[kind] = self._shelf.put(folder / said[kind]).listed()
+                    ended = ended or "done" in said or "refused" in said
+                    say(said)
+                await process.wait()
+                if not ended:
+                    last = (await errors).decode("utf-8", "replace").strip().splitlines()[-1:]
+                    say({"refused": f"the training died: {''.join(last)[:200] or process.returncode}"})
+            finally:
+                errors.cancel()
+                if process.returncode is None:
+                    process.kill()
+                    await process.wait()
+
+
+class CapturePage:
+    """One page at the WebSocket; a message that is refused ends its capture, for something of it would be missing."""
+
+    def __init__(self, socket: WebSocket, trainings: Trainings) -> None:
+        self._socket, self._trainings = socket, trainings
+        self._capture: Capture | None = None
+        self._messages = Allowance(MESSAGES_A_SECOND)
+        self._saying: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue()
+
+    async def run(self) -> None:
+        """Serve the page until it goes."""
+        sending = asyncio.create_task(self._send())
+        try:
+            while True:
+                received = await self._socket.receive()
+                if received["type"] == "websocket.disconnect":
+                    return
+                try:
+                    await self._take(received)
+                except RefusedError as refused:
+                    self._capture = None
+                    self._saying.put_nowait({"refused": str(refused)})
+                except OSError as error:
+                    self._capture = None
+                    self._saying.put_nowait({"refused": f"the capture cannot be kept: {reason(error)}"})
+        except WebSocketDisconnect:
+            pass
+        finally:
+            sending.cancel()
+            await asyncio.gather(sending, return_exceptions=True)
+
+    async def _take(self, received: Mapping[str, Any]) -> None:
+        if not self._messages.take(1):
+            raise RefusedError(f"more than {MESSAGES_A_SECOND:g} messages a second")
+        data = received.get("bytes")
+        if data is not None:
+            kind, values = parse_captured(data)
+            capture = self._begun("what was captured")
+            if kind == "sound":
+                capture.hear(values.astype(np.float32))
+            else:
+                capture.take(values)
+            return
+        message = parse_message(received.get("text") or "", CAPTURE)
+        if message["do"] == "begin":
+            if self._trainings.n_kept >= MOST_CAPTURES:
+                raise RefusedError(f"{MOST_CAPTURES} captures are kept already: start the server again")
+            if missing := why_not():
+                raise RefusedError(missing)
+            self._capture = Capture(About.of(message))
+            self._saying.put_nowait({"begun": True})
+        elif message["do"] == "discard":
+            self._capture = None
+        else:
+            capture, self._capture = self._begun("train"), None
+            folder = await asyncio.to_thread(capture.write, self._trainings.captures)
+            self._trainings.n_kept += 1
+            self._saying.put_nowait({"kept": folder.name, "seconds": capture.seconds})
+            self._trainings.start(folder, self._saying.put_nowait)
+
+    def _begun(self, what: str) -> Capture:
+        if self._capture is None:
+            raise RefusedError(f"{what} before a capture was begun")
+        return self._capture
+
+    async def _send(self) -> None:
+        with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+            while True:
+                await self._socket.send_text(json.dumps(await self._saying.get(), allow_nan=False))

@@ -1,0 +1,246 @@
+"""The server's side of a capture: what it takes, what it refuses, what it keeps, and that a texture comes of it."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("starlette")
+import scipy.io.wavfile
+from starlette.testclient import TestClient
+
+from foten.datasets.hdf5 import load_recording
+from foten.dsp import Array
+from foten.families.texture_file import read_texture
+from foten.recording.recording import RELATIVE
+from foten.runtime.renderer import EXAMPLE
+from foten.studio import capturing, server
+from foten.studio.access import LOOPBACK, Access
+from foten.studio.capture import About, Capture, file_name
+from foten.studio.messages import CAPTURE, LONGEST_NAME, MOST_BYTES, RefusedError, parse_captured, parse_message
+from foten.studio.server import Studio
+from foten.studio.shelf import Shelf
+from pen_on_surface import FULL_SCALE, SOUND_HZ, Performance, performed
+
+HERE, WS = "http://127.0.0.1:8000", "ws://127.0.0.1:8000/capture"
+BEGIN = {"do": "begin", "name": "Old denim, washed", "rate_hz": 48000}
+PIECE = 896  # samples
+
+
+@pytest.fixture
+def studio(tmp_path: Path) -> Studio:
+    return Studio(Shelf([EXAMPLE]), tmp_path / "captures")
+
+
+@pytest.fixture
+def client(studio: Studio) -> Iterator[TestClient]:
+    with TestClient(studio.app(Access(LOOPBACK, 8000)), base_url=HERE, headers={"origin": HERE}) as client:
+        yield client
+
+
+def sound(samples: Array) -> bytes:
+    return b"s" + samples.astype("<f4").tobytes()
+
+
+def events(*rows: tuple[float, float, float, float]) -> bytes:
+    return b"e" + np.array(rows, dtype="<f8").tobytes()
+
+
+def answered(socket: Any, kind: str, seconds: float = 60.0) -> dict[str, Any]:
+    """Return the first answer of a kind, or the refusal."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        document: dict[str, Any] = json.loads(socket.receive_text())
+        if kind in document or "refused" in document:
+            return document
+    raise AssertionError(f"no {kind} within {seconds:g} s")
+
+
+def say(socket: Any, performance: Performance, hz: float = 200.0) -> None:
+    """Send a whole performance: its sound in pieces, its events in between, in the order of their times."""
+    plan = performance.plan[:: round(1000 / hz)]
+    down = plan[:, 3] > 0
+    heard = down | np.append(False, down[:-1])  # what touches, and the lift after it
+    rows = plan[heard][:, [1, 2, 3, 0]]
+    piece_s, sent = PIECE / SOUND_HZ, 0
+    for k in range(performance.sound.size // PIECE):
+        until = int(np.searchsorted(rows[:, 3], (k + 1) * piece_s))
+        if until > sent:
+            socket.send_bytes(events(*map(tuple, rows[sent:until].tolist())))
+            sent = until
+        socket.send_bytes(sound(performance.sound[k * PIECE : (k + 1) * PIECE]))
+
+
+def test_a_capture_is_kept_in_files_that_import_reads(client: TestClient, studio: Studio, monkeypatch: Any) -> None:
+    monkeypatch.setattr(studio.trainings, "start", lambda folder, say: None)
+    rng = np.random.default_rng(0)
+    heard = rng.uniform(-1, 1, 3 * PIECE).astype(np.float32)
+    with client.websocket_connect(WS) as socket:
+        socket.send_text(json.dumps({**BEGIN, "full_scale_m_s2": 50, "input": "Built-in"}))
+        assert answered(socket, "begun") == {"begun": True}
+        socket.send_bytes(sound(heard[:PIECE]))
+        socket.send_bytes(events((1, 2, 0.5, 0.01), (1.5, 2, 0.6, 0.015)))
+        socket.send_bytes(sound(heard[PIECE:]))
+        socket.send_bytes(events((1.5, 2, 0.0, 0.02)))
+        socket.send_text('{"do": "train"}')
+        kept = answered(socket, "kept")
+    folder = studio.trainings.captures / kept["kept"]
+    assert (folder.name, kept["seconds"]) == ("old-denim-washed", heard.size / 48000)
+    rate, samples = scipy.io.wavfile.read(folder / "sound.wav")
+    assert rate == 48000
+    np.testing.assert_array_equal(samples, heard)
+    rows = np.loadtxt(folder / "pen.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(rows, [[0.01, 1, 2, 0.5], [0.015, 1.5, 2, 0.6], [0.02, 1.5, 2, 0.0]])
+    about = json.loads((folder / "capture.json").read_text())
+    assert about["full_scale_m_s2"] == 50
+    assert about["input"] == "Built-in"
+
+
+def test_a_second_capture_of_one_name_has_a_folder_of_its_own(tmp_path: Path) -> None:
+    for expected in ("denim", "denim-2", "denim-3"):
+        capture = Capture(About("Denim", 48000))
+        capture.hear(np.zeros(100, dtype=np.float32))
+        capture.take(np.array([[0, 0, 0.5, 1.0]]))
+        assert capture.write(tmp_path).name == expected
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"), [("../../etc/passwd", "etc-passwd"), ("…", "surface"), ("Wool 2", "wool-2"), ("a" * 90, "a" * 60)]
+)
+def test_a_name_is_no_path(name: str, expected: str) -> None:
+    assert file_name(name) == expected
+
+
+@pytest.mark.parametrize(
+    ("data", "why"),
+    [
+        (b"", "neither events nor whole samples"),
+        (b"s", "neither events nor whole samples"),
+        (b"s123", "neither events nor whole samples"),
+        (b"x1234", "neither events nor whole samples"),
+        (b"e" + bytes(31), "expected 1 to 64 of 32 bytes"),
+        (b"s" + bytes(MOST_BYTES), f"expected {MOST_BYTES} at most"),
+        (b"s" + np.array([np.nan], dtype="<f4").tobytes(), "not finite"),
+        (b"s" + np.array([17.0], dtype="<f4").tobytes(), "above 16 times full scale"),
+    ],
+)
+def test_bytes_that_are_no_capture_are_refused(data: bytes, why: str) -> None:
+    with pytest.raises(RefusedError, match=why):
+        parse_captured(data)
+
+
+@pytest.mark.parametrize(
+    ("message", "why"),
+    [
+        ({"do": "open", "texture": "x"}, "unknown message 'open', expected one of begin, train, discard"),
+        ({"do": "begin", "rate_hz": 48000}, "name is missing"),
+        ({**BEGIN, "name": ""}, "name is ''"),
+        ({**BEGIN, "name": "a\nb"}, "name is"),
+        ({**BEGIN, "name": "a" * (LONGEST_NAME + 1)}, "expected up to 100 characters"),
+        ({**BEGIN, "rate_hz": 1}, "expected a number from 8000"),
+        ({**BEGIN, "full_scale_m_s2": 0}, "full_scale_m_s2 is 0"),
+        ({**BEGIN, "sink": "device"}, "unknown field 'sink'"),
+    ],
+)
+def test_a_begin_that_is_none_is_refused(message: dict[str, Any], why: str) -> None:
+    with pytest.raises(RefusedError, match=why):
+        parse_message(json.dumps(message), CAPTURE)
+
+
+def test_what_is_out_of_order_is_refused_and_ends_the_capture(client: TestClient) -> None:
+    with client.websocket_connect(WS) as socket:
+        socket.send_bytes(sound(np.zeros(4)))
+        assert "before a capture was begun" in answered(socket, "begun")["refused"]
+        socket.send_text('{"do": "train"}')
+        assert "train before a capture was begun" in answered(socket, "begun")["refused"]
+        socket.send_text(json.dumps(BEGIN))
+        assert answered(socket, "begun") == {"begun": True}
+        socket.send_bytes(events((0, 0, 0.5, 2.0)))
+        socket.send_bytes(events((0, 0, 0.5, 1.0)))
+        assert "not in the order" in answered(socket, "kept")["refused"]
+        socket.send_text('{"do": "train"}')
+        assert "before a capture was begun" in answered(socket, "kept")["refused"]
+        socket.send_text(json.dumps(BEGIN))
+        assert answered(socket, "begun") == {"begun": True}
+        socket.send_text('{"do": "train"}')
+        assert "the pen has not touched yet" in answered(socket, "kept")["refused"]
+
+
+def test_a_capture_that_never_ends_is_refused(monkeypatch: Any) -> None:
+    capture = Capture(About("x", 8000))
+    for _ in range(300):
+        capture.hear(np.zeros(8000, dtype=np.float32))
+    with pytest.raises(RefusedError, match="longer than 300 s"):
+        capture.hear(np.zeros(1, dtype=np.float32))
+
+
+def test_only_so_many_pages_capture_at_once_and_one_that_left_makes_room(client: TestClient, studio: Studio) -> None:
+    sockets = [client.websocket_connect(WS) for _ in range(server.MOST_CAPTURING)]
+    for socket in sockets:
+        socket.__enter__()
+        socket.send_text(json.dumps(BEGIN))
+        answered(socket, "begun")
+    with client.websocket_connect(WS) as one_more:
+        message = one_more.receive()
+        assert (message["type"], message["code"]) == ("websocket.close", 1013)
+    sockets[0].__exit__(None, None, None)
+    end = time.monotonic() + 5
+    while studio.n_capturing == server.MOST_CAPTURING and time.monotonic() < end:
+        time.sleep(0.01)
+    with client.websocket_connect(WS) as socket:
+        socket.send_text(json.dumps(BEGIN))
+        assert answered(socket, "begun") == {"begun": True}
+    for socket in sockets[1:]:
+        socket.__exit__(None, None, None)
+
+
+def test_without_what_trains_a_capture_says_so_before_it_begins(client: TestClient, monkeypatch: Any) -> None:
+    monkeypatch.setattr(capturing, "why_not", lambda: "the server cannot train without torch: pip install 'foten[train]'")
+    with client.websocket_connect(WS) as socket:
+        socket.send_text(json.dumps(BEGIN))
+        assert "pip install 'foten[train]'" in answered(socket, "begun")["refused"]
+
+
+def test_noise_without_taps_is_refused_in_words_and_kept(client: TestClient, studio: Studio) -> None:
+    rng = np.random.default_rng(0)
+    with client.websocket_connect(WS) as socket:
+        socket.send_text(json.dumps(BEGIN))
+        for k in range(60):
+            socket.send_bytes(sound(0.01 * rng.standard_normal(PIECE)))
+            socket.send_bytes(events((k, 0, 0.5, 0.02 * k)))
+        socket.send_text('{"do": "train"}')
+        kept = answered(socket, "kept")
+        assert "tap three times before the strokes" in answered(socket, "done")["refused"]
+    assert (studio.trainings.captures / kept["kept"] / "sound.wav").is_file()
+    assert len(studio.shelf) == 1
+
+
+def test_a_texture_comes_of_a_capture_in_true_and_in_relative_units(client: TestClient, studio: Studio) -> None:
+    performance = performed("steel-mesh-1", 14.0)
+    for full_scale, unit in ((FULL_SCALE, "m/s²"), (None, RELATIVE)):
+        with client.websocket_connect(WS) as socket:
+            begin = BEGIN if full_scale is None else {**BEGIN, "full_scale_m_s2": full_scale}
+            socket.send_text(json.dumps(begin))
+            say(socket, performance)
+            socket.send_text('{"do": "train"}')
+            folder = studio.trainings.captures / answered(socket, "kept")["kept"]
+            joined = answered(socket, "joined")["joined"]
+            assert abs(joined["delay_ms"]) < 3
+            playable = answered(socket, "playable", 300.0)
+            assert playable.get("playable", playable)["relative"] == (unit == RELATIVE)
+            done = answered(socket, "done", 300.0)["done"]
+        assert studio.shelf.get(done["file"]) is not None
+        card = read_texture(folder / "old-denim-washed.foten").card
+        assert (card["texture"], card["units"]["acceleration"]) == ("Old denim, washed", unit)
+        force = load_recording(folder / "old-denim-washed.h5")["force"].samples
+        assert force.max() > 1.0
+    assert [one["file"] for one in client.get("/textures.json").json()["textures"]][1:] == [
+        "old-denim-washed.foten",
+        "old-denim-washed-2.foten",
+    ]
