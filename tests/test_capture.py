@@ -16,6 +16,7 @@ import scipy.io.wavfile
 from starlette.testclient import TestClient
 
 from foten.datasets.hdf5 import load_recording
+from foten.datasets.simulated_capture import FULL_SCALE, SOUND_HZ, SimulatedCapture, simulate_capture
 from foten.dsp import Array
 from foten.families.texture_file import read_texture
 from foten.recording.recording import RELATIVE
@@ -26,7 +27,6 @@ from foten.studio.capture import About, Capture, file_name
 from foten.studio.messages import CAPTURE, LONGEST_NAME, MOST_BYTES, RefusedError, parse_captured, parse_message
 from foten.studio.server import Studio
 from foten.studio.shelf import Shelf
-from pen_on_surface import FULL_SCALE, SOUND_HZ, Performance, performed
 
 HERE, WS = "http://127.0.0.1:8000", "ws://127.0.0.1:8000/capture"
 BEGIN = {"do": "begin", "name": "Old denim, washed", "rate_hz": 48000}
@@ -62,7 +62,7 @@ def answered(socket: Any, kind: str, seconds: float = 60.0) -> dict[str, Any]:
     raise AssertionError(f"no {kind} within {seconds:g} s")
 
 
-def say(socket: Any, performance: Performance, hz: float = 200.0) -> None:
+def say(socket: Any, performance: SimulatedCapture, hz: float = 200.0) -> None:
     """Send a whole performance: its sound in pieces, its events in between, in the order of their times."""
     plan = performance.plan[:: round(1000 / hz)]
     down = plan[:, 3] > 0
@@ -86,10 +86,12 @@ def test_a_capture_is_kept_in_files_that_import_reads(client: TestClient, studio
         assert answered(socket, "begun") == {"begun": True}
         socket.send_bytes(sound(heard[:PIECE]))
         socket.send_bytes(events((1, 2, 0.5, 0.01), (1.5, 2, 0.6, 0.015)))
-        socket.send_bytes(sound(heard[PIECE:]))
+        socket.send_bytes(sound(heard[PIECE : 2 * PIECE]))
+        socket.send_bytes(sound(heard[2 * PIECE :]))
         socket.send_bytes(events((1.5, 2, 0.0, 0.02)))
         socket.send_text('{"do": "train"}')
         kept = answered(socket, "kept")
+    assert "kept" in kept, kept
     folder = studio.trainings.captures / kept["kept"]
     assert (folder.name, kept["seconds"]) == ("old-denim-washed", heard.size / 48000)
     rate, samples = scipy.io.wavfile.read(folder / "sound.wav")
@@ -111,7 +113,8 @@ def test_a_second_capture_of_one_name_has_a_folder_of_its_own(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("name", "expected"), [("../../etc/passwd", "etc-passwd"), ("…", "surface"), ("Wool 2", "wool-2"), ("a" * 90, "a" * 60)]
+    ("name", "expected"),
+    [("../../etc/passwd", "etc-passwd"), ("…", "surface"), ("Wool 2", "wool-2"), ("a" * 90, "a" * 60)],
 )
 def test_a_name_is_no_path(name: str, expected: str) -> None:
     assert file_name(name) == expected
@@ -201,7 +204,9 @@ def test_only_so_many_pages_capture_at_once_and_one_that_left_makes_room(client:
 
 
 def test_without_what_trains_a_capture_says_so_before_it_begins(client: TestClient, monkeypatch: Any) -> None:
-    monkeypatch.setattr(capturing, "why_not", lambda: "the server cannot train without torch: pip install 'foten[train]'")
+    monkeypatch.setattr(
+        capturing, "why_not", lambda: "the server cannot train without torch: pip install 'foten[train]'"
+    )
     with client.websocket_connect(WS) as socket:
         socket.send_text(json.dumps(BEGIN))
         assert "pip install 'foten[train]'" in answered(socket, "begun")["refused"]
@@ -221,26 +226,36 @@ def test_noise_without_taps_is_refused_in_words_and_kept(client: TestClient, stu
     assert len(studio.shelf) == 1
 
 
-def test_a_texture_comes_of_a_capture_in_true_and_in_relative_units(client: TestClient, studio: Studio) -> None:
-    performance = performed("steel-mesh-1", 14.0)
-    for full_scale, unit in ((FULL_SCALE, "m/s²"), (None, RELATIVE)):
+def captured(socket: Any, studio: Studio, performance: SimulatedCapture, **begin: Any) -> Path:
+    """Send a capture, have it trained, and return its folder."""
+    socket.send_text(json.dumps({**BEGIN, **begin}))
+    say(socket, performance)
+    socket.send_text('{"do": "train"}')
+    folder = studio.trainings.captures / answered(socket, "kept")["kept"]
+    assert abs(answered(socket, "joined")["joined"]["delay_ms"]) < 3  # one clock gave both here
+    return folder
+
+
+def test_a_texture_is_there_before_its_training_ends_and_the_servers_end_ends_that(tmp_path: Path) -> None:
+    studio = Studio(Shelf([EXAMPLE]), tmp_path / "captures")
+    with TestClient(studio.app(Access(LOOPBACK, 8000)), base_url=HERE, headers={"origin": HERE}) as client:
         with client.websocket_connect(WS) as socket:
-            begin = BEGIN if full_scale is None else {**BEGIN, "full_scale_m_s2": full_scale}
-            socket.send_text(json.dumps(begin))
-            say(socket, performance)
-            socket.send_text('{"do": "train"}')
-            folder = studio.trainings.captures / answered(socket, "kept")["kept"]
-            joined = answered(socket, "joined")["joined"]
-            assert abs(joined["delay_ms"]) < 3
-            playable = answered(socket, "playable", 300.0)
-            assert playable.get("playable", playable)["relative"] == (unit == RELATIVE)
-            done = answered(socket, "done", 300.0)["done"]
-        assert studio.shelf.get(done["file"]) is not None
-        card = read_texture(folder / "old-denim-washed.foten").card
-        assert (card["texture"], card["units"]["acceleration"]) == ("Old denim, washed", unit)
-        force = load_recording(folder / "old-denim-washed.h5")["force"].samples
-        assert force.max() > 1.0
-    assert [one["file"] for one in client.get("/textures.json").json()["textures"]][1:] == [
-        "old-denim-washed.foten",
-        "old-denim-washed-2.foten",
-    ]
+            folder = captured(socket, studio, simulate_capture("steel-mesh-1", 14.0))
+            playable = answered(socket, "playable", 300.0)["playable"]
+        assert (playable["name"], playable["file"]) == ("Old denim, washed", "old-denim-washed.foten")
+        assert playable["relative"]
+        assert client.get("/textures.json").json()["textures"][1] == playable
+    card = read_texture(folder / "old-denim-washed.foten").card
+    assert card["units"]["acceleration"] == RELATIVE
+    assert not studio.trainings._running
+
+
+@pytest.mark.slow
+def test_a_texture_comes_of_a_capture_in_true_units(client: TestClient, studio: Studio) -> None:
+    with client.websocket_connect(WS) as socket:
+        folder = captured(socket, studio, simulate_capture("steel-mesh-1", 14.0), full_scale_m_s2=FULL_SCALE)
+        done = answered(socket, "done", 300.0)["done"]
+    assert studio.shelf.get(done["file"]) is not None
+    card = read_texture(folder / "old-denim-washed.foten").card
+    assert (card["texture"], card["units"]["acceleration"]) == ("Old denim, washed", "m/s^2")
+    assert load_recording(folder / "old-denim-washed.h5")["force"].samples.max() > 1.0

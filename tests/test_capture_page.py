@@ -1,11 +1,10 @@
-"""A surface captured in a browser: its fake microphone hears a simulated surface, synthetic events stroke it, a texture comes of it.
+"""A surface captured in a browser: its microphone hears a simulated surface, synthetic events stroke it, a texture comes of it.
 
 The pen's clock runs 50 ppm fast and 80 ms late.
 """
 
 from __future__ import annotations
 
-import json
 import signal
 import time
 from collections.abc import Iterator
@@ -18,10 +17,15 @@ import scipy.io.wavfile
 import scipy.signal
 
 from foten.datasets.hdf5 import load_recording
+from foten.datasets.simulated_capture import BEGIN_S, CUE_S, FULL_SCALE, SOUND_HZ, SimulatedCapture, simulate_capture
 from foten.dsp import Array
-from pen_on_surface import BEGIN_S, CALIBRATION, CUE_S, FULL_SCALE, SOUND_HZ, Performance, performed
+from foten.evaluate.evaluate import evaluate
+from foten.families.texture_file import read_texture
+from foten.recording.inspection import inspect_recording
+from foten.recording.recording import Recording
+from foten.studio.training import train_recording
 from test_studio import started
-from test_studio_page import CHROMIUM, SHOTS, playwright, until
+from test_studio_page import CHROMIUM, SHOTS, SIZES, playwright, until
 
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt install chromium")]
 DELAY_S, DRIFT = 0.08, 50e-6  # of the pen's clock
@@ -29,7 +33,7 @@ EVENTS_HZ = 200.0
 CAPTURE = "window.studio.capture"
 
 # Dispatches the plan by the page's own clock, ±20 % of a step early or late, from when the sound began.
-PERFORM = """({ plan, began, delay, drift, hz }) => {
+PERFORM = """({ plan, end, began, delay, drift, hz }) => {
   const canvas = document.querySelector("#surface"), box = canvas.getBoundingClientRect(), mm = window.studio.capture.pad.mmPerPx;
   canvas.setPointerCapture = () => {};
   let was = 0, i = 0;
@@ -44,6 +48,7 @@ PERFORM = """({ plan, began, delay, drift, hz }) => {
     else if (pressure > 0) say("pointerrawupdate", x, y, pressure);
     else if (was > 0) say("pointerup", x, y, 0);
     was = pressure;
+    window.strokesEnded = at > end;
     if (i + 1 < plan.length) setTimeout(step, 1000 / hz * (0.8 + 0.4 * Math.random()));
     else window.performing = false;
   };
@@ -59,7 +64,7 @@ def opened_capture(browser: Any, link: str, size: tuple[int, int] = (1280, 800))
     return page
 
 
-def perform(page: Any, performance: Performance) -> None:
+def perform(page: Any, performance: SimulatedCapture) -> None:
     """Play the part of the hand; the sound runs since the page began to listen."""
     page.click("#capture-one")
     page.fill("#called", "Test mesh")
@@ -71,50 +76,186 @@ def perform(page: Any, performance: Performance) -> None:
     began = 1000 * (page.evaluate(f"{heard}[0]") - BEGIN_S + CUE_S)
     page.click("#go")
     plan = performance.plan[::2].round(4).tolist()
-    page.evaluate(PERFORM, {"plan": plan, "began": began, "delay": DELAY_S, "drift": DRIFT, "hz": EVENTS_HZ})
+    end = performance.strokes_s[1]
+    page.evaluate(
+        PERFORM, {"plan": plan, "end": end, "began": began, "delay": DELAY_S, "drift": DRIFT, "hz": EVENTS_HZ}
+    )
 
 
-def main() -> None:
-    """A trial."""
+def shot(page: Any, name: str) -> None:
+    SHOTS.mkdir(parents=True, exist_ok=True)
+    page.screenshot(path=SHOTS / f"{name}.png")
 
 
-if __name__ == "__main__":
-    import sys
-    key, seconds, folder = sys.argv[1], float(sys.argv[2]), Path(sys.argv[3])
-    folder.mkdir(parents=True, exist_ok=True)
-    performance = performed(key, seconds)
-    print("sound peak", np.abs(performance.sound).max())
-    performance.write_sound(folder / "fake.wav")
-    process, link = started("--captures", str(folder / "captures"))
-    with playwright.sync_playwright() as p:
-        browser = p.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--use-fake-device-for-media-stream",
-            "--use-fake-ui-for-media-stream", f"--use-file-for-fake-audio-capture={folder / 'fake.wav'}%noloop"])
-        page = opened_capture(browser, link)
-        page.on("console", lambda m: print("console", m.text))
-        page.on("pageerror", lambda m: print("error", m))
-        t0 = time.time()
-        perform(page, performance)
-        shots = 0
-        said = ""
-        state = ""
-        while time.time() - t0 < seconds + 150:
-            now = page.evaluate(f"[{CAPTURE}.step, document.querySelector('#trouble').textContent, document.querySelector('#step').textContent, {CAPTURE}.knocks, document.querySelector('#message').textContent, document.querySelector('#capture').open]")
-            if str(now) != said:
-                print(f"{time.time()-t0:6.1f}", now, flush=True)
-                said = str(now)
-            if (now[0] != state and "tap" not in now[0]) or (now[0] == "stroke" and shots == 0 and time.time() - t0 > 15):
-                page.screenshot(path=str(folder / f"{shots}-{now[0]}.png"))
-                shots += 1
-                state = now[0]
-            if now[0] == "stroke" and not page.evaluate("window.performing"):
-                break
-            if "is learned" in now[4] or now[0] == "failed":
-                break
-            # the hand ends its strokes when its plan says so
-            if now[0] == "stroke" and (page.evaluate("performance.now()") > page.evaluate(f"1000*{CAPTURE}.peaks.at(-1)[0]") + 0 ) and time.time() - t0 > performance.strokes_s[1] + 0.5:
-                page.click("#go")
-            page.wait_for_timeout(100)
-        page.screenshot(path=str(folder / "end.png"))
-        browser.close()
+@pytest.fixture
+def performance() -> SimulatedCapture:
+    return simulate_capture("steel-mesh-1", 30.0)
+
+
+@pytest.fixture
+def studio_link(tmp_path: Path) -> Iterator[str]:
+    process, link = started("--captures", str(tmp_path / "captures"))
+    yield link
     process.send_signal(signal.SIGTERM)
-    print(process.communicate(timeout=30)[1][-500:])
+    process.communicate(timeout=30)
+
+
+@pytest.fixture
+def browser(tmp_path: Path, performance: SimulatedCapture) -> Iterator[Any]:
+    """A browser whose microphone hears the performance."""
+    performance.write(tmp_path / "performance", np.random.default_rng(0))
+    microphone = f"--use-file-for-fake-audio-capture={tmp_path / 'performance' / 'sound.wav'}%noloop"
+    flags = ["--no-sandbox", "--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream", microphone]
+    with playwright.sync_playwright() as started_playwright:
+        browser = started_playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
+        yield browser
+        browser.close()
+
+
+def lag_s(recording: Recording, sound: Array, rate_hz: int, performance: SimulatedCapture) -> float:
+    """Return how much later than in truth the pen is in a recording; where its sound begins in the true one is seen in both."""
+    known = scipy.signal.resample_poly(performance.sound, rate_hz // 300, round(SOUND_HZ) // 300)
+    n = 1 << (known.size + sound.size).bit_length()
+    product = np.fft.rfft(known, n) * np.conj(np.fft.rfft(sound, n))
+    begins = int(np.fft.irfft(product, n)[: known.size].argmax()) / rate_hz
+    x, force = recording["position_x"], recording["force"]
+    plan, low = performance.plan, performance.strokes_s[0] - begins
+    # Only where the pen touches: in the air a tablet tells no place. Each stroke is told from where the last one ended.
+    touches = force.samples > 0
+    speed = np.gradient(x.samples, x.times)
+    inside = touches & np.roll(touches, 1) & np.roll(touches, -1) & (x.times > low + 0.1)
+    true = np.gradient(plan[:, 1], plan[:, 0])
+    lags = np.arange(-0.05, 0.05, 0.0002)
+    missed = [
+        np.abs(speed[inside] - np.interp(x.times[inside] + begins - lag, plan[:, 0], true)).mean() for lag in lags
+    ]
+    return float(lags[int(np.argmin(missed))])
+
+
+def judged(path: Path, recording: Recording) -> float:
+    """Return the log-spectral distance [dB] of a texture's free run over a recording that it was not trained on."""
+    document = evaluate(read_texture(path), recording).document
+    distance: float = document["free_run"]["lsd_db"]
+    return distance
+
+
+@pytest.fixture(scope="module")
+def quiet_browser() -> Iterator[Any]:
+    """A browser whose microphone beeps once a second."""
+    with playwright.sync_playwright() as started_playwright:
+        flags = ["--no-sandbox", "--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream"]
+        browser = started_playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
+        yield browser
+        browser.close()
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_it_can_be_read_and_used_by_all(quiet_browser: Any, studio_link: str, size: str) -> None:
+    axe = pytest.importorskip(
+        "axe_playwright_python.sync_playwright", reason="needs axe-core: pip install '.[browser]'"
+    )
+    page = opened_capture(quiet_browser, studio_link, SIZES[size])
+    page.click("#capture-one")
+    until(page, "document.querySelectorAll('#inputs option').length > 0")
+    for step in ("set-up", "tap-in", "stroke", "training", "failed"):
+        page.evaluate(f"(step) => {{ {CAPTURE}.enter(step); {CAPTURE}.draw(); }}", step)
+        shot(page, f"capture-{size}-{step}")
+        assert axe.Axe().run(page).response["violations"] == []
+    page.context.close()
+
+
+def test_an_input_that_the_browser_filters_is_refused(quiet_browser: Any, studio_link: str) -> None:
+    page = opened_capture(quiet_browser, studio_link)
+    page.evaluate(
+        """() => {
+          const given = MediaStreamTrack.prototype.getSettings;
+          MediaStreamTrack.prototype.getSettings = function () { return { ...given.call(this), noiseSuppression: true }; };
+        }"""
+    )
+    page.click("#capture-one")
+    until(page, f"{CAPTURE}.step === 'failed'")
+    until(page, "document.querySelector('#trouble').textContent.includes('does not turn off noise suppression')")
+    page.context.close()
+
+
+def test_filters_are_asked_to_be_off(quiet_browser: Any, studio_link: str) -> None:
+    page = opened_capture(quiet_browser, studio_link)
+    page.click("#capture-one")
+    until(page, f"Boolean({CAPTURE}.stream)")
+    settings = page.evaluate(f"{CAPTURE}.stream.getAudioTracks()[0].getSettings()")
+    assert [settings[name] for name in ("echoCancellation", "noiseSuppression", "autoGainControl")] == [False] * 3
+    page.click("#guide .close")
+    until(page, f"{CAPTURE}.stream === null")
+    page.context.close()
+
+
+LEVELS = """async ({ rest, stroke }) => {
+  const { Levels } = await import("/levels.js"), levels = new Levels(48000);
+  const part = (samples, down) => {
+    for (let i = 0; i + 896 <= samples.length; i += 896) levels.hear(Float32Array.from(samples.slice(i, i + 896)), down);
+  };
+  part(rest, false);
+  part(stroke, true);
+  return levels.trouble;
+}"""
+
+
+@pytest.mark.parametrize(
+    ("rest", "stroke", "said"),
+    [
+        ("quiet", "loud", None),
+        ("quiet", "clipped", "It clips"),
+        ("silent", "silent", "The input is silent"),
+        ("quiet", "faint", "hardly louder than the room"),
+        ("hum", "loud", "It hums at 50 Hz"),
+    ],
+)
+def test_what_is_wrong_with_an_input_is_said(
+    quiet_browser: Any, studio_link: str, rest: str, stroke: str, said: str | None
+) -> None:
+    rng = np.random.default_rng(0)
+    noise, t = rng.standard_normal(96_000), np.arange(96_000) / 48_000
+    sounds = {
+        "quiet": 1e-3 * noise,
+        "loud": 0.1 * noise,
+        "clipped": np.clip(noise, -1, 1),
+        "silent": 1e-6 * noise,
+        "faint": 1.5e-3 * noise,
+        "hum": 1e-3 * noise + 0.03 * np.sin(2 * np.pi * 50 * t),
+    }
+    page = opened_capture(quiet_browser, studio_link)
+    trouble = page.evaluate(LEVELS, {"rest": sounds[rest].tolist(), "stroke": sounds[stroke].tolist()})
+    assert (trouble is None) if said is None else said in trouble
+    page.context.close()
+
+
+@pytest.mark.slow
+def test_a_surface_is_captured(browser: Any, studio_link: str, performance: SimulatedCapture, tmp_path: Path) -> None:
+    page = opened_capture(browser, studio_link)
+    perform(page, performance)
+    until(page, f"{CAPTURE}.step === 'stroke'", 30.0)
+    page.wait_for_timeout(12_000)
+    shot(page, "capture-strokes")
+    until(page, "window.strokesEnded", 60.0)
+    page.click("#go")
+    until(page, f"{CAPTURE}.step === 'training'", 30.0)
+    ended = time.monotonic()
+    until(page, "!document.querySelector('#capture').open", 120.0)
+    until(page, "document.querySelector('#now-name').textContent === 'Test mesh'", 10.0)
+    playable_s = time.monotonic() - ended
+    until(page, "document.querySelector('#message').textContent.includes('is learned')", 300.0)
+    shot(page, "capture-learned")
+    (folder,) = (tmp_path / "captures").iterdir()
+    recording = load_recording(folder / "test-mesh.h5")
+    rate, sound = scipy.io.wavfile.read(folder / "sound.wav")
+    lag = lag_s(recording, sound, rate, performance)
+    other = simulate_capture("steel-mesh-1", 30.0, seed=1).recording
+    captured = judged(folder / "test-mesh.foten", other)
+    train_recording(performance.recording, inspect_recording(performance.recording).carried, tmp_path / "true.foten")
+    true = judged(tmp_path / "true.foten", other)
+    print(
+        f"\nplayable {playable_s:.1f} s after the last tap; pen {1000 * lag:+.1f} ms; "
+        f"log-spectral distance {captured:.2f} dB, from the true recording {true:.2f} dB"
+    )
+    assert abs(lag) <= 0.003
+    assert captured <= 1.1 * true

@@ -94,7 +94,7 @@ def test_the_page_weighs_at_most_500_kb() -> None:
 
 def test_a_texture_is_listed_and_given_as_it_is(client: TestClient) -> None:
     (listed,) = client.get("/textures.json").json()["textures"]
-    assert listed == {"file": KEY, "name": "steel-mesh-1", "method": "foten-plus", "picture": None}
+    assert listed == {"file": KEY, "name": "steel-mesh-1", "method": "foten-plus", "picture": None, "relative": False}
     assert client.get(f"/textures/{KEY}").content == EXAMPLE.read_bytes()
 
 

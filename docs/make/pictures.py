@@ -31,6 +31,8 @@ from scipy.signal import spectrogram, welch
 
 from foten.datasets.hdf5 import load_recording
 from foten.datasets.simulate import TEXTURES, second_realisation, simulate
+from foten.datasets.simulated_capture import CALIBRATION, PLAN_HZ, simulate_capture
+from foten.datasets.simulated_capture import SOUND_HZ as CAPTURED_HZ
 from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length
 from foten.dsp.distance import welch as spectra
 from foten.dsp.level import frame_levels
@@ -455,6 +457,27 @@ def compared(arguments: argparse.Namespace) -> None:
     save(waveforms(shown), "compared", tight=False)
 
 
+def capture(arguments: argparse.Namespace) -> None:
+    """A good capture: the sound, speed and force of a pen; taps, strokes, taps."""
+    taken = simulate_capture("jeans", 24.0, seed=SEED)
+    t, x, y, pressure = taken.plan.T
+    shown = slice(round((taken.taps_s[0] - 1.0) * PLAN_HZ), round((taken.taps_s[-1] + 1.0) * PLAN_HZ))
+    figure, axes = plt.subplots(3, sharex=True, figsize=(8, 4.2), height_ratios=(1.6, 1, 1))
+    every = round(CAPTURED_HZ / PLAN_HZ)
+    peaks = taken.sound[: taken.sound.size // every * every].reshape(-1, every)
+    seconds = np.arange(len(peaks)) / PLAN_HZ
+    axes[0].fill_between(seconds, peaks.min(axis=1), peaks.max(axis=1), color=INK, linewidth=0.3)
+    axes[0].set(ylim=(-0.4, 0.4), ylabel="sound")
+    for tap in taken.taps_s:
+        axes[0].annotate("", (tap, 0.27), (tap, 0.39), arrowprops={"arrowstyle": "->", "color": PAPER})
+    speed = np.where(pressure > 0, np.hypot(np.gradient(x, t), np.gradient(y, t)), np.nan)
+    axes[1].plot(t, speed, color=OURS, linewidth=1)
+    axes[1].set(ylabel="mm/s")
+    axes[2].plot(t, np.where(pressure > 0, CALIBRATION.force(pressure), np.nan), color=LINEAR, linewidth=1)
+    axes[2].set(ylabel="N", xlabel="seconds", xlim=(t[shown][0], t[shown][-1]))
+    save(figure, "capture")
+
+
 PICTURES: dict[str, Callable[[argparse.Namespace], None]] = {
     "stroke": stroke,
     "foten": foten_diagram,
@@ -467,6 +490,7 @@ PICTURES: dict[str, Callable[[argparse.Namespace], None]] = {
     "outside": outside,
     "rates": rates,
     "compared": compared,
+    "capture": capture,
 }
 
 

@@ -40,6 +40,13 @@ def simulate(
         float | None,
         Option(help="10000 over a whole number, by default 10000; for a linear process its rate, by default 1000."),
     ] = None,
+    capture: Annotated[
+        bool,
+        Option(
+            "--capture",
+            help="Write sound.wav and pen.csv to the folder -o, as a pen and a microphone capture a texture.",
+        ),
+    ] = False,
     show_list: Annotated[bool, Option("--list", help="Show the keys and stop.")] = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -55,6 +62,9 @@ def simulate(
     if key is None or output is None:
         raise ValueError("expected a key and -o FILE; --list shows the keys")
     check_folders([output])
+    if capture:
+        _simulate_capture(key, seconds, seed, output, (noise_seed, stroke_seed, accelerometer_hz), as_json)
+        return
     if output.suffix.lower() not in (".h5", ".hdf5"):
         raise ValueError(f"a recording is written as .h5, got -o {output.name}")
     recording = simulator.simulate(
@@ -63,6 +73,24 @@ def simulate(
     write_recording(recording, output)
     result = {"output": str(output), "sha256": recording.sha256(), "simulation": dict(recording.simulation or {})}
     print_result(result, f"{output}: {key}, {recording.duration_s:g} s, {', '.join(recording.channels)}", as_json)
+
+
+def _simulate_capture(
+    key: str, seconds: float, seed: int, folder: Path, of_sensors: tuple[float | None, ...], as_json: bool
+) -> None:
+    import numpy as np
+
+    from foten.datasets.simulated_capture import DELAY_S, DRIFT, FULL_SCALE, simulate_capture
+
+    if any(option is not None for option in of_sensors):
+        raise ValueError(
+            "--noise-seed, --stroke-seed and --accelerometer-hz are for recordings: leave them out of a --capture"
+        )
+    sound, pen = simulate_capture(key, seconds, seed).write(folder, np.random.default_rng([seed, 8]))
+    what = f"{key}, {seconds:g} s of strokes between taps, full scale is {FULL_SCALE:g} m/s²"
+    clock = f"the pen's clock is {1000 * DELAY_S:g} ms late and {1e6 * DRIFT:g} ppm fast"
+    text = f"{sound} and {pen}: {what}; {clock}\nnext: foten import {sound} --pen {pen} -o {key}.h5"
+    print_result({"sound": str(sound), "pen": str(pen), "full_scale_m_s2": FULL_SCALE}, text, as_json)
 
 
 def import_(

@@ -6,6 +6,7 @@ in the events. A line through the pairs is delay and drift of the one clock agai
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -23,6 +24,7 @@ RISE = 4.0  # times what was there in the 60 ms before is a knock
 BEFORE_S, APART_S = 0.06, 0.04
 WIDE_S, NARROW_S = 0.03, 0.012  # between a tap and its knock, before and after the drift is known
 MOST_DRIFT, USUAL_DRIFT = 1e-3, 1e-4  # of two quartzes and whatever lies between
+MOST_GAP_S = 0.12  # between events of a stroke, over which a hand is still smooth
 LEAST_TAPS, LEAST_SHARE = 3, 0.6  # that have to be in the sound
 
 
@@ -195,9 +197,20 @@ def _spread(taps: Array, knocks: Array, pairs: Pairs) -> float:
     return float(np.abs(knocks[pairs[1]] - taps[pairs[0]] * (1 + drift) - delay).max())
 
 
-def pen_channels(events: PenEvents, clock: PenClock, force: Callable[[Array], Array]) -> dict[str, Channel]:
-    """Return the position [mm] and force [N] of a pen by the sound's clock, without the taps that joined them.
+def _strokes(events: PenEvents) -> list[tuple[int, int]]:
+    """Return the first event of each stroke and the one after its last; where a tablet says nothing for long, one ends."""
+    found: list[tuple[int, int]] = []
+    for first, end in events.touches()[~landings_of(events)[2]]:
+        gaps = first + 1 + np.flatnonzero(np.diff(events.times_s[first:end]) > MOST_GAP_S)
+        edges = [int(first), *(int(gap) for gap in gaps), int(end)]
+        found += [(i, j) for i, j in itertools.pairwise(edges) if j - i >= 2]
+    return found
 
+
+def pen_channels(events: PenEvents, clock: PenClock, force: Callable[[Array], Array]) -> dict[str, Channel]:
+    """Return the position [mm] and force [N] of a pen by the sound's clock, evenly sampled, without the taps that joined them.
+
+    Gaps of up to `MOST_GAP_S` in a stroke are filled.
     In the air a tablet tells nothing: the force is 0 there, and the position stays where it was, so that no speed comes of it.
 
     Args:
@@ -207,10 +220,9 @@ def pen_channels(events: PenEvents, clock: PenClock, force: Callable[[Array], Ar
         ValueError: the pen only tapped.
     """
     step = events.usual_step_s
-    strokes = events.touches()[~landings_of(events)[2]]
     rows: list[Array] = []  # time, x, y, force of each stroke and of each time in the air, shape (4, n)
-    for first, end in strokes:
-        at = events.times_s[first:end]
+    for first, end in _strokes(events):
+        at, pressure = events.times_s[first:end], events.pressure[first:end]
         x, y = events.x_mm[first:end], events.y_mm[first:end]
         if rows:
             left, last_x, last_y, _ = rows[-1][:, -1]
@@ -218,11 +230,15 @@ def pen_channels(events: PenEvents, clock: PenClock, force: Callable[[Array], Ar
             middle = 0.5 * (left + at[0])
             air = [min(left + step, middle), max(at[0] - step, middle + 1e-6)]
             rows.append(np.array([air, [last_x] * 2, [last_y] * 2, [0.0] * 2]))
-        rows.append(np.stack([at, x, y, force(events.pressure[first:end])]))
+        rows.append(np.stack([at, x, y, force(pressure)]))
     if not rows or rows[0].shape[1] < 2:
         raise ValueError("the pen only tapped, expected strokes between the taps")
-    times, *values = np.concatenate(rows, axis=1)
+    told, *values = np.concatenate(rows, axis=1)
+    told = clock(told)
+    times = np.arange(
+        told[0], told[-1], step
+    )  # evenly: a late event, or a few that are missing, are none of the hand's
     return {
-        name: Channel(samples, 1.0 / step, clock(times))
+        name: Channel(np.interp(times, told, samples), 1.0 / step, times)
         for name, samples in zip(("position_x", "position_y", "force"), values, strict=True)
     }

@@ -16,7 +16,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from foten.atomic_write import reason
 from foten.studio.capture import About, Capture
-from foten.studio.messages import CAPTURE, MESSAGES_A_SECOND, Allowance, RefusedError, parse_captured, parse_message
+from foten.studio.messages import CAPTURE, CAPTURED_A_SECOND, Allowance, RefusedError, parse_captured, parse_message
 from foten.studio.shelf import Shelf
 
 MOST_CAPTURES = 200  # that are kept from one start of the server
@@ -96,7 +96,7 @@ class CapturePage:
     def __init__(self, socket: WebSocket, trainings: Trainings) -> None:
         self._socket, self._trainings = socket, trainings
         self._capture: Capture | None = None
-        self._messages = Allowance(MESSAGES_A_SECOND)
+        self._messages = Allowance(CAPTURED_A_SECOND)
         self._saying: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue()
 
     async def run(self) -> None:
@@ -123,7 +123,7 @@ class CapturePage:
 
     async def _take(self, received: Mapping[str, Any]) -> None:
         if not self._messages.take(1):
-            raise RefusedError(f"more than {MESSAGES_A_SECOND:g} messages a second")
+            raise RefusedError(f"more than {CAPTURED_A_SECOND:g} messages a second")
         data = received.get("bytes")
         if data is not None:
             kind, values = parse_captured(data)

@@ -36,6 +36,7 @@ from foten.untrusted import parse_json
 MOST_BYTES = 4096  # of a message
 MOST_EVENTS = 64  # in a message
 EVENTS_A_SECOND, MESSAGES_A_SECOND = 2000.0, 1200.0  # a pen has at most a thousand events
+CAPTURED_A_SECOND = 12_000.0  # messages, after a pause of a page that goes on recording
 BURST_S = 1.0  # of either, that may come at once after a pause
 
 

@@ -73,10 +73,11 @@ def train_captured(folder: Path) -> None:
     _say(joined={**joined, "n_taps": clock.n_taps, "residual_ms": clock.residual_ms, "text": str(clock)})
     inspection = inspect_recording(recording)
     _say(notes=[*decisions, *(problem.text for problem in inspection.problems)])
-    _train(recording, inspection.carried, folder / f"{stem}.foten")
+    train_recording(recording, inspection.carried, folder / f"{stem}.foten")
 
 
-def _train(recording: Recording, carried: Mapping[float, float], output: Path) -> None:
+def train_recording(recording: Recording, carried: Mapping[float, float], output: Path) -> None:
+    """Train a texture from a recording as a capture is, by the shares that each rate carries of it (`perception.carried`)."""
     from foten.dsp.perception import smallest_rate
     from foten.train.config import OWN_RECIPES, RECIPES
     from foten.train.epochs import Epoch

@@ -10,7 +10,7 @@ const KNOCK = 4; // times what was heard before
 const HEARD_S = 0.35, EARLY_S = 0.2; // within which a knock has arrived after a touch, or before it where the pen is slow
 const LEAST_S = 8; // of strokes
 const LONGEST_S = 240;
-const DRAWN_MS = 50;
+const DRAWN_MS = 50, TRAIL_MS = 80;
 const AN_RMS_OF_1_G = 9.80665; // m/s², of the usual calibrators
 const FILTERS = { echoCancellation: "echo cancellation", noiseSuppression: "noise suppression", autoGainControl: "automatic gain" };
 const INSIDE = `
@@ -39,7 +39,7 @@ export class Capture {
     Object.assign(this, { dialog, calibration, onTexture, canTrain, step: "closed", fullScale: null });
     dialog.innerHTML = INSIDE;
     this.$ = (id) => dialog.querySelector(`#${id}`);
-    this.pad = new Pad(this.$("surface"), (...event) => this.event(...event));
+    this.pad = new Pad(this.$("surface"), (...event) => this.event(...event), TRAIL_MS);
     this.pad.dispatch = (e) => this.touched(e);
     this.coverage = new Coverage(this.$("coverage"));
     this.$("go").addEventListener("click", () => this.attempt(() => this.go()));

@@ -8,8 +8,8 @@ const KEY_SPEED = 70; // mm/s
 
 export class Pad {
   /** `push(x, y, pressure, t)` is given each event: mm from the upper left corner, 0 … 1, s. */
-  constructor(canvas, push) {
-    Object.assign(this, { canvas, push, tile: null, tileMm: 24, trail: [], pen: null, drawn: 0 });
+  constructor(canvas, push, trailMs = TRAIL_MS) {
+    Object.assign(this, { canvas, push, trailMs, tile: null, tileMm: 24, trail: [], pen: null, drawn: 0 });
     this.mmPerPx = Number(localStorage.getItem("mm-per-px")) || 25.4 / 96; // 96 to the inch, unless a card was held to the screen
     this.force = 0.5; // of what has no pressure
     this.keys = new Set();
@@ -156,7 +156,7 @@ export class Pad {
       this.drawing = null;
       this.draw();
       const now = performance.now();
-      this.trail = this.trail.filter((one) => now - one.ms < TRAIL_MS);
+      this.trail = this.trail.filter((one) => now - one.ms < this.trailMs);
       if (this.trail.length) this.wake();
     });
   }
@@ -176,7 +176,7 @@ export class Pad {
     for (let i = 1; i < trail.length; i++) {
       const [a, b] = [trail[i - 1], trail[i]];
       if (!a.pressure || !b.pressure) continue;
-      const age = Math.min(1, (now - b.ms) / TRAIL_MS);
+      const age = Math.min(1, (now - b.ms) / this.trailMs);
       g.strokeStyle = `rgb(255 255 255 / ${0.55 * (1 - age) ** 2})`;
       g.lineWidth = 2 + 10 * b.pressure * (1 - age);
       g.beginPath();
@@ -185,7 +185,7 @@ export class Pad {
       g.stroke();
     }
     const last = trail.at(-1);
-    if (!last?.pressure || now - last.ms > TRAIL_MS) return;
+    if (!last?.pressure || now - last.ms > this.trailMs) return;
     const radius = 14 + 34 * last.pressure, glow = g.createRadialGradient(last.x, last.y, 0, last.x, last.y, radius);
     glow.addColorStop(0, "rgb(255 255 255 / 0.85)");
     glow.addColorStop(0.25, "rgb(255 255 255 / 0.35)");
