@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import shutil
 import subprocess
@@ -14,6 +15,7 @@ import pytest
 import scipy.io.wavfile
 
 from conftest import exported
+from foten.cli.command_line import _status
 from foten.dsp import Array
 from foten.export.ahap import write_ahap
 from foten.export.android import write_android
@@ -22,7 +24,7 @@ from foten.export.clip import RATE_HZ, Clip, clip_of, envelopes_of
 from foten.export.haptic import write_haptic
 from foten.export.hjif import write_hjif
 from foten.families.texture_file import read_texture
-from foten.runtime.binding import c_flags
+from foten.runtime.binding import ABI, c_flags
 from foten.runtime.renderer import EXAMPLE, Renderer
 
 ABOUT = {"foten": "0", "texture": "mesh", "stroke": "80 mm/s"}
@@ -353,3 +355,15 @@ def test_what_cannot_be_exported_is_said_in_a_line(
     assert match in error
     assert error.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_a_unity_package_holds_the_texture_its_binding_and_the_library(tmp_path: Path) -> None:
+    folder = tmp_path / "FotenUnity"
+    assert _status(["export", str(EXAMPLE), "--to", "unity", "-o", str(folder)]) == 0
+    package = json.loads((folder / "package.json").read_text())
+    assert package["name"] == "org.foten.steel-mesh-1"
+    assert (folder / "Runtime/Resources/Foten/steel_mesh_1.bytes").read_bytes() == EXAMPLE.read_bytes()
+    assert 'textureName = "steel_mesh_1"' in (folder / "Runtime/FotenSource.cs").read_text()
+    (plugin,) = (folder / "Runtime/Plugins").iterdir()
+    assert ctypes.CDLL(str(plugin)).foten_abi() == ABI
+    assert "TEXTURE" not in "".join(path.read_text() for path in folder.rglob("*.md"))

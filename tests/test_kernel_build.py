@@ -18,8 +18,9 @@ import pytest
 
 from conftest import exported
 from corpus import KINDS, write_corpus
-from foten.families.texture_file import Texture
-from foten.runtime.binding import ABI, NativeActuator, library
+from foten.export.unity import write_unity
+from foten.families.texture_file import Texture, read_texture
+from foten.runtime.binding import ABI, NativeActuator
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.renderer import Renderer
 from test_rendering import with_card
@@ -208,7 +209,7 @@ def test_a_haptic_callback_in_cpp_runs(build: Path, file: Path, tmp_path: Path) 
 
 @pytest.mark.skipif(shutil.which("mcs") is None or shutil.which("mono") is None, reason="needs Mono's compiler")
 def test_csharp_renders_what_python_does(file: Path, tmp_path: Path) -> None:
-    """`Foten.cs` alone, with a program around it; the component needs Unity and is not tried."""
+    """What `--to unity` writes: `Foten.cs` with a program around it; the component needs Unity and is not tried."""
     (tmp_path / "Try.cs").write_text(
         """
 using System;
@@ -240,9 +241,11 @@ public static class Try {
 }
 """
     )
-    shutil.copy(Path(library()._name), tmp_path / "libfoten.so")
-    ran("mcs", "-out:try.exe", "Try.cs", ROOT / "examples" / "unity" / "Runtime" / "Foten.cs", cwd=tmp_path)
-    result = accelerations(ran("mono", "try.exe", file, cwd=tmp_path, LD_LIBRARY_PATH=str(tmp_path)))
+    name = write_unity(read_texture(file), tmp_path)
+    runtime = tmp_path / "Runtime"
+    ran("mcs", "-out:try.exe", "Try.cs", runtime / "Foten.cs", cwd=tmp_path)
+    texture = runtime / "Resources" / "Foten" / f"{name}.bytes"
+    result = accelerations(ran("mono", "try.exe", texture, cwd=tmp_path, LD_LIBRARY_PATH=str(runtime / "Plugins")))
     np.testing.assert_allclose(result, stroke_of(file), rtol=1e-6)
 
 

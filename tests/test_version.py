@@ -23,7 +23,7 @@ def test_the_version_is_the_same_everywhere() -> None:
     assert {
         foten.__version__,
         tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"],
-        json.loads((ROOT / "examples/unity/package.json").read_text())["version"],
+        json.loads((ROOT / "src/foten/export/unity_package/package.json").read_text())["version"],
         found("native/include/foten.h", r'^#define FOTEN_VERSION "(.+)"'),
         library().foten_version().decode(),
         found("CMakeLists.txt", r"PROPERTIES VERSION (\S+) SOVERSION"),
@@ -38,5 +38,5 @@ def test_the_binary_interface_is_the_same_everywhere() -> None:
         str(ABI),
         found("CMakeLists.txt", r"SOVERSION (\d+)"),
         found("native/wasm/foten.mjs", r"^const ABI = (\d+)"),
-        found("examples/unity/Runtime/Foten.cs", r"const int Abi = (\d+)"),
+        found("src/foten/export/unity_package/Runtime/Foten.cs", r"const int Abi = (\d+)"),
     } == {str(ABI)}

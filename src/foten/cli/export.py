@@ -28,18 +28,18 @@ SUFFIXES = {
 }
 """The format that a name has."""
 CLIPS = ("wav", "csv", "npz", "ahap", "haptic", "hjif", "hjif-parametric", "android")
-WHOLE = ("c", "onnx", "web")
+WHOLE = ("c", "onnx", "web", "unity")
 
 
 def export(
     texture_file: TextureFile,
-    output: Annotated[Path, Option("-o", "--output", help="File to write; a folder for web.")],
+    output: Annotated[Path, Option("-o", "--output", help="File to write; a folder for web and unity.")],
     to: Annotated[
         str | None,
         Option(
             help="A clip of one stroke: wav (driven, 48 kHz, 16 bits), csv, npz, ahap (Apple), haptic (Meta), hjif or "
             "hjif-parametric (MPEG), android. The texture itself: c (a header), onnx (its one-step network), web (the page of "
-            "'foten serve' as files). By the output's name where that says it."
+            "'foten serve' as files), unity (a package for it). By the output's name where that says it."
         ),
     ] = None,
     stroke: Annotated[
@@ -146,4 +146,11 @@ def _write_site(_texture: Texture, file: Path, output: Path) -> tuple[dict[str, 
     return {}, f"{web.KEEPS}; put the folder on any host, and open it by HTTPS"
 
 
-_WHOLE = {"c": _write_header, "onnx": _write_onnx, "web": _write_site}
+def _write_unity(texture: Texture, _file: Path, output: Path) -> tuple[dict[str, Any], str]:
+    from foten.export import unity
+
+    name = unity.write_unity(texture, output)
+    return {"name": name}, f"{name}; {unity.KEEPS}; put the folder into the Packages of a project"
+
+
+_WHOLE = {"c": _write_header, "onnx": _write_onnx, "web": _write_site, "unity": _write_unity}

@@ -70,6 +70,7 @@ class Options(Structure):
     ]
 
 
+LIBRARIES = ("libfoten.so", "libfoten.dylib", "libfoten.dll")
 _FLOATS = _DOUBLES = c_void_p  # arrays, given as `array.ctypes`
 PREDICTOR = ctypes.CFUNCTYPE(None, c_void_p, POINTER(c_float), POINTER(c_float), c_int)
 _SIGNATURES = {
@@ -112,7 +113,7 @@ def library() -> ctypes.CDLL:
     Raises:
         OSError: there is none, or it does not load.
     """
-    path = kernel_file("libfoten.so", "libfoten.dylib", "libfoten.dll")
+    path = kernel_file(*LIBRARIES)
     kernel = ctypes.CDLL(str(path))
     if not hasattr(kernel, "foten_abi") or kernel.foten_abi() != ABI:
         another = f"{path.name} is of another version than this package"

@@ -1,13 +1,10 @@
-using System.Collections;
-using System.IO;
 using UnityEngine;
-using UnityEngine.Networking;
 
 /// <summary>A texture that plays through this object's AudioSource, whose output drives an actuator.</summary>
 [RequireComponent(typeof(AudioSource))]
 public sealed class FotenSource : MonoBehaviour
 {
-    [Tooltip("A file in StreamingAssets")] public string file = "denim.foten";
+    [Tooltip("A texture file as .bytes in a folder Resources/Foten, by its name")] public string textureName = "TEXTURE";
     [Tooltip("Full scale for 1 m/s²")] public float gain = 0.02f;
     [Tooltip("mm/s")] public float speed;
     [Tooltip("N")] public float force;
@@ -17,28 +14,23 @@ public sealed class FotenSource : MonoBehaviour
     private Foten.Renderer renderer;
     private float[] mono = new float[0];
 
-    private IEnumerator Start()
+    private void Start()
     {
-        // Not File.ReadAllBytes: on Android and Quest these assets lie within the package.
-        string path = Path.Combine(Application.streamingAssetsPath, file);
-        using (var request = UnityWebRequest.Get(path.Contains("://") ? path : "file://" + path))
+        var file = Resources.Load<TextAsset>("Foten/" + textureName);
+        if (file == null)
         {
-            yield return request.SendWebRequest();
-            if (request.result != UnityWebRequest.Result.Success)
-            {
-                Debug.LogError($"{path}: {request.error}");
-                yield break;
-            }
-            try
-            {
-                var loaded = new Foten.Texture(request.downloadHandler.data);
-                var made = new Foten.Renderer(loaded, AudioSettings.outputSampleRate, smooth: true);
-                lock (rendering) { texture = loaded; renderer = made; }
-            }
-            catch (Foten.FotenException error)
-            {
-                Debug.LogError($"{path}: {error.Message}");
-            }
+            Debug.LogError($"there is no Resources/Foten/{textureName}.bytes");
+            return;
+        }
+        try
+        {
+            var loaded = new Foten.Texture(file.bytes);
+            var made = new Foten.Renderer(loaded, AudioSettings.outputSampleRate, smooth: true);
+            lock (rendering) { texture = loaded; renderer = made; }
+        }
+        catch (Foten.FotenException error)
+        {
+            Debug.LogError($"{textureName}: {error.Message}");
         }
     }
 

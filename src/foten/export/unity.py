@@ -1,0 +1,48 @@
+"""A Unity package with a texture inside: the C# binding, a component, the kernel of this system.
+
+Keeps everything. The folder goes into the `Packages` of a project.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+from foten.atomic_write import atomic_write
+from foten.export.c_header import identifier
+from foten.families.texture_file import Texture
+from foten.runtime.binding import LIBRARIES, kernel_file
+
+KEEPS = "the package keeps the whole texture, and the kernel of this system"
+PACKAGE = Path(__file__).with_name("unity_package")
+SOURCES = ("package.json", "README.md", "Runtime/Foten.cs", "Runtime/FotenSource.cs", "Runtime/foten.asmdef")
+_WORD = "TEXTURE"  # in the sources, where the texture's name stands
+
+
+def write_unity(texture: Texture, folder: Path) -> str:
+    """Write the package into a folder, which is made, and return the texture's name in it; what else is there stays.
+
+    Raises:
+        ValueError: the texture is a network that is run by ONNX Runtime, which the kernel does not.
+    """
+    if texture.sizes.in_graph:
+        runs = "the network of this texture is run by ONNX Runtime, which the package does not hold"
+        raise ValueError(f"{runs}: export a texture of foten-plus, foten or ar")
+    name = identifier(str(texture.card["texture"]))
+    for source in SOURCES:
+        (folder / source).parent.mkdir(parents=True, exist_ok=True)
+        text = (PACKAGE / source).read_text(encoding="utf-8").replace(_WORD, name)
+        if source == "package.json":
+            text = json.dumps({**json.loads(text), "name": f"org.foten.{name.replace('_', '-')}"}, indent=2) + "\n"
+        with atomic_write(folder / source) as part:
+            part.write_text(text, encoding="utf-8")
+    resources, plugins = folder / "Runtime" / "Resources" / "Foten", folder / "Runtime" / "Plugins"
+    for made in (resources, plugins):
+        made.mkdir(parents=True, exist_ok=True)
+    with atomic_write(resources / f"{name}.bytes") as part:
+        part.write_bytes(texture.to_bytes())
+    library = kernel_file(*LIBRARIES)
+    with atomic_write(plugins / (library.name if library.suffix != ".dll" else "foten.dll")) as part:
+        shutil.copyfile(library, part)
+    return name
