@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Option
 
 from foten.cli.console import JsonOption, TextureFile, check_folders, print_result
-from foten.cli.render import StrokeUnits, provenance, rendered_by, stroke_given
+from foten.cli.render import (
+    ConstantForce,
+    ConstantSpeed,
+    HandOfRecording,
+    Seconds,
+    Seed,
+    StrokeUnits,
+    provenance,
+    rendered_by,
+    stroke_given,
+)
 
 if TYPE_CHECKING:
     from foten.export.clip import Clip
@@ -46,17 +56,15 @@ def export(
         Path | None, Option(metavar="S.csv", help="As of 'foten render', a stroke that the page recorded for example.")
     ] = None,
     units: StrokeUnits = None,
-    recording_file: Annotated[
-        Path | None, Option("--recording", metavar="REC.h5", help="Take the hand of a recording.")
-    ] = None,
-    speed: Annotated[float | None, Option(help="Constant speed (mm/s).")] = None,
-    force: Annotated[float | None, Option(help="Constant force (N).")] = None,
-    seconds: Annotated[float | None, Option(help="How long, with --speed and --force (s).")] = None,
+    recording_file: HandOfRecording = None,
+    speed: ConstantSpeed = None,
+    force: ConstantForce = None,
+    seconds: Seconds = None,
     full_scale: Annotated[
         float | None, Option(help="m/s² that is 1 in the clip, for clips that are to compare; by default its peak.")
     ] = None,
     actuator: Annotated[Path | None, Option(metavar="P.json", help="Profile of the actuator that is driven.")] = None,
-    seed: Annotated[int, Option(min=0, max=2**32 - 1, help="Of the excitation.")] = 0,
+    seed: Seed = 0,
     as_json: JsonOption = False,
 ) -> None:
     """Write a texture, or a stroke of it, in another format.

@@ -29,6 +29,11 @@ StrokeUnits = Annotated[
         "foten import has them.",
     ),
 ]
+HandOfRecording = Annotated[Path | None, Option("--recording", metavar="REC.h5", help="Take the hand of a recording.")]
+ConstantSpeed = Annotated[float | None, Option(help="Constant speed (mm/s).")]
+ConstantForce = Annotated[float | None, Option(help="Constant force (N).")]
+Seconds = Annotated[float | None, Option(help="How long, with --speed and --force (s).")]
+Seed = Annotated[int, Option(min=0, max=2**32 - 1, help="Of the excitation.")]
 
 
 def render(
@@ -43,14 +48,12 @@ def render(
         ),
     ] = None,
     units: StrokeUnits = None,
-    recording_file: Annotated[
-        Path | None, Option("--recording", metavar="REC.h5", help="Take the hand of a recording.")
-    ] = None,
-    speed: Annotated[float | None, Option(help="Constant speed (mm/s).")] = None,
-    force: Annotated[float | None, Option(help="Constant force (N).")] = None,
-    seconds: Annotated[float | None, Option(help="How long, with --speed and --force (s).")] = None,
+    recording_file: HandOfRecording = None,
+    speed: ConstantSpeed = None,
+    force: ConstantForce = None,
+    seconds: Seconds = None,
     audible: Annotated[Path | None, Option(metavar="FILE.wav", help="Also as sound, 48 kHz, 16 bits.")] = None,
-    seed: Annotated[int, Option(min=0, max=2**32 - 1, help="Of the excitation.")] = 0,
+    seed: Seed = 0,
     deterministic: Annotated[bool, Option("--deterministic", help="Without excitation.")] = False,
     as_json: JsonOption = False,
 ) -> None:

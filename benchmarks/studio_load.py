@@ -1,0 +1,123 @@
+"""Twenty pages stroke at the server at once: what of their events arrives, and which deadlines are missed.
+
+    python benchmarks/studio_load.py [--pages 20] [--events 200] [--seconds 60] [--csv FILE]
+
+Each page is a WebSocket whose events are sent on time, and whose vibration is received. The pages are another process than the
+server, on the same cores. Beside it the same for one page alone, in the same run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+from typing import Any
+
+import numpy as np
+import websockets
+
+from report import add_csv, report
+
+TEXTURE = "steel-mesh-1.foten"
+RATE_HZ = 48_000
+
+
+def started() -> tuple[subprocess.Popen[str], str]:
+    """Start a server at any port and return it with its address."""
+    command = "from foten.cli import main; main()"
+    process = subprocess.Popen(
+        [sys.executable, "-c", command, "serve", "--no-open", "--port", "0"], stderr=subprocess.PIPE, text=True
+    )
+    assert process.stderr is not None
+    for line in process.stderr:
+        if " at http://" in line:
+            return process, line.split(" at ")[1].strip()
+    sys.exit("the server did not start")
+
+
+async def stroked(link: str, index: int, events_hz: float, seconds: float, begin: float) -> dict[str, Any]:
+    """Stroke for some seconds, and return what was sent, what came back, and the server's last word on it."""
+    received, state = 0, {}
+    sent, latest = 0, 0.0
+    async with websockets.connect(
+        f"ws{link[4:]}stroke", additional_headers={"Origin": link.rstrip("/")}, compression=None
+    ) as socket:
+        await socket.send(json.dumps({"do": "open", "texture": TEXTURE, "rate_hz": RATE_HZ}))
+
+        async def listen() -> None:
+            nonlocal received, state
+            async for message in socket:
+                if isinstance(message, bytes):
+                    received += (len(message) - 8) // 4
+                else:
+                    said = json.loads(message)
+                    if "refused" in said:
+                        sys.exit(f"page {index}: {said['refused']}")
+                    state = said.get("state", state)
+
+        listening = asyncio.create_task(listen())
+        n = round(events_hz * seconds)
+        for k in range(n):
+            due = begin + (k + index / 20) / events_hz
+            if (wait := due - time.monotonic()) > 0:
+                await asyncio.sleep(wait)
+            latest = max(latest, time.monotonic() - due)
+            t = k / events_hz
+            x = 50.0 + 40.0 * np.sin(2 * np.pi * 0.7 * t + index)
+            await socket.send(np.array([x, 20.0, 0.5, t]).astype("<f8").tobytes())
+            sent += 1
+        await asyncio.sleep(1.6)  # until the server has told once more
+        listening.cancel()
+    return {"sent": sent, "late_ms": 1000 * latest, "received_s": received / RATE_HZ, **state}
+
+
+async def all_stroke(link: str, pages: int, events_hz: float, seconds: float) -> list[dict[str, Any]]:
+    """Return what each of some pages says that stroke at once."""
+    begin = time.monotonic() + 2.0
+    return await asyncio.gather(*(stroked(link, i, events_hz, seconds, begin) for i in range(pages)))
+
+
+def row(name: str, link: str, pages: int, events_hz: float, seconds: float) -> list[str]:
+    """Return a line of the table."""
+    told = asyncio.run(all_stroke(link, pages, events_hz, seconds))
+    with urllib.request.urlopen(f"{link}state") as answer:
+        assert json.load(answer)["n_refused"] == 0
+    blocks = sum(one["received_s"] for one in told) * 1000 / told[0]["block_ms"]
+    return [
+        name,
+        f"{sum(one['sent'] for one in told):,}",
+        f"{sum(one['sent'] - one['n_events'] for one in told)}",
+        f"{100 * sum(one['n_missed'] for one in told) / blocks:.3f} %",
+        f"{np.median([one['block_p50_ms'] for one in told]):.2f}",
+        f"{max(one['block_p99_ms'] for one in told):.2f}",
+        f"{sum(one['n_unsent'] for one in told)}",
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--pages", type=int, default=20)
+    parser.add_argument("--events", type=float, default=200.0, help="of each page (1/s)")
+    parser.add_argument("--seconds", type=float, default=60.0)
+    add_csv(parser)
+    arguments = parser.parse_args()
+    process, link = started()
+    try:
+        cells = [
+            ["pages", "events sent", "lost", "deadlines missed", "block p50 [ms]", "block p99 [ms]", "blocks not sent"]
+        ]
+        for pages in (1, arguments.pages):
+            cells.append(row(str(pages), link, pages, arguments.events, arguments.seconds))
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.wait(timeout=30)
+    report(cells, arguments.csv)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,143 @@
+"""The page in Chromium: from a pen's event to the sample that knows of it, from a tap to sound, and one quantum of the kernel.
+
+    python benchmarks/studio_page.py [--seconds 20] [--csv FILE]
+
+Events come 240 a second. `to the graph` is without the audio device, `to the speaker` with what the browser says of it; without
+a sound card it has a device of its own. A quantum is 128 samples of the largest texture that comes along, through WebAssembly
+beside this machine's own kernel in the same run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from playwright.sync_api import sync_playwright
+
+from foten.runtime.renderer import EXAMPLE, Renderer
+from foten.runtime.stylus import Stylus
+from report import add_csv, report
+from studio_load import started
+
+RATE_HZ, QUANTUM, N = 48_000.0, 128, 20_000
+
+STROKE = """async ({ seconds, hz }) => {
+  const { pad, sound } = window.studio, canvas = document.querySelector("#pad"), box = canvas.getBoundingClientRect();
+  canvas.setPointerCapture = () => {};
+  const say = (type, x, y) => canvas.dispatchEvent(new PointerEvent(type, { pointerId: 7, pointerType: "pen", pressure: 0.5,
+    clientX: box.left + x, clientY: box.top + y, bubbles: true, buttons: 1 }));
+  sound.delays.length = 0;
+  const begin = performance.now();
+  await new Promise((resolve) => {
+    let k = 0;
+    const step = () => {
+      const due = (performance.now() - begin) / 1000 * hz;
+      for (; k < due; k++) say(k ? "pointerrawupdate" : "pointerdown", 300 + 150 * Math.sin(k / 40), 200);
+      if (k < seconds * hz) setTimeout(step, 1);
+      else resolve(say("pointerup", 300, 200));
+    };
+    step();
+  });
+  return sound.latency;
+}"""
+
+QUANTA = """async ({ rate, quantum, n, file }) => {
+  const { Foten } = await import("/foten.mjs");
+  const foten = Foten.start(await WebAssembly.compile(await (await fetch("/foten.wasm")).arrayBuffer()));
+  const texture = foten.texture(await (await fetch(`/textures/${file}`)).arrayBuffer());
+  const renderer = texture.renderer({ rate }), stylus = renderer.stylus(), out = new Float32Array(quantum), took = [];
+  for (let k = 0; k < n; k++) {
+    const t = (k * quantum) / rate;
+    stylus.push(50 + 40 * Math.sin(5 * t), 20, 0.5, t);
+    const begin = performance.now();
+    renderer.renderStylus(stylus, out);
+    took.push(performance.now() - begin);
+  }
+  return took;
+}"""
+
+
+def native_quanta(path: Path) -> list[float]:
+    """Return how long each quantum takes with this machine's kernel [ms]."""
+    renderer = Renderer(path.read_bytes(), rate=RATE_HZ)
+    stylus, out, took = Stylus(renderer), np.zeros(QUANTUM, dtype=np.float32), []
+    for k in range(N):
+        t = k * QUANTUM / RATE_HZ
+        stylus.push(50 + 40 * np.sin(5 * t), 20.0, 0.5, t)
+        begin = time.perf_counter()
+        stylus.render_into(out)
+        took.append(1000 * (time.perf_counter() - begin))
+    return took
+
+
+def measured(page: Any, link: str, seconds: float) -> tuple[list[float], dict[str, float], list[float]]:
+    """Return the times to first sound [ms], the latencies, and how long a quantum takes in the page [ms]."""
+    first = []
+    for _ in range(5):
+        page.goto(link)
+        page.wait_for_selector("html[data-ready]")
+        first.append(
+            page.evaluate(
+                """() => new Promise((resolve) => {
+                  const begin = performance.now();
+                  const heard = ({ detail }) => detail.rms > 1e-6 && resolve(performance.now() - begin);
+                  window.studio.sound.addEventListener("report", heard);
+                  document.querySelector("#begin").click();
+                })"""
+            )
+        )
+    page.evaluate("() => { window.studio.pad.ghost = null; }")
+    latency = page.evaluate(STROKE, {"seconds": seconds, "hz": 240})
+    largest = max(EXAMPLE.parent.glob("*.foten"), key=lambda path: path.stat().st_size)
+    quanta = page.evaluate(QUANTA, {"rate": RATE_HZ, "quantum": QUANTUM, "n": N, "file": largest.name})
+    return first, latency, quanta
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=20.0)
+    add_csv(parser)
+    arguments = parser.parse_args()
+    chromium = next(
+        (one for name in ("chromium", "chromium-browser", "google-chrome") if (one := shutil.which(name))), None
+    )
+    if chromium is None:
+        sys.exit("Chromium is missing: apt install chromium")
+    process, link = started()
+    try:
+        with sync_playwright() as playwright:
+            flags = ["--no-sandbox", "--autoplay-policy=no-user-gesture-required"]
+            browser = playwright.chromium.launch(executable_path=chromium, args=flags)
+            first, latency, quanta = measured(browser.new_page(), link, arguments.seconds)
+            browser.close()
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.wait(timeout=30)
+    largest = max(EXAMPLE.parent.glob("*.foten"), key=lambda path: path.stat().st_size)
+    native = native_quanta(largest)
+    of_quantum = 1000 * QUANTUM / RATE_HZ
+
+    def two(values: list[float]) -> list[str]:
+        return [f"{np.percentile(values, share):.3f}" for share in (50, 99)]
+
+    cells = [["", "median [ms]", "99 % [ms]", "of"]]
+    cells.append(["tap to first sound", f"{np.median(first):.0f}", f"{max(first):.0f} (most)", f"{len(first)} loads"])
+    for name, key in (("event to the graph", "own"), ("event to the speaker", "total")):
+        cells.append(
+            [name, *(f"{latency[f'{key}{share}']:.1f}" for share in ("P50", "P99")), f"{latency['n']:.0f} events"]
+        )
+    cells.append(["a quantum in WebAssembly", *two(quanta), f"{of_quantum:.3f} ms that it plays"])
+    cells.append(
+        ["the same, native", *two(native), f"{np.median(quanta) / np.median(native):.2f} times as long in WebAssembly"]
+    )
+    report(cells, arguments.csv)
+
+
+if __name__ == "__main__":
+    main()
