@@ -71,7 +71,7 @@ async def stroked(link: str, index: int, events_hz: float, seconds: float, begin
             x = 50.0 + 40.0 * np.sin(2 * np.pi * 0.7 * t + index)
             await socket.send(np.array([x, 20.0, 0.5, t]).astype("<f8").tobytes())
             sent += 1
-        await asyncio.sleep(1.6)  # until the server has told once more
+        await asyncio.sleep(1.6)  # until the server has pages_said once more
         listening.cancel()
     return {"sent": sent, "late_ms": 1000 * latest, "received_s": received / RATE_HZ, **state}
 
@@ -84,18 +84,18 @@ async def all_stroke(link: str, pages: int, events_hz: float, seconds: float) ->
 
 def row(name: str, link: str, pages: int, events_hz: float, seconds: float) -> list[str]:
     """Return a line of the table."""
-    told = asyncio.run(all_stroke(link, pages, events_hz, seconds))
+    pages_said = asyncio.run(all_stroke(link, pages, events_hz, seconds))
     with urllib.request.urlopen(f"{link}state") as answer:
         assert json.load(answer)["n_refused"] == 0
-    blocks = sum(one["received_s"] for one in told) * 1000 / told[0]["block_ms"]
+    blocks = sum(one["received_s"] for one in pages_said) * 1000 / pages_said[0]["block_ms"]
     return [
         name,
-        f"{sum(one['sent'] for one in told):,}",
-        f"{sum(one['sent'] - one['n_events'] for one in told)}",
-        f"{100 * sum(one['n_missed'] for one in told) / blocks:.3f} %",
-        f"{np.median([one['block_p50_ms'] for one in told]):.2f}",
-        f"{max(one['block_p99_ms'] for one in told):.2f}",
-        f"{sum(one['n_unsent'] for one in told)}",
+        f"{sum(one['sent'] for one in pages_said):,}",
+        f"{sum(one['sent'] - one['n_events'] for one in pages_said)}",
+        f"{100 * sum(one['n_missed'] for one in pages_said) / blocks:.3f} %",
+        f"{np.median([one['block_p50_ms'] for one in pages_said]):.2f}",
+        f"{max(one['block_p99_ms'] for one in pages_said):.2f}",
+        f"{sum(one['n_unsent'] for one in pages_said)}",
     ]
 
 

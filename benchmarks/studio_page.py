@@ -86,8 +86,8 @@ def measured(page: Any, link: str, seconds: float) -> tuple[list[float], dict[st
             page.evaluate(
                 """() => new Promise((resolve) => {
                   const begin = performance.now();
-                  const heard = ({ detail }) => detail.rms > 1e-6 && resolve(performance.now() - begin);
-                  window.studio.sound.addEventListener("report", heard);
+                  const first = ({ detail }) => detail.rms > 1e-6 && resolve(performance.now() - begin);
+                  window.studio.sound.addEventListener("report", first);
                   document.querySelector("#begin").click();
                 })"""
             )

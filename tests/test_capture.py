@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import random
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 pytest.importorskip("starlette")
 import scipy.io.wavfile
 from starlette.testclient import TestClient
+from starlette.websockets import WebSocketDisconnect
 
 from foten.datasets.hdf5 import load_recording
 from foten.datasets.simulated_capture import FULL_SCALE, SOUND_HZ, SimulatedCapture, simulate_capture
@@ -66,8 +68,8 @@ def say(socket: Any, performance: SimulatedCapture, hz: float = 200.0) -> None:
     """Send a whole performance: its sound in pieces, its events in between, in the order of their times."""
     plan = performance.plan[:: round(1000 / hz)]
     down = plan[:, 3] > 0
-    heard = down | np.append(False, down[:-1])  # what touches, and the lift after it
-    rows = plan[heard][:, [1, 2, 3, 0]]
+    samples_in = down | np.append(False, down[:-1])  # what touches, and the lift after it
+    rows = plan[samples_in][:, [1, 2, 3, 0]]
     piece_s, sent = PIECE / SOUND_HZ, 0
     for k in range(performance.sound.size // PIECE):
         until = int(np.searchsorted(rows[:, 3], (k + 1) * piece_s))
@@ -80,23 +82,23 @@ def say(socket: Any, performance: SimulatedCapture, hz: float = 200.0) -> None:
 def test_a_capture_is_kept_in_files_that_import_reads(client: TestClient, studio: Studio, monkeypatch: Any) -> None:
     monkeypatch.setattr(studio.trainings, "start", lambda folder, say: None)
     rng = np.random.default_rng(0)
-    heard = rng.uniform(-1, 1, 3 * PIECE).astype(np.float32)
+    samples_in = rng.uniform(-1, 1, 3 * PIECE).astype(np.float32)
     with client.websocket_connect(WS) as socket:
         socket.send_text(json.dumps({**BEGIN, "full_scale_m_s2": 50, "input": "Built-in"}))
-        assert answered(socket, "begun") == {"begun": True}
-        socket.send_bytes(sound(heard[:PIECE]))
+        assert answered(socket, "ready") == {"ready": True}
+        socket.send_bytes(sound(samples_in[:PIECE]))
         socket.send_bytes(events((1, 2, 0.5, 0.01), (1.5, 2, 0.6, 0.015)))
-        socket.send_bytes(sound(heard[PIECE : 2 * PIECE]))
-        socket.send_bytes(sound(heard[2 * PIECE :]))
+        socket.send_bytes(sound(samples_in[PIECE : 2 * PIECE]))
+        socket.send_bytes(sound(samples_in[2 * PIECE :]))
         socket.send_bytes(events((1.5, 2, 0.0, 0.02)))
         socket.send_text('{"do": "train"}')
         kept = answered(socket, "kept")
     assert "kept" in kept, kept
     folder = studio.trainings.captures / kept["kept"]
-    assert (folder.name, kept["seconds"]) == ("old-denim-washed", heard.size / 48000)
+    assert (folder.name, kept["seconds"]) == ("old-denim-washed", samples_in.size / 48000)
     rate, samples = scipy.io.wavfile.read(folder / "sound.wav")
     assert rate == 48000
-    np.testing.assert_array_equal(samples, heard)
+    np.testing.assert_array_equal(samples, samples_in)
     rows = np.loadtxt(folder / "pen.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(rows, [[0.01, 1, 2, 0.5], [0.015, 1.5, 2, 0.6], [0.02, 1.5, 2, 0.0]])
     about = json.loads((folder / "capture.json").read_text())
@@ -107,8 +109,8 @@ def test_a_capture_is_kept_in_files_that_import_reads(client: TestClient, studio
 def test_a_second_capture_of_one_name_has_a_folder_of_its_own(tmp_path: Path) -> None:
     for expected in ("denim", "denim-2", "denim-3"):
         capture = Capture(About("Denim", 48000))
-        capture.hear(np.zeros(100, dtype=np.float32))
-        capture.take(np.array([[0, 0, 0.5, 1.0]]))
+        capture.add_sound(np.zeros(100, dtype=np.float32))
+        capture.add_events(np.array([[0, 0, 0.5, 1.0]]))
         assert capture.write(tmp_path).name == expected
 
 
@@ -159,18 +161,18 @@ def test_a_begin_that_is_none_is_refused(message: dict[str, Any], why: str) -> N
 def test_what_is_out_of_order_is_refused_and_ends_the_capture(client: TestClient) -> None:
     with client.websocket_connect(WS) as socket:
         socket.send_bytes(sound(np.zeros(4)))
-        assert "before a capture was begun" in answered(socket, "begun")["refused"]
+        assert "before a capture was begun" in answered(socket, "ready")["refused"]
         socket.send_text('{"do": "train"}')
-        assert "train before a capture was begun" in answered(socket, "begun")["refused"]
+        assert "train before a capture was begun" in answered(socket, "ready")["refused"]
         socket.send_text(json.dumps(BEGIN))
-        assert answered(socket, "begun") == {"begun": True}
+        assert answered(socket, "ready") == {"ready": True}
         socket.send_bytes(events((0, 0, 0.5, 2.0)))
         socket.send_bytes(events((0, 0, 0.5, 1.0)))
         assert "not in the order" in answered(socket, "kept")["refused"]
         socket.send_text('{"do": "train"}')
         assert "before a capture was begun" in answered(socket, "kept")["refused"]
         socket.send_text(json.dumps(BEGIN))
-        assert answered(socket, "begun") == {"begun": True}
+        assert answered(socket, "ready") == {"ready": True}
         socket.send_text('{"do": "train"}')
         assert "the pen has not touched yet" in answered(socket, "kept")["refused"]
 
@@ -178,9 +180,9 @@ def test_what_is_out_of_order_is_refused_and_ends_the_capture(client: TestClient
 def test_a_capture_that_never_ends_is_refused(monkeypatch: Any) -> None:
     capture = Capture(About("x", 8000))
     for _ in range(300):
-        capture.hear(np.zeros(8000, dtype=np.float32))
+        capture.add_sound(np.zeros(8000, dtype=np.float32))
     with pytest.raises(RefusedError, match="longer than 300 s"):
-        capture.hear(np.zeros(1, dtype=np.float32))
+        capture.add_sound(np.zeros(1, dtype=np.float32))
 
 
 def test_only_so_many_pages_capture_at_once_and_one_that_left_makes_room(client: TestClient, studio: Studio) -> None:
@@ -188,7 +190,7 @@ def test_only_so_many_pages_capture_at_once_and_one_that_left_makes_room(client:
     for socket in sockets:
         socket.__enter__()
         socket.send_text(json.dumps(BEGIN))
-        answered(socket, "begun")
+        answered(socket, "ready")
     with client.websocket_connect(WS) as one_more:
         message = one_more.receive()
         assert (message["type"], message["code"]) == ("websocket.close", 1013)
@@ -198,7 +200,7 @@ def test_only_so_many_pages_capture_at_once_and_one_that_left_makes_room(client:
         time.sleep(0.01)
     with client.websocket_connect(WS) as socket:
         socket.send_text(json.dumps(BEGIN))
-        assert answered(socket, "begun") == {"begun": True}
+        assert answered(socket, "ready") == {"ready": True}
     for socket in sockets[1:]:
         socket.__exit__(None, None, None)
 
@@ -209,7 +211,7 @@ def test_without_what_trains_a_capture_says_so_before_it_begins(client: TestClie
     )
     with client.websocket_connect(WS) as socket:
         socket.send_text(json.dumps(BEGIN))
-        assert "pip install 'foten[train]'" in answered(socket, "begun")["refused"]
+        assert "pip install 'foten[train]'" in answered(socket, "ready")["refused"]
 
 
 def test_noise_without_taps_is_refused_in_words_and_kept(client: TestClient, studio: Studio) -> None:
@@ -224,6 +226,57 @@ def test_noise_without_taps_is_refused_in_words_and_kept(client: TestClient, stu
         assert "tap three times before the strokes" in answered(socket, "done")["refused"]
     assert (studio.trainings.captures / kept["kept"] / "sound.wav").is_file()
     assert len(studio.shelf) == 1
+
+
+def hostile(rng: random.Random) -> bytes | str:
+    """Return a message of a capture that is malformed, oversized, out of order, or none of these."""
+    kind = rng.randrange(5)
+    if kind == 0:
+        return rng.choice([b"", b"e", b"s", b"x"]) + rng.randbytes(rng.choice([0, 1, 3, 4, 31, 32, 64, 2048, 5000]))
+    if kind == 1:
+        return events((rng.gauss(0, 1e3), rng.gauss(0, 1e3), rng.uniform(-1, 2), rng.gauss(0, 10)))
+    if kind == 2:
+        return sound(np.array([rng.choice([0.0, 1.0, -1.0, 1e9, float("nan"), float("inf")])] * rng.randrange(1, 900)))
+    if kind == 3:
+        text = json.dumps(rng.choice([BEGIN, {**BEGIN, "newtons": 0.2, "full_scale_m_s2": 3.0}]))
+        at = rng.randrange(len(text))
+        return text[:at] + chr(rng.randrange(1, 0x2FFF)) + text[at + 1 :]
+    words: list[Any] = ["begin", "train", "discard", "name", "../x", None, 1e308, -1, [], {}, True, "do", "rate_hz"]
+    usual = [json.dumps(BEGIN), '{"do": "train"}', '{"do": "discard"}']
+    return rng.choice([*usual, json.dumps({str(rng.choice(words)): rng.choice(words) for _ in range(4)})])
+
+
+@pytest.mark.parametrize("n", [2000, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_no_message_of_a_capture_brings_it_down(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, n: int) -> None:
+    monkeypatch.setattr(capturing, "MOST_REFUSED", 10 * n)
+    monkeypatch.setattr(capturing, "CAPTURED_A_SECOND", 1e9)
+    studio, rng = Studio(Shelf([EXAMPLE]), tmp_path / "captures"), random.Random(0)
+    monkeypatch.setattr(studio.trainings, "start", lambda folder, say: None)
+    with TestClient(studio.app(Access(LOOPBACK, 8000)), base_url=HERE, headers={"origin": HERE}) as client:
+        with client.websocket_connect(WS) as socket:
+            for _ in range(n):
+                message = hostile(rng)
+                socket.send_bytes(message) if isinstance(message, bytes) else socket.send_text(message)
+            socket.send_text('{"do": "discard"}')
+            socket.send_text('{"do": "end of the fuzz"}')
+            n_refused = 0
+            while "end of the fuzz" not in (said := socket.receive_text()):
+                n_refused += "refused" in said
+        assert n_refused > 0.5 * n
+        with client.websocket_connect(WS) as socket:
+            socket.send_text(json.dumps(BEGIN))
+            answer = answered(socket, "ready")
+            assert answer == {"ready": True} or "captures are kept already" in answer["refused"]
+
+
+def test_a_flood_of_refused_messages_is_sent_away(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(capturing, "MOST_REFUSED", 50)
+    with client.websocket_connect(WS) as socket:
+        for _ in range(100):
+            socket.send_text("{}")
+        with pytest.raises(WebSocketDisconnect) as gone:
+            list(iter(socket.receive_text, None))
+    assert gone.value.code == 1008
 
 
 def captured(socket: Any, studio: Studio, performance: SimulatedCapture, **begin: Any) -> Path:

@@ -71,9 +71,9 @@ def perform(page: Any, performance: SimulatedCapture) -> None:
     page.click("#set-up summary")
     page.fill("#sensor", "1")
     page.fill("#full", str(FULL_SCALE))
-    heard = f"{CAPTURE}.peaks?.find(([, peak]) => peak > 0.1)"
-    until(page, f"Boolean({heard})", 2 * BEGIN_S)
-    began = 1000 * (page.evaluate(f"{heard}[0]") - BEGIN_S + CUE_S)
+    knock = f"{CAPTURE}.peaks?.find(([, peak]) => peak > 0.1)"
+    until(page, f"Boolean({knock})", 2 * BEGIN_S)
+    began = 1000 * (page.evaluate(f"{knock}[0]") - BEGIN_S + CUE_S)
     page.click("#go")
     plan = performance.plan[::2].round(4).tolist()
     end = performance.strokes_s[1]
@@ -189,19 +189,19 @@ def test_filters_are_asked_to_be_off(quiet_browser: Any, studio_link: str) -> No
     page.context.close()
 
 
-LEVELS = """async ({ rest, stroke }) => {
+LEVELS = """async ({ pause, stroke }) => {
   const { Levels } = await import("/levels.js"), levels = new Levels(48000);
   const part = (samples, down) => {
-    for (let i = 0; i + 896 <= samples.length; i += 896) levels.hear(Float32Array.from(samples.slice(i, i + 896)), down);
+    for (let i = 0; i + 896 <= samples.length; i += 896) levels.add(Float32Array.from(samples.slice(i, i + 896)), down);
   };
-  part(rest, false);
+  part(pause, false);
   part(stroke, true);
   return levels.trouble;
 }"""
 
 
 @pytest.mark.parametrize(
-    ("rest", "stroke", "said"),
+    ("pause", "stroke", "said"),
     [
         ("quiet", "loud", None),
         ("quiet", "clipped", "It clips"),
@@ -211,7 +211,7 @@ LEVELS = """async ({ rest, stroke }) => {
     ],
 )
 def test_what_is_wrong_with_an_input_is_said(
-    quiet_browser: Any, studio_link: str, rest: str, stroke: str, said: str | None
+    quiet_browser: Any, studio_link: str, pause: str, stroke: str, said: str | None
 ) -> None:
     rng = np.random.default_rng(0)
     noise, t = rng.standard_normal(96_000), np.arange(96_000) / 48_000
@@ -224,7 +224,7 @@ def test_what_is_wrong_with_an_input_is_said(
         "hum": 1e-3 * noise + 0.03 * np.sin(2 * np.pi * 50 * t),
     }
     page = opened_capture(quiet_browser, studio_link)
-    trouble = page.evaluate(LEVELS, {"rest": sounds[rest].tolist(), "stroke": sounds[stroke].tolist()})
+    trouble = page.evaluate(LEVELS, {"pause": sounds[pause].tolist(), "stroke": sounds[stroke].tolist()})
     assert (trouble is None) if said is None else said in trouble
     page.context.close()
 

@@ -19,8 +19,10 @@ import numpy as np
 import pytest
 import scipy.io.wavfile
 
+from conftest import exported
 from foten.datasets.importing import read_stroke
 from foten.dsp import Array
+from foten.families import FAMILIES
 from foten.families.texture_file import read_texture, write_texture
 from foten.runtime.renderer import EXAMPLE, Renderer
 from foten.runtime.stroke import tabled_stroke
@@ -338,3 +340,19 @@ def test_it_is_accessible_and_looks_as_the_screenshots_show(browser: Any, link: 
         page.screenshot(path=SHOTS / f"{name}-settings.png")
         violations += axe.Axe().run(page).response["violations"]
         assert not [(one["id"], [node["html"] for node in one["nodes"]]) for one in violations]
+
+
+def test_a_network_that_only_the_server_runs_is_heard_in_the_page(browser: Any, tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    sizes = FAMILIES["dstn"](excitation=True)
+    write_texture(exported("dstn", sizes, texture="network"), tmp_path / "network.foten")
+    process, link = started(str(tmp_path))
+    with opened(browser, link, tap=False) as page:
+        page.click("#begin")
+        until(page, f"{STATE}.sound.server?.socket.readyState === 1")
+        page.evaluate(f"{STATE}.pad.ghost = null")
+        Pen(page).stroke(page)
+        until(page, f"{STATE}.monitor.latest?.rms > 0")
+        assert page.evaluate("document.querySelector('#path').value") == "stream"
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=30)

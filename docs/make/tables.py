@@ -286,7 +286,7 @@ TABLES: dict[str, dict[str, Callable[[], Cells | str]]] = {
         "batched": lambda: kept("batched"),
         "csv": lambda: listed("recipes", "table-1-small", "table-1-real"),
     },
-    "runtime.md": {name: (lambda name=name: kept(name)) for name in ("step", "contacts", "soak", "install")},
+    "runtime.md": {name: (lambda name=name: kept(name)) for name in ("step", "contacts", "soak", "install", "studio-page", "studio-load")},
 }
 
 

@@ -233,12 +233,12 @@ def pen_channels(events: PenEvents, clock: PenClock, force: Callable[[Array], Ar
         rows.append(np.stack([at, x, y, force(pressure)]))
     if not rows or rows[0].shape[1] < 2:
         raise ValueError("the pen only tapped, expected strokes between the taps")
-    told, *values = np.concatenate(rows, axis=1)
-    told = clock(told)
+    given_s, *values = np.concatenate(rows, axis=1)
+    given_s = clock(given_s)
     times = np.arange(
-        told[0], told[-1], step
+        given_s[0], given_s[-1], step
     )  # evenly: a late event, or a few that are missing, are none of the hand's
     return {
-        name: Channel(np.interp(times, told, samples), 1.0 / step, times)
+        name: Channel(np.interp(times, given_s, samples), 1.0 / step, times)
         for name, samples in zip(("position_x", "position_y", "force"), values, strict=True)
     }

@@ -86,8 +86,8 @@ def simulate_capture(key: str, seconds: float, seed: int = 0) -> SimulatedCaptur
     touches = at % (STROKE_S + LIFT_S) < STROKE_S
     low, high = CALIBRATION.force(np.array([0.03, 1.0]))
     force = np.clip(hand.force, low, high)
-    felt = vibration(TEXTURES[key], Stroking(RATE_HZ, hand.position, hand.velocity, force, hand.tilt), rng)[:, 2]
-    felt = felt * touches + NOISE * rng.standard_normal(felt.size)
+    vibrated = vibration(TEXTURES[key], Stroking(RATE_HZ, hand.position, hand.velocity, force, hand.tilt), rng)[:, 2]
+    vibrated = vibrated * touches + NOISE * rng.standard_normal(vibrated.size)
 
     start = BEGIN_S + REST_S[0]
     end = start + seconds
@@ -95,7 +95,7 @@ def simulate_capture(key: str, seconds: float, seed: int = 0) -> SimulatedCaptur
     taps = np.concatenate([BEGIN_S + three, end + REST_S[1] + three])
     acceleration = NOISE * rng.standard_normal(round((end + LAST_S) * RATE_HZ))
     first = round(start * RATE_HZ)
-    acceleration[first : first + felt.size] = felt
+    acceleration[first : first + vibrated.size] = vibrated
     size, hertz, fades_s = KNOCK
     ring = np.arange(int(0.02 * RATE_HZ)) / RATE_HZ
     knock = size * np.exp(-ring / fades_s) * np.sin(2 * np.pi * hertz * ring)
@@ -111,7 +111,7 @@ def simulate_capture(key: str, seconds: float, seed: int = 0) -> SimulatedCaptur
         pressure[(times >= tap) & (times < tap + TAP_S)] = 0.5
 
     channels = {
-        "acceleration": Channel(felt, RATE_HZ),
+        "acceleration": Channel(vibrated, RATE_HZ),
         "position_x": Channel(hand.position[:, 0].copy(), RATE_HZ),
         "position_y": Channel(hand.position[:, 1].copy(), RATE_HZ),
         "force": Channel(np.where(touches, force, 0.0), RATE_HZ),

@@ -51,7 +51,7 @@ class Capture:
         """Return how long the sound is."""
         return self._n_samples / self.about.rate_hz
 
-    def hear(self, samples: NDArray[np.float32]) -> None:
+    def add_sound(self, samples: NDArray[np.float32]) -> None:
         """Take in the next samples, of which full scale is 1.
 
         Raises:
@@ -62,7 +62,7 @@ class Capture:
         self._sound.append(samples)
         self._n_samples += samples.size
 
-    def take(self, events: NDArray[np.float64]) -> None:
+    def add_events(self, events: NDArray[np.float64]) -> None:
         """Take in the next events: x, y [mm], pressure, t [s], shape (n, 4).
 
         Raises:

@@ -16,7 +16,15 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from foten.atomic_write import reason
 from foten.studio.capture import About, Capture
-from foten.studio.messages import CAPTURE, CAPTURED_A_SECOND, Allowance, RefusedError, parse_captured, parse_message
+from foten.studio.messages import (
+    CAPTURE,
+    CAPTURED_A_SECOND,
+    MOST_REFUSED,
+    Allowance,
+    RefusedError,
+    parse_captured,
+    parse_message,
+)
 from foten.studio.shelf import Shelf
 
 MOST_CAPTURES = 200  # that are kept from one start of the server
@@ -96,6 +104,7 @@ class CapturePage:
     def __init__(self, socket: WebSocket, trainings: Trainings) -> None:
         self._socket, self._trainings = socket, trainings
         self._capture: Capture | None = None
+        self.n_refused = 0
         self._messages = Allowance(CAPTURED_A_SECOND)
         self._saying: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue()
 
@@ -110,11 +119,12 @@ class CapturePage:
                 try:
                     await self._take(received)
                 except RefusedError as refused:
-                    self._capture = None
-                    self._saying.put_nowait({"refused": str(refused)})
+                    self._refuse(str(refused))
                 except OSError as error:
-                    self._capture = None
-                    self._saying.put_nowait({"refused": f"the capture cannot be kept: {reason(error)}"})
+                    self._refuse(f"the capture cannot be kept: {reason(error)}")
+                if self.n_refused > MOST_REFUSED:
+                    await self._socket.close(1008, f"{MOST_REFUSED} messages were refused")
+                    return
         except WebSocketDisconnect:
             pass
         finally:
@@ -127,11 +137,11 @@ class CapturePage:
         data = received.get("bytes")
         if data is not None:
             kind, values = parse_captured(data)
-            capture = self._begun("what was captured")
+            capture = self._current("what was captured")
             if kind == "sound":
-                capture.hear(values.astype(np.float32))
+                capture.add_sound(values.astype(np.float32))
             else:
-                capture.take(values)
+                capture.add_events(values)
             return
         message = parse_message(received.get("text") or "", CAPTURE)
         if message["do"] == "begin":
@@ -140,17 +150,22 @@ class CapturePage:
             if missing := why_not():
                 raise RefusedError(missing)
             self._capture = Capture(About.of(message))
-            self._saying.put_nowait({"begun": True})
+            self._saying.put_nowait({"ready": True})
         elif message["do"] == "discard":
             self._capture = None
         else:
-            capture, self._capture = self._begun("train"), None
+            capture, self._capture = self._current("train"), None
             folder = await asyncio.to_thread(capture.write, self._trainings.captures)
             self._trainings.n_kept += 1
             self._saying.put_nowait({"kept": folder.name, "seconds": capture.seconds})
             self._trainings.start(folder, self._saying.put_nowait)
 
-    def _begun(self, what: str) -> Capture:
+    def _refuse(self, why: str) -> None:
+        self._capture = None
+        self.n_refused += 1
+        self._saying.put_nowait({"refused": why})
+
+    def _current(self, what: str) -> Capture:
         if self._capture is None:
             raise RefusedError(f"{what} before a capture was begun")
         return self._capture

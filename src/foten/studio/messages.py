@@ -35,6 +35,7 @@ from foten.untrusted import parse_json
 
 MOST_BYTES = 4096  # of a message
 MOST_EVENTS = 64  # in a message
+MOST_REFUSED = 1000  # messages of a page, after which it is sent away
 EVENTS_A_SECOND, MESSAGES_A_SECOND = 2000.0, 1200.0  # a pen has at most a thousand events
 CAPTURED_A_SECOND = 12_000.0  # messages, after a pause of a page that goes on recording
 BURST_S = 1.0  # of either, that may come at once after a pause
@@ -118,8 +119,8 @@ def parse_events(data: bytes) -> NDArray[np.float64]:
     Raises:
         RefusedError: it does not hold 1 to `MOST_EVENTS` whole events, or one is not finite or out of range.
     """
-    n, rest = divmod(len(data), 32)
-    if rest or not 1 <= n <= MOST_EVENTS:
+    n, remainder = divmod(len(data), 32)
+    if remainder or not 1 <= n <= MOST_EVENTS:
         raise RefusedError(f"{len(data)} bytes of events, expected 1 to {MOST_EVENTS} of 32 bytes")
     events = np.frombuffer(data, dtype="<f8").reshape(n, 4)
     if not np.isfinite(events).all() or np.abs(events).max() > 1e9:
@@ -137,12 +138,12 @@ def parse_captured(data: bytes) -> tuple[str, NDArray[np.float64]]:
     """
     if len(data) > MOST_BYTES:
         raise RefusedError(f"the message has {len(data)} bytes, expected {MOST_BYTES} at most")
-    kind, rest = data[:1], data[1:]
+    kind, payload = data[:1], data[1:]
     if kind == b"e":
-        return "events", parse_events(rest)
-    if kind != b"s" or not rest or len(rest) % 4:
+        return "events", parse_events(payload)
+    if kind != b"s" or not payload or len(payload) % 4:
         raise RefusedError(f"{len(data)} bytes that are neither events nor whole samples of a sound")
-    sound = np.frombuffer(rest, dtype="<f4").astype(np.float64)
+    sound = np.frombuffer(payload, dtype="<f4").astype(np.float64)
     if not (np.abs(sound) <= LOUDEST).all():
         raise RefusedError(f"a sample of the sound is not finite, or above {LOUDEST:g} times full scale")
     return "sound", sound

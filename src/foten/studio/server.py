@@ -44,6 +44,7 @@ from foten.studio.messages import (
     EVENTS_A_SECOND,
     MESSAGES_A_SECOND,
     MOST_BYTES,
+    MOST_REFUSED,
     Allowance,
     RefusedError,
     parse_events,
@@ -54,7 +55,6 @@ from foten.studio.shelf import Shelf
 PAGE = Path(__file__).with_name("page")
 KERNEL = ("foten.mjs", "foten.wasm")
 MOST_PAGES = 64  # that stroke at once
-MOST_REFUSED = 1000  # messages of a page, after which it is sent away
 MOST_WAITING = 64  # blocks for a page that does not take them; the oldest go
 MOST_CAPTURING = 4  # pages at once, each of which holds its sound
 CAPTURES = Path("captures")  # below where the server is started

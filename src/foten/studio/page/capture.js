@@ -109,7 +109,7 @@ export class Capture {
     this.context = new AudioContext(settings.sampleRate ? { sampleRate: settings.sampleRate } : {});
     await this.context.audioWorklet.addModule("input.js");
     const node = new AudioWorkletNode(this.context, "foten-input", { numberOfOutputs: 0, channelCount: 1, channelCountMode: "explicit" });
-    node.port.onmessage = ({ data }) => (data.piece ? this.heard(data.piece) : this.lost(data.missing));
+    node.port.onmessage = ({ data }) => (data.piece ? this.received(data.piece) : this.lost(data.missing));
     this.context.createMediaStreamSource(stream).connect(node);
     await this.context.resume();
     this.levels = new Levels(this.context.sampleRate);
@@ -124,9 +124,9 @@ export class Capture {
     this.stream = this.context = this.levels = null;
   }
 
-  heard(piece) {
+  received(piece) {
     if (!this.levels) return;
-    this.levels.hear(piece, this.pad.touching);
+    this.levels.add(piece, this.pad.touching);
     this.peaks.push([performance.now() / 1000, this.levels.peak]);
     if (this.peaks.length > 200) this.peaks.shift();
     if (!this.pieces) return;
@@ -147,10 +147,10 @@ export class Capture {
   /** A shaker moves the sensor with an RMS of 1 g: a second of it says what full scale is. */
   async calibrate() {
     let squares = 0, n = 0;
-    const hear = this.levels.hear.bind(this.levels);
-    this.levels.hear = (piece, down) => (hear(piece, down), (squares += this.levels.rms ** 2), n++);
+    const add = this.levels.add.bind(this.levels);
+    this.levels.add = (piece, down) => (add(piece, down), (squares += this.levels.rms ** 2), n++);
     await new Promise((resolve) => setTimeout(resolve, 1000));
-    this.levels.hear = hear;
+    this.levels.add = add;
     const rms = Math.sqrt(squares / Math.max(1, n));
     this.setScale(rms > 1e-3 ? AN_RMS_OF_1_G / rms : NaN);
     if (!this.fullScale) this.$("scale").value = "Hardly anything is heard: is the calibrator on?";

@@ -3,19 +3,19 @@
 const CLIPPED = 0.99; // of full scale
 const CLIPS = 3; // clipped samples of one piece, which is more than a knock's tip
 const SILENT_DB = -66, FAINT_DB = 10; // of full scale; and above what the input hears without a stroke
-const STROKED = 60, FADES = 0.997, SLOW = 0.01; // pieces until a stroke is judged; per piece, of its loudest and of a rest
+const STROKED = 60, FADES = 0.997, SLOW = 0.01; // pieces until a stroke is judged; per piece, of its loudest and of a pause
 const HUM_SHARE = 0.5, HUM_DB = -26; // of what is heard between strokes; against a stroke
 const HUM_S = 0.5; // that a hum is looked for in
 
 export class Levels {
   constructor(rate) {
-    Object.assign(this, { rate, rms: 0, peak: 0, clipped: 0, stroked: 0, stroke: null, rest: null, hum: null });
+    Object.assign(this, { rate, rms: 0, peak: 0, clipped: 0, stroked: 0, stroke: null, pause: null, hum: null });
     this.held = new Float32Array(Math.round(HUM_S * rate));
     this.n = 0;
   }
 
   /** Take in a piece; `down` says whether the pen touches. */
-  hear(piece, down) {
+  add(piece, down) {
     let sum = 0, squares = 0, peak = 0, clips = 0;
     for (const value of piece) {
       sum += value;
@@ -32,11 +32,11 @@ export class Levels {
       if (++this.stroked > STROKED) this.stroke = Math.max(power, (this.stroke ?? 0) * FADES);
       return;
     }
-    this.rest = this.rest === null ? power : Math.min(power, this.rest) + SLOW * Math.max(0, power - this.rest);
-    this.rests(piece);
+    this.pause = this.pause === null ? power : Math.min(power, this.pause) + SLOW * Math.max(0, power - this.pause);
+    this.pauses(piece);
   }
 
-  rests(piece) {
+  pauses(piece) {
     for (const value of piece) {
       this.held[this.n++] = value;
       if (this.n === this.held.length) {
@@ -51,7 +51,7 @@ export class Levels {
     const db = (power) => 10 * Math.log10(Math.max(power, 1e-20));
     if (this.clipped > 2) return "It clips: turn the input down.";
     if (this.stroke !== null && db(this.stroke) < SILENT_DB) return "The input is silent: is it the right one?";
-    if (this.stroke !== null && this.rest !== null && db(this.stroke) - db(this.rest) < FAINT_DB)
+    if (this.stroke !== null && this.pause !== null && db(this.stroke) - db(this.pause) < FAINT_DB)
       return "The stroke is hardly louder than the room: turn the input up, or fix the microphone more firmly.";
     if (this.hum?.share > HUM_SHARE && (this.stroke === null || db(this.hum.power) - db(this.stroke) > HUM_DB))
       return `It hums at ${this.hum.hz} Hz: try another cable, or a battery.`;
@@ -59,7 +59,7 @@ export class Levels {
   }
 }
 
-/** Return which mains frequency a rest holds most of, the share of its power, and that power. */
+/** Return which mains frequency a pause holds most of, the share of its power, and that power. */
 export function humIn(samples, rate) {
   const mean = samples.reduce((sum, value) => sum + value, 0) / samples.length;
   let all = 0;

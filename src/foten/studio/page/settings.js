@@ -81,6 +81,12 @@ export class Settings {
     this.$("paths").hidden = !server;
   }
 
+  /** Have all rendered on another path, and show that. */
+  async render(path) {
+    this.$("path").value = path;
+    await this.choose();
+  }
+
   async choose() {
     const path = this.$("path");
     try {

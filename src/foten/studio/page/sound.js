@@ -88,6 +88,11 @@ export class PageSound extends EventTarget {
     return answer;
   }
 
+  /** Take in what a texture says of itself that is rendered elsewhere. */
+  know(id, info) {
+    this.infos.set(id, info);
+  }
+
   use(id) {
     const info = this.infos.get(id);
     if (!info) return;

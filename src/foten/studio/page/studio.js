@@ -1,5 +1,5 @@
 // The page: textures on a shelf, one of them under the pen.
-import { grouped, shipped, Texture, textureOf } from "./shelf.js";
+import { cardOf, grouped, shipped, Texture, textureOf } from "./shelf.js";
 import { Monitor } from "./monitor.js";
 import { Pad } from "./pad.js";
 import { Settings } from "./settings.js";
@@ -40,13 +40,21 @@ function pictureOf(texture) {
       texture.id,
       texture.bytes.then(
         (bytes) =>
-          new Promise((resolve, reject) => {
+          cardOf(bytes).hasGraph ? plain(cardOf(bytes)) : new Promise((resolve, reject) => {
             painting.set(texture.id, { resolve, reject });
             painter.postMessage({ id: texture.id, bytes, name: texture.name || texture.title });
           }),
       ),
     );
   return pictures.get(texture.id);
+}
+
+/** The picture of what this page cannot render. */
+function plain(card) {
+  const canvas = Object.assign(document.createElement("canvas"), { width: 8, height: 8 }), g = canvas.getContext("2d");
+  g.fillStyle = "#77716a";
+  g.fillRect(0, 0, 8, 8);
+  return { canvas, mm: 24, loud: card.scaling.sd[0], url: canvas.toDataURL() };
 }
 
 async function paint(texture) {
@@ -91,6 +99,18 @@ function mark() {
   $("compare").hidden = !mine || mine.length < 2;
 }
 
+/** Have a texture rendered: here, or by the server where its network is one that only that runs. */
+async function ready(texture) {
+  if (!sound.infos.has(texture.id)) {
+    const bytes = await texture.bytes, card = cardOf(bytes);
+    if (!card.hasGraph) return sound.load(texture.id, bytes);
+    if (!server || texture.card) throw new Error(`${texture.title} is rendered by a server alone: foten serve ${texture.file}`);
+    const { speed, force } = card.trained_range;
+    sound.know(texture.id, { accelerationSd: card.scaling.sd[0], trainedSpeed: speed, trainedForce: force, elsewhere: true });
+  }
+  if (sound.infos.get(texture.id).elsewhere && !sound.server) await settings.render("stream");
+}
+
 /** Put a texture under the pen; its sound follows where it plays already. */
 async function use(texture) {
   chosen = texture;
@@ -98,7 +118,7 @@ async function use(texture) {
   const info = paint(texture).then(({ canvas, mm }) => chosen === texture && pad.setTile(canvas, mm));
   $("now-name").textContent = blind ? "Compare blind" : texture.title;
   if (sound.node) {
-    if (!sound.infos.has(texture.id)) await sound.load(texture.id, await texture.bytes);
+    await ready(texture);
     if (chosen !== texture) return;
     sound.use(texture.id);
     const { trainedSpeed, trainedForce } = sound.infos.get(texture.id);
@@ -153,7 +173,7 @@ $("compare").addEventListener("click", () => attempt(async () => {
   await begin();
   const group = groups.find((one) => one.includes(chosen));
   const order = shuffled(group), loud = await Promise.all(order.map(async (one) => (await pictureOf(one)).loud));
-  for (const one of order) if (!sound.infos.has(one.id)) await sound.load(one.id, await one.bytes);
+  for (const one of order) await ready(one);
   const scaled = order.map((one, i) => loud[i] / sound.infos.get(one.id).accelerationSd);
   sound.match(Object.fromEntries(order.map((one, i) => [one.id, 20 * Math.log10(scaled[0] / scaled[i])])));
   blind = order;
@@ -198,6 +218,7 @@ async function open(files) {
     let texture;
     try {
       texture = await textureOf(file);
+      if (texture.card.hasGraph) throw new Error(`its network is rendered by a server alone: foten serve ${file.name}`);
       await pictureOf(texture); // which proves it
     } catch (error) {
       throw new Error(`${file.name} was refused: ${error.message}`);
