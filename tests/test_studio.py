@@ -25,13 +25,13 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from foten.families.texture_file import read_texture
-from foten.runtime.live.paced import NullSink
 from foten.runtime.renderer import EXAMPLE
 from foten.runtime.stylus import PressureCalibration
 from foten.studio import server
 from foten.studio.access import LOOPBACK, Access, access_to, write_certificate
 from foten.studio.contact import Contact
 from foten.studio.messages import Allowance, RefusedError, parse_events, parse_message
+from foten.studio.players import Turns
 from foten.studio.server import Studio
 from foten.studio.shelf import Shelf
 
@@ -357,7 +357,7 @@ def test_a_hostile_texture_is_refused(tmp_path: Path, damage: str) -> None:
         data = bytearray(save(tensors, metadata={"foten": json.dumps(dict(read_texture(EXAMPLE).card))}))
     path = tmp_path / "hostile.foten"
     path.write_bytes(data)
-    contact = Contact(NullSink(48_000), lambda *_: None)
+    contact = Contact(Turns().player(48_000.0), lambda *_: None)
     with pytest.raises(ValueError, match=r"texture file|truncated|proof"):
         contact.open(bytes(data), PressureCalibration())
     contact.close()

@@ -1,4 +1,4 @@
-"""A page's hand on a texture that is rendered here: its own state, its own thread."""
+"""A page's hand on a texture that is rendered here: its own state, its own player."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.runtime.live.live import Live, LiveStatistics, Samples, Sink
+from foten.runtime.live.live import LiveStatistics, Samples
 from foten.runtime.renderer import Renderer
 from foten.runtime.stylus import PressureCalibration, Stylus
+from foten.studio.players import Player
 
 LOUDNESS = 0.1  # of full scale, of a recording's standard deviation at 0 dB; the page has the same
-LEAD_MS, BLOCK_MS = 12.0, 4.0
 
 OnBlock = Callable[[NDArray[np.float32], float, float], None]
 """Given what was rendered [m/s²] and the speed [mm/s] and force [N] of its last sample, in the rendering thread."""
@@ -23,25 +23,24 @@ class Contact:
     """Events in, vibration out of a sink, from `open` to `close`.
 
     Args:
-        sink: it is played to, in full scale.
+        player: takes what is rendered, in full scale.
         on_block: is given each block before the volume, for the page to draw or to play.
     """
 
-    def __init__(self, sink: Sink, on_block: OnBlock) -> None:
+    def __init__(self, player: Player, on_block: OnBlock) -> None:
         self._on_block = on_block
-        self._rate_hz = sink.rate_hz
+        self._player, self._rate_hz = player, player.rate_hz
         self._hand: tuple[Renderer, Stylus, float] | None = None
         self._volume = 1.0
         self._changing = threading.Lock()
-        self._live = Live(self._render, sink, block_ms=BLOCK_MS, lead_ms=LEAD_MS)
         self._started = False
 
     def open(self, texture: bytes, calibration: PressureCalibration) -> None:
         """Put a texture under the pen; the first one begins to play.
 
         Raises:
-            ValueError: it is no texture file, or its rate and the sink's do not go together.
-            OSError: the sink's device refuses.
+            ValueError: it is no texture file, or its rate and the player's do not go together.
+            OSError: the player's device refuses.
         """
         renderer = Renderer(texture, rate=self._rate_hz)
         scale = LOUDNESS / renderer.native_texture.info.acceleration_sd
@@ -49,7 +48,7 @@ class Contact:
             self._hand = renderer, Stylus(renderer, calibration), scale
         if not self._started:
             self._started = True
-            self._live.start()
+            self._player.start(self._render)
 
     def calibrate(self, calibration: PressureCalibration) -> None:
         """Take another curve of pressure from now on."""
@@ -72,7 +71,7 @@ class Contact:
     @property
     def statistics(self) -> LiveStatistics:
         """Return what rendering in real time did."""
-        return self._live.statistics
+        return self._player.statistics
 
     @property
     def counted(self) -> dict[str, int]:
@@ -83,10 +82,9 @@ class Contact:
         return {name: int(getattr(stats, name)) for name, *_ in type(stats)._fields_}
 
     def close(self) -> None:
-        """End playing and give the sink back; raises what it died of."""
-        if self._started:
-            self._started = False
-            self._live.stop()
+        """End playing and give the device back; raises what it died of."""
+        self._started = False
+        self._player.stop()
 
     def _render(self, out: Samples) -> None:
         with self._changing:

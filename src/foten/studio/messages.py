@@ -143,10 +143,10 @@ def parse_captured(data: bytes) -> tuple[str, NDArray[np.float64]]:
         return "events", parse_events(payload)
     if kind != b"s" or not payload or len(payload) % 4:
         raise RefusedError(f"{len(data)} bytes that are neither events nor whole samples of a sound")
-    sound = np.frombuffer(payload, dtype="<f4").astype(np.float64)
-    if not (np.abs(sound) <= LOUDEST).all():
+    sound = np.frombuffer(payload, dtype="<f4")
+    if not np.isfinite(sound).all() or np.abs(sound).max() > LOUDEST:
         raise RefusedError(f"a sample of the sound is not finite, or above {LOUDEST:g} times full scale")
-    return "sound", sound
+    return "sound", sound.astype(np.float64)
 
 
 @dataclass

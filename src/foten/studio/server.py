@@ -33,9 +33,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from foten import __version__
 from foten.runtime.binding import kernel_file
-from foten.runtime.live.devices import SOUND_RATE_HZ, SoundSink
-from foten.runtime.live.live import Sink
-from foten.runtime.live.paced import NullSink
+from foten.runtime.live.devices import SOUND_RATE_HZ
 from foten.runtime.stylus import PressureCalibration
 from foten.studio.access import Access, Guarded
 from foten.studio.capturing import CapturePage, Trainings, why_not
@@ -50,6 +48,7 @@ from foten.studio.messages import (
     parse_events,
     parse_message,
 )
+from foten.studio.players import DevicePlayer, Player, Turns
 from foten.studio.shelf import Shelf
 
 PAGE = Path(__file__).with_name("page")
@@ -58,12 +57,8 @@ MOST_PAGES = 64  # that stroke at once
 MOST_WAITING = 64  # blocks for a page that does not take them; the oldest go
 MOST_CAPTURING = 4  # pages at once, each of which holds its sound
 CAPTURES = Path("captures")  # below where the server is started
+CONDITION_BYTES = 8  # speed and force before the samples of a block
 STATE_S = 1.0  # between two reports of how rendering keeps up
-SINKS: Mapping[str, Callable[[float], Sink]] = {
-    "stream": NullSink,
-    "device": lambda rate_hz: SoundSink(1.0, rate_hz=rate_hz),
-}
-"""Where a page may have its sound: sent to it, or played by this machine."""
 
 
 class Studio:
@@ -72,13 +67,15 @@ class Studio:
     Args:
         shelf: the textures.
         captures: the folder where pages' captures are kept.
-        sinks: as `SINKS`; others for tests.
+        players: where a page may have its sound, by name and rate [Hz]: sent to it, or played by this machine.
     """
 
     def __init__(
-        self, shelf: Shelf, captures: Path = CAPTURES, sinks: Mapping[str, Callable[[float], Sink]] = SINKS
+        self, shelf: Shelf, captures: Path = CAPTURES, players: Mapping[str, Callable[[float], Player]] | None = None
     ) -> None:
-        self.shelf, self.sinks = shelf, sinks
+        self.shelf = shelf
+        usual: dict[str, Callable[[float], Player]] = {"stream": Turns().player, "device": DevicePlayer}
+        self.players = usual if players is None else players
         self.trainings = Trainings(captures, shelf)
         self.n_capturing = 0
         self.pages: set[Page] = set()
@@ -262,7 +259,7 @@ class Page:
             await self.close()
         try:
             if self._contact is None:
-                self._contact = Contact(self._studio.sinks[sink](rate_hz), self._on_block)
+                self._contact = Contact(self._studio.players[sink](rate_hz), self._on_block)
             data = await asyncio.to_thread(entry.path.read_bytes)
             await asyncio.to_thread(self._contact.open, data, self._calibration)
         except (OSError, ValueError) as error:
@@ -285,7 +282,12 @@ class Page:
 
     async def _send_blocks(self) -> None:
         while True:
-            await self._socket.send_bytes(await self._waiting.get())
+            block = await self._waiting.get()
+            # What waits goes out together, under the last speed and force: fewer messages where there are many pages.
+            while not self._waiting.empty():
+                later = self._waiting.get_nowait()
+                block = later[:CONDITION_BYTES] + block[CONDITION_BYTES:] + later[CONDITION_BYTES:]
+            await self._socket.send_bytes(block)
 
     async def _send_state(self) -> None:
         while True:
