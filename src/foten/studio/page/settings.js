@@ -59,7 +59,8 @@ export class Settings {
       <h3>Delay</h3>
       <table aria-label="Delay"><tr><td></td><th>median</th><th>99 %</th></tr>
         <tr><th>pen to graph</th><td id="own50"></td><td id="own99"></td></tr><tr><th>pen to sound</th><td id="all50"></td><td id="all99"></td></tr></table>
-      <p><output id="buffers"></output></p>`;
+      <p><output id="buffers"></output></p>
+      <div class="row"><label for="buffer">Buffer</label><select id="buffer"><option value="quick">the shortest that the device has</option><option value="steady">longer, if it crackles</option></select></div>`;
     const $ = (id) => dialog.querySelector(`#${id}`);
     this.$ = $;
     $("volume").value = Number(localStorage.getItem("volume") ?? sound.volumeDb);
@@ -72,6 +73,11 @@ export class Settings {
     $("size").addEventListener("input", () => this.setSize());
     $("profile").addEventListener("change", (e) => this.open(e.target.files[0]));
     $("path").addEventListener("change", () => this.choose());
+    $("buffer").value = localStorage.getItem("buffer") ?? "quick";
+    $("buffer").addEventListener("change", () => {
+      localStorage.setItem("buffer", $("buffer").value);
+      location.reload(); // a context keeps its buffer
+    });
     this.setSize(false);
     this.curve();
   }

@@ -33,7 +33,7 @@ export class PageSound extends EventTarget {
 
   /** Begin to play; a second call goes on. To be called while the browser still knows of a tap. */
   async start() {
-    this.context ??= new AudioContext({ latencyHint: "interactive" });
+    this.context ??= new AudioContext({ latencyHint: localStorage.getItem("buffer") === "steady" ? "interactive" : 0 });
     const resumed = this.context.resume();
     this.starting ??= this.connect();
     await Promise.all([resumed, this.starting]);
