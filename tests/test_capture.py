@@ -21,11 +21,12 @@ from foten.datasets.hdf5 import load_recording
 from foten.datasets.simulated_capture import FULL_SCALE, SOUND_HZ, SimulatedCapture, simulate_capture
 from foten.dsp import Array
 from foten.families.texture_file import read_texture
+from foten.recording.captured import About, file_name
 from foten.recording.recording import RELATIVE
 from foten.runtime.renderer import EXAMPLE
 from foten.studio import capturing, server
 from foten.studio.access import LOOPBACK, Access
-from foten.studio.capture import About, Capture, file_name
+from foten.studio.capture import Capture
 from foten.studio.messages import CAPTURE, LONGEST_NAME, MOST_BYTES, RefusedError, parse_captured, parse_message
 from foten.studio.server import Studio
 from foten.studio.shelf import Shelf

@@ -23,7 +23,7 @@ from foten.evaluate.evaluate import evaluate
 from foten.families.texture_file import read_texture
 from foten.recording.inspection import inspect_recording
 from foten.recording.recording import Recording
-from foten.studio.training import train_recording
+from foten.train.captured import train_recording
 from test_studio import started
 from test_studio_page import CHROMIUM, SHOTS, SIZES, playwright, until
 
@@ -41,6 +41,10 @@ PERFORM = """({ plan, end, began, delay, drift, hz }) => {
     clientX: box.left + 20 + x / mm, clientY: box.top + 20 + y / mm, bubbles: true, button: 0, buttons: 1 }));
   window.performing = true;
   const step = () => {
+    const levels = window.studio.capture.levels;
+    window.latest = Math.max(window.latest ?? 0, performance.now() - (window.before ?? performance.now()));
+    window.before = performance.now();
+    window.lostSound = levels ? levels.lost > 0 : window.lostSound;
     const at = (performance.now() - began - 1000 * delay) / 1000 * (1 + drift);
     while (i + 1 < plan.length && plan[i + 1][0] <= at) i++;
     const [, x, y, pressure] = plan[i];
@@ -207,6 +211,7 @@ LEVELS = """async ({ pause, stroke }) => {
         ("quiet", "clipped", "It clips"),
         ("silent", "silent", "The input is silent"),
         ("quiet", "faint", "hardly louder than the room"),
+        ("quiet", "lost", "Parts of the sound are missing"),
         ("hum", "loud", "It hums at 50 Hz"),
     ],
 )
@@ -221,6 +226,7 @@ def test_what_is_wrong_with_an_input_is_said(
         "clipped": np.clip(noise, -1, 1),
         "silent": 1e-6 * noise,
         "faint": 1.5e-3 * noise,
+        "lost": 0.1 * noise * ((t < 1.0) | (t > 1.1)),
         "hum": 1e-3 * noise + 0.03 * np.sin(2 * np.pi * 50 * t),
     }
     page = opened_capture(quiet_browser, studio_link)
@@ -239,6 +245,8 @@ def test_a_surface_is_captured(browser: Any, studio_link: str, performance: Simu
     until(page, "window.strokesEnded", 60.0)
     page.click("#go")
     until(page, f"{CAPTURE}.step === 'training'", 30.0)
+    if page.evaluate("window.lostSound") or page.evaluate("window.latest > 200"):
+        pytest.skip("the machine is too busy: the browser lost sound, or the hand stood still")
     ended = time.monotonic()
     until(page, "!document.querySelector('#capture').open", 120.0)
     until(page, "document.querySelector('#now-name').textContent === 'Test mesh'", 10.0)

@@ -10,8 +10,12 @@ import scipy.io.wavfile
 
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import load_recording
+from foten.datasets.importing import import_capture
+from foten.datasets.options import ImportOptions
 from foten.datasets.pen import PenEvents, joined, knocks_of, landings_of, pen_channels
+from foten.datasets.simulated_capture import simulate_capture
 from foten.dsp import Array
+from foten.runtime.stylus import PressureCalibration
 
 RATE_HZ = 48_000.0
 TAPS = (0.8, 1.3, 1.9, 20.4, 20.9, 21.5)  # by the pen's clock [s]
@@ -154,3 +158,26 @@ def test_a_capture_that_cannot_be_imported_is_refused(
     assert _status(["import", str(sound), "--pen", str(events), *options, "-o", str(tmp_path / "r.h5")]) == 2
     assert match in capsys.readouterr().err
     assert not (tmp_path / "r.h5").exists()
+
+
+def test_sound_that_was_lost_is_said(tmp_path: Path) -> None:
+    taken = simulate_capture("jeans", 12.0)
+    sound, pen = taken.write(tmp_path, np.random.default_rng(0))
+    assert import_capture(sound, pen, ImportOptions(), PressureCalibration().force)[2] == []
+    rate, samples = scipy.io.wavfile.read(sound)
+    samples = np.where(samples == 0, 1, samples).astype(np.int16)
+    samples[25 * rate : 25 * rate + rate // 10] = 0
+    scipy.io.wavfile.write(sound, rate, samples)
+    (said,) = import_capture(sound, pen, ImportOptions(), PressureCalibration().force)[2]
+    assert "zero to the last digit for 100 ms in 1 place" in said
+
+
+def test_a_stroke_ends_where_a_tablet_says_nothing_for_long() -> None:
+    events, sound = captured()
+    t = events.times_s
+    kept = ~((t > 5.0) & (t < 5.4))
+    fewer = PenEvents(*(values[kept] for values in (t, events.x_mm, events.y_mm, events.pressure)))
+    channels = pen_channels(fewer, joined(fewer, sound, RATE_HZ), lambda pressure: 2.0 * pressure)
+    force = channels["force"]
+    assert np.interp(5.2 + 0.08, force.times, force.samples) == 0.0
+    assert np.interp(6.0 + 0.08, force.times, force.samples) == pytest.approx(0.8)

@@ -31,7 +31,7 @@ from scipy.signal import spectrogram, welch
 
 from foten.datasets.hdf5 import load_recording
 from foten.datasets.simulate import TEXTURES, second_realisation, simulate
-from foten.datasets.simulated_capture import CALIBRATION, PLAN_HZ, simulate_capture
+from foten.datasets.simulated_capture import PLAN_HZ, simulate_capture
 from foten.datasets.simulated_capture import SOUND_HZ as CAPTURED_HZ
 from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length
 from foten.dsp.distance import welch as spectra
@@ -51,6 +51,7 @@ from foten.recording.split import Split, split_blocks
 from foten.recording.windows import targets
 from foten.runtime.live.sinks import pcm_wav
 from foten.runtime.native import NativeTexture
+from foten.runtime.stylus import PressureCalibration
 from foten.train.config import RECIPES
 from foten.train.job import TrainingJob
 from foten.train.pipeline import train
@@ -473,7 +474,7 @@ def capture(arguments: argparse.Namespace) -> None:
     speed = np.where(pressure > 0, np.hypot(np.gradient(x, t), np.gradient(y, t)), np.nan)
     axes[1].plot(t, speed, color=OURS, linewidth=1)
     axes[1].set(ylabel="mm/s")
-    axes[2].plot(t, np.where(pressure > 0, CALIBRATION.force(pressure), np.nan), color=LINEAR, linewidth=1)
+    axes[2].plot(t, np.where(pressure > 0, PressureCalibration().force(pressure), np.nan), color=LINEAR, linewidth=1)
     axes[2].set(ylabel="N", xlabel="seconds", xlim=(t[shown][0], t[shown][-1]))
     save(figure, "capture")
 

@@ -262,6 +262,7 @@ def listed(*names: str) -> str:
     return "\n".join(lines)
 
 
+MEASURED = ("step", "contacts", "soak", "install", "studio-page", "studio-load")
 TABLES: dict[str, dict[str, Callable[[], Cells | str]]] = {
     "../README.md": {"readme": readme},
     "results.md": {
@@ -286,7 +287,10 @@ TABLES: dict[str, dict[str, Callable[[], Cells | str]]] = {
         "batched": lambda: kept("batched"),
         "csv": lambda: listed("recipes", "table-1-small", "table-1-real"),
     },
-    "runtime.md": {name: (lambda name=name: kept(name)) for name in ("step", "contacts", "soak", "install", "studio-page", "studio-load")},
+    "runtime.md": {
+        name: (lambda name=name: kept(name))
+        for name in ("step", "contacts", "soak", "install", "studio-page", "studio-load")
+    },
 }
 
 

@@ -43,6 +43,7 @@ STROKE = "t (s), and speed (mm/s) or x, y (mm), and force (N) or pressure (0 to 
 """What a table of a stroke has to hold; units in its header come before these."""
 
 SLOWEST_HZ = 40.0  # of an acceleration: half of it is the lowest frequency that training keeps
+LOST_S = 0.005  # of zeros to the last digit in a sound, which no microphone gives
 
 
 def read_columns(path: Path) -> list[Column]:
@@ -195,6 +196,12 @@ def import_capture(
     events = read_stroke(pen, {name: unit for name, unit in options.units.items() if name != "acceleration"})
     if not {"position_x", "position_y", "pressure"} <= events.keys():
         raise ValueError(f"{pen.name} has no x, y and pressure, expected those of a pen")
+    lost_s = [n / rate_hz for n in _runs_of_zeros(column.samples) if n >= LOST_S * rate_hz]
+    if lost_s:
+        decisions.append(
+            f"the sound is zero to the last digit for {1000 * sum(lost_s):.0f} ms in {counted(len(lost_s), 'place')}: "
+            "parts of it were lost as it was recorded, and are learned as silence"
+        )
     touching = PenEvents(events["time"], events["position_x"], events["position_y"], events["pressure"])
     clock = joined(touching, column.samples, rate_hz)
     channels = pen_channels(touching, clock, force)
@@ -219,6 +226,12 @@ def import_capture(
     check_overlap(channels)
     history += [said for name, one in channels.items() if (said := check_hand(name, one, options.force_units))]
     return Recording(channels, history=tuple(history), calibrated=given is not None), clock, decisions
+
+
+def _runs_of_zeros(samples: Array) -> list[int]:
+    """Return how long each run of zeros between other samples is [samples]."""
+    other = np.flatnonzero(samples)
+    return (np.diff(other) - 1).tolist()
 
 
 def read_stroke(path: Path, units: Mapping[str, str]) -> dict[str, Array]:

@@ -18,8 +18,8 @@ from foten.datasets.simulate import TEXTURES, vibration
 from foten.datasets.stroking import Stroking, stroking
 from foten.dsp import Array
 from foten.dsp.resample import interpolate, rate_ratio
+from foten.recording.captured import About
 from foten.recording.recording import Channel, Recording
-from foten.runtime.stylus import PressureCalibration
 
 RATE_HZ, SOUND_HZ, PLAN_HZ = 10_000.0, 48_000.0, 1000.0
 FULL_SCALE = 60.0  # m/s² of a sample of 1
@@ -31,7 +31,7 @@ NOISE = 0.02  # m/s², of the microphone
 KNOCK = (15.0, 900.0, 0.003)  # m/s², Hz, s of its fading
 EVENTS_HZ, JITTER = 200.0, 0.2  # of the tablet; of a step
 DELAY_S, DRIFT = 0.08, 50e-6  # of the pen's clock
-CALIBRATION = PressureCalibration()
+NEWTONS, STEEPNESS = About.newtons, About.steepness  # of the pressure's curve
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def simulate_capture(key: str, seconds: float, seed: int = 0) -> SimulatedCaptur
     hand = stroking(seconds, seed, RATE_HZ)
     at = np.arange(hand.force.size) / RATE_HZ
     touches = at % (STROKE_S + LIFT_S) < STROKE_S
-    low, high = CALIBRATION.force(np.array([0.03, 1.0]))
+    low, high = NEWTONS * np.exp(STEEPNESS * np.array([0.03, 1.0]))
     force = np.clip(hand.force, low, high)
     vibrated = vibration(TEXTURES[key], Stroking(RATE_HZ, hand.position, hand.velocity, force, hand.tilt), rng)[:, 2]
     vibrated = vibrated * touches + NOISE * rng.standard_normal(vibrated.size)
@@ -106,7 +106,7 @@ def simulate_capture(key: str, seconds: float, seed: int = 0) -> SimulatedCaptur
     times = np.arange(0.0, end + LAST_S, 1.0 / PLAN_HZ)
     x, y = (np.interp(times - start, at, hand.position[:, axis]) for axis in (0, 1))
     strokes = (times >= start) & (times < end) & ((times - start) % (STROKE_S + LIFT_S) < STROKE_S)
-    pressure = np.where(strokes, np.interp(times - start, at, np.log(force / CALIBRATION.a) / CALIBRATION.b), 0.0)
+    pressure = np.where(strokes, np.interp(times - start, at, np.log(force / NEWTONS) / STEEPNESS), 0.0)
     for tap in taps:
         pressure[(times >= tap) & (times < tap + TAP_S)] = 0.5
 

@@ -3,38 +3,18 @@
 from __future__ import annotations
 
 import json
-import re
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foten.atomic_write import atomic_write
+from foten.recording.captured import ABOUT, PEN, SOUND, About, file_name
 from foten.studio.messages import RefusedError
 
-SOUND, PEN, ABOUT = "sound.wav", "pen.csv", "capture.json"
 LONGEST_S = 300.0
 MOST_PEN_EVENTS = 2000 * int(LONGEST_S)
-
-
-@dataclass(frozen=True)
-class About:
-    """What a page says of its capture."""
-
-    name: str  # of the texture
-    rate_hz: float  # of the sound
-    newtons: float = 0.13  # a and b of force = a exp(b pressure), Eq. 12
-    steepness: float = 3.32
-    full_scale_m_s2: float | None = None  # acceleration of a sample of 1; None where it is not known
-    input: str = ""  # what the browser calls the input
-
-    @classmethod
-    def of(cls, message: Mapping[str, Any]) -> About:
-        """Return what a checked `begin` says."""
-        return cls(**{name: value for name, value in message.items() if name != "do"})
 
 
 class Capture:
@@ -99,11 +79,6 @@ class Capture:
         with atomic_write(folder / ABOUT) as part:
             part.write_text(json.dumps(asdict(self.about), indent=1) + "\n", encoding="utf-8")
         return folder
-
-
-def file_name(name: str) -> str:
-    """Return a texture's name as a file's: `Old denim, washed` → `old-denim-washed`."""
-    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:60] or "surface"
 
 
 def _new_folder(captures: Path, name: str) -> Path:

@@ -15,7 +15,8 @@ import numpy as np
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from foten.atomic_write import reason
-from foten.studio.capture import About, Capture
+from foten.recording.captured import About
+from foten.studio.capture import Capture
 from foten.studio.messages import (
     CAPTURE,
     CAPTURED_A_SECOND,
@@ -52,7 +53,7 @@ class Trainings:
         self._running: set[asyncio.Task[None]] = set()
 
     def start(self, folder: Path, say: Callable[[Mapping[str, Any]], None]) -> None:
-        """Train from a folder as soon as no other is trained; `say` is given what `training` says, textures as listed."""
+        """Train from a folder as soon as no other is trained; `say` is given what `train.captured` says, textures as listed."""
         task = asyncio.create_task(self._train(folder, say))
         self._running.add(task)
         task.add_done_callback(self._running.discard)
@@ -69,7 +70,7 @@ class Trainings:
         async with self._one_at_a_time:
             # A process of its own, by a command: what renders here is not disturbed, and ends are clean.
             process = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-m", "foten.studio.training", str(folder)),
+                *(sys.executable, "-m", "foten.train.captured", str(folder)),
                 stdin=asyncio.subprocess.DEVNULL,
                 stdout=asyncio.subprocess.PIPE,
                 stderr=asyncio.subprocess.PIPE,

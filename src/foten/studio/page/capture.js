@@ -171,7 +171,7 @@ export class Capture {
     this.pieces = [];
     this.events = [];
     this.unsent = [];
-    this.levels.clipped = 0;
+    this.levels.clipped = this.levels.lost = 0;
     this.started = performance.now() / 1000;
     this.about = { name: this.$("called").value.trim() || "My surface", rate_hz: this.context.sampleRate, ...this.calibration(), input: this.input.slice(0, 100), ...(this.fullScale && { full_scale_m_s2: this.fullScale }) };
     this.coverage.start(true);

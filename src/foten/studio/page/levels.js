@@ -3,13 +3,14 @@
 const CLIPPED = 0.99; // of full scale
 const CLIPS = 3; // clipped samples of one piece, which is more than a knock's tip
 const SILENT_DB = -66, FAINT_DB = 10; // of full scale; and above what the input hears without a stroke
+const LOST = 128; // zeros in a row, where there is sound before: a browser puts them for what it did not get in time
 const STROKED = 60, FADES = 0.997, SLOW = 0.01; // pieces until a stroke is judged; per piece, of its loudest and of a pause
 const HUM_SHARE = 0.5, HUM_DB = -26; // of what is heard between strokes; against a stroke
 const HUM_S = 0.5; // that a hum is looked for in
 
 export class Levels {
   constructor(rate) {
-    Object.assign(this, { rate, rms: 0, peak: 0, clipped: 0, stroked: 0, stroke: null, pause: null, hum: null });
+    Object.assign(this, { rate, rms: 0, peak: 0, clipped: 0, zeros: 0, sounds: false, lost: 0, stroked: 0, stroke: null, pause: null, hum: null });
     this.held = new Float32Array(Math.round(HUM_S * rate));
     this.n = 0;
   }
@@ -18,6 +19,9 @@ export class Levels {
   add(piece, down) {
     let sum = 0, squares = 0, peak = 0, clips = 0;
     for (const value of piece) {
+      this.zeros = value === 0 ? this.zeros + 1 : 0;
+      if (value !== 0) this.sounds = true;
+      if (this.zeros === LOST && this.sounds) this.lost++;
       sum += value;
       squares += value * value;
       peak = Math.max(peak, Math.abs(value));
@@ -49,6 +53,7 @@ export class Levels {
   /** What is wrong, in words; null where nothing is. */
   get trouble() {
     const db = (power) => 10 * Math.log10(Math.max(power, 1e-20));
+    if (this.lost > 0) return "Parts of the sound are missing: close other pages and programs, and begin again.";
     if (this.clipped > 2) return "It clips: turn the input down.";
     if (this.stroke !== null && db(this.stroke) < SILENT_DB) return "The input is silent: is it the right one?";
     if (this.stroke !== null && this.pause !== null && db(this.stroke) - db(this.pause) < FAINT_DB)

@@ -1,4 +1,4 @@
-"""A captured folder to a texture, in a process of its own: `python -m foten.studio.training FOLDER`.
+"""A captured folder to a texture, in a process of its own: `python -m foten.train.captured FOLDER`.
 
 What it does is said on stdout, a JSON object a line:
 
@@ -25,13 +25,18 @@ from foten.atomic_write import reason
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.importing import import_capture
 from foten.datasets.options import ImportOptions
+from foten.dsp.perception import smallest_rate
 from foten.families import sizes_of
 from foten.families.texture_file import Texture, write_texture
+from foten.recording.captured import ABOUT, PEN, SOUND, About, file_name
 from foten.recording.inspection import inspect_recording
 from foten.recording.preprocess import SHORT_BLOCKS_MS, PreprocessConfig
 from foten.recording.recording import Recording
 from foten.runtime.stylus import PressureCalibration
-from foten.studio.capture import ABOUT, PEN, SOUND, About, file_name
+from foten.train.config import OWN_RECIPES, RECIPES
+from foten.train.epochs import Epoch
+from foten.train.job import TrainingJob
+from foten.train.pipeline import train
 
 MODEL = "foten-plus"
 NICENESS = 5  # below what renders: sound under a hand comes first
@@ -78,11 +83,6 @@ def train_captured(folder: Path) -> None:
 
 def train_recording(recording: Recording, carried: Mapping[float, float], output: Path) -> None:
     """Train a texture from a recording as a capture is, by the shares that each rate carries of it (`perception.carried`)."""
-    from foten.dsp.perception import smallest_rate
-    from foten.train.config import OWN_RECIPES, RECIPES
-    from foten.train.epochs import Epoch
-    from foten.train.job import TrainingJob
-    from foten.train.pipeline import train
 
     rate_hz = min(HIGHEST_HZ, smallest_rate(carried)) if carried else PreprocessConfig().rate_hz
     usable_ms = 1000 * recording.duration_s
