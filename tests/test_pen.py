@@ -121,7 +121,7 @@ def test_a_sound_and_events_are_imported_as_one_recording(tmp_path: Path, capsys
     out = tmp_path / "r.h5"
     assert _status(["import", str(sound), "--pen", str(events), "-o", str(out)]) == 0
     said = capsys.readouterr().out
-    assert "6 taps join the clocks: delay 80." in said or "delay 79." in said
+    assert "6 taps join the clocks: the pen's is 80." in said or "the pen's is 79." in said
     assert "in relative units: 1 is its RMS while the pen strokes" in said
     recording = load_recording(out)
     assert not recording.calibrated

@@ -100,10 +100,11 @@ def test_a_texture_is_listed_and_given_as_it_is(client: TestClient) -> None:
 
 def test_a_photograph_beside_a_texture_is_its_picture(tmp_path: Path) -> None:
     (tmp_path / "mesh.foten").write_bytes(EXAMPLE.read_bytes())
-    (tmp_path / "mesh.png").write_bytes(b"\x89PNG picture")
+    (tmp_path / "mesh.jpg").write_bytes(b"\xff\xd8 picture")
+    (tmp_path / "mesh.png").write_bytes(b"what foten render draws")
     with TestClient(Studio(Shelf([tmp_path])).app(LOCAL), base_url=HERE) as client:
         (listed,) = client.get("/textures.json").json()["textures"]
-        assert client.get(f"/{listed['picture']}").content == b"\x89PNG picture"
+        assert client.get(f"/{listed['picture']}").content == b"\xff\xd8 picture"
 
 
 def test_textures_of_one_name_have_keys_of_their_own(tmp_path: Path) -> None:

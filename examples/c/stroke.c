@@ -48,7 +48,9 @@ int main(int n_arguments, char **arguments) {
     foten_info info = foten_model_info(model);
     fprintf(stderr, "%s, %s, %g Hz, rendered with %s\n", info.texture, info.model, info.rate_hz, foten_isa());
 
-    foten_options options = {0}; /* .rate_hz = 48000 would be a sound card's */
+    double rate_hz = info.rate_hz; /* 48000 for a sound card */
+    foten_options options = {0};
+    options.rate_hz = rate_hz;
     options.smooth = 1;          /* the condition is set once a block: its steps would be perceptible */
     foten_state *state = foten_state_new(model, &options);
     if (!state) {
@@ -56,7 +58,7 @@ int main(int n_arguments, char **arguments) {
         foten_model_free(model);
         return 1;
     }
-    size_t n = (size_t)(2 * info.rate_hz);
+    size_t n = (size_t)(2 * rate_hz);
     double slow = info.trained_speed[0], fast = info.trained_speed[1];
     printf("t,speed_mm_s,acceleration_m_s2\n");
     for (size_t first = 0; first < n; first += BLOCK) {
@@ -64,7 +66,7 @@ int main(int n_arguments, char **arguments) {
         size_t n_block = n - first < BLOCK ? n - first : BLOCK;
         foten_set_condition(state, speed, 0.8f);
         foten_render(state, samples, n_block);
-        for (size_t i = 0; i < n_block; i++) printf("%g,%g,%g\n", (double)(first + i) / info.rate_hz, speed, samples[i]);
+        for (size_t i = 0; i < n_block; i++) printf("%g,%g,%g\n", (double)(first + i) / rate_hz, speed, samples[i]);
     }
     foten_stats stats = foten_statistics(state);
     fprintf(stderr, "%llu samples, %llu of them so slow or light that the texture fades\n", (unsigned long long)stats.n,

@@ -70,7 +70,7 @@ def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
         **_linear_part(texture),
         "cost": f"{cost:,} multiply-adds a rendered sample",
         "rate": f"{texture.rate_hz:g} Hz",
-        "trained speed": "{:.4g} to {:.4g} mm/s".format(*texture.trained_range("speed")),
+        "trained speed": "{:.4g} to {:.4g} mm/s".format(*(round(end, 3) for end in texture.trained_range("speed"))),
         "trained force": "{:.3g} to {:.3g} N".format(*texture.trained_range("force")),
         "above these": texture.beyond_in_words(),
         "acceleration": f"{texture.scaling.sd[0]:.4g} {_unit(texture)} standard deviation",
@@ -86,7 +86,7 @@ def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
 
 
 def _unit(texture: Texture) -> str:
-    return "in relative units," if texture.card["units"].get("acceleration") == "relative" else "m/s²"
+    return "in relative units," if texture.unit == "relative" else texture.unit
 
 
 def _linear_part(texture: Texture) -> dict[str, str]:

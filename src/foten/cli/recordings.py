@@ -203,7 +203,7 @@ def import_(
         imported, decisions = _import_capture(files, pen, align, pressure, options)
     for decision in decisions:
         say(decision)
-    recording = replace(imported, texture=texture or files[0].stem, tool=tool, sensors=sensors, notes=notes)
+    recording = replace(imported, texture=texture or output.stem, tool=tool, sensors=sensors, notes=notes)
     write_recording(recording, output)
     channels: dict[str, dict[str, Any]] = {
         name: {

@@ -88,10 +88,12 @@ def render(
         levels = {"rms_m_s2": rms, "peak_m_s2": peak, "audible_gain": gain}
         print_json({"outputs": [str(path) for path in output], **levels, **statistics})
         return
-    print(f"{acceleration.size / rate:g} s at {rate:g} Hz, {rms:.3g} m/s² rms, {peak:.3g} m/s² peak")
+    print(
+        f"{acceleration.size / rate:g} s at {rate:g} Hz, {rms:.3g} {texture.unit} rms, {peak:.3g} {texture.unit} peak"
+    )
     print(f"wrote {', '.join(str(path) for path in output)}")
     if gain is not None:
-        print(f"wrote {audible}, where 1 m/s² is {gain:.3g} of full scale")
+        print(f"wrote {audible}, where 1 {texture.unit} is {gain:.3g} of full scale")
     print_outside_range(statistics, texture)
     if not texture.has_excitation and not deterministic:
         say(f"{texture.card['model']} carries no excitation, so the loop is deterministic and may fall silent")

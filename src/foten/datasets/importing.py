@@ -168,7 +168,11 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
     if missing == "acceleration":
         decisions.append("there is no acceleration: strokes can be rendered from this recording, nothing learned")
     elif missing:
-        decisions.append(f"there is no {missing}: nothing can be learned from this recording")
+        names = {name.lower(): name for name in names_of(files)}
+        x, y = names.get("x", ""), names.get("y", "")
+        maybe = f"; {x} and {y} may be positions: --map position_x={x},position_y={y},…"
+        hint = maybe if "speed" in missing and x and y else ""
+        decisions.append(f"there is no {missing}: nothing can be learned from this recording{hint}")
     return recording, decisions
 
 

@@ -64,9 +64,11 @@ class PenClock:
         return np.asarray(times_s * (1.0 + self.drift) + self.delay_s)
 
     def __str__(self) -> str:
+        late = "late" if self.delay_s <= 0 else "early"
+        fast = "fast" if self.drift <= 0 else "slow"
         return (
-            f"{self.n_taps} taps join the clocks: delay {1000 * self.delay_s:.1f} ms, drift {1e6 * self.drift:+.0f} ppm, "
-            f"{self.residual_ms:.1f} ms about the line"
+            f"{self.n_taps} taps join the clocks: the pen's is {abs(1000 * self.delay_s):.1f} ms {late} and "
+            f"{abs(1e6 * self.drift):.0f} ppm {fast}; taps lie {self.residual_ms:.1f} ms about the line"
         )
 
 

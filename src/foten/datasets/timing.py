@@ -50,6 +50,8 @@ def times_of(
         what, hint = "goes back", "are the rows sorted?"
         if before == after:
             what, hint = "repeats", "are the times rounded? Leave time out and give --rate"
+            if column.samples[bad[0]] == column.samples[bad[0] + 1]:
+                hint = "is the row there twice? Delete one of the two"
         raise ValueError(
             f"{column.file.name}: the time {what} at sample {bad[0] + 1}{clock.row_of(int(bad[0]) + 1)}: {after:.9g} after "
             f"{before:.9g} ({counted(bad.size, 'such place')}); {hint}"

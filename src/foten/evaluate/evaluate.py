@@ -124,6 +124,7 @@ def evaluate(
         "n_blocks": len(blocks),
         "block": trace.block,
         "sd_m_s2": texture.scaling.sd[0],
+        "unit": texture.unit,
         **one,
         **free,
         "reasons": reasons,

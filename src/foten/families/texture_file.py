@@ -83,6 +83,11 @@ class Texture:
         return Scaling(mean=tuple(fields["mean"]), sd=tuple(fields["sd"]))
 
     @property
+    def unit(self) -> str:
+        """Return the unit of the acceleration as people read it: m/s², or relative to the recording's RMS."""
+        return self.card["units"].get("acceleration", "m/s^2").replace("^2", "²")
+
+    @property
     def has_excitation(self) -> bool:
         """Return whether there is a random part."""
         return self.sizes.excited or self.sizes.from_noise

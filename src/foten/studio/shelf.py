@@ -12,7 +12,7 @@ from foten.recording.recording import RELATIVE
 from foten.runtime.renderer import EXAMPLE
 
 SUFFIX = ".foten"
-PICTURES = (".jpg", ".jpeg", ".png", ".webp")
+PICTURES = (".jpg", ".jpeg", ".webp")  # photographs; `foten render` writes .png beside a texture
 LARGEST_FILE = 64_000_000  # bytes
 
 

@@ -42,7 +42,7 @@ def waveform(judgement: Judgement) -> Figure:
     limit = 1.08 * max(float(np.abs(samples).max()) for samples in rows.values())
     panels[0, 0].set_ylim(-limit, limit)
     panels[-1, 0].set_xlabel("time since the scored part began [ms]")
-    figure.supylabel("acceleration [m/s²]", fontsize=9, color=INK)
+    figure.supylabel(f"acceleration [{judgement.document['unit']}]", fontsize=9, color=INK)
     return figure
 
 
@@ -69,7 +69,9 @@ def spectrum(judgement: Judgement) -> Figure:
     axes.set_ylim(bottom, top + 3)
     log_hertz(axes, LOWEST_HZ, rate_hz / 2)
     _shade_unscored(axes, highest_scored(rate_hz), rate_hz / 2)
-    axes.set(xlabel=_up_to_half("frequency [Hz]", rate_hz), ylabel="density [dB re 1 (m/s²)²/Hz]")
+    axes.set(
+        xlabel=_up_to_half("frequency [Hz]", rate_hz), ylabel=f"density [dB re 1 ({judgement.document['unit']})²/Hz]"
+    )
     add_legend(axes, fontsize=9)
     return figure
 
@@ -170,7 +172,7 @@ def over_time(judgement: Judgement) -> Figure:
     highest_hz = max(highest_with_power(frequencies, pooled[key], rate_hz) for key in pictured)
     _draw_spectrograms(panels[:n], pictured, rate_hz, borders, highest_hz)
     bar = figure.colorbar(panels[0].images[0], ax=list(panels[:n]), pad=0.01, aspect=15 * n)
-    style_colorbar(bar, "dB re 1 (m/s²)²/Hz")
+    style_colorbar(bar, f"dB re 1 ({judgement.document['unit']})²/Hz")
     lines = {key: runs[key] for key in ("recorded", name, "free_run_ar") if key in runs}
     _draw_levels(panels[n], lines, rate_hz, borders, float(np.sqrt(np.square(every["recorded"]).mean())))
     times = _with_gaps(borders[:-1, None] + np.arange(runs["recorded"].shape[2]) / rate_hz)

@@ -69,7 +69,7 @@ def _header(document: Mapping[str, Any], texture: Texture, name: str) -> str:
         "judged": f"{document['n_blocks']} blocks of {block_ms:g} ms",
         "split": split,
         "seed": document["seed"],
-        "recorded sd": f"{document['sd_m_s2']:.4g} m/s²",
+        "recorded sd": f"{document['sd_m_s2']:.4g} {document['unit']}",
         "trained range": f"{slow:.0f}–{fast:.0f} mm/s, {light:.2f}–{heavy:.2f} N",
         "above it": texture.beyond_in_words(),
         "tool": card["tool"] or "not stated",
@@ -111,7 +111,8 @@ def _sound_section(judgement: Judgement) -> str:
     return (
         f'<section id="sound"><h2>Listen</h2><div class="pair">{players}</div>'
         f'<p class="notes">{seconds:.1f} s of the judged blocks, joined, in a loop; both at the same gain: full scale is '
-        f"{full_scale:.3g} m/s². A small loudspeaker leaves out the low part: use headphones.</p></section>"
+        f"{full_scale:.3g} {judgement.document['unit']}. "
+        "A small loudspeaker leaves out the low part: use headphones.</p></section>"
     )
 
 

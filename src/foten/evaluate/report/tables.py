@@ -88,11 +88,12 @@ def one_step_section(document: Mapping[str, Any]) -> str:
     body = "".join(_one_step_row(document, cells, key, *named, largest=largest) for key, named in rows.items())
     return (
         '<section id="one-step"><h2>One step</h2><p>Predicts each sample from recorded history. Errors are mean '
-        f"absolute errors; 1 sd is {document['sd_m_s2']:.4g} m/s². The first {document['first_scored']} samples of each "
-        "block are history for all. Small print: 95 % interval over blocks (Student's t). The blocks are the same for all, so "
+        f"absolute errors; 1 sd is {document['sd_m_s2']:.4g} {document['unit']}. "
+        f"The first {document['first_scored']} samples of each block are history for all. Small print: 95 % interval over "
+        "blocks (Student's t). The blocks are the same for all, so "
         "two rows can differ for certain though the intervals of their errors overlap: see the one to AR(20).</p>"
         '<div class="scroll"><table><thead><tr><th>predictor</th><th colspan="2">error [sd] <i>lower is better</i></th>'
-        "<th>to AR(20)</th><th>error [m/s²]</th><th>GFC <i>higher, blind to delay and gain</i></th></tr></thead>"
+        f"<th>to AR(20)</th><th>error [{document['unit']}]</th><th>GFC <i>higher, blind to delay and gain</i></th></tr></thead>"
         f"<tbody>{body}</tbody></table></div>{cells.footnotes()}{_excitation(document['one_step'])}</section>"
     )
 
@@ -210,7 +211,8 @@ def to_text(document: Mapping[str, Any]) -> str:
     runs = [run for run in RUNS if document[run]["lsd_db"] is not None]
     errors, figures = _errors(document), _figures(document, runs)
     if len(errors) > 1:
-        about = f"each sample from recorded history; lower errors are better; 1 sd is {document['sd_m_s2']:.4g} m/s²"
+        sd = f"1 sd is {document['sd_m_s2']:.4g} {document['unit']}"
+        about = f"each sample from recorded history; mean absolute errors, lower is better; {sd}"
         lines += ["", f"One step: {about}", *_aligned(errors)]
     if len(figures) > 1:
         ceiling = f"; the ceiling is {document['ceiling']['of']}" if document["ceiling"].get("of") else ""
@@ -225,7 +227,7 @@ def _errors(document: Mapping[str, Any]) -> list[list[str]]:
     rows = {f"{document['model']}, this texture": document["one_step"]}
     for key, (name, _) in REFERENCES.items():
         rows[_named(name, document["references"][key])] = document["references"][key]
-    cells = [["", "error [sd]", "error [m/s²]", "GFC"]]
+    cells = [["", "error [sd]", f"error [{document['unit']}]", "GFC"]]
     for name, row in rows.items():
         if row["mae_scaled"] is not None:
             fit = "–" if row["gfc"] is None else f"{row['gfc']:.3f}"

@@ -120,7 +120,7 @@ def _one_step(document: Mapping[str, Any]) -> Finding:
             beside += f", {100 * (error / best - 1):.0f} % above {name}"
             caution = f" The best linear predictor, {name}, does this better."
     end = f"; no predictor can reach less than {bound:.3f} sd on this texture." if bound is not None else "."
-    start = f"One step: error {figure} ({document['one_step']['mae_m_s2']:.3g} m/s²)"
+    start = f"One step: error {figure} ({document['one_step']['mae_m_s2']:.3g} {document['unit']})"
     sentence = f"{start}, {beside}{end}{caution}"
     return _finding(tone, "One step", figure, beside, sentence, interval, lambda value: value < least)
 

@@ -9,7 +9,7 @@ from foten.recording.inspection import one_channel, sampling
 from foten.recording.inspection.hand import Hand, check_contact, check_ranges, check_signs, coverage_of, hand_in
 from foten.recording.inspection.values import PROBLEM, ChannelReport, Finding, Inspection
 from foten.recording.preprocess import PreprocessConfig, fitting_options
-from foten.recording.recording import UNITS, Channel, Recording
+from foten.recording.recording import Channel, Recording
 
 
 def inspect_recording(recording: Recording) -> Inspection:
@@ -20,7 +20,7 @@ def inspect_recording(recording: Recording) -> Inspection:
         hand = hand_in(recording)
     except ValueError as error:
         findings.append(Finding(PROBLEM, "refused", "", f"training refuses it: {error}"))
-    reports = tuple(_report(name, channel, hand) for name, channel in recording.channels.items())
+    reports = tuple(_report(name, channel, recording.unit(name), hand) for name, channel in recording.channels.items())
     findings += sampling.check_missing(recording)
     findings += sampling.check_durations(recording)
     for name, channel in recording.channels.items():
@@ -51,9 +51,9 @@ def inspect_recording(recording: Recording) -> Inspection:
     return Inspection(reports, tuple(findings), coverage, psd, shares, options, recording.sha256())
 
 
-def _report(name: str, channel: Channel, hand: Hand | None) -> ChannelReport:
+def _report(name: str, channel: Channel, unit: str, hand: Hand | None) -> ChannelReport:
     x = channel.samples
-    about = name, UNITS[name], channel.rate_hz, channel.times_s is None, x.size, channel.duration_s
+    about = name, unit, channel.rate_hz, channel.times_s is None, x.size, channel.duration_s
     minimum, low, high, maximum = np.quantile(x, [0, 0.01, 0.99, 1]).tolist()
     rms = float(np.sqrt(np.mean(x**2)))
     return ChannelReport(

@@ -116,7 +116,7 @@ class Inspection:
         for one in self.channels:
             bound = "<" if one.noise_floor_from == "quietest 5 %" else " "
             lines.append(
-                f"{one.name:<15}{one.unit:>6}{one.rate_hz:>7.6g} Hz{one.n_samples:>9}{one.duration_s:>7.2f} s"
+                f"{one.name:<15}{one.unit:>9}{one.rate_hz:>9.6g} Hz{one.n_samples:>9}{one.duration_s:>7.2f} s"
                 f"{one.minimum:>11.4g}{one.maximum:>11.4g}{one.rms:>10.4g} {bound}{one.noise_floor:>9.3g}"
             )
         if self.coverage is not None:

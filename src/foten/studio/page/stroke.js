@@ -36,7 +36,8 @@ export class Taken {
 
   /** As `foten render --stroke` reads it: t [s], x and y [mm], pressure 0 … 1. */
   csv() {
-    const { events } = this.stroke, begin = events[0]?.[4] ?? 0;
+    const { events, rate } = this.stroke;
+    const begin = events.length ? events[0][4] - events[0][0] / rate : 0; // of the WAV: both count from the same moment
     const rows = events.map(([, x, y, pressure, t]) => [(t - begin).toFixed(6), x.toFixed(4), y.toFixed(4), pressure.toFixed(4)].join(","));
     save(new Blob([["t,x,y,pressure", ...rows, ""].join("\n")], { type: "text/csv" }), `${this.name}.csv`);
   }
