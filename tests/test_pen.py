@@ -128,7 +128,9 @@ def test_a_sound_and_events_are_imported_as_one_recording(tmp_path: Path, capsys
     assert recording.unit("acceleration") == "relative"
     assert recording.unit("force") == "N"
     assert recording["force"].samples.max() == pytest.approx(0.13 * np.exp(3.32 * 0.4))
-    assert recording.texture == "sound"
+    assert recording.texture == tmp_path.name  # a sound.wav is called as its folder
+    assert _status(["inspect", str(tmp_path / "r.h5")]) == 0
+    assert "acceleration    relative" in capsys.readouterr().out
 
 
 def test_with_a_sensitivity_it_is_in_metres_per_second_squared(tmp_path: Path) -> None:

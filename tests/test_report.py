@@ -78,6 +78,7 @@ def _judgement(rate_hz=1000.0, block=2000):
         "block": block,
         "first_scored": 160,
         "sd_m_s2": scaling.sd[0],
+        "unit": "m/s²",
         "one_step": own,
         "references": references,
         **free,

@@ -203,7 +203,7 @@ def import_(
         imported, decisions = _import_capture(files, pen, align, pressure, options)
     for decision in decisions:
         say(decision)
-    recording = replace(imported, texture=texture or output.stem, tool=tool, sensors=sensors, notes=notes)
+    recording = replace(imported, texture=texture or _named(files[0]), tool=tool, sensors=sensors, notes=notes)
     write_recording(recording, output)
     channels: dict[str, dict[str, Any]] = {
         name: {
@@ -224,6 +224,12 @@ def import_(
     lines += [f"  {line}" for line in recording.history]
     document = {"file": str(output), "sha256": recording.sha256(), "channels": channels, "history": recording.history}
     print_result(document, "\n".join([*lines, f"wrote {output}; next: foten inspect {output}"]), as_json)
+
+
+def _named(file: Path) -> str:
+    """Return what a file is of by its name; of a `sound.wav`, as a page keeps it, by its folder's."""
+    folder = file.resolve().parent.name
+    return folder if file.stem == "sound" and folder else file.stem
 
 
 def _import_capture(
