@@ -3,7 +3,8 @@
 const CLIPPED = 0.99; // of full scale
 const CLIPS = 3; // clipped samples of one piece, which is more than a knock's tip
 const SILENT_DB = -66, FAINT_DB = 10; // of full scale; and above what the input hears without a stroke
-const LOST = 128; // zeros in a row, where there is sound before: a browser puts them for what it did not get in time
+const LOST = 128; // zeros in a row between sounds: a browser puts them for what it did not get in time
+const SILENT_S = 0.5; // of zeros, which is an input that is switched off
 const STROKED = 60, FADES = 0.997, SLOW = 0.01; // pieces until a stroke is judged; per piece, of its loudest and of a pause
 const HUM_SHARE = 0.5, HUM_DB = -26; // of what is heard between strokes; against a stroke
 const HUM_S = 0.5; // that a hum is looked for in
@@ -19,9 +20,11 @@ export class Levels {
   add(piece, down) {
     let sum = 0, squares = 0, peak = 0, clips = 0;
     for (const value of piece) {
-      this.zeros = value === 0 ? this.zeros + 1 : 0;
-      if (value !== 0) this.sounds = true;
-      if (this.zeros === LOST && this.sounds) this.lost++;
+      if (value !== 0) {
+        if (this.sounds && this.zeros >= LOST && this.zeros < SILENT_S * this.rate) this.lost++;
+        this.zeros = 0;
+        this.sounds = true;
+      } else this.zeros++;
       sum += value;
       squares += value * value;
       peak = Math.max(peak, Math.abs(value));
