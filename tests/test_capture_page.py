@@ -60,8 +60,9 @@ PERFORM = """({ plan, end, began, delay, drift, hz }) => {
 }"""
 
 
-def opened_capture(browser: Any, link: str, size: tuple[int, int] = (1280, 800)) -> Any:
-    context = browser.new_context(viewport={"width": size[0], "height": size[1]}, permissions=["microphone"])
+def opened_capture(browser: Any, link: str, size: tuple[int, int] = (1280, 800), dark: bool = False) -> Any:
+    viewport, scheme = {"width": size[0], "height": size[1]}, "dark" if dark else "light"
+    context = browser.new_context(viewport=viewport, color_scheme=scheme, permissions=["microphone"])
     page = context.new_page()
     page.goto(link)
     page.wait_for_selector("html[data-ready]")
@@ -153,17 +154,17 @@ def quiet_browser() -> Iterator[Any]:
         browser.close()
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_it_can_be_read_and_used_by_all(quiet_browser: Any, studio_link: str, size: str) -> None:
+@pytest.mark.parametrize(("size", "dark"), [*((size, False) for size in SIZES), ("desktop", True), ("phone", True)])
+def test_it_can_be_read_and_used_by_all(quiet_browser: Any, studio_link: str, size: str, dark: bool) -> None:
     axe = pytest.importorskip(
         "axe_playwright_python.sync_playwright", reason="needs axe-core: pip install '.[browser]'"
     )
-    page = opened_capture(quiet_browser, studio_link, SIZES[size])
+    page = opened_capture(quiet_browser, studio_link, SIZES[size], dark)
     page.click("#capture-one")
     until(page, "document.querySelectorAll('#inputs option').length > 0")
     for step in ("set-up", "tap-in", "stroke", "training", "failed"):
         page.evaluate(f"(step) => {{ {CAPTURE}.enter(step); {CAPTURE}.draw(); }}", step)
-        shot(page, f"capture-{size}-{step}")
+        shot(page, f"capture-{size}-{'dark' if dark else 'light'}-{step}")
         assert axe.Axe().run(page).response["violations"] == []
     page.context.close()
 

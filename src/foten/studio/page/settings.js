@@ -59,7 +59,7 @@ export class Settings {
       <h3>Delay</h3>
       <table aria-label="Delay"><tr><td></td><th>median</th><th>99 %</th></tr>
         <tr><th>pen to graph</th><td id="own50"></td><td id="own99"></td></tr><tr><th>pen to sound</th><td id="all50"></td><td id="all99"></td></tr></table>
-      <p><output id="buffers"></output></p>
+      <p><output id="buffers"></output> <output id="quanta"></output></p>
       <div class="row"><label for="buffer">Buffer</label><select id="buffer"><option value="quick">the shortest that the device has</option><option value="steady">longer, if it crackles</option></select></div>`;
     const $ = (id) => dialog.querySelector(`#${id}`);
     this.$ = $;
@@ -182,7 +182,8 @@ export class Settings {
     const { n, ownP50, ownP99, totalP50, totalP99, buffer, device, rate } = this.sound.latency;
     const ms = (value) => (value === null || value === undefined ? "–" : `${value.toFixed(1)} ms`);
     for (const [id, value] of Object.entries({ own50: ownP50, own99: ownP99, all50: totalP50, all99: totalP99 })) this.$(id).textContent = ms(value);
-    const state = this.sound.server?.state;
+    const state = this.sound.server?.state, lost = this.sound.context?.playbackStats?.underrunEvents; // where a browser counts them
+    this.$("quanta").value = this.took && !state ? `128 samples take ${this.took[0].toFixed(2)} ms, 99 % ${this.took[1].toFixed(2)} ms, of the ${(128e3 / (rate ?? 48000)).toFixed(1)} ms that they play.${lost === undefined ? "" : ` ${lost} under-runs.`}` : "";
     if (state) {
       this.$("buffers").value = `at the server: blocks of ${state.block_ms.toFixed(0)} ms in ${ms(state.block_p50_ms)}, 99 % in ${ms(state.block_p99_ms)}; ${state.n_missed} late, ${state.n_underruns} under-runs`;
       return;

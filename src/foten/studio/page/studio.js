@@ -115,7 +115,11 @@ async function ready(texture) {
 async function use(texture) {
   chosen = texture;
   mark();
-  const info = paint(texture).then(({ canvas, mm }) => chosen === texture && pad.setTile(canvas, mm));
+  const info = paint(texture).then(({ canvas, mm, took }) => {
+    if (chosen !== texture) return;
+    pad.setTile(canvas, mm);
+    settings.took = took;
+  });
   $("now-name").textContent = blind ? "Compare blind" : texture.title;
   if (sound.node) {
     await ready(texture);

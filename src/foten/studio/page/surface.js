@@ -8,6 +8,7 @@ const SPEED = 80, FORCE = 0.8; // mm/s and N that the picture is of
 const SEGMENT = 512; // samples of a spectrum
 const TONE_DB = 11; // above what lies around it, a peak is a pattern of the surface
 const MOST_TONES = 8;
+const QUANTUM = 128, TIMED = 400; // samples; quanta that are timed
 const LEVEL_SPEEDS = 9, LEVEL_FORCES = 6;
 
 /** A complex transform in place, n a power of two. */
@@ -174,6 +175,20 @@ function rgb(hue, saturation, lightness) {
 const rms = (samples) => Math.sqrt(samples.reduce((sum, value) => sum + value * value, 0) / samples.length);
 const within = (value, [low, high]) => Math.min(high, Math.max(low, value));
 
+/** Return the median and 99 % of how long the kernel takes for what an audio thread asks for at once [ms]. */
+function timed(texture, speed, force) {
+  const renderer = texture.renderer({ rate: 48000 }), out = new Float32Array(QUANTUM), took = [];
+  renderer.setCondition(speed, force);
+  for (let i = 0; i < TIMED; i++) {
+    const begin = performance.now();
+    renderer.render(out);
+    took.push(performance.now() - begin);
+  }
+  renderer.free();
+  took.sort((a, b) => a - b);
+  return [took[TIMED >> 1], took[Math.floor(0.99 * TIMED)]];
+}
+
 /** Return a texture's picture and its level over speed and force, from the bytes of its file. */
 export function pictured(foten, bytes, name) {
   const texture = foten.texture(bytes), { rate, trainedSpeed, trainedForce } = texture.info;
@@ -193,7 +208,7 @@ export function pictured(foten, bytes, name) {
     const seed = [...name].reduce((sum, letter) => (sum * 33 + letter.charCodeAt(0)) >>> 0, 5);
     const heights = relief(spectrum(shown), rate, speed, seed);
     const rough = within(0.22 + 0.3 * Math.log10(1 + 4 * loud), [0.2, 0.95]);
-    return { pixels: lit(heights, colour(name), rough), size: SIZE, mm: TILE_MM, loud, levels: { speeds, forces, levels } };
+    return { pixels: lit(heights, colour(name), rough), size: SIZE, mm: TILE_MM, loud, took: timed(texture, speed, force), levels: { speeds, forces, levels } };
   } finally {
     renderer.free();
     texture.free();
