@@ -61,8 +61,8 @@ class DevicePlayer:
 class Turns:
     """One thread that renders 8 ms for each of its players in turn, every 8 ms, while it has any.
 
-    A thread for each would spend its time on waiting for Python's lock: with twenty pages events were 6 s late, measured by
-    `benchmarks/studio_load.py`.
+    A thread for each would spend its time on waiting for Python's lock: twenty pages fell so far behind that the server refused
+    events, as `benchmarks/studio_load.py` showed.
     """
 
     def __init__(self, turn_ms: float = TURN_MS) -> None:
