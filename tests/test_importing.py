@@ -640,3 +640,15 @@ def test_truncated_and_foreign_files_are_refused_of_wav(tmp_path):
         (tmp_path / f"{name}.wav").write_bytes(content)
         with pytest.raises(ValueError, match=f"{name}.wav is (truncated|empty)"):
             read_wav(tmp_path / f"{name}.wav")
+
+
+def test_a_row_that_is_there_twice_is_called_so(tmp_path, capsys):
+    path = _csv(tmp_path / "a.csv", "t,acc,speed,force", [0.0, 0.1, 0.1, 0.2], [1, 2, 2, 3], [5, 5, 5, 5], [1, 1, 1, 1])
+    assert _status(["import", str(path), "-o", str(tmp_path / "a.h5")]) == 2
+    assert "is the row there twice? Delete one of the two" in capsys.readouterr().err
+
+
+def test_columns_that_may_be_positions_are_pointed_at(tmp_path, capsys):
+    path = _csv(tmp_path / "a.csv", "t,acc,X,Y,force", TIME, ACC, SPEED, SPEED, FORCE)
+    assert _status(["import", str(path), "-o", str(tmp_path / "a.h5")]) == 0
+    assert "X and Y may be positions: --map position_x=X,position_y=Y" in capsys.readouterr().err

@@ -523,3 +523,18 @@ def test_the_verdict_reads_the_free_run(judged):
     assert verdict(document)[1].tone == "even"
     document["ceiling"]["level_corr"] = -0.2  # says nothing of this hand
     assert verdict(document)[3].tone == "unknown"
+
+
+def test_relative_units_are_called_so_in_terminal_and_page(judged, texture) -> None:
+    relative = replace(judged, document={**judged.document, "unit": "relative"})
+    assert "error [relative]" in to_text(relative.document)
+    assert "m/s²" not in to_text(relative.document)
+    shown = re.sub(r'"data:[^"]*"', "", page(relative, texture))
+    assert "error [relative]" in shown
+    assert "m/s²" not in shown
+
+
+def test_a_texture_says_its_unit(texture) -> None:
+    assert texture.unit == "m/s²"
+    card = {**texture.card, "units": {**texture.card["units"], "acceleration": "relative"}}
+    assert Texture(card, texture.tensors).unit == "relative"

@@ -223,6 +223,9 @@ def test_a_stroke_is_downloaded_and_replayed(browser: Any, link: str, tmp_path: 
             rows = list(csv.reader(file))
         assert rows[0] == ["t", "x", "y", "pressure"]
         assert len(rows) == 1 + len(taken["events"])
+        # Both count from the moment at which recording began: the first event came after so many samples.
+        assert float(rows[1][0]) == pytest.approx(taken["events"][0][0] / taken["rate"], abs=2e-6)
+        assert float(rows[1][0]) > 0
         stroke = tabled_stroke(read_stroke(tmp_path / "stroke.csv", {}), 1000.0)
         assert 0.3 < stroke.force.max() < 1.6
         rate, samples = scipy.io.wavfile.read(tmp_path / "stroke.wav")
