@@ -169,7 +169,9 @@ def test_what_is_out_of_order_is_refused_and_ends_the_capture(client: TestClient
         assert answered(socket, "ready") == {"ready": True}
         socket.send_bytes(events((0, 0, 0.5, 2.0)))
         socket.send_bytes(events((0, 0, 0.5, 1.0)))
+        socket.send_text('{"do": "nothing"}')  # is refused in any case: nobody waits for a refusal that does not come
         assert "not in the order" in answered(socket, "kept")["refused"]
+        assert "unknown message 'nothing'" in answered(socket, "kept")["refused"]
         socket.send_text('{"do": "train"}')
         assert "before a capture was begun" in answered(socket, "kept")["refused"]
         socket.send_text(json.dumps(BEGIN))

@@ -159,8 +159,8 @@ def test_a_socket_from_another_page_is_refused(studio: Studio, origin: str | Non
     headers = {} if origin is None else {"origin": origin}
     with TestClient(studio.app(LOCAL), base_url=HERE) as client:
         connection = client.websocket_connect(f"{WS}/stroke", headers=headers)
-        with pytest.raises(WebSocketDisconnect) as refused:
-            connection.__enter__()
+        with pytest.raises(WebSocketDisconnect) as refused, connection:
+            pass
     assert refused.value.code == 1008
     assert "origin" in refused.value.reason
 

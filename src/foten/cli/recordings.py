@@ -29,7 +29,9 @@ if TYPE_CHECKING:
 
 def simulate(
     key: Annotated[str | None, Argument(help="Texture or linear process; --list shows them.")] = None,
-    output: Annotated[Path | None, Option("-o", "--output", help="HDF5 file to write.")] = None,
+    output: Annotated[
+        Path | None, Option("-o", "--output", help="HDF5 file to write; with --capture a folder.")
+    ] = None,
     seconds: Annotated[float, Option(help="Length (s).")] = 64.0,
     seed: Annotated[int, Option(help="Of everything random that the next two leave out.")] = 0,
     noise_seed: Annotated[
