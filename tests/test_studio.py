@@ -367,6 +367,40 @@ def test_a_hostile_texture_is_refused(tmp_path: Path, damage: str) -> None:
             Shelf([path])
 
 
+def test_what_rendering_dies_of_is_raised_by_stop_and_ends_no_other_page() -> None:
+    turns, rendered = Turns(), threading.Event()
+
+    def fails(_out: Any) -> None:
+        raise ValueError("no more")
+
+    broken, sound = turns.player(48_000.0), turns.player(48_000.0)
+    broken.start(fails)
+    sound.start(lambda _out: rendered.set())
+    assert rendered.wait(5.0)
+    rendered.clear()
+    assert rendered.wait(5.0)
+    sound.stop()
+    with pytest.raises(ValueError, match="no more"):
+        broken.stop()
+
+
+def test_turns_that_were_left_out_are_missed() -> None:
+    turns, after = Turns(), threading.Event()
+    player, n = turns.player(48_000.0), iter(range(10**6))
+
+    def stands_still(_out: Any) -> None:
+        k = next(n)
+        if k == 1:
+            time.sleep(0.5)
+        if k == 4:
+            after.set()
+
+    player.start(stands_still)
+    assert after.wait(5.0)
+    player.stop()
+    assert player.statistics.n_missed >= 0.9 * 0.5 / turns.turn_s
+
+
 def test_a_shelf_says_what_is_missing(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"no such file: .*nothing\.foten"):
         Shelf([tmp_path / "nothing.foten"])

@@ -98,11 +98,18 @@ class Turns:
                 due += self.turn_s
                 now = time.perf_counter()
                 if now > due + MOST_BEHIND_S:
+                    self._skip(int((now - due) / self.turn_s))
                     due = now
                 elif now < due:
                     time.sleep(due - now)
         finally:
             sys.setswitchinterval(usual_s)
+
+    def _skip(self, n: int) -> None:
+        """Count turns that are left out, after the machine stood still, as missed."""
+        with self._changing:
+            for player in self._players:
+                player.statistics.n_missed += n
 
     def _turn(self, due: float) -> bool:
         """Render for each player; return whether there is any."""
