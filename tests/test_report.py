@@ -12,7 +12,8 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from foten.evaluate.evaluate import FREE_RUN_KEYS, Judgement
+from foten.datasets.simulate import simulate
+from foten.evaluate.evaluate import FREE_RUN_KEYS, Judgement, evaluate
 from foten.evaluate.free_run import free_run, scored
 from foten.evaluate.one_step import fit_linear, one_step
 from foten.evaluate.report import figures, signals
@@ -538,3 +539,9 @@ def test_a_texture_says_its_unit(texture) -> None:
     assert texture.unit == "m/s²"
     card = {**texture.card, "units": {**texture.card["units"], "acceleration": "relative"}}
     assert Texture(card, texture.tensors).unit == "relative"
+
+
+def test_a_relative_recording_is_not_judged_by_a_texture_in_units(texture) -> None:
+    recording = replace(simulate("jeans", 14.0), calibrated=False)
+    with pytest.raises(ValueError, match="the recording is in relative units and the other in m/s²"):
+        evaluate(texture, recording)

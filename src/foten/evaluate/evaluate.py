@@ -14,7 +14,7 @@ from foten.evaluate.one_step import Linear, best_linear, excitation_scores, firs
 from foten.families.conditions import FADE_FORCE, FADE_SPEED
 from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
-from foten.recording.recording import Recording
+from foten.recording.recording import RELATIVE, Recording
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.recording.windows import targets
@@ -87,9 +87,16 @@ def evaluate(
     The trained one is recognised by its digest; `trim_ms` and `block_ms` are as of `trace_for`, `seed` is the excitation's.
 
     Raises:
-        ValueError: the recording is too short, or the split does not fit it.
+        ValueError: the recording is too short, the split does not fit it, or one of the two alone is in relative units.
     """
     truth = truth or Truth()
+    units = {texture.card["units"].get("acceleration"), recording.unit("acceleration")}
+    if RELATIVE in units and len(units) > 1:
+        which = "texture" if texture.unit == RELATIVE else "recording"
+        raise ValueError(
+            f"the {which} is in relative units and the other in m/s²: their levels cannot be compared; where the sensitivity is "
+            "known, import the sound with --unit acceleration=*FACTOR"
+        )
     trace = trace_for(texture, recording, trim_ms, block_ms)
     split: Split | None = None
     if trace.recording_sha256 == texture.card["recording_sha256"]:
