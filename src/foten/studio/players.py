@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from typing import Protocol
@@ -10,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from foten.runtime.live.devices import SoundSink
-from foten.runtime.live.live import SWITCH_S, Live, LiveStatistics, Read
+from foten.runtime.live.live import Live, LiveStatistics, Read
 
 DEVICE_BLOCK_MS, DEVICE_LEAD_MS = 4.0, 12.0
 TURN_MS = 8.0  # that is rendered at once for each page
@@ -90,20 +89,15 @@ class Turns:
                 self._players.remove(player)
 
     def _run(self) -> None:
-        usual_s = sys.getswitchinterval()
-        sys.setswitchinterval(min(SWITCH_S, usual_s))
-        try:
-            due = time.perf_counter()
-            while self._turn(due):
-                due += self.turn_s
-                now = time.perf_counter()
-                if now > due + MOST_BEHIND_S:
-                    self._skip(int((now - due) / self.turn_s))
-                    due = now
-                elif now < due:
-                    time.sleep(due - now)
-        finally:
-            sys.setswitchinterval(usual_s)
+        due = time.perf_counter()
+        while self._turn(due):
+            due += self.turn_s
+            now = time.perf_counter()
+            if now > due + MOST_BEHIND_S:
+                self._skip(int((now - due) / self.turn_s))
+                due = now
+            elif now < due:
+                time.sleep(due - now)
 
     def _skip(self, n: int) -> None:
         """Count turns that are left out, after the machine stood still, as missed."""
