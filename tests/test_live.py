@@ -405,8 +405,8 @@ class FakeDaq:
     class Error(Exception):
         pass
 
-    def __init__(self, fails: str = "") -> None:
-        self.fails, self.written, self.log = fails, [], []
+    def __init__(self, fails: str = "", every_s: float = 0.001) -> None:
+        self.fails, self.every_s, self.written, self.log = fails, every_s, [], []
         self.errors = SimpleNamespace(Error=FakeDaq.Error)
         self.constants = SimpleNamespace(
             AcquisitionType=SimpleNamespace(CONTINUOUS="continuous"),
@@ -446,7 +446,7 @@ class FakeDaq:
         self.clock.start()
 
     def _run(self) -> None:
-        while not self.playing.wait(0.001):
+        while not self.playing.wait(self.every_s):
             self.callback(None, None, None, None)
 
     def stop(self) -> None:

@@ -14,6 +14,7 @@ import threading
 import time
 import urllib.request
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,19 +22,24 @@ import numpy as np
 import pytest
 
 pytest.importorskip("starlette")
+from numpy.typing import NDArray
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from foten.families.texture_file import read_texture
-from foten.runtime.renderer import EXAMPLE
-from foten.runtime.stylus import PressureCalibration
+from foten.runtime.actuator import ActuatorProfile
+from foten.runtime.live import devices
+from foten.runtime.live.live import LiveStatistics
+from foten.runtime.renderer import EXAMPLE, Renderer
+from foten.runtime.stylus import PressureCalibration, Stylus
 from foten.studio import server
 from foten.studio.access import LOOPBACK, Access, access_to, write_certificate
-from foten.studio.contact import Contact
+from foten.studio.contact import LOUDNESS, Contact
 from foten.studio.messages import Allowance, RefusedError, parse_events, parse_message
-from foten.studio.players import Turns
+from foten.studio.players import Turns, Wired
 from foten.studio.server import Studio
 from foten.studio.shelf import Shelf
+from test_live import FakeDaq
 
 LOCAL = Access(LOOPBACK, 8000)
 HERE = "http://127.0.0.1:8000"
@@ -52,17 +58,29 @@ def client(studio: Studio) -> Iterator[TestClient]:
         yield client
 
 
+@contextmanager
+def stroking(studio: Studio) -> Iterator[Any]:
+    """Return the socket of a page that strokes."""
+    client = TestClient(studio.app(LOCAL), base_url=HERE, headers={"origin": HERE})
+    with client, client.websocket_connect(f"{WS}/stroke") as socket:
+        yield socket
+
+
 def event(x: float, t: float, pressure: float = 0.5) -> bytes:
     return np.array([x, 0.0, pressure, t], dtype="<f8").tobytes()
 
 
-def until_opened(socket: Any) -> dict[str, Any]:
+def until(socket: Any, *keys: str) -> dict[str, Any]:
     while True:
         message = socket.receive()
         if message.get("text"):
             document: dict[str, Any] = json.loads(message["text"])
-            if "opened" in document or "refused" in document:
+            if document.keys() & set(keys):
                 return document
+
+
+def until_opened(socket: Any) -> dict[str, Any]:
+    return until(socket, "opened", "refused")
 
 
 def test_the_page_and_what_it_needs_are_served(client: TestClient) -> None:
@@ -227,6 +245,98 @@ def test_a_stroke_is_rendered_and_sent_back(client: TestClient, studio: Studio) 
     assert not [thread for thread in threading.enumerate() if thread.name in ("foten-render", "foten-sink")]
 
 
+COIL = ActuatorProfile(name="coil", resonance_hz=80.0, damping=0.3, gain=40.0, unit="V", limit=5.0)
+
+
+@pytest.fixture
+def daq(monkeypatch: pytest.MonkeyPatch) -> FakeDaq:
+    fake = FakeDaq(every_s=0.01)  # half of its buffer, in real time
+    monkeypatch.setattr(devices, "_nidaqmx", lambda: fake)
+    return fake
+
+
+def test_a_page_is_played_through_a_daq(daq: FakeDaq) -> None:
+    """Its volts are what is rendered, which the page is sent to draw."""
+    studio = Studio(Shelf([EXAMPLE]), wired=Wired("daq:Dev1/ao0", COIL))
+    drawn: list[NDArray[np.float32]] = []
+    with stroking(studio) as socket:
+        socket.send_text(json.dumps({"do": "open", "texture": KEY, "sink": "device", "rate_hz": 8000}))
+        assert until(socket, "opened")["sink"] == "device"
+        begin = time.monotonic()
+        while time.monotonic() - begin < 10 and sum(np.abs(one).max() > 1e-3 for one in drawn) < 20:
+            socket.send_bytes(event(0.4 * len(drawn), 0.005 * len(drawn)))
+            data = None
+            while data is None:
+                data = socket.receive().get("bytes")
+            drawn.append(np.frombuffer(data, dtype="<f4")[2:])
+    assert ("Dev1/ao0", {"min_val": -10.0, "max_val": 10.0}) in daq.log
+    assert daq.log[-2] == ("volts", 0.0)
+    # But silence where this machine was too busy, and what fades as it stops.
+    seen, volts = (every[every != 0.0] for every in (np.concatenate(drawn), np.concatenate(daq.written)))
+    n = min(seen.size, volts.size - 2 * daq.n)
+    assert np.abs(volts[:n]).max() > 1e-3
+    np.testing.assert_allclose(volts[:n], seen[:n], rtol=1e-6)
+
+
+class Held:
+    """A player that renders when a test says so."""
+
+    def __init__(self, calibrated: bool, actuator: ActuatorProfile | None) -> None:
+        self.rate_hz, self.running = 8000.0, True
+        self.calibrated, self.actuator, self.statistics = calibrated, actuator, LiveStatistics()
+
+    def start(self, render: Any) -> None:
+        self.render = render
+
+    def stop(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_an_actuator_is_driven_as_it_needs(there: bool) -> None:
+    """One that is wired to this machine, at 0 dB as it was recorded, and not the page's; else the page's."""
+    events = [(0.4 * k, 0.0, 0.5, 0.005 * k) for k in range(20)]
+    renderer = Renderer(EXAMPLE, rate=8000.0, actuator=COIL)
+    stylus = Stylus(renderer)
+    player = Held(there, COIL if there else None)
+    contact = Contact(player, lambda *_: None)
+    contact.open(EXAMPLE.read_bytes(), PressureCalibration())
+    contact.actuate(ActuatorProfile(resonance_hz=200.0, damping=0.1, gain=3.0) if there else COIL)
+    contact.set_volume(-6.0)
+    contact.push(np.array(events))
+    for one in events:
+        stylus.push(*one)
+    out, expected = np.zeros(800, dtype=np.float32), stylus.render(800)
+    player.render(out)
+    scale = 1.0 if there else LOUDNESS / renderer.native_texture.info.acceleration_sd
+    assert np.abs(expected).max() > 1e-3
+    np.testing.assert_allclose(out, expected * scale * 10 ** (-6 / 20), rtol=1e-5)
+
+
+def test_without_an_actuator_a_daq_is_told_its_volts() -> None:
+    with pytest.raises(ValueError, match="say with --gain how many volts 1 m/s² is"):
+        Wired("daq:Dev1/ao0")
+    with pytest.raises(ValueError, match="a page plays in real time"):
+        Wired("stroke.wav")
+    with pytest.raises(ValueError, match="--device and --channel are a sound card's"):
+        Wired("null", device="3").check()
+    assert Wired("daq:Dev1/ao0", gain=0.5).calibrated
+    assert not Wired().calibrated
+
+
+def test_a_device_that_goes_is_said_and_the_page_may_open_again(daq: FakeDaq) -> None:
+    studio = Studio(Shelf([EXAMPLE]), wired=Wired("daq:Dev1/ao0", gain=0.5))
+    opening = json.dumps({"do": "open", "texture": KEY, "sink": "device", "rate_hz": 8000})
+    with stroking(studio) as socket:
+        socket.send_text(opening)
+        assert "opened" in until_opened(socket)
+        daq.fails = "samples"
+        assert "plays no more: the NI-DAQ takes no samples" in until(socket, "refused")["refused"]
+        daq.fails = ""
+        socket.send_text(opening)
+        assert "opened" in until_opened(socket)
+
+
 def test_pages_have_states_of_their_own(client: TestClient, studio: Studio) -> None:
     with client.websocket_connect(f"{WS}/stroke") as one, client.websocket_connect(f"{WS}/stroke") as other:
         one.send_text(json.dumps({"do": "open", "texture": KEY}))
@@ -246,6 +356,7 @@ BAD = [
     ('{"do": "open"}', "texture is missing"),
     ('{"do": "open", "texture": 5}', "texture is a name"),
     ('{"do": "open", "texture": "a", "sink": "daq"}', "sink one of stream, device"),
+    ('{"do": "actuate", "resonance_hz": 80}', "damping is missing"),
     ('{"do": "open", "texture": "a", "colour": 1}', "unknown field 'colour'"),
     ('{"do": "open", "texture": "a", "rate_hz": 1}', "rate_hz is 1, expected a number from 8000"),
     ('{"do": "volume", "volume_db": NaN}', "volume_db is nan"),

@@ -30,6 +30,26 @@ def serve(
         Path,
         Option(metavar="DIR", help="Where captured surfaces are kept, and shown from again; made when there is one."),
     ] = Path("captures"),
+    to: Annotated[
+        str,
+        Option(
+            help="What 'by the server, played there' plays through: sound, daq:Dev1/ao0, udp:HOST:PORT, osc:HOST:PORT or null."
+        ),
+    ] = "sound",
+    actuator: Annotated[
+        Path | None,
+        Option(metavar="P.json", help="Profile of the actuator on it; 0 dB is then the recorded acceleration."),
+    ] = None,
+    gain: Annotated[
+        float | None,
+        Option(help="Full scale (sound) or volts (daq) for 1 m/s², or for 1 of the actuator's drive; of these alone."),
+    ] = None,
+    device: Annotated[
+        str | None, Option(help="Number or name of the sound card, as 'python -m sounddevice' lists them.")
+    ] = None,
+    channel: Annotated[
+        int | None, Option(min=0, help="Of the sound card that is played on, from 0; 0 by default.")
+    ] = None,
     open_page: Annotated[bool, Option("--open/--no-open", help="Open the page in this machine's browser.")] = True,
 ) -> None:
     """Open a page to stroke textures on, with a mouse, a finger or a pen, and to capture surfaces of one's own. Ctrl-C ends it.
@@ -37,15 +57,22 @@ def serve(
     foten serve
 
     foten serve denim.foten mesh.foten --host 0.0.0.0: for a tablet on the same network, by the link or code that is printed.
+
+    foten serve --to daq:Dev1/ao0 --actuator coil.json: with a voice coil on an NI-DAQ of this machine.
     """
+    from foten.runtime.actuator import read_profile
+    from foten.studio.players import Wired
     from foten.studio.serve import serve as serve_studio
     from foten.studio.server import Studio
     from foten.studio.shelf import SUFFIX, Shelf
 
+    wired = Wired(to, None if actuator is None else read_profile(actuator), gain, device, channel)
+    if wired != Wired():
+        wired.check()
     shelf = Shelf(textures or [])
     for kept in sorted(captures.glob(f"*/*{SUFFIX}")):
         shelf.put(kept)
-    studio = Studio(shelf, captures)
+    studio = Studio(shelf, captures, wired)
 
     def on_start(access: Access, shown: str) -> None:
         link = access.link(shown)

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from foten.runtime.actuator import ActuatorProfile
 from foten.runtime.live.live import LiveStatistics, Samples
 from foten.runtime.renderer import Renderer
 from foten.runtime.stylus import PressureCalibration, Stylus
@@ -23,7 +24,7 @@ class Contact:
     """Events in, vibration out of a sink, from `open` to `close`.
 
     Args:
-        player: takes what is rendered, in full scale.
+        player: takes what is rendered, in full scale or, where it is calibrated, as it is.
         on_block: is given each block before the volume, for the page to draw or to play.
     """
 
@@ -31,6 +32,7 @@ class Contact:
         self._on_block = on_block
         self._player, self._rate_hz = player, player.rate_hz
         self._hand: tuple[Renderer, Stylus, float] | None = None
+        self._actuator = player.actuator
         self._volume = 1.0
         self._changing = threading.Lock()
         self._started = False
@@ -42,8 +44,8 @@ class Contact:
             ValueError: it is no texture file, or its rate and the player's do not go together.
             OSError: the player's device refuses.
         """
-        renderer = Renderer(texture, rate=self._rate_hz)
-        scale = LOUDNESS / renderer.native_texture.info.acceleration_sd
+        renderer = Renderer(texture, rate=self._rate_hz, actuator=self._actuator)
+        scale = 1.0 if self._player.calibrated else LOUDNESS / renderer.native_texture.info.acceleration_sd
         with self._changing:
             self._hand = renderer, Stylus(renderer, calibration), scale
         if not self._started:
@@ -57,6 +59,14 @@ class Contact:
                 renderer, _, scale = self._hand
                 self._hand = renderer, Stylus(renderer, calibration), scale
 
+    def actuate(self, actuator: ActuatorProfile) -> None:
+        """Render an actuator's drive from now on, but where the player has one of its own."""
+        if self._player.actuator is None:
+            self._actuator = actuator
+            with self._changing:
+                if self._hand is not None:
+                    self._hand[0].native_state.set_actuator(actuator.native())
+
     def set_volume(self, db: float) -> None:
         """Set the volume [dB]."""
         self._volume = 10.0 ** (db / 20.0)
@@ -67,6 +77,11 @@ class Contact:
             stylus = self._hand[1]
             for event in events.tolist():
                 stylus.push(*event)
+
+    @property
+    def running(self) -> bool:
+        """Return whether it plays; where it ended by itself, `close` says why."""
+        return self._player.running
 
     @property
     def statistics(self) -> LiveStatistics:
@@ -92,5 +107,4 @@ class Contact:
             renderer, stylus, scale = self._hand
             stylus.render_into(out)
         self._on_block(out, *renderer.condition)
-        out *= scale * self._volume
-        np.clip(out, -1.0, 1.0, out=out)
+        out *= scale * self._volume  # and what is beyond a device's range, the device cuts

@@ -6,6 +6,7 @@ Text is JSON, one object with `do`. A page that strokes says:
      "newtons": 0.13, "steepness": 3.32}
     {"do": "volume", "volume_db": -6}
     {"do": "calibrate", "newtons": 0.13, "steepness": 3.32}
+    {"do": "actuate", "resonance_hz": 80, "damping": 0.3, "gain": 40, "lowest_hz": 20, "limit": 2}
     {"do": "close"}
 
 Bytes are events of a pen, 1 to `MOST_EVENTS` at once, each four little-endian float64: x and y [mm], pressure 0 … 1 (0 is
@@ -53,6 +54,11 @@ _NUMBERS: Mapping[str, tuple[float, float]] = {
     "steepness": (-50.0, 50.0),
     "rate_hz": (8000.0, 192_000.0),
     "full_scale_m_s2": (1e-3, 1e5),
+    "resonance_hz": (0.0, 1e6),
+    "damping": (0.0, 1e6),
+    "gain": (-1e6, 1e6),
+    "lowest_hz": (0.0, 1e6),
+    "limit": (0.0, 1e6),
 }
 _SINKS = ("stream", "device")
 Kinds = Mapping[str, tuple[frozenset[str], frozenset[str]]]
@@ -60,6 +66,7 @@ STROKE: Kinds = {
     "open": (frozenset({"texture"}), frozenset({"sink", "rate_hz", "volume_db", "newtons", "steepness"})),
     "volume": (frozenset({"volume_db"}), frozenset()),
     "calibrate": (frozenset({"newtons", "steepness"}), frozenset()),
+    "actuate": (frozenset({"resonance_hz", "damping", "gain", "lowest_hz", "limit"}), frozenset()),
     "close": (frozenset(), frozenset()),
 }
 CAPTURE: Kinds = {

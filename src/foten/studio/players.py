@@ -1,15 +1,19 @@
-"""What plays a contact: this machine's sound card, or one thread that renders for all pages in turn, each for its own speaker."""
+"""What plays a contact: a device of this machine, or one thread that renders for all pages in turn, each for its own speaker."""
 
 from __future__ import annotations
 
 import threading
 import time
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
-from foten.runtime.live.devices import SoundSink
+from foten.runtime.actuator import ActuatorProfile
+from foten.runtime.live.devices import SOUND_RATE_HZ
 from foten.runtime.live.live import Live, LiveStatistics, Read
+from foten.runtime.live.play import gain_for, sink_of
 
 DEVICE_BLOCK_MS, DEVICE_LEAD_MS = 4.0, 12.0
 TURN_MS = 8.0  # that is rendered at once for each page
@@ -20,7 +24,13 @@ class Player(Protocol):
     """Takes samples from `render`, which fills an array with the next ones, from a start to a stop."""
 
     rate_hz: float
+    calibrated: bool  # it takes what is rendered as it is, at a volume of 0 dB; else full scale, at a usual loudness
+    actuator: ActuatorProfile | None  # that hangs on it
     statistics: LiveStatistics
+
+    @property
+    def running(self) -> bool:
+        """Return whether it plays; where it ended by itself, `stop` says why."""
 
     def start(self, render: Read) -> None:
         """Begin; raises what a device does where it refuses."""
@@ -29,18 +39,68 @@ class Player(Protocol):
         """End, and raise what rendering died of; a second time nothing happens."""
 
 
-class DevicePlayer:
-    """The sound card of this machine.
+@dataclass(frozen=True)
+class Wired:
+    """What is wired to this machine: an output as `foten play` names it, and the actuator on it.
+
+    Where the actuator or a gain is known, a page's 0 dB is the acceleration as it was recorded.
 
     Raises:
-        OSError: there is none, or it refuses the rate.
+        ValueError: the output is none, is a file, or its unit and the actuator's do not go together.
     """
 
-    def __init__(self, rate_hz: float) -> None:
+    to: str = "sound"
+    actuator: ActuatorProfile | None = None
+    gain: float | None = None  # full scale or volts for one of what is rendered
+    device: str | None = None
+    channel: int | None = None
+
+    def __post_init__(self) -> None:
+        if Path(self.to).suffix.lower() == ".wav":
+            raise ValueError(
+                f"a page plays in real time, and {self.to} is a file: the red dot of the page records strokes"
+            )
+        if self.calibrated:
+            gain_for(self.actuator, self.gain, 1.0, self.to)
+
+    @property
+    def calibrated(self) -> bool:
+        """Return whether an output is known for what is rendered, and not for full scale alone."""
+        return self.to != "sound" or self.actuator is not None or self.gain is not None
+
+    def check(self) -> None:
+        """Open the output once, and give it back.
+
+        Raises:
+            OSError: it is not there.
+            ValueError: it names none, or one without devices and channels of which some were given.
+        """
+        self.player(SOUND_RATE_HZ).stop()
+
+    def player(self, rate_hz: float) -> DevicePlayer:
+        """Return what plays on it.
+
+        Raises:
+            OSError: it is not there, or refuses the rate.
+        """
+        return DevicePlayer(self, rate_hz)
+
+
+class DevicePlayer:
+    """An output of this machine: its sound card, an NI-DAQ, or a program that takes samples."""
+
+    def __init__(self, wired: Wired, rate_hz: float) -> None:
         self.rate_hz = rate_hz
+        self.calibrated, self.actuator = wired.calibrated, wired.actuator
         self.statistics = LiveStatistics()
-        self._sink = SoundSink(1.0, rate_hz=rate_hz)
+        gain = gain_for(wired.actuator, wired.gain, 1.0, wired.to) if wired.calibrated else 1.0
+        self._sink = sink_of(wired.to, rate_hz, gain, None, wired.device, wired.channel)
         self._live: Live | None = None
+
+    @property
+    def running(self) -> bool:
+        """Return whether it plays."""
+        return self._live is not None and self._live.running
 
     def start(self, render: Read) -> None:
         """Begin to play."""
@@ -49,7 +109,7 @@ class DevicePlayer:
         self._live.start()
 
     def stop(self) -> None:
-        """End, and give the card back."""
+        """End, and give the device back."""
         live, self._live = self._live, None
         if live is not None:
             live.stop()
@@ -122,11 +182,18 @@ class TurnPlayer:
 
     def __init__(self, turns: Turns, rate_hz: float) -> None:
         self.rate_hz = rate_hz
+        self.calibrated = False
+        self.actuator: ActuatorProfile | None = None
         self._turns = turns
         self._block = np.zeros(max(1, round(turns.turn_s * rate_hz)), dtype=np.float32)
         self._render: Read | None = None
         self._failed: BaseException | None = None
         self.statistics = LiveStatistics(block_ms=1000 * self._block.size / rate_hz)
+
+    @property
+    def running(self) -> bool:
+        """Return whether it takes turns."""
+        return self._render is not None and self._failed is None
 
     def start(self, render: Read) -> None:
         """Begin to take turns."""

@@ -32,6 +32,7 @@ from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from foten import __version__
+from foten.runtime.actuator import ActuatorProfile
 from foten.runtime.binding import kernel_file
 from foten.runtime.live.devices import SOUND_RATE_HZ
 from foten.runtime.stylus import PressureCalibration
@@ -48,7 +49,7 @@ from foten.studio.messages import (
     parse_events,
     parse_message,
 )
-from foten.studio.players import DevicePlayer, Player, Turns
+from foten.studio.players import Player, Turns, Wired
 from foten.studio.shelf import Shelf
 
 PAGE = Path(__file__).with_name("page")
@@ -67,15 +68,15 @@ class Studio:
     Args:
         shelf: the textures.
         captures: the folder where pages' captures are kept.
-        players: where a page may have its sound, by name and rate [Hz]: sent to it, or played by this machine.
+        wired: what plays here, for a page that asks for it.
     """
 
-    def __init__(
-        self, shelf: Shelf, captures: Path = CAPTURES, players: Mapping[str, Callable[[float], Player]] | None = None
-    ) -> None:
+    def __init__(self, shelf: Shelf, captures: Path = CAPTURES, wired: Wired | None = None) -> None:
         self.shelf = shelf
-        usual: dict[str, Callable[[float], Player]] = {"stream": Turns().player, "device": DevicePlayer}
-        self.players = usual if players is None else players
+        self.players: dict[str, Callable[[float], Player]] = {
+            "stream": Turns().player,
+            "device": (wired or Wired()).player,
+        }
         self.trainings = Trainings(captures, shelf)
         self.n_capturing = 0
         self.pages: set[Page] = set()
@@ -246,6 +247,8 @@ class Page:
             raise RefusedError(f"{kind} before a texture was opened")
         elif kind == "calibrate":
             self._contact.calibrate(self._calibration)
+        elif kind == "actuate":
+            self._actuate(message)
         if self._contact is not None and "volume_db" in message:
             self._contact.set_volume(float(message["volume_db"]))
 
@@ -267,6 +270,14 @@ class Page:
             raise RefusedError(f"{entry.key} cannot be played: {error}") from error
         self._texture, self._sink, self._rate_hz = entry.key, sink, rate_hz
         await self._say({"opened": entry.key, "sink": sink, "rate_hz": rate_hz})
+
+    def _actuate(self, message: Mapping[str, Any]) -> None:
+        assert self._contact is not None
+        figures: dict[str, Any] = {name: value for name, value in message.items() if name != "do"}
+        try:
+            self._contact.actuate(ActuatorProfile(**figures))
+        except ValueError as error:
+            raise RefusedError(str(error)) from error
 
     def _on_block(self, samples: NDArray[np.float32], speed: float, force: float) -> None:
         """Pass a block on to the page: speed [mm/s] and force [N], then the samples [m/s²], all little-endian float32."""
@@ -292,8 +303,16 @@ class Page:
     async def _send_state(self) -> None:
         while True:
             await asyncio.sleep(STATE_S)
-            if self._contact is not None:
-                await self._say({"state": self.state()})
+            contact = self._contact
+            if contact is None:
+                continue
+            await self._say({"state": self.state()})
+            if not contact.running and contact is self._contact:
+                self._contact = None
+                try:
+                    await asyncio.to_thread(contact.close)
+                except (OSError, ValueError, RuntimeError) as error:
+                    await self._say({"refused": f"{self._texture} plays no more: {error}"})
 
     async def _say(self, document: Mapping[str, Any]) -> None:
         await self._socket.send_text(json.dumps(document, allow_nan=False))

@@ -136,13 +136,18 @@ export class PageSound extends EventTarget {
     this.post(message);
   }
 
+  /** Volume [dB] at the server, with what makes methods equally loud. */
+  get levelDb() {
+    return this.volumeDb <= -40 ? -60 : Math.min(24, Math.max(-60, this.volumeDb + (this.gains.get(this.id) ?? 0)));
+  }
+
   get gain() {
     return 10 ** (this.volumeDb / 20);
   }
 
   setVolume(db) {
     this.volumeDb = db;
-    this.server?.say({ do: "volume", volume_db: Math.max(-60, db) });
+    this.server?.say({ do: "volume", volume_db: this.levelDb });
     this.volume?.gain.setTargetAtTime(db <= -40 ? 0 : this.gain, this.context.currentTime, 0.01);
   }
 
@@ -159,6 +164,8 @@ export class PageSound extends EventTarget {
   }
 
   actuate(actuator) {
+    this.actuator = actuator;
+    this.server?.actuate();
     this.post({ do: "actuate", actuator });
   }
 
@@ -215,7 +222,13 @@ class Server {
 
   open(texture, scale) {
     this.sound.post({ do: "listen", on: true, silent: this.sink === "device", scale });
-    this.say({ do: "open", texture, sink: this.sink, rate_hz: this.sound.context.sampleRate, volume_db: Math.max(-60, this.sound.volumeDb), ...this.sound.calibration });
+    this.say({ do: "open", texture, sink: this.sink, rate_hz: this.sound.context.sampleRate, volume_db: this.sound.levelDb, ...this.sound.calibration });
+    this.actuate();
+  }
+
+  actuate() {
+    const one = this.sound.actuator;
+    if (one) this.say({ do: "actuate", resonance_hz: one.resonanceHz, damping: one.damping, gain: one.gain, lowest_hz: one.lowestHz, limit: one.limit });
   }
 
   say(message) {
