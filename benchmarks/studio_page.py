@@ -76,6 +76,23 @@ def native_quanta(path: Path) -> list[float]:
     return took
 
 
+def first_changes(path: Path, n: int = 200) -> list[float]:
+    """Return how long after an event that says something else the first sample differs [ms]: of two pens that did the same."""
+    delays = []
+    for k in range(n):
+        pens = [Stylus(Renderer(path.read_bytes(), rate=RATE_HZ)) for _ in range(2)]
+        at = 40 + k  # quanta: the texture's own samples lie anywhere in them
+        for i in range(at):
+            for pen in pens:
+                pen.push(0.08 * 1000 * i * QUANTUM / RATE_HZ, 20.0, 0.5, i * QUANTUM / RATE_HZ)
+                pen.render(QUANTUM)
+        for pen, pressure in zip(pens, (0.5, 0.7), strict=True):
+            pen.push(0.08 * 1000 * at * QUANTUM / RATE_HZ, 20.0, pressure, at * QUANTUM / RATE_HZ)
+        same, other = (pen.render(48 * 20) for pen in pens)
+        delays.append(1000 * int(np.argmax(np.abs(same - other) > 1e-6 * np.abs(same).max())) / RATE_HZ)
+    return delays
+
+
 def measured(page: Any, link: str, seconds: float) -> tuple[list[float], dict[str, float], list[float]]:
     """Return the times to first sound [ms], the latencies, and how long a quantum takes in the page [ms]."""
     first = []
@@ -132,6 +149,10 @@ def main() -> None:
         cells.append(
             [name, *(f"{latency[f'{key}{share}']:.1f}" for share in ("P50", "P99")), f"{latency['n']:.0f} events"]
         )
+    changes = first_changes(EXAMPLE)
+    cells.append(
+        ["graph to the first changed sample", *two(changes), f"{len(changes)} events, in the texture's own rate"]
+    )
     cells.append(["a quantum in WebAssembly", *two(quanta), f"{of_quantum:.3f} ms that it plays"])
     cells.append(
         ["the same, native", *two(native), f"{np.median(quanta) / np.median(native):.2f} times as long in WebAssembly"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import json
 import shutil
+import struct
 import subprocess
 from itertools import pairwise
 from pathlib import Path
@@ -23,7 +24,7 @@ from foten.export.c_header import identifier, write_c_header
 from foten.export.clip import RATE_HZ, Clip, clip_of, envelopes_of
 from foten.export.haptic import write_haptic
 from foten.export.hjif import write_hjif
-from foten.families.texture_file import read_texture
+from foten.families.texture_file import read_texture, write_texture
 from foten.runtime.binding import ABI, c_flags
 from foten.runtime.renderer import EXAMPLE, Renderer
 
@@ -160,6 +161,9 @@ def synthesized(document: dict[str, Any]) -> Array:
     assert document["level"] in (1, 2)
     (perception,) = document["perceptions"]
     assert {*PERCEPTION.split(), "effect_library", "channels"} == set(perception)
+    # A vibration in time: "Vibrotactile Texture", "Stiffness" and "Friction" count along the surface.
+    assert perception["perception_modality"] == "Vibrotactile"
+    assert (perception["unit_exponent"], perception["perception_unit_exponent"]) == (-3, 0)  # the reader's defaults
     assert perception["avatar_id"] in [avatar["id"] for avatar in document["avatars"]]
     (channel,) = perception["channels"]
     assert set(CHANNEL.split()) <= set(channel)
@@ -218,8 +222,32 @@ def test_android_has_amplitudes_and_control_points(tmp_path: Path, mesh: Clip) -
     assert sum(waveform["timings_ms"]) == pytest.approx(1000 * mesh.duration_s, abs=10)
     assert all(isinstance(one, int) and 0 <= one <= 255 for one in waveform["amplitudes"])
     assert sum(point["duration_ms"] for point in envelope) == pytest.approx(1000 * mesh.duration_s, abs=1)
-    assert all(point["duration_ms"] > 0 and 0 <= point["amplitude"] <= 1 for point in envelope)
+    assert all(0 <= point["amplitude"] <= 1 for point in envelope)
     assert all(30 <= point["frequency_hz"] <= 600 for point in envelope)
+
+
+@pytest.mark.parametrize("seconds", [0.005, 0.02, 0.0399, 0.05, 1.2345])
+def test_android_takes_points_that_are_20_ms_to_1_s_apart(tmp_path: Path, seconds: float) -> None:
+    """What every phone with envelopes guarantees; the durations add up to the clip's, but for one shorter than 20 ms."""
+    write_android(tone(200.0, seconds), tmp_path / "a.json")
+    durations = [point["duration_ms"] for point in json.loads((tmp_path / "a.json").read_text())["envelope"]]
+    assert all(isinstance(one, int) and 20 <= one <= 1000 for one in durations)
+    assert sum(durations) == pytest.approx(max(20, 1000 * seconds), abs=1)
+
+
+def test_androids_points_keep_the_envelopes_shape(tmp_path: Path, mesh: Clip) -> None:
+    write_android(mesh, tmp_path / "a.json")
+    envelope = json.loads((tmp_path / "a.json").read_text())["envelope"]
+    times = np.cumsum([point["duration_ms"] for point in envelope]) / 1000
+    envelopes = envelopes_of(mesh)
+    at = np.arange(0.05, mesh.duration_s - 0.05, 0.001)
+    level = np.interp(at, times, [point["amplitude"] for point in envelope])
+    expected = np.interp(at, *envelopes.amplitude.T)
+    # What 50 points a second leave out is how the level moves within 20 ms.
+    assert level.mean() == pytest.approx(expected.mean(), rel=0.01)
+    assert np.corrcoef(level, expected)[0, 1] > 0.9
+    hertz = np.interp(at, times, [point["frequency_hz"] for point in envelope])
+    np.testing.assert_allclose(hertz.mean(), envelopes.hertz(at).mean(), rtol=0.01)
 
 
 @pytest.mark.parametrize(
@@ -257,9 +285,23 @@ int main(void) {
 
 
 def ran(*arguments: str | Path) -> int:
-    from foten.cli.command_line import _status
-
     return _status(["export", str(EXAMPLE), *map(str, arguments)])
+
+
+def comment(path: Path) -> dict[str, Any]:
+    """Return the comment of a WAV file, once the sizes of its chunks add up."""
+    data = path.read_bytes()
+    assert data[:4] == b"RIFF"
+    assert struct.unpack("<I", data[4:8])[0] == len(data) - 8
+    at, chunks = 12, {}
+    while at < len(data):
+        size = struct.unpack("<I", data[at + 4 : at + 8])[0]
+        chunks[data[at : at + 4]] = data[at + 8 : at + 8 + size]
+        at += 8 + size + size % 2
+    assert at == len(data)
+    assert chunks[b"LIST"][:8] == b"INFOICMT"
+    document: dict[str, Any] = json.loads(chunks[b"LIST"][12:].rstrip(b"\0"))
+    return document
 
 
 @pytest.mark.parametrize("name", ["a.wav", "a.csv", "a.npz", "a.ahap", "a.haptic", "a.hjif", "a.json"])
@@ -277,6 +319,9 @@ def test_a_stroke_is_exported_by_the_name_of_the_file(
         rate, samples = scipy.io.wavfile.read(tmp_path / name)
         assert (rate, samples.dtype, samples.size) == (48_000, np.int16, 48_000)
         assert 32_000 < np.abs(samples).max() <= 32_767
+        about = comment(tmp_path / name)
+        assert (about["unit"], about["texture"], about["seed"]) == ("m/s^2", "steel-mesh-1", 0)
+        assert f"1 is {about['full_scale']:.3g} m/s²" in out
     elif name == "a.csv":
         table = np.loadtxt(tmp_path / name, delimiter=",", skiprows=1)
         assert table.shape == (8000, 2)
@@ -287,6 +332,39 @@ def test_a_stroke_is_exported_by_the_name_of_the_file(
             assert json.loads(str(held["about"]))["texture"] == "steel-mesh-1"
     elif name == "a.ahap":
         check_ahap(json.loads((tmp_path / name).read_text()), 1.0)
+
+
+STROKE = ("--speed", "80", "--force", "0.8", "--seconds", "0.5")
+
+
+def test_a_raw_wav_is_the_acceleration_as_it_was_rendered(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """In m/s², at the texture's own rate, as `foten render` writes it; its comment says so."""
+    assert ran(*STROKE, "--seed", "3", "--to", "wav-raw", "-o", tmp_path / "raw.wav") == 0
+    out = capsys.readouterr().out
+    assert "0.5 s, 1 is 1 m/s²; " in out
+    assert "at the texture's own rate" in out
+    assert _status(["render", str(EXAMPLE), *STROKE, "--seed", "3", "-o", str(tmp_path / "rendered.wav")]) == 0
+    (rate, raw), (_, rendered) = (scipy.io.wavfile.read(tmp_path / f"{name}.wav") for name in ("raw", "rendered"))
+    assert (rate, raw.dtype) == (1000, np.float32)
+    assert np.abs(raw).max() > 1
+    np.testing.assert_array_equal(raw, rendered)
+    about = comment(tmp_path / "raw.wav")
+    assert (about["unit"], about["full_scale"], about["rate_hz"]) == ("m/s^2", 1.0, 1000.0)
+    assert (about["texture"], about["seed"], about["stroke"]) == ("steel-mesh-1", 3, "80 mm/s, 0.8 N, 0.5 s")
+
+
+@pytest.mark.parametrize("kind", ["wav", "wav-raw"])
+def test_a_wav_of_a_relative_texture_says_what_1_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str
+) -> None:
+    texture = read_texture(EXAMPLE)
+    card = {**texture.card, "units": {**texture.card["units"], "acceleration": "relative"}}
+    write_texture(type(texture)(card, texture.tensors), tmp_path / "t.foten")
+    path = tmp_path / "a.wav"
+    assert _status(["export", str(tmp_path / "t.foten"), *STROKE, "--to", kind, "-o", str(path)]) == 0
+    about = comment(path)
+    assert about["unit"] == "relative"
+    assert f"1 is {about['full_scale']:.3g} times the recording's RMS" in capsys.readouterr().out
 
 
 def test_clips_of_one_full_scale_compare(tmp_path: Path) -> None:
@@ -304,8 +382,6 @@ def test_onnx_is_checked_and_predicts_what_the_kernel_does(tmp_path: Path) -> No
     """Another reader: ONNX's own checker, and ONNX Runtime on the golden windows of a network that is the whole model."""
     onnx = pytest.importorskip("onnx")
     runtime = pytest.importorskip("onnxruntime")
-    from foten.cli.command_line import _status
-
     texture = exported("foten")
     (tmp_path / "t.foten").write_bytes(texture.to_bytes())
     assert _status(["export", str(tmp_path / "t.foten"), "-o", str(tmp_path / "t.onnx")]) == 0
@@ -331,6 +407,44 @@ def test_a_site_is_the_page_with_the_texture_and_without_a_server(tmp_path: Path
     assert (site / "textures" / one["file"]).read_bytes() == EXAMPLE.read_bytes()
 
 
+def test_a_site_has_as_many_textures_as_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two methods of one texture, which the page compares, and another texture."""
+    mesh, other = read_texture(EXAMPLE), exported("foten")
+    paths = [tmp_path / f"{name}.foten" for name in ("mesh", "mesh-foten", "towel")]
+    for path, texture, name in zip(paths, (mesh, other, mesh), ("steel-mesh-1", "steel-mesh-1", "towel"), strict=True):
+        write_texture(type(texture)({**texture.card, "texture": name}, texture.tensors), path)
+    site = tmp_path / "site"
+    assert _status(["export", *map(str, paths), "--to", "web", "-o", str(site)]) == 0
+    assert "3 textures" in capsys.readouterr().out
+    listed = json.loads((site / "textures.json").read_text())["textures"]
+    assert [(one["file"], one["name"], one["method"]) for one in listed] == [
+        ("mesh.foten", "steel-mesh-1", "foten-plus"),
+        ("mesh-foten.foten", "steel-mesh-1", "foten"),
+        ("towel.foten", "towel", "foten-plus"),
+    ]
+    for path in paths:
+        assert (site / "textures" / path.name).read_bytes() == path.read_bytes()
+
+
+def test_a_site_without_a_name_has_the_textures_that_come_along(tmp_path: Path) -> None:
+    assert _status(["export", "--to", "web", "-o", str(tmp_path / "site")]) == 0
+    listed = json.loads((tmp_path / "site" / "textures.json").read_text())["textures"]
+    assert [one["file"] for one in listed] == sorted(path.name for path in EXAMPLE.parent.glob("*.foten"))
+
+
+@pytest.mark.parametrize("n", [0, 2])
+@pytest.mark.parametrize("arguments", [["-o", "x.ahap"], ["--to", "unity", "-o", "x"]])
+def test_all_else_is_made_of_one_texture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], n: int, arguments: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert _status(["export", *[str(EXAMPLE)] * n, *arguments]) == 2
+    error = capsys.readouterr().err
+    assert f"is made of one texture file, got {n}" in error
+    assert error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     ("arguments", "match"),
     [
@@ -340,6 +454,7 @@ def test_a_site_is_the_page_with_the_texture_and_without_a_server(tmp_path: Path
         (["--speed", "80", "-o", "x.ahap"], "expected one of --stroke"),
         (["-o", "nowhere/x.ahap"], "there is no folder nowhere"),
         (["--full-scale", "-2", "-o", "x.ahap"], "full scale is -2, expected a positive number of m/s²"),
+        (["--to", "wav-raw", "--full-scale", "2", "-o", "x.wav"], "as it was rendered: leave out --full-scale"),
     ],
 )
 def test_what_cannot_be_exported_is_said_in_a_line(

@@ -7,6 +7,7 @@ import os
 import random
 import re
 import signal
+import socket
 import ssl
 import subprocess
 import sys
@@ -34,7 +35,7 @@ from foten.runtime.renderer import EXAMPLE, Renderer
 from foten.runtime.stylus import PressureCalibration, Stylus
 from foten.studio import server
 from foten.studio.access import LOOPBACK, Access, access_to, write_certificate
-from foten.studio.contact import LOUDNESS, Contact
+from foten.studio.contact import Contact, limit
 from foten.studio.messages import Allowance, RefusedError, parse_events, parse_message
 from foten.studio.players import Turns, Wired
 from foten.studio.server import Studio
@@ -197,7 +198,8 @@ def test_on_a_network_the_token_is_asked_for_and_becomes_a_cookie(studio: Studio
         moved = client.get("/", params={"token": access.token}, follow_redirects=False)
         assert (moved.status_code, moved.headers["location"]) == (303, "/")
         cookie = moved.headers["set-cookie"].lower()
-        assert all(word in cookie for word in ("httponly", "secure", "samesite=strict"))
+        assert all(word in cookie for word in ("httponly", "secure", "samesite=lax"))
+        assert access.token.lower() not in cookie
         assert client.get("/textures.json").status_code == 200
     assert access.token not in repr(access)
     assert access_to("192.0.2.7", 8443).token != access.token
@@ -301,16 +303,88 @@ def test_an_actuator_is_driven_as_it_needs(there: bool) -> None:
     player = Held(there, COIL if there else None)
     contact = Contact(player, lambda *_: None)
     contact.open(EXAMPLE.read_bytes(), PressureCalibration())
-    contact.actuate(ActuatorProfile(resonance_hz=200.0, damping=0.1, gain=3.0) if there else COIL)
+    contact.actuate(ActuatorProfile(resonance_hz=200.0, damping=0.1, gain=3.0) if there else COIL, full_scale=5.0)
     contact.set_volume(-6.0)
     contact.push(np.array(events))
     for one in events:
         stylus.push(*one)
     out, expected = np.zeros(800, dtype=np.float32), stylus.render(800)
     player.render(out)
-    scale = 1.0 if there else LOUDNESS / renderer.native_texture.info.acceleration_sd
+    scale = 1.0 if there else 1 / 5.0
     assert np.abs(expected).max() > 1e-3
     np.testing.assert_allclose(out, expected * scale * 10 ** (-6 / 20), rtol=1e-5)
+
+
+def stroked(contact: Contact, player: Held, n: int, seconds: float) -> NDArray[np.float32]:
+    """Return what a player is given for n events of a steady stroke at 80 mm/s and what follows, in blocks of 8 ms."""
+    blocks = []
+    for k in range(round(seconds / 0.008)):
+        contact.push(np.array([[80 * t, 0.0, 0.5, t] for t in (0.008 * k, 0.008 * k + 0.004) if k < n]).reshape(-1, 4))
+        block = np.zeros(64, dtype=np.float32)
+        player.render(block)
+        blocks.append(block)
+    return np.concatenate(blocks)
+
+
+def test_a_texture_that_takes_over_in_a_stroke_makes_no_gap_and_no_click() -> None:
+    player = Held(False, None)
+    contact = Contact(player, lambda *_: None)
+    contact.open(EXAMPLE.read_bytes(), PressureCalibration())
+    before = stroked(contact, player, 100, 0.4)[-1600:]
+    contact.open(EXAMPLE.read_bytes(), PressureCalibration(), seed=7)
+    after = np.zeros(640, dtype=np.float32)
+    player.render(after)  # without another event: the last ones are known to the new one
+    usual = np.abs(np.diff(before)).max()
+    assert np.abs(np.diff(np.concatenate([before[-1:], after]))).max() < 1.5 * usual
+    assert np.sqrt(np.mean(after[:160] ** 2)) > 0.3 * np.sqrt(np.mean(before**2))
+
+
+def test_the_volume_moves_without_a_step_and_what_is_too_loud_is_bent() -> None:
+    player = Held(False, None)
+    contact = Contact(player, lambda *_: None)
+    contact.open(EXAMPLE.read_bytes(), PressureCalibration())
+    contact.set_volume(-20.0)
+    soft = stroked(contact, player, 100, 0.4)[-800:]
+    contact.set_volume(24.0)
+    loud = np.zeros(64, dtype=np.float32)
+    player.render(loud)
+    assert abs(loud[0]) < 10 * np.abs(soft).max()
+    for _ in range(20):
+        player.render(loud)
+        assert np.abs(loud).max() < 1.0
+    samples = np.array([-3.0, -0.8, 0.0, 0.5, 0.9, 3.0], dtype=np.float32)
+    limit(samples)
+    np.testing.assert_allclose(samples[1:4], [-0.8, 0.0, 0.5])
+    assert 0.8 < samples[4] < 0.9
+    assert -1.0 <= samples[0] < -0.99
+
+
+def test_a_contact_that_is_closed_while_it_opens_does_not_play() -> None:
+    player = Held(False, None)
+    contact = Contact(player, lambda *_: None)
+    contact.close()
+    with pytest.raises(OSError, match="the page has left"):
+        contact.open(EXAMPLE.read_bytes(), PressureCalibration())
+    assert not hasattr(player, "render")
+
+
+def test_a_page_that_opens_slowly_is_not_taken_for_one_that_died(
+    studio: Studio, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reports of how rendering keeps up come in between."""
+    opens = Contact.open
+
+    def slowly(*arguments: Any, **options: Any) -> None:
+        time.sleep(0.3)
+        opens(*arguments, **options)
+
+    monkeypatch.setattr(Contact, "open", slowly)
+    monkeypatch.setattr(server, "STATE_S", 0.05)
+    with stroking(studio) as socket:
+        socket.send_text(json.dumps({"do": "open", "texture": KEY}))
+        assert "opened" in until_opened(socket)
+        socket.send_bytes(event(0.0, 0.0))
+        assert "state" in until(socket, "state", "refused")
 
 
 def test_without_an_actuator_a_daq_is_told_its_volts() -> None:
@@ -356,7 +430,7 @@ BAD = [
     ('{"do": "open"}', "texture is missing"),
     ('{"do": "open", "texture": 5}', "texture is a name"),
     ('{"do": "open", "texture": "a", "sink": "daq"}', "sink one of stream, device"),
-    ('{"do": "actuate", "resonance_hz": 80}', "damping is missing"),
+    ('{"do": "actuate", "full_scale": 0}', "full_scale is 0, expected a number from 1e-06"),
     ('{"do": "open", "texture": "a", "colour": 1}', "unknown field 'colour'"),
     ('{"do": "open", "texture": "a", "rate_hz": 1}', "rate_hz is 1, expected a number from 8000"),
     ('{"do": "volume", "volume_db": NaN}', "volume_db is nan"),
@@ -549,3 +623,151 @@ def test_it_starts_says_where_and_ends_cleanly(number: int, status: int) -> None
         _, rest = process.communicate(timeout=30)
     assert process.returncode in (status, -number)
     assert "Traceback" not in rest
+
+
+def on_the_network(studio: Studio) -> tuple[Access, list[Access], Any]:
+    """Return the access to a server on a network, those that it was renewed to, and how to come there with a new device."""
+    renewed: list[Access] = []
+    access = access_to("192.0.2.7", 8443, on_joined=renewed.append)
+    app, there = studio.app(access), "https://192.0.2.7:8443"
+    return access, renewed, lambda: TestClient(app, base_url=there, headers={"origin": there}, follow_redirects=False)
+
+
+def test_a_link_lets_one_device_in_and_the_next_one_has_another(studio: Studio) -> None:
+    access, renewed, device = on_the_network(studio)
+    first, second, third = device(), device(), device()
+    assert first.get("/", params={"token": access.token}).status_code == 303
+    (newest,) = renewed
+    assert newest.token not in (None, access.token)
+    assert (newest.hosts, newest.port) == (access.hosts, access.port)
+    refused = second.get("/", params={"token": access.token})
+    assert refused.status_code == 403
+    assert "open the newest link" in refused.text
+    assert second.get("/").status_code == 403
+    assert second.get("/", params={"token": newest.token}).status_code == 303
+    assert first.get("/").status_code == second.get("/").status_code == 200
+    assert first.cookies["foten"] != second.cookies["foten"]
+    # The link of the second one is used up too, and a device's secret is no token.
+    for token in (newest.token, first.cookies["foten"]):
+        assert third.get("/", params={"token": token}).status_code == 403
+    assert len(renewed) == 2
+    # A device whose cookies are gone comes in by the newest link, like any other.
+    first.cookies.clear()
+    assert first.get("/").status_code == 403
+    assert first.get("/", params={"token": renewed[-1].token}).status_code == 303
+    assert first.get("/").status_code == 200
+
+
+def test_a_device_that_is_in_opens_an_old_link_and_uses_up_no_new_one(studio: Studio) -> None:
+    access, renewed, device = on_the_network(studio)
+    client = device()
+    client.get("/", params={"token": access.token})
+    cookie = client.cookies["foten"]
+    for token in (access.token, renewed[0].token, "of another start"):
+        moved = client.get("/", params={"token": token})
+        assert (moved.status_code, moved.headers["location"]) == (303, "/")
+        assert "set-cookie" not in moved.headers
+    assert client.cookies["foten"] == cookie
+    assert len(renewed) == 1
+    assert client.get("https://192.0.2.7:8443//evil.example/x?token=x").headers["location"] == "/evil.example/x"
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [{"sec-purpose": "prefetch;prerender"}, {"purpose": "prefetch"}, {"x-purpose": "preview"}, {"x-moz": "prefetch"}],
+)
+def test_who_looks_ahead_does_not_use_up_the_link(studio: Studio, headers: dict[str, str]) -> None:
+    access, renewed, device = on_the_network(studio)
+    client = device()
+    assert client.head("/", params={"token": access.token}).status_code == 200
+    assert client.get("/", params={"token": access.token}, headers=headers).status_code == 503
+    assert client.post("/", params={"token": access.token}).status_code == 403
+    with pytest.raises(WebSocketDisconnect):
+        client.websocket_connect(f"wss://192.0.2.7:8443/stroke?token={access.token}").__enter__()
+    assert not renewed
+    assert not client.cookies
+    assert client.get("/", params={"token": access.token}).status_code == 303
+    with client.websocket_connect("wss://192.0.2.7:8443/stroke"):
+        pass
+
+
+def test_a_host_is_known_in_whatever_case_it_is_written(studio: Studio) -> None:
+    """A browser asks for `mybox.local` where the link says `MyBox.local`."""
+    access = access_to("MyBox.local", 8443)
+    with TestClient(studio.app(access), base_url="https://mybox.local:8443") as client:
+        for host in ("mybox.local:8443", "MyBox.local:8443"):
+            headers = {"host": host, "origin": "https://mybox.local:8443"}
+            assert client.get("/", params={"token": access.token}, headers=headers).status_code == 200
+            with client.websocket_connect("wss://mybox.local:8443/stroke", headers=headers):
+                pass
+        assert client.get("/", headers={"host": "other.local:8443"}).status_code == 403
+    assert access_to("LocalHost", 8000) == LOCAL
+
+
+def ended(process: subprocess.Popen[str]) -> str:
+    """End a server, and return what else it said."""
+    process.terminate()
+    return process.communicate(timeout=30)[1]
+
+
+def test_on_a_network_the_next_link_is_printed_once_one_is_used() -> None:
+    process, link = started(str(EXAMPLE), "--host", "0.0.0.0")
+    try:
+        own = ssl.create_default_context()
+        own.check_hostname, own.verify_mode = False, ssl.CERT_NONE  # as a tablet does that was told to
+        for _ in range(2):
+            opener = urllib.request.build_opener(
+                urllib.request.HTTPSHandler(context=own),
+                urllib.request.HTTPCookieProcessor(),
+                urllib.request.ProxyHandler({}),
+            )
+            for _ in range(2):  # a reload of the same link
+                with opener.open(link, timeout=20) as answer:
+                    assert b"<title>foten</title>" in answer.read()
+            assert process.stderr is not None
+            line = next(line for line in process.stderr if "for the next one: " in line)
+            before, link = link, line.rsplit(" ", 1)[-1].strip()
+            assert link.partition("?")[0] == before.partition("?")[0]
+            assert link != before
+            assert "▀" in "".join(process.stderr.readline() for _ in range(5))  # and its code
+    finally:
+        rest = ended(process)
+    assert "Traceback" not in rest
+
+
+@pytest.mark.skipif(not socket.has_ipv6, reason="needs IPv6")
+def test_the_address_that_is_printed_is_the_one_it_listens_at() -> None:
+    with socket.socket(socket.AF_INET6) as probe:
+        try:
+            probe.bind(("::1", 0))
+        except OSError:
+            pytest.skip("this machine has no ::1")
+    for host, shown in (("::1", "http://[::1]:"), ("localhost", "http://127.0.0.1:")):
+        process, link = started(str(EXAMPLE), "--host", host)
+        try:
+            assert link.startswith(shown)
+            with urllib.request.build_opener(urllib.request.ProxyHandler({})).open(link, timeout=20) as answer:
+                assert b"<title>foten</title>" in answer.read()
+        finally:
+            ended(process)
+
+
+def test_a_damaged_capture_is_left_out_and_said(tmp_path: Path) -> None:
+    for name, data in {"cork": EXAMPLE.read_bytes(), "cloth": EXAMPLE.read_bytes()[:5000], "oak": b""}.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / f"{name}.foten").write_bytes(data)
+    process, _ = started(str(EXAMPLE), "--captures", str(tmp_path))
+    rest = ""
+    try:
+        assert process.stderr is not None
+        while " at http://" not in rest:
+            line = process.stderr.readline()
+            assert line, rest
+            rest += line
+        with urllib.request.urlopen(rest.rsplit(" ", 1)[-1].strip() + "textures.json", timeout=20) as answer:
+            listed = [one["file"] for one in json.load(answer)["textures"]]
+    finally:
+        ended(process)
+    assert listed == [KEY, "cork.foten"]
+    assert rest.count("\n") == 2  # the first line was read by `started`
+    assert f"left out {tmp_path / 'oak' / 'oak.foten'}: the file has 0 bytes" in rest

@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import contextlib
 import csv
+import re
 import shutil
 import signal
 import time
@@ -24,9 +25,11 @@ from foten.datasets.importing import read_stroke
 from foten.dsp import Array
 from foten.families import FAMILIES
 from foten.families.texture_file import read_texture, write_texture
+from foten.runtime.actuator import ActuatorProfile, write_profile
 from foten.runtime.renderer import EXAMPLE, Renderer
 from foten.runtime.stroke import tabled_stroke
 from foten.runtime.stylus import Stylus
+from foten.studio.levels import gains_db
 from test_studio import started
 
 playwright = pytest.importorskip("playwright.sync_api", reason="needs Playwright: pip install '.[browser]'")
@@ -41,10 +44,15 @@ QUANTUM = 128  # samples that an AudioWorklet renders at once
 
 @pytest.fixture(scope="module")
 def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with two methods of a mesh, which are two seeds of one file here, and a towel by name."""
+    """Return a folder with two methods of a mesh, of which one is grass by its sound and not as loud, and a towel by name."""
     folder = tmp_path_factory.mktemp("shelf")
-    texture = read_texture(EXAMPLE)
-    for name, card in {"mesh": {}, "mesh-other": {"model": "foten-plus"}, "towel": {"texture": "towel"}}.items():
+    mesh, grass = read_texture(EXAMPLE), read_texture(EXAMPLE.with_name("artificial-grass.foten"))
+    named = {
+        "mesh": (mesh, {}),
+        "mesh2": (grass, {"texture": mesh.card["texture"]}),
+        "towel": (mesh, {"texture": "towel"}),
+    }
+    for name, (texture, card) in named.items():
         write_texture(type(texture)({**texture.card, **card}, texture.tensors), folder / f"{name}.foten")
     return folder
 
@@ -230,14 +238,18 @@ def test_a_stroke_is_downloaded_and_replayed(browser: Any, link: str, tmp_path: 
         assert 0.3 < stroke.force.max() < 1.6
         rate, samples = scipy.io.wavfile.read(tmp_path / "stroke.wav")
         assert rate == taken["rate"]
-        np.testing.assert_array_equal(samples, taken["samples"])
+        peak = np.abs(taken["samples"]).max()
+        np.testing.assert_allclose(samples, taken["samples"] / peak, atol=1e-6)  # nothing that plays it cuts it
+        said = re.search(rb"full scale is ([0-9.]+) m/s", (tmp_path / "stroke.wav").read_bytes()[:300])
+        assert said is not None
+        assert float(said[1]) == pytest.approx(peak, rel=1e-3)
         page.select_option("#taken select", label="Towel")
         page.click("[data-do=replay]")
         until(page, "document.querySelector('#now-name').textContent === 'Towel'")
         until(page, "Number(document.querySelector('#speed').value) > 5")
 
 
-def test_methods_are_compared_blind_and_equally_loud(browser: Any, link: str) -> None:
+def test_methods_are_compared_blind_and_equally_loud(browser: Any, link: str, shelf: Path) -> None:
     with opened(browser, link) as page:
         page.click("#compare")
         until(page, "document.querySelectorAll('#blind [role=radio]').length === 2")
@@ -245,12 +257,33 @@ def test_methods_are_compared_blind_and_equally_loud(browser: Any, link: str) ->
         assert radios.all_inner_texts() == ["A", "B"]
         assert page.inner_text("#now-name") == "Compare blind"  # no name of a method anywhere
         assert "foten" not in page.inner_text("#stage")
-        radios.nth(1).click()
-        until(page, "document.querySelectorAll('#blind [role=radio]')[1].ariaChecked === 'true'")
-        gains = page.evaluate(f"[...{STATE}.sound.gains.values()]")
-        assert np.ptp(gains) < 0.5  # dB: the same file twice
+        until(page, "document.querySelectorAll('#blind [role=radio]')[0].ariaChecked === 'true'")
+        page.evaluate(f"window.seen = {STATE}.pad.tile")
+        for i in (1, 0):
+            radios.nth(i).click()
+            until(page, f"document.querySelectorAll('#blind [role=radio]')[{i}].ariaChecked === 'true'")
+            assert page.evaluate(f"{STATE}.pad.tile === window.seen")  # nor a picture or a range that differs
+            assert page.inner_text("#now-range") == ""
+        gains = page.evaluate(f"Object.fromEntries({STATE}.sound.gains)")
+        renderers = {name: Renderer(shelf / name) for name in ("mesh.foten", "mesh2.foten")}
+        scales = [1 / one.native_texture.info.acceleration_sd for one in renderers.values()]
+        expected = dict(zip(renderers, gains_db(list(renderers.values()), scales), strict=True))
+        assert np.ptp(list(expected.values())) > 0.5  # dB: else this would say nothing
+        assert gains == pytest.approx(expected, abs=0.05)
+        served = page.evaluate("fetch('gains?texture=mesh.foten&texture=mesh2.foten').then((answer) => answer.json())")
+        assert served["gains_db"] == pytest.approx(list(expected.values()), abs=1e-9)
         page.click("#blind >> text=Reveal")
         assert "A foten-plus · B foten-plus" in page.inner_text("#message")
+
+
+def test_another_texture_ends_a_comparison(browser: Any, link: str) -> None:
+    with opened(browser, link) as page:
+        page.click("#compare")
+        until(page, "document.querySelectorAll('#blind [role=radio]').length === 2")
+        page.click("#textures .swatch >> text=Towel")
+        until(page, "document.querySelector('#now-name').textContent === 'Towel'")
+        assert page.locator("#blind").is_hidden()
+        assert page.evaluate(f"{STATE}.sound.gains.size") == 0
 
 
 def dropped(page: Any, path: Path) -> None:
@@ -299,17 +332,116 @@ def test_a_hostile_file_that_is_dropped_is_refused_in_a_line(
         assert page.locator("#textures .swatch").count() == 2
 
 
-def test_the_server_renders_where_it_is_asked_to(browser: Any, link: str) -> None:
+def at_the_server(page: Any) -> None:
+    """Have the server render, and the page play it."""
+    page.click("#settings")
+    page.select_option("#path", "stream")
+    until(page, f"{STATE}.sound.server !== null")
+    page.keyboard.press("Escape")
+
+
+def test_the_server_renders_where_it_is_asked_to(browser: Any, link: str, shelf: Path) -> None:
+    """What comes back is what this machine renders of these events, but for when they arrived."""
     with opened(browser, link) as page:
-        page.click("#settings")
-        page.select_option("#path", "stream")
-        until(page, f"{STATE}.sound.server !== null")
-        page.keyboard.press("Escape")
-        Pen(page).stroke(page, 40)
-        until(page, "Number(document.querySelector('#speed').value) > 5 || window.seen")
+        at_the_server(page)
+        taken = recorded(page, lambda: Pen(page).stroke(page))
         state = page.evaluate("fetch('/state').then((answer) => answer.json())")
         assert state["pages"][0]["n_events"] > 20
         assert state["pages"][0]["stylus"]["n_dropped"] == 0
+        assert len(taken["events"]) > 30
+        ours, theirs = rendered(shelf / "mesh.foten", {**taken, "seed": 0}), taken["samples"]
+        levels = [10 * np.log10(np.mean(samples.astype(float) ** 2)) for samples in (ours, theirs)]
+        assert abs(levels[0] - levels[1]) < 3  # dB
+
+
+def test_a_texture_that_is_dropped_is_rendered_here_where_the_server_rendered_before(
+    browser: Any, link: str, tmp_path: Path
+) -> None:
+    texture = read_texture(EXAMPLE)
+    path = tmp_path / "mine.foten"
+    write_texture(type(texture)({**texture.card, "texture": "my denim"}, texture.tensors), path)
+    with opened(browser, link) as page:
+        at_the_server(page)
+        dropped(page, path)
+        until(page, "document.querySelector('#now-name').textContent === 'My denim'")
+        until(page, f"{STATE}.sound.server === null")
+        assert page.evaluate("document.querySelector('#path').value") == ""
+        taken = recorded(page, lambda: Pen(page).stroke(page))
+        assert np.abs(taken["samples"]).max() > 0.2
+
+
+def test_a_page_whose_server_is_gone_renders_by_itself(browser: Any, shelf: Path) -> None:
+    process, link = started(str(shelf))
+    with opened(browser, link) as page:
+        at_the_server(page)
+        process.send_signal(signal.SIGTERM)
+        process.communicate(timeout=30)
+        until(page, f"{STATE}.sound.server === null")
+        assert "the server is gone" in page.inner_text("#message")
+        taken = recorded(page, lambda: Pen(page).stroke(page))
+        assert np.abs(taken["samples"]).max() > 0.2
+
+
+def test_the_force_is_calibrated_by_where_the_pen_was_held_still(browser: Any, link: str) -> None:
+    """A pen that leaves the scale presses less and less, and that is not what the scale shows."""
+    with opened(browser, link) as page:
+        page.click("#settings")
+        box = page.locator("#weigh").bounding_box()
+        pen = Pen(page)
+        pen._left, pen._top = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        for held, grams in ((0.2, 25.0), (0.5, 70.0), (0.8, 190.0)):
+            pen.send("mousePressed", 0, 0, 0.05)
+            for k in range(40):
+                pen.send("mouseMoved", k % 2, 0, held)
+                page.wait_for_timeout(15)
+            for share in (0.8, 0.5, 0.2, 0.05):
+                pen.send("mouseMoved", 0, 0, share * held)
+            pen.send("mouseReleased", 0, 0, 0)
+            assert float(page.inner_text("#pressure")) == pytest.approx(held, abs=0.01)
+            page.fill("#grams", str(grams))
+            page.click("#add")
+        assert "from 3 weighings" in page.inner_text("#curve")
+        fitted = page.evaluate("JSON.parse(localStorage.getItem('calibration'))")
+        assert fitted["steepness"] == pytest.approx(3.4, abs=0.3)
+        page.click("#paper")
+
+
+def test_an_actuator_is_driven_in_its_own_unit(browser: Any, link: str, tmp_path: Path) -> None:
+    write_profile(ActuatorProfile("coil", 80.0, 0.3, 40.0, "V", 5.0), tmp_path / "coil.json")
+    (tmp_path / "other.json").write_text('{"format": "foten-actuator", "version": 1, "gain": 0}')
+    with opened(browser, link) as page:
+        page.click("#settings")
+        page.set_input_files("#profile", tmp_path / "other.json")
+        until(page, "document.querySelector('#actuator').value.includes('gain is 0')")
+        page.set_input_files("#profile", tmp_path / "coil.json")
+        until(page, "document.querySelector('#actuator').value === 'coil: 80 Hz'")
+        assert page.input_value("#full-scale") == "5"  # what the amplifier and the coil bear
+        page.fill("#full-scale", "2")
+        assert page.evaluate(f"{STATE}.sound.scale({STATE}.sound.id)") == pytest.approx(0.5)
+        page.keyboard.press("Escape")
+        assert page.inner_text("#acceleration-name") == "drive"
+        assert page.inner_text("#acceleration-unit") == "V"
+        page.click("#settings")
+        page.click("#profile-none")
+        page.keyboard.press("Escape")
+        assert page.inner_text("#acceleration-unit") == "m/s²"
+
+
+def test_the_lightest_touch_of_a_pen_is_not_the_usual_force(browser: Any, link: str) -> None:
+    with opened(browser, link) as page:
+        pen = Pen(page)
+
+        def touch() -> None:
+            pen.send("mousePressed", 60, 60, 0.1)
+            for x, pressure in ((62, 0.05), (64, 0.0), (66, 0.0)):
+                pen.send("mouseMoved", x, 60, pressure)
+                page.wait_for_timeout(10)
+            pen.send("mouseReleased", 66, 60, 0.0)
+
+        pressures = [event[3] for event in recorded(page, touch)["events"]]
+        assert max(pressures) < 0.11
+        assert pressures[-1] == 0.0
+        assert min(pressures[:-1]) > 0.0
 
 
 def test_the_keys_stroke_too(browser: Any, link: str) -> None:

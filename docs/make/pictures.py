@@ -65,7 +65,7 @@ INK, OURS, PAPER, LINEAR, CEILING = "#333333", "#2b83cf", "#e08a1e", "#1a9c72", 
 SOUND_HZ = 8000
 
 
-COLOURS = 128  # of a picture's palette
+COLOURS = 64  # of a picture's palette
 
 
 def save(figure: Any, name: str, tight: bool = True) -> None:
@@ -74,7 +74,7 @@ def save(figure: Any, name: str, tight: bool = True) -> None:
     (DOCS / "pictures").mkdir(exist_ok=True)
     path = DOCS / "pictures" / f"{name}.png"
     figure.savefig(path, dpi=110, facecolor="white")
-    # A palette is half of the size, and no one sees it.
+    # A palette is half of the size, and nobody sees it.
     Image.open(path).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
     plt.close(figure)
     print(name)

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from typer import Option
+from typer import Argument, Option
 
-from foten.cli.console import JsonOption, TextureFile, check_folders, print_result
+from foten.cli.console import JsonOption, check_folders, print_result
 from foten.cli.render import (
     ConstantForce,
     ConstantSpeed,
@@ -22,8 +22,10 @@ from foten.cli.render import (
 )
 
 if TYPE_CHECKING:
+    from foten.dsp import Array
     from foten.export.clip import Clip
     from foten.families.texture_file import Texture
+    from foten.runtime.renderer import Renderer
 
 SUFFIXES = {
     ".ahap": "ahap",
@@ -37,19 +39,27 @@ SUFFIXES = {
     ".npz": "npz",
 }
 """The format that a name has."""
-CLIPS = ("wav", "csv", "npz", "ahap", "haptic", "hjif", "hjif-parametric", "android")
+CLIPS = ("wav", "wav-raw", "csv", "npz", "ahap", "haptic", "hjif", "hjif-parametric", "android")
 WHOLE = ("c", "onnx", "web", "unity")
 
 
 def export(
-    texture_file: TextureFile,
     output: Annotated[Path, Option("-o", "--output", help="File to write; a folder for web and unity.")],
+    texture_files: Annotated[
+        list[Path] | None,
+        Argument(
+            metavar="[T.foten]…",
+            help="A texture file. For web as many as the page is to have, or folders of them; by default those that come "
+            "along.",
+        ),
+    ] = None,
     to: Annotated[
         str | None,
         Option(
-            help="A clip of one stroke: wav (driven, 48 kHz, 16 bits), csv, npz, ahap (Apple), haptic (Meta), hjif or "
-            "hjif-parametric (MPEG), android. The texture itself: c (a header), onnx (its one-step network), web (the page of "
-            "'foten serve' as files), unity (a package for it). By the output's name where that says it."
+            help="A clip of one stroke: wav (driven: peak 1, 48 kHz, 16 bits), wav-raw (m/s², the texture's own rate, 32-bit "
+            "floats), csv, npz, ahap (Apple), haptic (Meta), hjif or hjif-parametric (MPEG), android. The texture itself: c (a "
+            "header), onnx (its one-step network), unity (a package for it). Textures: web (the page of 'foten serve' as "
+            "files). By the output's name where that says it."
         ),
     ] = None,
     stroke: Annotated[
@@ -71,47 +81,83 @@ def export(
 
     foten export denim.foten --speed 80 --force 0.8 --seconds 2 -o denim.ahap
 
-    foten export denim.foten --to web -o site
+    foten export denim.foten denim-ar.foten mesh.foten --to web -o site: two methods of one texture to compare, and another.
     """
-    from foten.families.texture_file import read_texture
-
     kind = to or SUFFIXES.get(output.suffix.lower())
     if kind is None or kind not in (*CLIPS, *WHOLE):
         what = f"--to {to}" if to else f"the name {output.name}"
         raise ValueError(f"{what} is no format, expected --to {', '.join((*CLIPS, *WHOLE))}")
     check_folders([output])
-    texture = read_texture(texture_file)
-    given = (stroke, units, recording_file, speed, force, seconds, full_scale, actuator)
-    if kind in WHOLE:
-        if any(option is not None for option in given):
-            raise ValueError(f"{kind} holds the texture itself: leave out the stroke and its options")
-        document, keeps = _WHOLE[kind](texture, texture_file, output)
+    files, hand = texture_files or [], (stroke, units, recording_file, speed, force, seconds)
+    if kind in WHOLE and any(option is not None for option in (*hand, full_scale, actuator)):
+        raise ValueError(f"{kind} holds the texture itself: leave out the stroke and its options")
+    if kind == "wav-raw" and not (full_scale is None and actuator is None):
+        raise ValueError("wav-raw holds the acceleration as it was rendered: leave out --full-scale and --actuator")
+    if kind == "web":
+        document, keeps = _write_site(files, output)
     else:
-        clip = _clip(texture, given, seed)
-        keeps = _write_clip(kind, clip, output)
-        document = {"seconds": clip.duration_s, "rate_hz": clip.rate_hz, "full_scale": clip.full_scale}
-        keeps = f"{clip.duration_s:g} s, 1 is {clip.full_scale:.3g} {clip.about['unit']}; {keeps}"
+        texture = _only(files, kind)
+        if kind in WHOLE:
+            document, keeps = _WHOLE[kind](texture, output)
+        elif kind == "wav-raw":
+            document, keeps = _write_raw(texture, hand, seed, output)
+        else:
+            document, keeps = _write_clip(kind, _clip(texture, hand, full_scale, actuator, seed), output)
     print_result({"output": str(output), "format": kind, **document}, f"wrote {output}: {keeps}", as_json)
 
 
-def _clip(texture: Texture, given: tuple[Any, ...], seed: int) -> Clip:
+def _only(files: list[Path], kind: str) -> Texture:
+    from foten.families.texture_file import read_texture
+
+    if len(files) != 1:
+        raise ValueError(f"{kind} is made of one texture file, got {len(files)}; --to web takes any number")
+    return read_texture(files[0])
+
+
+def _rendered(texture: Texture, hand: tuple[Any, ...], renderer: Renderer, seed: int) -> tuple[Array, dict[str, Any]]:
+    """Return the samples of a stroke, shape (n,), and what made them; by default 2 s at 80 mm/s and 0.8 N."""
+    stroke, units, recording_file, speed, force, seconds = hand
+    if all(option is None for option in (stroke, recording_file, speed, force, seconds)):
+        speed, force, seconds = 80.0, 0.8, 2.0
+    taken, source = stroke_given(stroke, units, recording_file, speed, force, seconds, texture.rate_hz)
+    samples = rendered_by(renderer, *taken.conditioned(float(texture.card["lowpass_hz"])))
+    unit = texture.card["units"].get("acceleration", "m/s^2")
+    return samples, {**provenance(texture, source, seed, False), "unit": unit}
+
+
+def _clip(texture: Texture, hand: tuple[Any, ...], full_scale: float | None, actuator: Path | None, seed: int) -> Clip:
     from foten.export.clip import RATE_HZ, clip_of
     from foten.runtime.actuator import read_profile
     from foten.runtime.renderer import Renderer
 
-    stroke, units, recording_file, speed, force, seconds, full_scale, actuator = given
-    if all(option is None for option in (stroke, recording_file, speed, force, seconds)):
-        speed, force, seconds = 80.0, 0.8, 2.0
-    taken, source = stroke_given(stroke, units, recording_file, speed, force, seconds, texture.rate_hz)
     profile = None if actuator is None else read_profile(actuator)
     renderer = Renderer(texture, rate=max(RATE_HZ, texture.rate_hz), seed=seed, actuator=profile)
-    samples = rendered_by(renderer, *taken.conditioned(float(texture.card["lowpass_hz"])))
-    about = {**provenance(texture, source, seed, False), "unit": "m/s²" if profile is None else profile.unit}
-    return clip_of(samples.astype(float), renderer.rate, about, full_scale)
+    samples, about = _rendered(texture, hand, renderer, seed)
+    if profile is not None:
+        about["unit"] = profile.unit
+    return clip_of(samples, renderer.rate, about, full_scale)
 
 
-def _write_clip(kind: str, clip: Clip, output: Path) -> str:
-    """Write a clip and return what its format keeps."""
+def _said(seconds: float, rate_hz: float, full_scale: float, unit: str, keeps: str) -> tuple[dict[str, Any], str]:
+    """Return what is said of a clip, as JSON has it and as text."""
+    from foten.recording.recording import RELATIVE
+
+    words = "times the recording's RMS" if unit == RELATIVE else unit.replace("^2", "²")
+    document = {"seconds": seconds, "rate_hz": rate_hz, "full_scale": full_scale, "unit": unit}
+    return document, f"{seconds:g} s, 1 is {full_scale:.3g} {words}; {keeps}"
+
+
+def _write_raw(texture: Texture, hand: tuple[Any, ...], seed: int, output: Path) -> tuple[dict[str, Any], str]:
+    from foten.export.samples import KEEPS_WAV_RAW, write_raw_wav
+    from foten.runtime.renderer import Renderer
+
+    renderer = Renderer(texture, seed=seed)
+    acceleration, about = _rendered(texture, hand, renderer, seed)
+    write_raw_wav(acceleration, renderer.rate, about, output)
+    return _said(acceleration.size / renderer.rate, renderer.rate, 1.0, about["unit"], KEEPS_WAV_RAW)
+
+
+def _write_clip(kind: str, clip: Clip, output: Path) -> tuple[dict[str, Any], str]:
     from foten.export import ahap, android, haptic, hjif, samples
 
     writers: dict[str, tuple[Callable[[Clip, Path], None], str]] = {
@@ -126,17 +172,17 @@ def _write_clip(kind: str, clip: Clip, output: Path) -> str:
     }
     write, keeps = writers[kind]
     write(clip, output)
-    return keeps
+    return _said(clip.duration_s, clip.rate_hz, clip.full_scale, clip.about["unit"], keeps)
 
 
-def _write_header(texture: Texture, _file: Path, output: Path) -> tuple[dict[str, Any], str]:
+def _write_header(texture: Texture, output: Path) -> tuple[dict[str, Any], str]:
     from foten.export import c_header
 
     name = c_header.write_c_header(texture, output)
     return {"name": name}, f"{name}, {output.stat().st_size / 1e3:.0f} kB of text; {c_header.KEEPS}"
 
 
-def _write_onnx(texture: Texture, _file: Path, output: Path) -> tuple[dict[str, Any], str]:
+def _write_onnx(texture: Texture, output: Path) -> tuple[dict[str, Any], str]:
     from foten.export import onnx
     from foten.train.export import graph_of_texture
 
@@ -144,21 +190,24 @@ def _write_onnx(texture: Texture, _file: Path, output: Path) -> tuple[dict[str, 
     return {}, onnx.KEEPS
 
 
-def _write_site(_texture: Texture, file: Path, output: Path) -> tuple[dict[str, Any], str]:
+def _write_site(files: list[Path], output: Path) -> tuple[dict[str, Any], str]:
     from foten.export import web
+    from foten.recording.inspection.values import counted
     from foten.studio.server import page_files
     from foten.studio.shelf import Shelf
 
-    shelf = Shelf([file])
-    web.write_site(page_files(), shelf.listed(), shelf.files(), output)
-    return {}, f"{web.KEEPS}; put the folder on any host, and open it by HTTPS"
+    shelf = Shelf(files)
+    listed = shelf.listed()
+    web.write_site(page_files(), listed, shelf.files(), output)
+    document = {"textures": [one["file"] for one in listed["textures"]]}
+    return document, f"{counted(len(shelf), 'texture')}; {web.KEEPS}; put the folder on any host, and open it by HTTPS"
 
 
-def _write_unity(texture: Texture, _file: Path, output: Path) -> tuple[dict[str, Any], str]:
+def _write_unity(texture: Texture, output: Path) -> tuple[dict[str, Any], str]:
     from foten.export import unity
 
     name = unity.write_unity(texture, output)
     return {"name": name}, f"{name}; {unity.KEEPS}; put the folder into the Packages of a project"
 
 
-_WHOLE = {"c": _write_header, "onnx": _write_onnx, "web": _write_site, "unity": _write_unity}
+_WHOLE = {"c": _write_header, "onnx": _write_onnx, "unity": _write_unity}

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
+from foten.atomic_write import reason
 from foten.cli.console import say
 
 if TYPE_CHECKING:
@@ -22,7 +23,8 @@ def serve(
     host: Annotated[
         str,
         Option(
-            help="Address to listen at: 127.0.0.1 for this machine alone, 0.0.0.0 for the network, by HTTPS and a token."
+            help="Address to listen at: 127.0.0.1 for this machine alone, 0.0.0.0 for the network, by HTTPS and a token. Each "
+            "link lets one device in; the next is printed then."
         ),
     ] = "127.0.0.1",
     port: Annotated[int, Option(min=0, max=65535, help="0 for any that is free.")] = 8000,
@@ -71,7 +73,12 @@ def serve(
         wired.check()
     shelf = Shelf(textures or [])
     for kept in sorted(captures.glob(f"*/*{SUFFIX}")):
-        shelf.put(kept)
+        try:
+            shelf.put(kept)
+        except (OSError, ValueError) as error:  # one bad capture is no reason not to start
+            why = reason(error) if isinstance(error, OSError) else str(error)
+            why = why.removeprefix(f"{kept}: ").removeprefix(f"{kept.name}: ")
+            say(f"left out {kept}: {' '.join(why.split())}")
     studio = Studio(shelf, captures, wired)
 
     def on_start(access: Access, shown: str) -> None:
@@ -79,9 +86,8 @@ def serve(
         many = f"{len(studio.shelf)} texture{'s' if len(studio.shelf) != 1 else ''}"
         say(f"{many} at {link}")
         if access.token is not None:
-            import segno
-
-            segno.make(link, error="l").terminal(out=sys.stderr, compact=True)
+            _say_code(link)
+            say("the link lets one device in; once it is used, the next is printed")
             say("the tablet warns once: the certificate was made here, for this start, and no one else vouches for it")
         say("Ctrl-C ends it")
         if open_page and access.token is None:
@@ -89,4 +95,15 @@ def serve(
 
             webbrowser.open(link)
 
-    serve_studio(studio, host, port, on_start)
+    def on_joined(access: Access, shown: str) -> None:
+        link = access.link(shown)
+        say(f"a device came in; for the next one: {link}")
+        _say_code(link)
+
+    serve_studio(studio, host, port, on_start, on_joined)
+
+
+def _say_code(link: str) -> None:
+    import segno
+
+    segno.make(link, error="l").terminal(out=sys.stderr, compact=True)

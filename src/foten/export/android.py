@@ -1,11 +1,20 @@
 """For Android: a waveform of amplitudes, and an envelope of amplitude and frequency, in one JSON file.
 
     val vibration = VibrationEffect.createWaveform(timings, amplitudes, -1)     // "waveform", since Android 8
-    val builder = VibrationEffect.WaveformEnvelopeBuilder()                     // "envelope", Android 16
-    envelope.forEach { builder.addControlPoint(it.amplitude, it.frequency_hz, it.duration_ms) }
 
-Keeps the envelope, not the waveform. Frequencies that a phone's profile does not have it leaves out: clamp them to
-`getFrequencyProfile()`.
+    val has = vibrator.frequencyProfile!!               // "envelope", Android 16, where areEnvelopeEffectsSupported()
+    val builder = VibrationEffect.WaveformEnvelopeBuilder()
+    envelope.forEach {
+        val hertz = it.frequency_hz.coerceIn(has.minFrequencyHz, has.maxFrequencyHz)
+        builder.addControlPoint(it.amplitude, hertz, it.duration_ms)
+    }
+
+Keeps the envelope, not the waveform. Control points are 20 ms to 1 s apart, which every phone with envelopes takes; some take
+closer ones (`getMinControlPointDurationMillis()`). Android plays no effect that holds a frequency which the phone does not have,
+and corrects none: clamp them to its profile. A phone takes 16 points or more at once (`getMaxSize()`); an effect of more points
+is broken down by Android itself.
+
+Source: Android's reference of `VibratorEnvelopeEffectInfo` and `WaveformEnvelopeBuilder`.
 """
 
 from __future__ import annotations
@@ -16,21 +25,27 @@ from pathlib import Path
 import numpy as np
 
 from foten.atomic_write import atomic_write
+from foten.dsp import Array
 from foten.export.clip import Clip, envelopes_of
 
-KEEPS = "Android's formats keep the envelope, not the waveform"
 STEP_MS = 10  # of the waveform of amplitudes
+LEAST_MS = 20  # from one control point to the next; a phone may guarantee no less
+KEEPS = (
+    f"Android's formats keep the envelope, not the waveform: control points at least {LEAST_MS} ms apart, which a phone takes "
+    "16 or more of at once (getMaxSize()); clamp their frequencies to its getFrequencyProfile()"
+)
 
 
 def write_android(clip: Clip, path: Path) -> None:
-    """Write a clip."""
+    """Write a clip; one shorter than 20 ms has one control point, of 20 ms."""
     envelopes = envelopes_of(clip)
     times, levels = envelopes.amplitude.T
     n = max(1, int(np.ceil(1000 * clip.duration_s / STEP_MS)))
     middles = (np.arange(n) + 0.5) * STEP_MS / 1000
     amplitudes = np.round(255 * np.sqrt(np.interp(middles, times, levels))).astype(int)
-    points = np.unique(np.maximum(1, np.round(1000 * times).astype(int)))
-    durations = np.diff(points, prepend=0)
+    last = max(LEAST_MS, round(1000 * clip.duration_s))
+    points = np.round(np.linspace(0, last, last // LEAST_MS + 1)).astype(int)[1:]
+    each_ms = (np.arange(last) + 0.5) / 1000
     document = {
         "format": "foten-android",
         "version": 1,
@@ -39,9 +54,18 @@ def write_android(clip: Clip, path: Path) -> None:
         "envelope": [
             {"amplitude": round(float(a), 4), "frequency_hz": round(float(f), 1), "duration_ms": int(d)}
             for a, f, d in zip(
-                np.interp(points / 1000, times, levels), envelopes.hertz(points / 1000), durations, strict=True
+                _around(points, np.interp(each_ms, times, levels)),
+                _around(points, envelopes.hertz(each_ms)),
+                np.diff(points, prepend=0),
+                strict=True,
             )
         ],
     }
     with atomic_write(path) as part:
         part.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+
+
+def _around(points: Array, values: Array) -> Array:
+    """Return the mean of values, one a ms, around each point [ms]: from halfway to the one before to halfway to the next."""
+    begins = np.concatenate([points[:1] // 2, (points[:-1] + points[1:]) // 2])
+    return np.add.reduceat(values, begins) / np.diff(begins, append=values.size)

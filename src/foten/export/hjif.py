@@ -1,7 +1,8 @@
 """MPEG's HJIF (ISO/IEC 23090-31): the waveform sample by sample, or a chirp that follows its envelopes.
 
 Source: the members that the reference software reads and what its synthesizer does: a curve needs three keyframes or more and
-position 0, and its last sample is not rendered, so that one more is written; a vectorial wave counts in milliseconds.
+position 0, and its last sample is not rendered, so that one more is written; a vectorial wave counts in milliseconds. A stroke
+is a vibration in time; what MPEG calls a vibrotactile texture counts along the surface, and has no duration.
 """
 
 from __future__ import annotations
@@ -41,8 +42,8 @@ def write_hjif(clip: Clip, path: Path, parametric: bool = False) -> None:
         "id": 0,
         "avatar_id": 1,
         "description": str(clip.about.get("texture", "")),
-        "perception_modality": "Vibrotactile Texture",
-        "unit_exponent": -3,
+        "perception_modality": "Vibrotactile",
+        "unit_exponent": -3,  # both are what a reader takes where they are left out; the timescale counts
         "perception_unit_exponent": 0,
         "reference_devices": [],
         "effect_library": [],

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-KEEPS = "the page keeps the whole texture, and renders it in the browser"
+KEEPS = "the page keeps the textures whole, and renders them in the browser"
 
 
 def write_site(

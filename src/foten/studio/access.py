@@ -1,4 +1,7 @@
-"""Who may talk to the server: the names that it answers to, its own pages, the token in its link; a certificate for a network."""
+"""Who may talk to the server: the names that it answers to, its own pages, devices that came by its link; a certificate.
+
+The token in a link lets one device in: it is exchanged for a secret of that device, in a cookie, and the next link has another.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,8 @@ import datetime
 import hmac
 import ipaddress
 import secrets
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from http.cookies import SimpleCookie
 from pathlib import Path
 from typing import Any
@@ -39,11 +42,13 @@ HEADERS = {
 
 @dataclass(frozen=True)
 class Access:
-    """The names that the server answers to, and the token that a page has to know; none on this machine alone."""
+    """The names that the server answers to, and the token that lets the next device in; none on this machine alone."""
 
     hosts: tuple[str, ...]  # without ports
     port: int
     token: str | None = field(default=None, repr=False)
+    on_joined: Callable[[Access], None] | None = field(default=None, repr=False, compare=False)
+    """Given the access with the next token, each time that one was used up."""
 
     @property
     def scheme(self) -> str:
@@ -59,27 +64,35 @@ class Access:
         """Return whether a Host header names this server: another name that leads here is a page of someone else."""
         try:
             parts = urlsplit(f"//{authority}")
-            return parts.hostname in self.hosts and (parts.port or (80 if self.scheme == "http" else 443)) == self.port
+            hosts = [host.lower() for host in self.hosts]  # as `hostname` is
+            return parts.hostname in hosts and (parts.port or (80 if self.scheme == "http" else 443)) == self.port
         except ValueError:
             return False
 
     def admits(self, given: str | None) -> bool:
         """Return whether a token is the right one."""
-        return self.token is None or (given is not None and hmac.compare_digest(given.encode(), self.token.encode()))
+        return self.token is None or (given is not None and _same(given, self.token))
+
+    def renewed(self) -> Access:
+        """Return the access with another token."""
+        return replace(self, token=_secret())
 
 
-def access_to(host: str, port: int, addresses: Sequence[str] = ()) -> Access:
+def access_to(
+    host: str, port: int, addresses: Sequence[str] = (), on_joined: Callable[[Access], None] | None = None
+) -> Access:
     """Return the access to a server that listens at a host: with a token where that is not this machine alone."""
-    if host in LOOPBACK:
+    if host.lower() in LOOPBACK:
         return Access(LOOPBACK, port)
-    return Access(tuple(dict.fromkeys((host, *addresses, *LOOPBACK))), port, secrets.token_urlsafe(24))
+    return Access(tuple(dict.fromkeys((host, *addresses, *LOOPBACK))), port, _secret(), on_joined)
 
 
 class Guarded:
-    """An application behind its access: wrong hosts, origins and tokens are refused with a reason before it is asked."""
+    """An application behind its access: wrong hosts, origins and strange devices are refused with a reason before it is asked."""
 
     def __init__(self, app: ASGIApp, access: Access) -> None:
-        self._app, self._access = app, access
+        self._app, self._access = app, access  # the access is that of the newest link
+        self._devices: list[str] = []  # the secrets of those that came in
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
@@ -88,15 +101,16 @@ class Guarded:
             return
         headers = Headers(scope=scope)
         query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
-        why = self._refused(headers, scope, query.get("token", [None])[0])
+        token, known = query.get("token", [None])[0], self._knows(_cookie(headers))
+        why = self._refused(headers, scope, token, known)
         if why:
             await _refuse(scope, receive, send, why)
             return
-        if scope["type"] == "http" and self._access.token is not None and "token" in query:
-            # The token leaves the address, where others could read it, and stays in a cookie that scripts cannot read.
-            response = RedirectResponse(scope["path"] or "/", status_code=303)
-            response.set_cookie(COOKIE, self._access.token, httponly=True, samesite="strict", secure=True)
-            await response(scope, receive, send)
+        if token is not None and self._access.token is not None and scope.get("method") == "GET":
+            if not known and _ahead(headers):
+                await _refuse(scope, receive, send, "open the link: it lets in who opens it, not who looks ahead", 503)
+                return
+            await self._enter(scope, receive, send, known)
             return
 
         async def send_with_headers(message: Message) -> None:
@@ -108,17 +122,53 @@ class Guarded:
 
         await self._app(scope, receive, send_with_headers)
 
-    def _refused(self, headers: Headers, scope: Scope, token: str | None) -> str:
+    async def _enter(self, scope: Scope, receive: Receive, send: Send, known: bool) -> None:
+        """Send a device on to the address without the token, where others could read it; a new one gets a secret of its own."""
+        # One slash in front: two would be the address of another host.
+        response = RedirectResponse("/" + scope["path"].lstrip("/"), status_code=303)
+        if known:
+            await response(scope, receive, send)
+            return
+        access = self._access = self._access.renewed()
+        self._devices.append(_secret())
+        # A cookie that scripts cannot read. `lax`, as `strict` ones stay away from a page that was opened by a link on another.
+        response.set_cookie(COOKIE, self._devices[-1], httponly=True, samesite="lax", secure=True)
+        try:
+            await response(scope, receive, send)
+        finally:  # the old link is used up, even where nobody took the answer
+            if access.on_joined is not None:
+                access.on_joined(access)
+
+    def _knows(self, secret: str | None) -> bool:
+        return secret is not None and any([_same(secret, one) for one in self._devices])
+
+    def _refused(self, headers: Headers, scope: Scope, token: str | None, known: bool) -> str:
         host = headers.get("host", "")
         if not self._access.knows(host):
             return f"this server does not answer to {host[:80]!r}: open the link that it printed"
         origin = headers.get("origin")
         own = f"{self._access.scheme}://{host}"
-        if (scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")) and origin != own:
+        asks = scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
+        if not asks and str(origin).lower() != own.lower():
             return f"the origin is {str(origin)[:80]!r}, expected this server's own page"
-        if not self._access.admits(token or _cookie(headers)):
-            return "the token is missing or wrong: open the link, or scan the code, that the server printed"
+        if not known and not self._access.admits(token if asks else None):
+            what = "the token is missing, wrong or used, as a link lets one device in"
+            return f"{what}: open the newest link, or scan the newest code, that the server printed"
         return ""
+
+
+def _secret() -> str:
+    return secrets.token_urlsafe(24)
+
+
+def _same(given: str, expected: str) -> bool:
+    return hmac.compare_digest(given.encode(), expected.encode())
+
+
+def _ahead(headers: Headers) -> bool:
+    """Return whether a browser fetches what nobody opened yet."""
+    purpose = [headers.get(name, "") for name in ("sec-purpose", "purpose", "x-purpose", "x-moz")]
+    return any(word in one.lower() for one in purpose for word in ("prefetch", "prerender", "preview"))
 
 
 def _cookie(headers: Headers) -> str | None:
@@ -129,12 +179,12 @@ def _cookie(headers: Headers) -> str | None:
     return None if morsel is None else morsel.value
 
 
-async def _refuse(scope: Scope, receive: Receive, send: Send, why: str) -> None:
+async def _refuse(scope: Scope, receive: Receive, send: Send, why: str, status: int = 403) -> None:
     if scope["type"] == "websocket":
         await receive()
         await send({"type": "websocket.close", "code": 1008, "reason": why[:120]})
         return
-    await PlainTextResponse(f"{why}\n", status_code=403)(scope, receive, send)
+    await PlainTextResponse(f"{why}\n", status_code=status)(scope, receive, send)
 
 
 def write_certificate(folder: Path, hosts: Iterable[str]) -> tuple[Path, Path]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +16,28 @@ from foten.runtime.renderer import Renderer
 from foten.runtime.stylus import PressureCalibration, Stylus
 from foten.studio.players import Player
 
-LOUDNESS = 0.1  # of full scale, of a recording's standard deviation at 0 dB; the page has the same
+# The page's own, in `sound.js` and `worklet.js`, so that both paths sound the same.
+LOUDNESS = 0.1  # of full scale, of a recording's standard deviation at 0 dB
+LINEAR = 0.8  # of full scale; beyond, what leaves is compressed and never reaches it
+FADE_S = 512 / 48_000  # of a change from one texture to another
+LAST_EVENTS = 16  # that a texture is given which takes over during a stroke
 
 OnBlock = Callable[[NDArray[np.float32], float, float], None]
 """Given what was rendered [m/s²] and the speed [mm/s] and force [N] of its last sample, in the rendering thread."""
 
 
+@dataclass
+class _Hand:
+    """A texture under the pen."""
+
+    renderer: Renderer
+    stylus: Stylus
+    scale: float  # what the player is given for one of what is rendered, at 0 dB
+    sd: float  # of the recording
+
+
 class Contact:
-    """Events in, vibration out of a sink, from `open` to `close`.
+    """Events in, vibration out of a player, from `open` to `close`.
 
     Args:
         player: takes what is rendered, in full scale or, where it is calibrated, as it is.
@@ -31,52 +47,80 @@ class Contact:
     def __init__(self, player: Player, on_block: OnBlock) -> None:
         self._on_block = on_block
         self._player, self._rate_hz = player, player.rate_hz
-        self._hand: tuple[Renderer, Stylus, float] | None = None
-        self._actuator = player.actuator
-        self._volume = 1.0
-        self._changing = threading.Lock()
-        self._started = False
+        self._actuator, self._full_scale = player.actuator, 1.0
+        self._hand: _Hand | None = None
+        self._leaving: _Hand | None = None
+        self._fade = np.linspace(1.0, 0.0, max(2, round(FADE_S * player.rate_hz)), dtype=np.float32)
+        self._faded = 0  # samples of it that are behind
+        self._volume, self._volume_was = 1.0, None  # type: float, float | None
+        self._last: deque[list[float]] = deque(maxlen=LAST_EVENTS)
+        # Of what is rendered, of the events, and of the beginning and the end; taken in this order's reverse.
+        self._changing, self._pushing, self._starting = threading.Lock(), threading.Lock(), threading.Lock()
+        self._started = self._closed = False
 
-    def open(self, texture: bytes, calibration: PressureCalibration) -> None:
-        """Put a texture under the pen; the first one begins to play.
+    def open(self, texture: bytes, calibration: PressureCalibration, seed: int = 0) -> None:
+        """Put a texture under the pen, in the middle of a stroke too; the first one begins to play.
 
         Raises:
             ValueError: it is no texture file, or its rate and the player's do not go together.
-            OSError: the player's device refuses.
+            OSError: the player's device refuses, or the contact was closed meanwhile.
         """
-        renderer = Renderer(texture, rate=self._rate_hz, actuator=self._actuator)
-        scale = 1.0 if self._player.calibrated else LOUDNESS / renderer.native_texture.info.acceleration_sd
-        with self._changing:
-            self._hand = renderer, Stylus(renderer, calibration), scale
-        if not self._started:
-            self._started = True
-            self._player.start(self._render)
+        renderer = Renderer(texture, rate=self._rate_hz, seed=seed, actuator=self._actuator)
+        sd = float(renderer.native_texture.info.acceleration_sd)
+        hand = _Hand(renderer, Stylus(renderer, calibration), 1.0, sd)
+        hand.scale = self._scale(hand)
+        with self._pushing, self._changing:
+            for event in self._last:
+                hand.stylus.push(*event)
+            self._leaving, self._hand, self._faded = self._hand, hand, 0
+        with self._starting:
+            if self._closed:
+                raise OSError("the page has left")
+            if not self._started:
+                self._started = True
+                self._player.start(self._render)
+
+    def _scale(self, hand: _Hand) -> float:
+        if self._player.calibrated:
+            return 1.0
+        return 1 / self._full_scale if self._actuator is not None else LOUDNESS / hand.sd
 
     def calibrate(self, calibration: PressureCalibration) -> None:
         """Take another curve of pressure from now on."""
-        with self._changing:
+        with self._pushing, self._changing:
             if self._hand is not None:
-                renderer, _, scale = self._hand
-                self._hand = renderer, Stylus(renderer, calibration), scale
+                self._hand.stylus = Stylus(self._hand.renderer, calibration)
+                for event in self._last:
+                    self._hand.stylus.push(*event)
 
-    def actuate(self, actuator: ActuatorProfile) -> None:
-        """Render an actuator's drive from now on, but where the player has one of its own."""
-        if self._player.actuator is None:
-            self._actuator = actuator
-            with self._changing:
-                if self._hand is not None:
-                    self._hand[0].native_state.set_actuator(actuator.native())
+    def actuate(self, actuator: ActuatorProfile | None, full_scale: float = 1.0) -> None:
+        """Render an actuator's drive from now on, of which so much is full scale; None renders acceleration. Where the player has
+        an actuator of its own, that stays.
+        """
+        if self._player.actuator is not None:
+            return
+        with self._changing:
+            self._actuator, self._full_scale = actuator, full_scale
+            if self._hand is not None:
+                self._hand.renderer.native_state.set_actuator(None if actuator is None else actuator.native())
+                self._hand.scale = self._scale(self._hand)
 
     def set_volume(self, db: float) -> None:
         """Set the volume [dB]."""
         self._volume = 10.0 ** (db / 20.0)
 
+    @property
+    def gain(self) -> float:
+        """Return what the player is given for one of what is rendered."""
+        return self._volume * (self._hand.scale if self._hand is not None else 1.0)
+
     def push(self, events: NDArray[np.float64]) -> None:
         """Take in events: x, y [mm], pressure, t [s], shape (n, 4)."""
-        if self._hand is not None:
-            stylus = self._hand[1]
+        with self._pushing:
             for event in events.tolist():
-                stylus.push(*event)
+                self._last.append(event)
+                if self._hand is not None:
+                    self._hand.stylus.push(*event)
 
     @property
     def running(self) -> bool:
@@ -93,18 +137,53 @@ class Contact:
         """Return what the stylus counted of its events."""
         if self._hand is None:
             return {}
-        stats = self._hand[1].stats
+        stats = self._hand.stylus.stats
         return {name: int(getattr(stats, name)) for name, *_ in type(stats)._fields_}
 
     def close(self) -> None:
-        """End playing and give the device back; raises what it died of."""
-        self._started = False
+        """End playing for good, and give the device back; raises what it died of."""
+        with self._starting:
+            self._closed = True
         self._player.stop()
 
     def _render(self, out: Samples) -> None:
         with self._changing:
-            assert self._hand is not None
-            renderer, stylus, scale = self._hand
-            stylus.render_into(out)
-        self._on_block(out, *renderer.condition)
-        out *= scale * self._volume  # and what is beyond a device's range, the device cuts
+            hand = self._hand
+            assert hand is not None
+            hand.stylus.render_into(out)
+            speed, force = hand.renderer.condition
+            leaving = self._leaving
+            left = None
+            if leaving is not None:
+                left = np.empty_like(out)
+                leaving.stylus.render_into(left)
+            volume = self._volume_was if self._volume_was is not None else self._volume, self._volume
+            self._volume_was = self._volume
+        self._on_block(out, speed, force)
+        out *= hand.scale
+        if leaving is not None and left is not None:
+            self._cross(out, left, leaving)
+        out *= np.linspace(*volume, out.size, dtype=np.float32)
+        if not self._player.calibrated:
+            limit(out)
+
+    def _cross(self, out: Samples, left: Samples, leaving: _Hand) -> None:
+        """Fade from what leaves to what takes over."""
+        share = np.zeros(out.size, dtype=np.float32)
+        part = self._fade[self._faded : self._faded + out.size]
+        share[: part.size] = part
+        out += share * (leaving.scale * left - out)
+        with self._changing:
+            self._faded += out.size
+            if self._faded >= self._fade.size and self._leaving is leaving:
+                self._leaving = None
+
+
+def limit(samples: Samples) -> None:
+    """Compress, in place, what is beyond `LINEAR` of full scale."""
+    size = np.abs(samples)
+    if size.max(initial=0.0) <= LINEAR:
+        return
+    room = 1 - LINEAR
+    beyond = np.sign(samples) * (LINEAR + room * np.tanh((size - LINEAR) / room))
+    np.copyto(samples, beyond.astype(np.float32), where=size > LINEAR)

@@ -6,7 +6,8 @@ Text is JSON, one object with `do`. A page that strokes says:
      "newtons": 0.13, "steepness": 3.32}
     {"do": "volume", "volume_db": -6}
     {"do": "calibrate", "newtons": 0.13, "steepness": 3.32}
-    {"do": "actuate", "resonance_hz": 80, "damping": 0.3, "gain": 40, "lowest_hz": 20, "limit": 2}
+    {"do": "actuate", "resonance_hz": 80, "damping": 0.3, "gain": 40, "lowest_hz": 20, "limit": 2, "full_scale": 2}
+    {"do": "actuate"}                               without an actuator
     {"do": "close"}
 
 Bytes are events of a pen, 1 to `MOST_EVENTS` at once, each four little-endian float64: x and y [mm], pressure 0 … 1 (0 is
@@ -59,6 +60,7 @@ _NUMBERS: Mapping[str, tuple[float, float]] = {
     "gain": (-1e6, 1e6),
     "lowest_hz": (0.0, 1e6),
     "limit": (0.0, 1e6),
+    "full_scale": (1e-6, 1e6),
 }
 _SINKS = ("stream", "device")
 Kinds = Mapping[str, tuple[frozenset[str], frozenset[str]]]
@@ -66,7 +68,7 @@ STROKE: Kinds = {
     "open": (frozenset({"texture"}), frozenset({"sink", "rate_hz", "volume_db", "newtons", "steepness"})),
     "volume": (frozenset({"volume_db"}), frozenset()),
     "calibrate": (frozenset({"newtons", "steepness"}), frozenset()),
-    "actuate": (frozenset({"resonance_hz", "damping", "gain", "lowest_hz", "limit"}), frozenset()),
+    "actuate": (frozenset(), frozenset({"resonance_hz", "damping", "gain", "lowest_hz", "limit", "full_scale"})),
     "close": (frozenset(), frozenset()),
 }
 CAPTURE: Kinds = {

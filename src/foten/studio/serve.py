@@ -50,19 +50,28 @@ def listening(host: str, port: int) -> socket.socket:
     return listener
 
 
-def serve(studio: Studio, host: str, port: int, on_start: Callable[[Access, str], None]) -> None:
-    """Serve until Ctrl-C or SIGTERM; `on_start` is given the access and the host to open, once it listens.
+def serve(
+    studio: Studio,
+    host: str,
+    port: int,
+    on_start: Callable[[Access, str], None],
+    on_joined: Callable[[Access, str], None],
+) -> None:
+    """Serve until Ctrl-C or SIGTERM.
+
+    `on_start` is given the access and the host to open, once it listens; `on_joined` the access with the next link, once a
+    device came in by the one before.
 
     Raises:
         OSError: it cannot listen there.
     """
     with listening(host, port) as listener, contextlib.ExitStack() as stack:
         port = listener.getsockname()[1]
-        shown = host
         others = addresses() if host in ("0.0.0.0", "::") else []
-        if others:
-            shown = others[0]
-        access = access_to(host, port, others)
+        # Of this machine's own names the address that it listens at: another one may answer to `localhost`.
+        own = str(listener.getsockname()[0]) if host.lower() in LOOPBACK else host
+        shown = others[0] if others else own
+        access = access_to(host, port, others, lambda renewed: on_joined(renewed, shown))
         files: dict[str, str] = {}
         if access.token is not None:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="foten-")))
@@ -80,7 +89,7 @@ def serve(studio: Studio, host: str, port: int, on_start: Callable[[Access, str]
             **files,  # type: ignore[arg-type]
         )
         server = uvicorn.Server(config)
-        with _said_once(server, lambda: on_start(access, "127.0.0.1" if shown in LOOPBACK else shown)):
+        with _said_once(server, lambda: on_start(access, shown)):
             server.run(sockets=[listener])
 
 

@@ -3,6 +3,7 @@
     GET  /                          the page, and its files
     GET  /textures.json             what is on the shelf
     GET  /textures/KEY              a texture file; /pictures/… its photograph
+    GET  /gains?texture=A&texture=B  what makes methods of one texture equally loud [dB]
     GET  /state                     who strokes, and how rendering keeps up
     WS   /stroke                    events in, vibration out (`messages`)
     WS   /capture                   sound and events in, a texture out (`messages`)
@@ -35,10 +36,12 @@ from foten import __version__
 from foten.runtime.actuator import ActuatorProfile
 from foten.runtime.binding import kernel_file
 from foten.runtime.live.devices import SOUND_RATE_HZ
+from foten.runtime.renderer import Renderer
 from foten.runtime.stylus import PressureCalibration
 from foten.studio.access import Access, Guarded
 from foten.studio.capturing import CapturePage, Trainings, why_not
 from foten.studio.contact import Contact
+from foten.studio.levels import gains_db
 from foten.studio.messages import (
     EVENTS_A_SECOND,
     MESSAGES_A_SECOND,
@@ -56,6 +59,7 @@ PAGE = Path(__file__).with_name("page")
 KERNEL = ("foten.mjs", "foten.wasm")
 MOST_PAGES = 64  # that stroke at once
 MOST_WAITING = 64  # blocks for a page that does not take them; the oldest go
+MOST_COMPARED = 16  # methods
 MOST_CAPTURING = 4  # pages at once, each of which holds its sound
 CAPTURES = Path("captures")  # below where the server is started
 CONDITION_BYTES = 8  # speed and force before the samples of a block
@@ -79,6 +83,7 @@ class Studio:
         }
         self.trainings = Trainings(captures, shelf)
         self.n_capturing = 0
+        self._matching = asyncio.Lock()
         self.pages: set[Page] = set()
         self.n_refused = 0
 
@@ -88,6 +93,7 @@ class Studio:
             Route("/textures.json", self._textures),
             Route("/textures/{key}", self._texture),
             Route("/pictures/{name}", self._picture),
+            Route("/gains", self._gains),
             Route("/state", self._state),
             WebSocketRoute("/stroke", self._stroke),
             WebSocketRoute("/capture", self._capture),
@@ -108,12 +114,28 @@ class Studio:
     async def _texture(self, request: Request) -> Response:
         entry = self.shelf.get(request.path_params["key"])
         if entry is None:
-            return _missing(f"there is no texture {request.path_params['key'][:80]!r} here")
+            return missing(f"there is no texture {request.path_params['key'][:80]!r} here")
         return FileResponse(entry.path, media_type="application/octet-stream")
 
     async def _picture(self, request: Request) -> Response:
         path = self.shelf.files().get(f"pictures/{request.path_params['name']}")
-        return _missing("there is no such picture here") if path is None else FileResponse(path)
+        return missing("there is no such picture here") if path is None else FileResponse(path)
+
+    async def _gains(self, request: Request) -> Response:
+        keys = request.query_params.getlist("texture")
+        entries = [self.shelf.get(key) for key in keys]
+        if not 2 <= len(keys) <= MOST_COMPARED or None in entries:
+            return missing(f"expected 2 to {MOST_COMPARED} textures of this server")
+
+        def matched() -> list[float]:
+            renderers = [Renderer(entry.path) for entry in entries if entry is not None]
+            return gains_db(renderers, [1 / one.native_texture.info.acceleration_sd for one in renderers])
+
+        try:
+            async with self._matching:  # a page that asks again and again waits for itself alone
+                return JSONResponse({"gains_db": await asyncio.to_thread(matched)})
+        except ValueError as error:
+            return missing(f"cannot be compared: {error}")
 
     async def _state(self, _request: Request) -> Response:
         pages = [page.state() for page in self.pages]
@@ -124,8 +146,8 @@ class Studio:
         name = request.path_params["name"] or "index.html"
         path = page_files().get(name)
         if path is None:
-            return _missing(f"there is no {name[:80]!r} here")
-        return FileResponse(path, media_type=_TYPES.get(path.suffix) or mimetypes.guess_type(name)[0])
+            return missing(f"there is no {name[:80]!r} here")
+        return FileResponse(path, media_type=content_type(path))
 
     async def _stroke(self, socket: WebSocket) -> None:
         await socket.accept()
@@ -161,6 +183,7 @@ class Page:
         self._loop = asyncio.get_running_loop()
         self._waiting: asyncio.Queue[bytes] = asyncio.Queue()
         self._contact: Contact | None = None
+        self._opening: Contact | None = None  # that does not play yet
         self._calibration = PressureCalibration()
         self._texture, self._sink, self._rate_hz = "", "", 0.0
         self._n_events = self._n_refused = self._n_unsent = 0
@@ -187,10 +210,12 @@ class Page:
 
     async def close(self) -> None:
         """End playing; a second time nothing happens."""
-        contact, self._contact = self._contact, None
-        if contact is not None:
-            with contextlib.suppress(OSError, ValueError):  # what it died of was said when it did
-                await asyncio.to_thread(contact.close)
+        contacts = self._contact, self._opening
+        self._contact = self._opening = None
+        for contact in contacts:
+            if contact is not None:
+                with contextlib.suppress(OSError, ValueError, RuntimeError):  # what it died of was said when it did
+                    await asyncio.to_thread(contact.close)
 
     def state(self) -> dict[str, Any]:
         """Return how the page does, for people."""
@@ -261,10 +286,13 @@ class Page:
         if self._contact is not None and (sink, rate_hz) != (self._sink, self._rate_hz):
             await self.close()
         try:
-            if self._contact is None:
-                self._contact = Contact(self._studio.players[sink](rate_hz), self._on_block)
             data = await asyncio.to_thread(entry.path.read_bytes)
-            await asyncio.to_thread(self._contact.open, data, self._calibration)
+            contact = self._contact
+            if contact is None:
+                player = await asyncio.to_thread(self._studio.players[sink], rate_hz)
+                contact = self._opening = Contact(player, self._on_block)
+            await asyncio.to_thread(contact.open, data, self._calibration)
+            self._contact, self._opening = contact, None
         except (OSError, ValueError) as error:
             await self.close()
             raise RefusedError(f"{entry.key} cannot be played: {error}") from error
@@ -273,9 +301,10 @@ class Page:
 
     def _actuate(self, message: Mapping[str, Any]) -> None:
         assert self._contact is not None
-        figures: dict[str, Any] = {name: value for name, value in message.items() if name != "do"}
+        figures: dict[str, Any] = {name: value for name, value in message.items() if name not in ("do", "full_scale")}
         try:
-            self._contact.actuate(ActuatorProfile(**figures))
+            actuator = ActuatorProfile(**figures) if figures else None
+            self._contact.actuate(actuator, float(message.get("full_scale", 1.0)))
         except ValueError as error:
             raise RefusedError(str(error)) from error
 
@@ -321,11 +350,17 @@ class Page:
 _TYPES = {".mjs": "text/javascript", ".js": "text/javascript", ".wasm": "application/wasm", ".html": "text/html"}
 
 
+def content_type(path: Path) -> str | None:
+    """Return what a browser is to take a file for, whatever this machine's registry says."""
+    return _TYPES.get(path.suffix) or mimetypes.guess_type(path.name)[0]
+
+
 def page_files() -> dict[str, Path]:
     """Return the files of the page by name, the kernel's among them."""
     files = {path.name: path for path in PAGE.iterdir() if path.is_file()}
     return files | {name: kernel_file(name) for name in KERNEL}
 
 
-def _missing(why: str) -> Response:
+def missing(why: str) -> Response:
+    """Return that something is not here, in a line."""
     return PlainTextResponse(f"{why}\n", status_code=404)

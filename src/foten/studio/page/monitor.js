@@ -3,14 +3,13 @@
 const SECONDS = 4;
 const HIGHEST_HZ = 1000, LOWEST_HZ = 20; // of the spectrogram: what skin feels
 const LOUDEST_DB = -24, RANGE_DB = 48;
+const METER_DB = 60, COMPRESSED_DB = -1.9; // of full scale
 const PERIOD = 128; // samples of a pair of peaks
 
 export class Monitor {
   constructor({ traces, spectrogram, numbers, meter }) {
     Object.assign(this, { traces, spectrogram, numbers, meter });
-    this.rate = 48000;
-    this.analyser = null;
-    this.clear();
+    this.listen(48000, null, null);
     this.colours();
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.colours());
     for (const canvas of [traces, spectrogram]) new ResizeObserver(() => this.resize(canvas)).observe(canvas);
@@ -32,8 +31,14 @@ export class Monitor {
     this.wake();
   }
 
+  /** Draw what an analyser is given at a rate, and how loud what leaves is, of another. */
+  listen(rate, analyser, output) {
+    Object.assign(this, { rate, analyser, output, bins: null });
+    this.clear();
+  }
+
   clear() {
-    const n = Math.ceil((SECONDS * 48000) / PERIOD);
+    const n = Math.ceil((SECONDS * this.rate) / PERIOD);
     this.peaks = new Float32Array(2 * n);
     this.conditions = []; // [frame, speed, force]
     this.frame = 0;
@@ -87,8 +92,22 @@ export class Monitor {
     this.numbers.acceleration.value = rms < 100 ? rms.toFixed(rms < 10 ? 2 : 1) : rms.toFixed(0);
     this.numbers.speed.value = speed.toFixed(0);
     this.numbers.force.value = force.toFixed(2);
-    const db = 20 * Math.log10(Math.max(1e-6, (rms / this.largest.acceleration) * 2));
-    this.meter.style.transform = `scaleX(${Math.min(1, Math.max(0, 1 + db / 40))})`;
+    this.drawMeter();
+  }
+
+  /** The peak of what leaves, falling 24 dB a second: red where it is compressed. */
+  drawMeter() {
+    if (!this.output) return;
+    this.leaving ??= new Float32Array(this.output.fftSize);
+    this.output.getFloatTimeDomainData(this.leaving);
+    let peak = 0;
+    for (const value of this.leaving) peak = Math.max(peak, Math.abs(value));
+    const now = performance.now(), fallen = (this.peakDb ?? -METER_DB) - ((now - (this.metered ?? now)) / 1000) * 24;
+    this.metered = now;
+    this.peakDb = Math.max(-METER_DB, fallen, 20 * Math.log10(Math.max(1e-6, peak)));
+    this.meter.style.transform = `scaleX(${1 + this.peakDb / METER_DB})`;
+    this.meter.parentElement.setAttribute("aria-valuenow", Math.round(this.peakDb));
+    this.meter.parentElement.classList.toggle("loud", this.peakDb > COMPRESSED_DB);
   }
 
   drawTraces() {

@@ -2,6 +2,7 @@
 
 const TRAIL_MS = 700;
 const CLOSER = 2; // than it is, a surface is looked at
+const LIGHTEST = 1e-3; // pressure of a pen that is down
 const STEP_MS = 8; // of a stroke by keys
 const KEYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const KEY_SPEED = 70; // mm/s
@@ -38,9 +39,9 @@ export class Pad {
     this.draw();
   }
 
-  /** A mouse and most fingers have no pressure: browsers say 0.5, or 0, while they are down. */
+  /** A mouse and most fingers have no pressure: browsers say 0.5, or 0, while they are down. A pen's 0 is the lightest touch. */
   pressure(e) {
-    return e.pointerType === "pen" && e.pressure > 0 ? e.pressure : this.force;
+    return e.pointerType === "pen" ? Math.max(e.pressure, LIGHTEST) : this.force;
   }
 
   inside(x, y) {

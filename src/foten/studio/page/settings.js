@@ -3,6 +3,49 @@
 const CARD_MM = 85.6; // the long side of a bank card, ISO/IEC 7810 ID-1
 const PAPER = { newtons: 0.13, steepness: 3.32 }; // Eq. 12
 const GRAM_N = 0.00980665;
+const STEADY = 0.03, STEADY_MS = 300; // pressure within which, and for how long, a pen is held still on the scale
+
+/** Return the median pressure of the longest stretch that a pen was held still, of [ms, pressure] in their order; null where it was not. */
+export function steady(samples) {
+  let best = null;
+  for (let from = 0, to = 0; from < samples.length; from++) {
+    let low = Infinity, high = -Infinity;
+    for (to = from; to < samples.length; to++) {
+      low = Math.min(low, samples[to][1]);
+      high = Math.max(high, samples[to][1]);
+      if (high - low > STEADY) break;
+    }
+    // What was said last holds until the next is said.
+    const lasted = (to < samples.length ? samples[to][0] : samples.at(-1)[0]) - samples[from][0];
+    if (lasted >= STEADY_MS && lasted > (best?.lasted ?? 0)) best = { lasted, from, to };
+  }
+  if (!best) return null;
+  const held = samples.slice(best.from, best.to).map(([, pressure]) => pressure).sort((a, b) => a - b);
+  return held[held.length >> 1];
+}
+
+const FIGURES = { resonance_hz: [0, 1e4], damping: [0, 100], gain: [-1e6, 1e6], lowest_hz: [0, 1e4], limit: [0, 1e6] };
+
+/** Return an actuator of a profile's text, or throw a line for people. */
+export function actuatorOf(text) {
+  let profile;
+  try {
+    profile = JSON.parse(text);
+  } catch {
+    throw new Error("this is no JSON, and no actuator's profile");
+  }
+  if (profile?.format !== "foten-actuator") throw new Error("this is no actuator's profile");
+  if (profile.version !== 1) throw new Error(`its version is ${profile.version}, expected 1`);
+  const figures = { resonance_hz: 0, damping: 0.25, gain: 1, lowest_hz: 20, limit: 0, ...profile };
+  for (const [name, [low, high]] of Object.entries(FIGURES))
+    if (typeof figures[name] !== "number" || !(figures[name] >= low && figures[name] <= high)) throw new Error(`${name} is ${figures[name]}, expected ${low} to ${high}`);
+  if (figures.gain === 0) throw new Error("gain is 0, expected m/s² for one unit of drive");
+  const unit = typeof profile.unit === "string" ? profile.unit : "V";
+  return {
+    name: String(profile.name || ""), unit, resonanceHz: figures.resonance_hz, damping: figures.damping, gain: figures.gain, lowestHz: figures.lowest_hz, limit: figures.limit,
+    fullScale: unit === "full scale" ? 1 : figures.limit || 1,
+  };
+}
 
 /** Return a and b of force = a exp(b pressure) nearest to pairs [pressure, N] in the mean square of force. Throws what is missing. */
 export function fitted(pairs) {
@@ -38,7 +81,7 @@ export class Settings {
   constructor(dialog, sound, pad) {
     Object.assign(this, { dialog, sound, pad });
     this.calibration = JSON.parse(localStorage.getItem("calibration") ?? "null") ?? PAPER;
-    this.actuator = null;
+    this.actuator = JSON.parse(localStorage.getItem("actuator") ?? "null");
     this.weighings = [];
     dialog.innerHTML = `
       <form method="dialog"><button class="icon close" aria-label="Close"><svg viewBox="0 0 24 24" aria-hidden="true"><path d="m6 6 12 12M18 6 6 18"/></svg></button></form>
@@ -55,7 +98,8 @@ export class Settings {
       <div id="card"></div>
       <input id="size" type="range" min="120" max="900" step="1" aria-label="length of the bar">
       <h3>Actuator</h3>
-      <div class="row"><label class="plain" tabindex="0">Open a profile<input id="profile" type="file" accept=".json" hidden></label><output id="actuator">none: acceleration is played as it is</output></div>
+      <div class="row"><button id="profile-open" class="plain" type="button">Open a profile</button><button id="profile-none" class="plain" type="button" hidden>None</button><input id="profile" type="file" accept=".json" hidden><output id="actuator"></output></div>
+      <div class="row" id="drive" hidden><label for="full-scale">Full scale of the output is</label><input id="full-scale" type="number" min="0" step="any"><span id="drive-unit"></span></div>
       <h3>Delay</h3>
       <table aria-label="Delay"><tr><td></td><th>median</th><th>99 %</th></tr>
         <tr><th>pen to graph</th><td id="own50"></td><td id="own99"></td></tr><tr><th>pen to sound</th><td id="all50"></td><td id="all99"></td></tr></table>
@@ -66,13 +110,17 @@ export class Settings {
     $("volume").value = Number(localStorage.getItem("volume") ?? sound.volumeDb);
     $("volume").addEventListener("input", () => this.setVolume());
     this.setVolume();
-    for (const type of ["pointerdown", "pointermove"]) $("weigh").addEventListener(type, (e) => this.weigh(e));
+    for (const type of ["pointerdown", "pointermove", "pointerup", "pointercancel"]) $("weigh").addEventListener(type, (e) => this.weigh(e));
     $("add").addEventListener("click", () => this.add());
     $("paper").addEventListener("click", () => this.setCalibration(PAPER, (this.weighings = [])));
     $("size").value = Math.round(CARD_MM / pad.mmPerPx);
     $("size").addEventListener("input", () => this.setSize());
     $("profile").addEventListener("change", (e) => this.open(e.target.files[0]));
+    $("profile-open").addEventListener("click", () => $("profile").click());
+    $("profile-none").addEventListener("click", () => this.setActuator(null));
+    $("full-scale").addEventListener("input", () => Number($("full-scale").value) > 0 && this.setActuator({ ...this.actuator, fullScale: Number($("full-scale").value) }));
     $("path").addEventListener("change", () => this.choose());
+    sound.addEventListener("path", ({ detail }) => ($("path").value = detail));
     $("buffer").value = localStorage.getItem("buffer") ?? "quick";
     $("buffer").addEventListener("change", () => {
       localStorage.setItem("buffer", $("buffer").value);
@@ -80,6 +128,7 @@ export class Settings {
     });
     this.setSize(false);
     this.curve();
+    this.setActuator(this.actuator, false);
   }
 
   /** Offer the server's sound, where there is one. */
@@ -107,7 +156,7 @@ export class Settings {
   /** Tell a sound that has begun what was chosen. */
   apply() {
     this.sound.calibrate(this.calibration);
-    if (this.actuator) this.sound.actuate(this.actuator);
+    if (this.actuator) this.setActuator(this.actuator);
   }
 
   show() {
@@ -127,11 +176,24 @@ export class Settings {
     this.sound.setVolume(db);
   }
 
+  /** A pen that leaves the scale presses less and less: what counts is where it was held still. */
   weigh(e) {
-    if (!e.buttons) return;
-    this.pressure = e.pressure;
-    this.$("pressure").value = e.pressure.toFixed(2);
-    if (e.pointerType !== "pen") this.$("curve").value = "A finger or a mouse has no pressure: the slider on the surface sets its force.";
+    if (e.pointerType !== "pen") {
+      this.$("curve").value = "A finger or a mouse has no pressure: the slider on the surface sets its force.";
+      return;
+    }
+    if (e.type === "pointerdown") {
+      this.$("weigh").setPointerCapture(e.pointerId);
+      this.pressed = [];
+    }
+    if (!this.pressed) return;
+    const ends = e.type === "pointerup" || e.type === "pointercancel";
+    this.pressed.push([e.timeStamp, ends ? this.pressed.at(-1)?.[1] ?? 0 : e.pressure]);
+    if (!ends) return void (this.$("pressure").value = e.pressure.toFixed(2));
+    this.pressure = steady(this.pressed);
+    this.pressed = null;
+    this.$("pressure").value = this.pressure?.toFixed(2) ?? "–";
+    if (this.pressure === null) this.$("curve").value = "Hold the pen still for half a second, then lift it.";
   }
 
   add() {
@@ -168,14 +230,26 @@ export class Settings {
   async open(file) {
     if (!file) return;
     try {
-      const profile = JSON.parse(await file.text());
-      if (profile.format !== "foten-actuator") throw new Error("this is no actuator's profile");
-      this.actuator = { resonanceHz: profile.resonance_hz, damping: profile.damping, gain: profile.gain, lowestHz: profile.lowest_hz, limit: profile.limit };
-      this.sound.actuate(this.actuator);
-      this.$("actuator").value = `${profile.name || file.name}: ${profile.resonance_hz} Hz`;
+      const actuator = actuatorOf(await file.text());
+      this.setActuator({ ...actuator, name: actuator.name || file.name });
     } catch (error) {
       this.$("actuator").value = `${file.name}: ${error.message}`;
     }
+    this.$("profile").value = "";
+  }
+
+  setActuator(actuator, tell = true) {
+    this.actuator = actuator;
+    const { $ } = this;
+    $("actuator").value = actuator ? `${actuator.name}: ${actuator.resonanceHz} Hz` : "none: acceleration is played as it is";
+    $("profile-none").hidden = !actuator;
+    $("drive").hidden = !actuator || actuator.unit === "full scale";
+    $("drive-unit").textContent = actuator?.unit ?? "";
+    if (actuator && Number($("full-scale").value) !== actuator.fullScale) $("full-scale").value = actuator.fullScale;
+    if (!tell) return;
+    localStorage.setItem("actuator", JSON.stringify(actuator));
+    this.sound.actuate(actuator);
+    this.sound.emit("unit", actuator?.unit);
   }
 
   delay() {

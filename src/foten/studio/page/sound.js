@@ -51,8 +51,9 @@ export class PageSound extends EventTarget {
     this.node.onprocessorerror = () => this.emit("failed", "the audio thread stopped: load the page again");
     this.analyser = new AnalyserNode(context, { fftSize: 4096, smoothingTimeConstant: 0 });
     this.volume = new GainNode(context, { gain: this.gain });
+    this.output = new AnalyserNode(context, { fftSize: 2048 }); // what leaves
     this.node.connect(this.analyser);
-    this.node.connect(this.volume).connect(context.destination);
+    this.node.connect(this.volume).connect(this.output).connect(context.destination);
   }
 
   answered(data) {
@@ -106,15 +107,19 @@ export class PageSound extends EventTarget {
     this.server?.close();
     this.server = null;
     this.post({ do: "listen", on: false });
+    this.setVolume(this.volumeDb);
     if (!sink) return;
     const server = new Server(this, sink);
     await server.opened;
     this.server = server;
+    this.setVolume(this.volumeDb);
     if (this.id) server.open(this.id, this.scale(this.id));
   }
 
+  /** What becomes full scale of one of what is rendered: of an actuator's drive, of which full scale is known, or of m/s². */
   scale(id) {
-    return (LOUDNESS / this.infos.get(id).accelerationSd) * 10 ** ((this.gains.get(id) ?? 0) / 20);
+    const one = this.actuator ? 1 / this.actuator.fullScale : LOUDNESS / this.infos.get(id).accelerationSd;
+    return one * 10 ** ((this.gains.get(id) ?? 0) / 20);
   }
 
   drop(id) {
@@ -126,6 +131,7 @@ export class PageSound extends EventTarget {
   push(x, y, pressure, t) {
     if (this.server) {
       this.server.push(x, y, pressure, t);
+      this.post({ do: "note", event: [x, y, pressure, t] });
       return;
     }
     const message = { do: "event", event: [x, y, pressure, t] };
@@ -148,7 +154,8 @@ export class PageSound extends EventTarget {
   setVolume(db) {
     this.volumeDb = db;
     this.server?.say({ do: "volume", volume_db: this.levelDb });
-    this.volume?.gain.setTargetAtTime(db <= -40 ? 0 : this.gain, this.context.currentTime, 0.01);
+    const silent = db <= -40 || this.server?.sink === "device"; // which plays it there
+    this.volume?.gain.setTargetAtTime(silent ? 0 : this.gain, this.context.currentTime, 0.01);
   }
 
   /** Make methods equally loud: dB by id. */
@@ -163,10 +170,12 @@ export class PageSound extends EventTarget {
     this.post({ do: "calibrate", newtons, steepness });
   }
 
+  /** Drive an actuator, or none: { resonanceHz, damping, gain, lowestHz, limit, fullScale }. */
   actuate(actuator) {
     this.actuator = actuator;
     this.server?.actuate();
     this.post({ do: "actuate", actuator });
+    if (this.id) this.use(this.id);
   }
 
   record(on) {
@@ -216,19 +225,22 @@ class Server {
     });
     socket.onmessage = ({ data }) => (typeof data === "string" ? this.answered(JSON.parse(data)) : this.played(data));
     socket.onclose = ({ reason }) => {
-      if (this.sound.server === this) this.sound.emit("failed", `the server is gone${reason ? `: ${reason}` : ""}`);
+      if (this.sound.server !== this) return;
+      this.sound.from("");
+      this.sound.emit("path", "");
+      this.sound.emit("failed", `the server is gone${reason ? `: ${reason}` : ""}: this page renders what it can`);
     };
   }
 
   open(texture, scale) {
-    this.sound.post({ do: "listen", on: true, silent: this.sink === "device", scale });
+    this.sound.post({ do: "listen", on: true, scale });
     this.say({ do: "open", texture, sink: this.sink, rate_hz: this.sound.context.sampleRate, volume_db: this.sound.levelDb, ...this.sound.calibration });
     this.actuate();
   }
 
   actuate() {
     const one = this.sound.actuator;
-    if (one) this.say({ do: "actuate", resonance_hz: one.resonanceHz, damping: one.damping, gain: one.gain, lowest_hz: one.lowestHz, limit: one.limit });
+    this.say({ do: "actuate", ...(one && { resonance_hz: one.resonanceHz, damping: one.damping, gain: one.gain, lowest_hz: one.lowestHz, limit: one.limit, full_scale: one.fullScale }) });
   }
 
   say(message) {

@@ -14,7 +14,7 @@ export class Taken {
   show(stroke, texture) {
     Object.assign(this, { stroke, texture });
     const { samples, events, rate } = stroke, peak = samples.reduce((high, value) => Math.max(high, Math.abs(value)), 0);
-    this.dialog.querySelector("output").value = `${(samples.length / rate).toFixed(1)} s on ${texture.title}, ${events.length} events, up to ${peak.toPrecision(2)} m/s²`;
+    this.dialog.querySelector("output").value = `${(samples.length / rate).toFixed(1)} s on ${texture.title}, ${events.length} events, up to ${peak.toPrecision(2)} ${this.unit}`;
     const options = this.page.groups().map(([one]) => new Option(one.title, one.id, one === texture, one === texture));
     this.dialog.querySelector("select").replaceChildren(...options);
     this.dialog.showModal();
@@ -42,8 +42,15 @@ export class Taken {
     save(new Blob([["t,x,y,pressure", ...rows, ""].join("\n")], { type: "text/csv" }), `${this.name}.csv`);
   }
 
+  /** Its peak is full scale; the file says, in itself and in its name, how much that is. */
   wav() {
-    save(wavOf(this.stroke.samples, this.stroke.rate), `${this.name}.wav`);
+    const { samples, rate } = this.stroke, peak = samples.reduce((high, value) => Math.max(high, Math.abs(value)), 0) || 1;
+    const said = `${peak.toPrecision(4)} ${this.unit}`;
+    save(wavOf(samples.map((value) => value / peak), rate, `foten: ${this.texture.title}, full scale is ${said}`), `${this.name}-full-scale-${peak.toPrecision(4)}.wav`);
+  }
+
+  get unit() {
+    return this.page.unit();
   }
 
   get name() {
@@ -71,12 +78,13 @@ export class Taken {
   }
 }
 
-/** Return a sound of one channel in 32-bit floats. */
-export function wavOf(samples, rate) {
-  const bytes = new DataView(new ArrayBuffer(58 + 4 * samples.length));
+/** Return a sound of one channel in 32-bit floats, and a comment in it. */
+export function wavOf(samples, rate, comment = "") {
+  const said = new TextEncoder().encode(comment), room = said.length + 1 + ((said.length + 1) % 2), list = comment ? 20 + room : 0;
+  const bytes = new DataView(new ArrayBuffer(58 + list + 4 * samples.length));
   const text = (at, word) => [...word].forEach((letter, i) => bytes.setUint8(at + i, letter.charCodeAt(0)));
   text(0, "RIFF");
-  bytes.setUint32(4, 50 + 4 * samples.length, true);
+  bytes.setUint32(4, 50 + list + 4 * samples.length, true);
   text(8, "WAVEfmt ");
   bytes.setUint32(16, 18, true);
   bytes.setUint16(20, 3, true); // IEEE floats
@@ -88,9 +96,17 @@ export function wavOf(samples, rate) {
   text(38, "fact");
   bytes.setUint32(42, 4, true);
   bytes.setUint32(46, samples.length, true);
-  text(50, "data");
-  bytes.setUint32(54, 4 * samples.length, true);
-  samples.forEach((value, i) => bytes.setFloat32(58 + 4 * i, value, true));
+  if (list) {
+    text(50, "LIST");
+    bytes.setUint32(54, list - 8, true);
+    text(58, "INFOICMT");
+    bytes.setUint32(66, said.length + 1, true);
+    said.forEach((value, i) => bytes.setUint8(70 + i, value));
+  }
+  const at = 50 + list;
+  text(at, "data");
+  bytes.setUint32(at + 4, 4 * samples.length, true);
+  samples.forEach((value, i) => bytes.setFloat32(at + 8 + 4 * i, value, true));
   return new Blob([bytes.buffer], { type: "audio/wav" });
 }
 

@@ -17,7 +17,7 @@ const monitor = new Monitor({
 });
 const pad = new Pad($("pad"), (...event) => sound.push(...event));
 const settings = new Settings($("panel"), sound, pad);
-const taken = new Taken($("taken"), { sound, pad, groups: () => groups, use });
+const taken = new Taken($("taken"), { sound, pad, groups: () => groups, use, unit: () => $("acceleration-unit").textContent });
 const pictures = new Map(); // by a texture's id: what surface.js made
 const painter = new Worker("surface.js", { type: "module" });
 const painting = new Map();
@@ -25,14 +25,27 @@ let textures = [], groups = [], chosen = null, blind = null, server = false, can
 
 // Pictures
 
-painter.onmessage = ({ data: { id, picture, failed } }) => {
-  const { resolve, reject } = painting.get(id);
-  painting.delete(id);
-  if (failed) return reject(new Error(failed));
-  const canvas = Object.assign(document.createElement("canvas"), { width: picture.size, height: picture.size });
-  canvas.getContext("2d").putImageData(new ImageData(picture.pixels, picture.size, picture.size), 0, 0);
-  resolve({ ...picture, canvas, url: canvas.toDataURL("image/jpeg", 0.85) });
+painter.onmessage = ({ data: { job, answer, failed } }) => {
+  const { resolve, reject } = painting.get(job);
+  painting.delete(job);
+  if (failed) reject(new Error(failed));
+  else resolve(answer);
 };
+
+let jobs = 0;
+
+/** Return what the worker makes of texture files. */
+const asked = (message) => new Promise((resolve, reject) => (painting.set(++jobs, { resolve, reject }), painter.postMessage({ job: jobs, ...message })));
+
+async function painted(message) {
+  const picture = await asked({ do: "picture", ...message });
+  const drawn = (pixels) => {
+    const canvas = Object.assign(document.createElement("canvas"), { width: picture.size, height: picture.size });
+    canvas.getContext("2d").putImageData(new ImageData(pixels, picture.size, picture.size), 0, 0);
+    return canvas;
+  };
+  return { ...picture, canvas: drawn(picture.pixels), url: drawn(picture.swatch).toDataURL("image/jpeg", 0.85) };
+}
 
 function pictureOf(texture) {
   if (!pictures.has(texture.id))
@@ -40,21 +53,18 @@ function pictureOf(texture) {
       texture.id,
       texture.bytes.then(
         (bytes) =>
-          cardOf(bytes).hasGraph ? plain(cardOf(bytes)) : new Promise((resolve, reject) => {
-            painting.set(texture.id, { resolve, reject });
-            painter.postMessage({ id: texture.id, bytes, name: texture.name || texture.title });
-          }),
+          cardOf(bytes).hasGraph ? plain() : painted({ bytes: [bytes], name: texture.name || texture.title }),
       ),
     );
   return pictures.get(texture.id);
 }
 
 /** The picture of what this page cannot render. */
-function plain(card) {
+function plain() {
   const canvas = Object.assign(document.createElement("canvas"), { width: 8, height: 8 }), g = canvas.getContext("2d");
   g.fillStyle = "#77716a";
   g.fillRect(0, 0, 8, 8);
-  return { canvas, mm: 24, loud: card.scaling.sd[0], url: canvas.toDataURL() };
+  return { canvas, mm: 24, url: canvas.toDataURL() };
 }
 
 async function paint(texture) {
@@ -75,11 +85,15 @@ function shelve() {
   $("textures").replaceChildren(
     ...groups.map((group) => {
       const [texture] = group, swatch = document.createElement("button"), name = document.createElement("span"), item = document.createElement("li");
+      const range = document.createElement("small");
       swatch.className = "swatch";
       swatch.dataset.id = texture.id;
       name.textContent = texture.title;
+      name.append(range);
       swatch.append(name);
+      texture.bytes.then((bytes) => (range.textContent = ranges(cardOf(bytes)).replace(", ", "\n")), () => {});
       swatch.addEventListener("click", () => attempt(async () => {
+        endBlind();
         await begin();
         await use(texture);
         if (pad.pen === null) pad.play(1.8);
@@ -92,6 +106,11 @@ function shelve() {
   mark();
 }
 
+/** Speeds and forces that a texture was recorded at. */
+function ranges({ trained_range: { speed, force } }) {
+  return `${speed[0].toFixed(0)}–${speed[1].toFixed(0)} mm/s, ${force[0].toFixed(1)}–${force[1].toFixed(1)} N`;
+}
+
 function mark() {
   const mine = chosen && groups.find((group) => group.includes(chosen));
   for (const swatch of document.querySelectorAll("#textures .swatch"))
@@ -102,20 +121,23 @@ function mark() {
 /** Have a texture rendered: here, or by the server where its network is one that only that runs. */
 async function ready(texture) {
   if (!sound.infos.has(texture.id)) {
-    const bytes = await texture.bytes, card = cardOf(bytes);
-    if (!card.hasGraph) return sound.load(texture.id, bytes);
-    if (!server || texture.card) throw new Error(`${texture.title} is rendered by a server alone: foten serve ${texture.file}`);
-    const { speed, force } = card.trained_range;
-    sound.know(texture.id, { accelerationSd: card.scaling.sd[0], trainedSpeed: speed, trainedForce: force, elsewhere: true });
+    const bytes = await texture.bytes, card = cardOf(bytes), { speed, force } = card.trained_range;
+    if (!card.hasGraph) await sound.load(texture.id, bytes);
+    else if (!server || texture.card) throw new Error(`${texture.title} is rendered by a server alone: foten serve ${texture.file}`);
+    else sound.know(texture.id, { accelerationSd: card.scaling.sd[0], trainedSpeed: speed, trainedForce: force, elsewhere: true });
   }
   if (sound.infos.get(texture.id).elsewhere && !sound.server) await settings.render("stream");
+  if (texture.card && sound.server) {
+    await settings.render(""); // a file that was opened here does not leave this page
+    say(`${texture.title} is rendered in this page: the server does not have it.`);
+  }
 }
 
 /** Put a texture under the pen; its sound follows where it plays already. */
 async function use(texture) {
   chosen = texture;
   mark();
-  const info = paint(texture).then(({ canvas, mm, took }) => {
+  const info = paint(blind?.[0] ?? texture).then(({ canvas, mm, took }) => {
     if (chosen !== texture) return;
     pad.setTile(canvas, mm);
     settings.took = took;
@@ -125,13 +147,20 @@ async function use(texture) {
     await ready(texture);
     if (chosen !== texture) return;
     sound.use(texture.id);
-    const { trainedSpeed, trainedForce } = sound.infos.get(texture.id);
-    const range = ([low, high], unit, digits) => `${low.toFixed(digits)} – ${high.toFixed(digits)} ${unit}`;
-    $("now-range").textContent = `recorded at ${range(trainedSpeed, "mm/s", 0)}, ${range(trainedForce, "N", 1)}`;
-    $("acceleration-unit").textContent = texture.relative ? "× its RMS" : "m/s²";
+    $("now-range").textContent = blind ? "" : `recorded at ${ranges(cardOf(await texture.bytes))}`;
+    showUnit();
   }
   await info;
 }
+
+/** What is drawn is what is rendered: acceleration, or an actuator's drive. */
+function showUnit() {
+  const drive = settings.actuator?.unit;
+  $("acceleration-name").textContent = drive ? "drive" : "acceleration";
+  $("acceleration-unit").textContent = drive ?? (chosen?.relative ? "× its RMS" : "m/s²");
+}
+
+sound.addEventListener("unit", showUnit);
 
 // Sound
 
@@ -141,13 +170,13 @@ async function begin() {
   $("press").hidden = false;
   const first = !sound.node;
   await sound.start();
-  monitor.rate = sound.context.sampleRate;
-  monitor.analyser = sound.analyser;
+  monitor.listen(sound.context.sampleRate, sound.analyser, sound.output);
   if (first) settings.apply();
   if (chosen) await use(chosen);
 }
 
 $("begin").addEventListener("click", () => attempt(async () => {
+  $("pad").focus({ preventScroll: true });
   await begin();
   pad.play();
 }));
@@ -175,11 +204,9 @@ $("record").addEventListener("click", () => attempt(async () => {
 $("compare").addEventListener("click", () => attempt(async () => {
   if (blind) return reveal();
   await begin();
-  const group = groups.find((one) => one.includes(chosen));
-  const order = shuffled(group), loud = await Promise.all(order.map(async (one) => (await pictureOf(one)).loud));
+  const group = groups.find((one) => one.includes(chosen)), order = shuffled(group);
   for (const one of order) await ready(one);
-  const scaled = order.map((one, i) => loud[i] / sound.infos.get(one.id).accelerationSd);
-  sound.match(Object.fromEntries(order.map((one, i) => [one.id, 20 * Math.log10(scaled[0] / scaled[i])])));
+  sound.match(Object.fromEntries((await gainsOf(order)).map((db, i) => [order[i].id, db])));
   blind = order;
   const buttons = order.map((one, i) => {
     const button = Object.assign(document.createElement("button"), { textContent: String.fromCharCode(65 + i) });
@@ -197,12 +224,25 @@ $("compare").addEventListener("click", () => attempt(async () => {
   buttons[0].click();
 }));
 
-function reveal() {
-  const names = blind.map((one, i) => `${String.fromCharCode(65 + i)} ${one.method || one.file}`).join(" · ");
+/** Return dB that make methods equally loud; the server knows those that only it renders. */
+async function gainsOf(order) {
+  if (!order.some((one) => sound.infos.get(one.id).elsewhere)) return asked({ do: "gains", bytes: await Promise.all(order.map((one) => one.bytes)) });
+  if (order.some((one) => one.card)) throw new Error("a file that was opened here cannot be compared with one that the server renders");
+  const answer = await fetch(`gains?${new URLSearchParams(order.map((one) => ["texture", one.file]))}`);
+  if (!answer.ok) throw new Error((await answer.text()).trim());
+  return (await answer.json()).gains_db;
+}
+
+function endBlind() {
+  if (!blind) return;
   blind = null;
   sound.match({});
   $("blind").hidden = true;
-  say(names);
+}
+
+function reveal() {
+  say(blind.map((one, i) => `${String.fromCharCode(65 + i)} ${one.method || one.file}`).join(" · "));
+  endBlind();
   use(chosen);
 }
 
@@ -227,6 +267,7 @@ async function open(files) {
     } catch (error) {
       throw new Error(`${file.name} was refused: ${error.message}`);
     }
+    endBlind();
     textures.push(texture);
     shelve();
     await use(texture);
@@ -234,7 +275,7 @@ async function open(files) {
 }
 
 $("file").addEventListener("change", (e) => attempt(() => open([...e.target.files]).finally(() => (e.target.value = ""))));
-$("open").addEventListener("keydown", (e) => ["Enter", " "].includes(e.key) && $("file").click());
+$("open").addEventListener("click", () => $("file").click());
 let over = 0;
 addEventListener("dragenter", (e) => (e.preventDefault(), ($("drop").hidden = ++over === 0)));
 addEventListener("dragleave", () => ($("drop").hidden = --over <= 0));
@@ -248,7 +289,7 @@ addEventListener("drop", (e) => {
 
 // A surface of one's own
 
-const capture = new Capture($("capture"), { calibration: () => settings.calibration, onTexture: learned, canTrain: () => server });
+const capture = new Capture($("capture"), { calibration: () => settings.calibration, onTexture: learned, canTrain: () => server, say });
 
 /** A texture that the server learned from a capture: on the shelf and under the pen at once, and again when it is better. */
 function learned(listed, done) {

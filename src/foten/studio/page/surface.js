@@ -1,5 +1,5 @@
 // The picture of a texture, made from what the model renders: a relief with the spectrum that a tool meets on it, lit from the upper
-// left. And its level over speed and force. Runs as a worker beside the page, since it takes some 100 ms.
+// left; and how loud textures are to each other. Runs as a worker beside the page, since it takes some 100 ms.
 import { Foten } from "./foten.mjs";
 
 export const SIZE = 256; // pixels of a tile's side
@@ -150,12 +150,12 @@ export function colour(name) {
   return [hash % 360, 14 + (hash % 13), 42 + (hash % 17)];
 }
 
-/** Light a relief: pixels, RGBA. `rough` is the slope's size. */
-export function lit(heights, [hue, saturation, lightness], rough) {
+/** Light a relief: pixels, RGBA. `roughAt(x, y)` is the slope's size there. */
+export function lit(heights, [hue, saturation, lightness], roughAt) {
   const n = SIZE, pixels = new Uint8ClampedArray(4 * n * n), light = [-0.5, -0.58, 0.64];
   for (let y = 0; y < n; y++)
     for (let x = 0; x < n; x++) {
-      const i = y * n + x, dx = (heights[y * n + ((x + 1) % n)] - heights[i]) * rough, dy = (heights[((y + 1) % n) * n + x] - heights[i]) * rough;
+      const i = y * n + x, rough = roughAt(x, y), dx = (heights[y * n + ((x + 1) % n)] - heights[i]) * rough, dy = (heights[((y + 1) % n) * n + x] - heights[i]) * rough;
       const towards = (-dx * light[0] - dy * light[1] + light[2]) / Math.hypot(dx, dy, 1);
       const bright = Math.max(0.04, Math.min(0.97, (lightness / 100) * (0.42 + 0.9 * towards)));
       const [r, g, b] = rgb(hue, saturation / 100, bright);
@@ -189,7 +189,25 @@ function timed(texture, speed, force) {
   return [took[TIMED >> 1], took[Math.floor(0.99 * TIMED)]];
 }
 
-/** Return a texture's picture and its level over speed and force, from the bytes of its file. */
+const roughness = (loud) => within(0.22 + 0.3 * Math.log10(1 + 4 * loud), [0.2, 0.95]);
+
+/** Return the level over speed and force: RMS at `LEVEL_SPEEDS` × `LEVEL_FORCES` conditions, evenly over the range that was recorded. */
+function levelsOf(texture, of) {
+  const { rate, trainedSpeed, trainedForce } = texture.info;
+  const along = ([low, high], n) => Array.from({ length: n }, (_, i) => low + ((high - low) * (i + 0.5)) / n);
+  return along(trainedForce, LEVEL_FORCES).map((f) => along(trainedSpeed, LEVEL_SPEEDS).map((v) => rms(of(v, f, Math.round(0.15 * rate)))));
+}
+
+/** Return the value of a map at shares of its axes, between its points. */
+function between(map, across, up) {
+  const at = (share, n) => Math.min(n - 1.001, Math.max(0, share * n - 0.5));
+  const y = at(up, map.length), x = at(across, map[0].length), j = Math.floor(y), i = Math.floor(x);
+  const row = (r) => map[r][i] + (x - i) * (map[r][i + 1] - map[r][i]);
+  return row(j) + (y - j) * (row(j + 1) - row(j));
+}
+
+/** Return a texture's pictures, from the bytes of its file: a tile for the surface, and a swatch, as rough as it is from slow (left) to
+ * fast (right) and from light (below) to firm (above). */
 export function pictured(foten, bytes, name) {
   const texture = foten.texture(bytes), { rate, trainedSpeed, trainedForce } = texture.info;
   const renderer = texture.renderer({ seed: 1 });
@@ -200,29 +218,60 @@ export function pictured(foten, bytes, name) {
       renderer.setCondition(v, f);
       return renderer.render(new Float32Array(n));
     };
-    const shown = of(speed, force, Math.max(8 * SEGMENT, Math.round(2 * rate)));
-    const loud = rms(shown);
-    const speeds = Array.from({ length: LEVEL_SPEEDS }, (_, i) => Math.max(5, trainedSpeed[0]) * (trainedSpeed[1] / Math.max(5, trainedSpeed[0])) ** (i / (LEVEL_SPEEDS - 1)));
-    const forces = Array.from({ length: LEVEL_FORCES }, (_, i) => trainedForce[0] + ((trainedForce[1] - trainedForce[0]) * (i + 0.5)) / LEVEL_FORCES);
-    const levels = forces.map((f) => speeds.map((v) => rms(of(v, f, Math.round(0.15 * rate)))));
+    const shown = of(speed, force, Math.max(8 * SEGMENT, Math.round(2 * rate))), levels = levelsOf(texture, of);
     const seed = [...name].reduce((sum, letter) => (sum * 33 + letter.charCodeAt(0)) >>> 0, 5);
-    const heights = relief(spectrum(shown), rate, speed, seed);
-    const rough = within(0.22 + 0.3 * Math.log10(1 + 4 * loud), [0.2, 0.95]);
-    return { pixels: lit(heights, colour(name), rough), size: SIZE, mm: TILE_MM, loud, took: timed(texture, speed, force), levels: { speeds, forces, levels } };
+    const heights = relief(spectrum(shown), rate, speed, seed), rough = roughness(rms(shown)), hue = colour(name);
+    return {
+      pixels: lit(heights, hue, () => rough),
+      swatch: lit(heights, hue, (x, y) => roughness(between(levels, x / SIZE, 1 - y / SIZE))),
+      size: SIZE,
+      mm: TILE_MM,
+      took: timed(texture, speed, force),
+    };
   } finally {
     renderer.free();
     texture.free();
   }
 }
 
+// As the server has it, `levels.py`.
+const SETTLE_S = 0.5, LEVEL_S = 1, SHARES = [0.25, 0.5, 0.75], MOST_DB = 30;
+
+/** Return dB that make methods of one texture equally loud, from the bytes of their files. */
+export function gainsOf(foten, files) {
+  const textures = files.map((bytes) => foten.texture(bytes));
+  try {
+    const common = (name) => {
+      const low = Math.max(...textures.map(({ info }) => info[name][0])), high = Math.min(...textures.map(({ info }) => info[name][1]));
+      return SHARES.map((share) => low + share * Math.max(0, high - low));
+    };
+    const conditions = common("trainedSpeed").flatMap((v) => common("trainedForce").map((f) => [v, f]));
+    const levels = textures.map((texture) => {
+      const { rate, accelerationSd } = texture.info, settle = Math.round(SETTLE_S * rate), renderer = texture.renderer({ seed: 1 });
+      let power = 0;
+      for (const [v, f] of conditions) {
+        renderer.reset(1);
+        renderer.setCondition(v, f);
+        power += rms(renderer.render(new Float32Array(settle + Math.round(LEVEL_S * rate))).subarray(settle)) ** 2 / conditions.length;
+      }
+      renderer.free();
+      return 10 * Math.log10(Math.max(1e-30, power / accelerationSd ** 2));
+    });
+    const sorted = [...levels].sort((a, b) => a - b), usual = (sorted[(sorted.length - 1) >> 1] + sorted[sorted.length >> 1]) / 2;
+    return levels.map((level) => within(usual - level, [-MOST_DB, MOST_DB]));
+  } finally {
+    for (const texture of textures) texture.free();
+  }
+}
+
 if (typeof WorkerGlobalScope !== "undefined" && self instanceof WorkerGlobalScope) {
   const kernel = fetch("foten.wasm").then((answer) => answer.arrayBuffer()).then((bytes) => Foten.load(bytes));
-  self.onmessage = async ({ data: { id, bytes, name } }) => {
+  const jobs = { picture: (foten, { bytes, name }) => pictured(foten, bytes[0], name), gains: (foten, { bytes }) => gainsOf(foten, bytes) };
+  self.onmessage = async ({ data }) => {
     try {
-      const picture = pictured(await kernel, bytes, name);
-      self.postMessage({ id, picture }, [picture.pixels.buffer]);
+      self.postMessage({ job: data.job, answer: jobs[data.do](await kernel, data) });
     } catch (error) {
-      self.postMessage({ id, failed: error.message });
+      self.postMessage({ job: data.job, failed: error.message });
     }
   };
 }

@@ -79,9 +79,15 @@ class Contact extends AudioWorkletProcessor {
     this.recording?.events.push([this.recording.n, ...event]);
   }
 
-  /** Play what comes from a server; `silent` where that plays it itself. */
-  listen({ on, silent, scale }) {
-    this.stream = on ? { ring: new Float32Array(1 << 16), read: 0, written: 0, filling: true, lacking: 0, silent, scale } : null;
+  /** Play what comes from a server. */
+  listen({ on, scale }) {
+    if (on && this.stream) this.stream.scale = scale;
+    else this.stream = on ? { ring: new Float32Array(1 << 16), read: 0, written: 0, filling: true, lacking: 0, scale } : null;
+  }
+
+  /** An event that a server renders. */
+  note({ event }) {
+    this.recording?.events.push([this.recording.n, ...event]);
   }
 
   take({ samples, speed, force }) {
@@ -106,7 +112,8 @@ class Contact extends AudioWorkletProcessor {
 
   /** Keep what is rendered, from a fresh beginning: the same events then give the same samples in every renderer of the file. */
   record({ on }) {
-    if (on && this.current) {
+    if (on && this.stream) this.recording = { n: 0, events: [], blocks: [], seed: null };
+    else if (on && this.current) {
       this.begin(this.current);
       this.last = [];
       this.recording = { n: 0, events: [], blocks: [], seed: this.current.seed };
@@ -124,10 +131,7 @@ class Contact extends AudioWorkletProcessor {
     const one = this.current, { quantum } = this;
     if (!one) return true;
     one.renderer.renderStylus(one.stylus, quantum);
-    if (this.recording) {
-      this.recording.blocks.push(quantum.slice());
-      this.recording.n += quantum.length;
-    }
+    this.keep(quantum);
     this.measure(quantum, one.renderer);
     for (let i = 0; i < out.length; i++) out[i] = one.scale * quantum[i];
     if (this.leaving) this.fade(out);
@@ -152,9 +156,16 @@ class Contact extends AudioWorkletProcessor {
         stream.lacking++;
       }
     }
+    this.keep(quantum);
     this.measure(quantum, { condition: [stream.speed ?? 0, stream.force ?? 0] });
-    for (let i = 0; i < out.length; i++) out[i] = stream.silent ? 0 : limited(stream.scale * quantum[i]);
+    for (let i = 0; i < out.length; i++) out[i] = limited(stream.scale * quantum[i]);
     return true;
+  }
+
+  keep(quantum) {
+    if (!this.recording) return;
+    this.recording.blocks.push(quantum.slice());
+    this.recording.n += quantum.length;
   }
 
   fade(out) {
