@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import random
+import re
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,7 +28,7 @@ from foten.recording.recording import RELATIVE
 from foten.runtime.renderer import EXAMPLE
 from foten.studio import capturing, server
 from foten.studio.access import LOOPBACK, Access
-from foten.studio.capture import Capture
+from foten.studio.capture import Capture, in_order
 from foten.studio.messages import CAPTURE, LONGEST_NAME, MOST_BYTES, RefusedError, parse_captured, parse_message
 from foten.studio.server import Studio
 from foten.studio.shelf import Shelf
@@ -66,14 +68,16 @@ def answered(socket: Any, kind: str, seconds: float = 60.0) -> dict[str, Any]:
 
 
 def say(socket: Any, performance: SimulatedCapture, hz: float = 200.0) -> None:
-    """Send a whole performance: its sound in pieces, its events in between, in the order of their times."""
+    """Send a whole performance: its sound in pieces, its events in between, one of them a millisecond late."""
     plan = performance.plan[:: round(1000 / hz)]
     down = plan[:, 3] > 0
     samples_in = down | np.append(False, down[:-1])  # what touches, and the lift after it
     rows = plan[samples_in][:, [1, 2, 3, 0]]
+    middle = int(np.flatnonzero((rows[1:-1, 2] > 0) & (rows[:-2, 2] > 0))[len(rows) // 3]) + 1  # amid a stroke
+    rows[middle, 3] = rows[middle - 1, 3] - 0.001
     piece_s, sent = PIECE / SOUND_HZ, 0
     for k in range(performance.sound.size // PIECE):
-        until = int(np.searchsorted(rows[:, 3], (k + 1) * piece_s))
+        until = int(np.searchsorted(np.maximum.accumulate(rows[:, 3]), (k + 1) * piece_s))
         if until > sent:
             socket.send_bytes(events(*map(tuple, rows[sent:until].tolist())))
             sent = until
@@ -180,6 +184,50 @@ def test_what_is_out_of_order_is_refused_and_ends_the_capture(client: TestClient
         assert "the pen has not touched yet" in answered(socket, "kept")["refused"]
 
 
+def test_events_that_come_late_are_left_out_and_counted() -> None:
+    taken = [
+        [0, 0, 0.5, 1.000],
+        [1, 0, 0.5, 1.005],
+        [2, 0, 0.5, 1.004],  # late
+        [3, 0, 0.5, 1.010],
+        [4, 0, 0.0, 1.009],  # late, and lifts: the touch ended, whatever the clock says
+        [5, 0, 0.6, 1.020],
+        [6, 0, 0.0, 1.030],
+        [7, 0, 0.7, 1.030],  # touches at the time of the lift
+        [8, 0, 0.7, 1.030_000_4],  # one time, as the file has it
+    ]
+    kept, n_late = in_order(np.array(taken, dtype=float))
+    np.testing.assert_array_equal(kept[:, 0], [0, 1, 4, 5, 8])
+    np.testing.assert_allclose(kept[:, 3], [1.0, 1.005, 1.010, 1.020, 1.030])
+    assert n_late == 2
+
+
+def with_late_events(n: int, n_late: int) -> Capture:
+    rows = np.column_stack([np.arange(n), np.zeros(n), np.full(n, 0.5), 0.005 * np.arange(n)])
+    rows[10 : 10 + 3 * n_late : 3, 3] -= 0.006
+    capture = Capture(About("Denim", 48000))
+    capture.add_sound(np.zeros(100, dtype=np.float32))
+    for row in rows:
+        capture.add_events(row[None])
+    return capture
+
+
+def test_a_capture_says_how_many_events_came_late_and_is_refused_where_these_are_many(tmp_path: Path) -> None:
+    folder = with_late_events(1000, 10).write(tmp_path)
+    assert json.loads((folder / "capture.json").read_text())["n_late_events"] == 10
+    times = np.loadtxt(folder / "pen.csv", delimiter=",", skiprows=1)[:, 0]
+    assert times.size == 990
+    assert (np.diff(times) > 0).all()
+    with pytest.raises(
+        RefusedError, match="not in the order of their times: 11 of 1000 came late, expected 1 % at most"
+    ):
+        with_late_events(1000, 11).write(tmp_path)
+    capture = with_late_events(100, 0)
+    capture.add_events(np.array([[0, 0, 0.5, 0.4]]))
+    with pytest.raises(RefusedError, match="one is 105 ms back, expected 100 at most"):
+        capture.add_events(np.array([[0, 0, 0.5, 0.39]]))
+
+
 def test_a_capture_that_never_ends_is_refused(monkeypatch: Any) -> None:
     capture = Capture(About("x", 8000))
     for _ in range(300):
@@ -229,6 +277,39 @@ def test_noise_without_taps_is_refused_in_words_and_kept(client: TestClient, stu
         assert "tap three times before the strokes" in answered(socket, "done")["refused"]
     assert (studio.trainings.captures / kept["kept"] / "sound.wav").is_file()
     assert len(studio.shelf) == 1
+
+
+def printing(text: str) -> tuple[str, ...]:
+    return (sys.executable, "-c", f"print({text!r})")
+
+
+@pytest.mark.parametrize(
+    ("command", "why"),
+    [
+        (printing("Downloading a network"), "it said 'Downloading a network', expected a JSON object"),
+        (printing("[1]"), r"it said '\[1\]', expected a JSON object"),
+        (printing('{"joined": {"delay_ms": NaN}}'), "NaN.*expected a JSON object"),
+        (printing("x" * 70_000), "a line of more than 65536 bytes"),
+        (printing('{"done": "missing.foten"}'), "no such file|No such file|missing.foten"),
+        (printing('{"playable": 5}'), "TypeError"),
+        (("/nowhere/python",), "/nowhere/python: no such file"),
+        ((sys.executable, "-c", "raise SystemExit('out of memory')"), "the training died: out of memory"),
+    ],
+)
+def test_a_training_that_fails_says_so_to_the_page_and_lets_the_next_one_run(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...], why: str
+) -> None:
+    monkeypatch.setattr(capturing, "COMMAND", command)
+    with client.websocket_connect(WS) as socket:
+        for _ in range(2):
+            socket.send_text(json.dumps(BEGIN))
+            socket.send_bytes(sound(np.zeros(PIECE)))
+            socket.send_bytes(events((0, 0, 0.5, 0.01)))
+            socket.send_text('{"do": "train"}')
+            assert "kept" in answered(socket, "kept")
+            refused = answered(socket, "done")["refused"]
+            assert re.search(why, refused), refused
+            assert "\n" not in refused
 
 
 def hostile(rng: random.Random) -> bytes | str:
@@ -297,12 +378,14 @@ def test_a_texture_is_there_before_its_training_ends_and_the_servers_end_ends_th
     with TestClient(studio.app(Access(LOOPBACK, 8000)), base_url=HERE, headers={"origin": HERE}) as client:
         with client.websocket_connect(WS) as socket:
             folder = captured(socket, studio, simulate_capture("steel-mesh-1", 14.0))
+            assert "1 event of the pen came late" in answered(socket, "notes")["notes"][0]
             playable = answered(socket, "playable", 300.0)["playable"]
         assert (playable["name"], playable["file"]) == ("Old denim, washed", "old-denim-washed.foten")
         assert playable["relative"]
         assert client.get("/textures.json").json()["textures"][1] == playable
     card = read_texture(folder / "old-denim-washed.foten").card
     assert card["units"]["acceleration"] == RELATIVE
+    assert any("came late" in sentence for sentence in load_recording(folder / "old-denim-washed.h5").history)
     assert not studio.trainings._running
 
 

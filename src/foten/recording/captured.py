@@ -20,6 +20,7 @@ class About:
     steepness: float = 3.32
     full_scale_m_s2: float | None = None  # acceleration of a sample of 1; None where it is not known
     input: str = ""  # what the browser calls the input
+    n_late_events: int = 0  # that came after one of a later time, and are not in the file but for touches and lifts
 
     @classmethod
     def of(cls, message: Mapping[str, Any]) -> About:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from foten.studio.messages import RefusedError
 
 LONGEST_S = 300.0
 MOST_PEN_EVENTS = 2000 * int(LONGEST_S)
+MOST_BACK_S, MOST_LATE = 0.1, 0.01  # of an event, in time; of all events: with more the pen has no clock
 
 
 class Capture:
@@ -25,6 +26,7 @@ class Capture:
         self._sound: list[NDArray[np.float32]] = []
         self._events: list[NDArray[np.float64]] = []
         self._n_samples = self._n_events = 0
+        self._latest_s = -np.inf
 
     @property
     def seconds(self) -> float:
@@ -43,16 +45,21 @@ class Capture:
         self._n_samples += samples.size
 
     def add_events(self, events: NDArray[np.float64]) -> None:
-        """Take in the next events: x, y [mm], pressure, t [s], shape (n, 4).
+        """Take in the next events: x, y [mm], pressure, t [s], shape (n, 4); for those that come late see `in_order`.
 
         Raises:
-            RefusedError: there are too many, or the time does not increase.
+            RefusedError: there are too many, or one is more than `MOST_BACK_S` back in time.
         """
         if self._n_events + len(events) > MOST_PEN_EVENTS:
             raise RefusedError(f"the capture has more than {MOST_PEN_EVENTS} events")
-        before = self._events[-1][-1:, 3] if self._events else np.full(1, -np.inf)
-        if not (np.diff(np.concatenate([before, events[:, 3]])) >= 0).all():
-            raise RefusedError("the events are not in the order of their times")
+        latest_s = np.maximum.accumulate(np.append(self._latest_s, events[:, 3]))
+        back_s = float((latest_s[1:] - events[:, 3]).max())
+        if back_s > MOST_BACK_S:
+            raise RefusedError(
+                f"the events are not in the order of their times: one is {1000 * back_s:.0f} ms back, "
+                f"expected {1000 * MOST_BACK_S:g} at most"
+            )
+        self._latest_s = float(latest_s[-1])
         self._events.append(events)
         self._n_events += len(events)
 
@@ -60,25 +67,49 @@ class Capture:
         """Write sound, events and what was said of them to a new folder below `captures`, and return the folder.
 
         Raises:
-            RefusedError: there is no sound, or no event.
+            RefusedError: there is no sound, no event, or more than `MOST_LATE` of the events came late.
             OSError: the disk refuses.
         """
         import scipy.io.wavfile
 
         if not self._n_samples or not self._n_events:
             raise RefusedError("there is no sound yet" if self._n_events else "the pen has not touched yet")
+        events, n_late = in_order(np.concatenate(self._events))
+        if n_late > MOST_LATE * self._n_events:
+            raise RefusedError(
+                f"the events are not in the order of their times: {n_late} of {self._n_events} came late, "
+                f"expected {100 * MOST_LATE:g} % at most"
+            )
         folder = _new_folder(captures, self.about.name)
         with atomic_write(folder / SOUND) as part:
             scipy.io.wavfile.write(part, round(self.about.rate_hz), np.concatenate(self._sound))
-        events = np.concatenate(self._events)
-        # A touch and the lift of the one before may have one time: the later of them counts.
-        last = np.append(np.diff(events[:, 3]) > 0, True)
         with atomic_write(folder / PEN) as part:
-            rows = events[last][:, [3, 0, 1, 2]]
+            rows = events[:, [3, 0, 1, 2]]
             np.savetxt(part, rows, "%.6f", ",", header="t [s],x [mm],y [mm],pressure", comments="")
+        about = replace(self.about, n_late_events=n_late)
         with atomic_write(folder / ABOUT) as part:
-            part.write_text(json.dumps(asdict(self.about), indent=1) + "\n", encoding="utf-8")
+            part.write_text(json.dumps(asdict(about), indent=1) + "\n", encoding="utf-8")
         return folder
+
+
+def in_order(events: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
+    """Return the events with increasing times, shape (k, 4), and how many came late: after one of a later time.
+
+    A late one is left out, for the pen was there before. But where it says that the pen touches or lifts, it counts at the time
+    of the one before it: events come in the right order where a clock does not, and without it two touches would be one. Of
+    events of one time the last counts; a touch and the lift before it may have one.
+
+    Args:
+        events: x, y [mm], pressure, t [s] in the order in which they came, shape (n, 4).
+    """
+    times = np.round(events[:, 3], 6)  # as the file has them
+    latest = np.maximum.accumulate(times)
+    late = times < latest
+    down = events[:, 2] > 0
+    turns = down != np.append(False, down[:-1])
+    kept = np.column_stack([events[:, :3], latest])[~late | turns]
+    last = np.append(np.diff(kept[:, 3]) > 0, True)
+    return kept[last], int(late.sum())
 
 
 def _new_folder(captures: Path, name: str) -> Path:

@@ -7,7 +7,7 @@ import contextlib
 import importlib.util
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +27,11 @@ from foten.studio.messages import (
     parse_message,
 )
 from foten.studio.shelf import Shelf
+from foten.untrusted import LONGEST_TEXT, brief, check_numbers, parse_json, printable
 
 MOST_CAPTURES = 200  # that are kept from one start of the server
-LONGEST_LINE = 1 << 16  # that a training says
+LONGEST_LINE = 1 << 16  # bytes, that a training says
+COMMAND = (sys.executable, "-m", "foten.train.captured")  # and a folder
 
 
 def why_not() -> str:
@@ -68,35 +70,69 @@ class Trainings:
         if self._one_at_a_time.locked():
             say({"stage": "waiting for another training", "share": 0.0})
         async with self._one_at_a_time:
-            # A process of its own, by a command: what renders here is not disturbed, and ends are clean.
-            process = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-m", "foten.train.captured", str(folder)),
-                stdin=asyncio.subprocess.DEVNULL,
-                stdout=asyncio.subprocess.PIPE,
-                stderr=asyncio.subprocess.PIPE,
-                limit=LONGEST_LINE,
-            )
-            assert process.stdout is not None
-            assert process.stderr is not None
-            errors = asyncio.create_task(process.stderr.read())
+            # Whatever goes wrong, the page waits for an answer.
             try:
-                ended = False
-                async for line in process.stdout:
-                    said = json.loads(line)
-                    for kind in ("playable", "done"):
-                        if kind in said:
-                            said[kind] = self._shelf.put(folder / said[kind]).listed()
-                    ended = ended or "done" in said or "refused" in said
-                    say(said)
+                await self._run(folder, say)
+            except (OSError, ValueError) as error:
+                why = reason(error) if isinstance(error, OSError) else brief(error)
+                say({"refused": f"the training failed: {why}"})
+            except Exception as error:
+                say({"refused": f"the training failed: {type(error).__name__}: {brief(error)}"})
+                raise  # a fault of ours: the server's log has it too
+
+    async def _run(self, folder: Path, say: Callable[[Mapping[str, Any]], None]) -> None:
+        # A process of its own, by a command: what renders here is not disturbed, and ends are clean.
+        process = await asyncio.create_subprocess_exec(
+            *(*COMMAND, str(folder)),
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE,
+            limit=LONGEST_LINE,
+        )
+        assert process.stdout is not None
+        assert process.stderr is not None
+        errors = asyncio.create_task(process.stderr.read())
+        try:
+            ended = False
+            async for said in _answers(process.stdout):
+                for kind in ("playable", "done"):
+                    if kind in said:
+                        said[kind] = self._shelf.put(folder / said[kind]).listed()
+                ended = ended or "done" in said or "refused" in said
+                say(said)
+            await process.wait()
+            if not ended:
+                last = (await errors).decode("utf-8", "replace").strip().splitlines()[-1:]
+                say({"refused": f"the training died: {printable(''.join(last))[:LONGEST_TEXT] or process.returncode}"})
+        finally:
+            errors.cancel()
+            if process.returncode is None:
+                process.kill()
                 await process.wait()
-                if not ended:
-                    last = (await errors).decode("utf-8", "replace").strip().splitlines()[-1:]
-                    say({"refused": f"the training died: {''.join(last)[:200] or process.returncode}"})
-            finally:
-                errors.cancel()
-                if process.returncode is None:
-                    process.kill()
-                    await process.wait()
+
+
+async def _answers(stream: asyncio.StreamReader) -> AsyncIterator[dict[str, Any]]:
+    """Return the JSON objects that a training says, one a line.
+
+    Raises:
+        ValueError: a line is none, or too long.
+    """
+    while True:
+        try:
+            line = await stream.readline()
+        except ValueError:
+            raise ValueError(f"it said a line of more than {LONGEST_LINE} bytes") from None
+        if not line:
+            return
+        try:
+            said = parse_json(line)
+            check_numbers(said, "it")
+        except ValueError:
+            said = None
+        if not isinstance(said, dict):
+            text = line.decode("utf-8", "replace").strip()
+            raise ValueError(f"it said {text[: LONGEST_TEXT // 2]!r}, expected a JSON object")
+        yield said
 
 
 class CapturePage:

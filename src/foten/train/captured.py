@@ -30,6 +30,7 @@ from foten.families import sizes_of
 from foten.families.texture_file import Texture, write_texture
 from foten.recording.captured import ABOUT, PEN, SOUND, About, file_name
 from foten.recording.inspection import inspect_recording
+from foten.recording.inspection.values import counted
 from foten.recording.preprocess import SHORT_BLOCKS_MS, PreprocessConfig
 from foten.recording.recording import Recording
 from foten.runtime.stylus import PressureCalibration
@@ -72,12 +73,15 @@ def train_captured(folder: Path) -> None:
     recording, clock, decisions = import_capture(
         folder / SOUND, folder / PEN, ImportOptions(units=units), calibration.force
     )
-    recording = dataclasses.replace(recording, texture=about.name, sensors=about.input)
+    n_late = about.n_late_events
+    late = [f"{counted(n_late, 'event')} of the pen came late, and count only as touches and lifts"] if n_late else []
+    history = (*recording.history, *late)
+    recording = dataclasses.replace(recording, texture=about.name, sensors=about.input, history=history)
     write_recording(recording, folder / f"{stem}.h5")
     joined = {"delay_ms": 1000 * clock.delay_s, "drift_ppm": 1e6 * clock.drift}
     _say(joined={**joined, "n_taps": clock.n_taps, "residual_ms": clock.residual_ms, "text": str(clock)})
     inspection = inspect_recording(recording)
-    _say(notes=[*decisions, *(problem.text for problem in inspection.problems)])
+    _say(notes=[*late, *decisions, *(problem.text for problem in inspection.problems)])
     train_recording(recording, inspection.carried, folder / f"{stem}.foten")
 
 

@@ -12,6 +12,8 @@ const LEAST_S = 8; // of strokes
 const LONGEST_S = 240;
 const DRAWN_MS = 50, TRAIL_MS = 80;
 const AN_RMS_OF_1_G = 9.80665; // m/s², of the usual calibrators
+const FULL_SCALES = [1e-3, 1e5]; // m/s², as the server has it
+const NAMELESS = /^(default|communications)?$/i; // the label of whatever input the system takes: tomorrow that may be another
 const FILTERS = { echoCancellation: "echo cancellation", noiseSuppression: "noise suppression", autoGainControl: "automatic gain" };
 const INSIDE = `
   <div id="sheet"><canvas id="surface" tabindex="0" role="img" aria-label="Lay the surface here, and stroke it with the pen."></canvas><p>Lay the surface here</p></div>
@@ -24,19 +26,133 @@ const INSIDE = `
     <div id="set-up">
       <label>Name <input id="called" class="plain" maxlength="60" value="My surface" autocomplete="off"></label>
       <label>Input <select id="inputs"></select></label>
-      <details><summary>Sensitivity</summary>
-        <p class="row"><label>sensor <input id="sensor" type="number" min="0" step="any"> mV per m/s²</label> <label>input <input id="full" type="number" min="0" step="any"> mV at full scale</label></p>
-        <p class="row"><button id="calibrator" class="plain" type="button">On a calibrator of 1 g</button><output id="scale">Relative units without</output></p></details>
+      <details><summary id="sensitivity">Sensitivity</summary>
+        <p class="row"><label>Sensor, mV per m/s² <input id="sensor" type="number" min="0" step="any"></label> <label>Input, mV at full scale <input id="full" type="number" min="0" step="any"></label></p>
+        <p class="row"><button id="calibrator" class="plain" type="button">On a calibrator of 1 g</button><button id="relative" class="plain" type="button" hidden>Forget</button><output id="scale"></output></p></details>
     </div>
     <div id="hears" role="meter" aria-label="Level of the input" aria-valuemin="-80" aria-valuemax="0"><i></i></div>
     <p id="trouble" role="status"></p>
     <div class="row"><button id="go" class="plain main" type="button">Begin</button><button id="keep" class="plain" type="button" hidden>Save sound and events</button></div>
+    <div id="notes" hidden></div>
   </div>`;
 
+/** One capture: its sound, its events and its socket, until the server has learned a texture from it or refuses. */
+export class Captured {
+  /** `about` is what the server is told of it; `onSaid(this, said)` is given its answers, `onFailed(this, why)` why no more follow. */
+  constructor(about, onSaid, onFailed) {
+    Object.assign(this, { about, onSaid, onFailed, pieces: [], events: [], unsent: [], socket: null, recording: true, playable: false, nSamples: 0 });
+    this.started = performance.now() / 1000;
+  }
+
+  get seconds() {
+    return this.nSamples / this.about.rate_hz;
+  }
+
+  connect() {
+    const socket = (this.socket = new WebSocket(new URL("capture", location.href.replace(/^http/, "ws"))));
+    let opened = false;
+    socket.onopen = () => {
+      opened = true;
+      for (const message of this.unsent.splice(0)) socket.send(message);
+    };
+    socket.onmessage = ({ data }) => this.answered(JSON.parse(data));
+    socket.onclose = ({ reason }) => this.fail(opened ? reason || "the server is gone" : "the server cannot be reached");
+    this.send(JSON.stringify({ do: "begin", ...this.about }));
+  }
+
+  send(message) {
+    if (this.socket?.readyState === WebSocket.CONNECTING) this.unsent.push(message);
+    else this.socket?.send(message);
+  }
+
+  /** Send numbers, after the letter that says what they are. */
+  sendNumbers(kind, values) {
+    const bytes = new Uint8Array(1 + values.byteLength);
+    bytes[0] = kind.charCodeAt(0);
+    bytes.set(new Uint8Array(values.buffer, values.byteOffset, values.byteLength), 1);
+    this.send(bytes);
+  }
+
+  addSound(piece) {
+    this.pieces.push(piece);
+    this.nSamples += piece.length;
+    this.sendNumbers("s", piece);
+  }
+
+  addEvent(x, y, pressure, t) {
+    this.events.push([x, y, pressure, t]);
+    this.sendNumbers("e", Float64Array.of(x, y, pressure, t));
+  }
+
+  train() {
+    this.recording = false;
+    this.send(JSON.stringify({ do: "train" }));
+  }
+
+  answered(said) {
+    if (said.refused) return this.fail(said.refused);
+    if (said.playable) this.playable = true;
+    if (said.done) this.end();
+    this.onSaid(this, said);
+  }
+
+  /** Take nothing in any more, and leave the server; sound and events stay. */
+  end() {
+    const { socket } = this;
+    this.recording = false;
+    this.socket = null;
+    if (!socket) return;
+    socket.onopen = socket.onmessage = socket.onclose = null;
+    socket.close();
+  }
+
+  fail(why) {
+    this.end();
+    this.onFailed(this, why);
+  }
+
+  /** Save the files that `foten import sound.wav --pen pen.csv` reads, and return how many events came late. */
+  save() {
+    const samples = new Float32Array(this.nSamples);
+    let at = 0;
+    for (const piece of this.pieces) {
+      samples.set(piece, at);
+      at += piece.length;
+    }
+    save(wavOf(samples, this.about.rate_hz), "sound.wav");
+    const { events, nLate } = inOrder(this.events);
+    const rows = events.map(([x, y, pressure, t]) => [t, x, y, pressure].map((value) => value.toFixed(6)).join(","));
+    save(new Blob([["t [s],x [mm],y [mm],pressure", ...rows, ""].join("\n")], { type: "text/csv" }), "pen.csv");
+    return nLate;
+  }
+}
+
+/** Return events with increasing times, and how many came late: as `in_order` of the server, which says why. */
+export function inOrder(events) {
+  const kept = [];
+  let latest = -Infinity, nLate = 0, wasDown = false;
+  for (const [x, y, pressure, t] of events) {
+    const time = Number(t.toFixed(6)), turns = pressure > 0 !== wasDown;
+    wasDown = pressure > 0;
+    if (time < latest) nLate++;
+    if (time < latest && !turns) continue;
+    latest = Math.max(latest, time);
+    if (kept.at(-1)?.[3] === latest) kept.pop();
+    kept.push([x, y, pressure, latest]);
+  }
+  return { events: kept, nLate };
+}
+
+const sentence = (text) => (text ? `${text[0].toUpperCase()}${text.slice(1)}` : "");
+
+/** The dialog: it shows the newest capture; one that it shows no more goes on learning, and says what becomes of it. */
 export class Capture {
-  /** `calibration()` gives a and b of Eq. 12; `onTexture(listed, done)` is given a texture of the server's, once and when it is better. */
-  constructor(dialog, { calibration, onTexture, canTrain }) {
-    Object.assign(this, { dialog, calibration, onTexture, canTrain, step: "closed", fullScale: null });
+  /**
+   * `calibration()` gives a and b of Eq. 12; `onTexture(listed, done)` is given a texture of the server's, once and when it is
+   * better; `say(text)` why a capture that is not shown any more failed.
+   */
+  constructor(dialog, { calibration, onTexture, canTrain, say }) {
+    Object.assign(this, { dialog, calibration, onTexture, canTrain, say, step: "closed", fullScale: null, current: null, unsaid: [] });
     dialog.innerHTML = INSIDE;
     this.$ = (id) => dialog.querySelector(`#${id}`);
     this.pad = new Pad(this.$("surface"), (...event) => this.event(...event), TRAIL_MS);
@@ -46,8 +162,9 @@ export class Capture {
     this.$("keep").addEventListener("click", () => this.keep());
     this.$("inputs").addEventListener("change", () => this.attempt(() => this.listen(this.$("inputs").value)));
     this.$("calibrator").addEventListener("click", () => this.attempt(() => this.calibrate()));
-    for (const id of ["sensor", "full"]) this.$(id).addEventListener("input", () => this.setScale(Number(this.$("full").value) / Number(this.$("sensor").value)));
-    dialog.addEventListener("close", () => this.close());
+    this.$("relative").addEventListener("click", () => this.setScale(null, ["", ""]));
+    for (const id of ["sensor", "full"]) this.$(id).addEventListener("input", () => this.typed());
+    dialog.addEventListener("close", () => dialog.open || this.leave()); // the event comes later, and the dialog may be open again
   }
 
   async attempt(what) {
@@ -59,6 +176,7 @@ export class Capture {
   }
 
   show() {
+    this.leave();
     this.dialog.showModal();
     this.enter("set-up");
     this.pad.mmPerPx = Number(localStorage.getItem("mm-per-px")) || this.pad.mmPerPx;
@@ -74,11 +192,11 @@ export class Capture {
   enter(step) {
     this.step = step;
     this.dialog.dataset.step = step;
-    const taps = step === "tap-in" || step === "tap-out";
-    for (const [id, on] of Object.entries({ "set-up": step === "set-up", taps, field: step === "stroke", learning: step === "training", hears: step !== "training" && step !== "kept", keep: step === "failed" || step === "kept" }))
+    const taps = step === "tap-in" || step === "tap-out", learning = step === "training", kept = step === "kept" || step === "failed";
+    for (const [id, on] of Object.entries({ "set-up": step === "set-up", taps, field: step === "stroke", learning, hears: !learning && !kept, keep: kept, notes: learning || kept }))
       this.$(id).hidden = !on;
     if (taps) this.knocks = 0;
-    this.$("go").hidden = taps || step === "training" || step === "kept";
+    this.$("go").hidden = taps || learning || step === "kept";
     this.$("go").textContent = { stroke: "Done", failed: "Again" }[step] ?? "Begin";
     this.$("step").textContent =
       { "set-up": "Capture a surface", "tap-in": "Tap three times", "tap-out": "Tap three times", training: "Learning", kept: "Captured", failed: "Not captured" }[step] ?? "Stroke";
@@ -89,39 +207,57 @@ export class Capture {
 
   async listen(deviceId) {
     this.unlisten();
+    const mine = (this.listening = {});
+    try {
+      await this.open(deviceId, mine);
+    } catch (error) {
+      if (this.listening !== mine) return; // the dialog was closed, or another input chosen
+      this.unlisten();
+      throw error;
+    }
+  }
+
+  async open(deviceId, mine) {
     if (!navigator.mediaDevices) throw new Error("this browser gives no input to this page: open it over HTTPS, or at localhost");
     const off = Object.fromEntries(Object.keys(FILTERS).map((name) => [name, false]));
     let stream;
     try {
       stream = await navigator.mediaDevices.getUserMedia({ audio: { ...off, channelCount: 1, ...(deviceId && { deviceId: { exact: deviceId } }) } });
     } catch (error) {
-      throw new Error(error.name === "NotAllowedError" ? "the page may not listen: allow the microphone for it" : error.name === "NotFoundError" ? "there is no input: plug the microphone in" : error.message);
+      if (error.name === "OverconstrainedError") this.$("inputs").replaceChildren(); // so that the next attempt takes what is there
+      const known = {
+        NotAllowedError: "the page may not listen: allow the microphone for it",
+        NotFoundError: "there is no input: plug the microphone in",
+        OverconstrainedError: "this input is gone: plug it in again, or go on with another",
+      };
+      throw new Error(known[error.name] ?? (error.message || error.name));
     }
+    if (this.listening !== mine) return stop(stream);
     this.stream = stream;
     const [track] = stream.getAudioTracks(), settings = track.getSettings();
     const on = Object.keys(FILTERS).filter((name) => settings[name] === true).map((name) => FILTERS[name]);
-    if (on.length) {
-      this.unlisten();
-      throw new Error(`the browser does not turn off ${on.join(" and ")} of this input, which would alter the vibration: take another input or browser`);
-    }
-    this.input = track.label || "audio input";
+    if (on.length) throw new Error(`the browser does not turn off ${on.join(" and ")} of this input, which would alter the vibration: take another input or browser`);
     track.addEventListener("ended", () => this.fail("the input was unplugged"));
-    this.context = new AudioContext(settings.sampleRate ? { sampleRate: settings.sampleRate } : {});
-    await this.context.audioWorklet.addModule("input.js");
-    const node = new AudioWorkletNode(this.context, "foten-input", { numberOfOutputs: 0, channelCount: 1, channelCountMode: "explicit" });
-    node.port.onmessage = ({ data }) => (data.piece ? this.received(data.piece) : this.lost(data.missing));
-    this.context.createMediaStreamSource(stream).connect(node);
-    await this.context.resume();
-    this.levels = new Levels(this.context.sampleRate);
-    this.peaks = [];
+    const context = (this.context = new AudioContext(settings.sampleRate ? { sampleRate: settings.sampleRate } : {}));
+    await context.audioWorklet.addModule("input.js");
+    const node = new AudioWorkletNode(context, "foten-input", { numberOfOutputs: 0, channelCount: 1, channelCountMode: "explicit" });
+    node.port.onmessage = ({ data }) => this.listening === mine && (data.piece ? this.received(data.piece) : this.lost(data.missing));
+    context.createMediaStreamSource(stream).connect(node);
+    await context.resume();
     const inputs = (await navigator.mediaDevices.enumerateDevices()).filter((one) => one.kind === "audioinput");
+    if (this.listening !== mine) return;
     this.$("inputs").replaceChildren(...inputs.map((one, i) => new Option(one.label || `Input ${i + 1}`, one.deviceId, false, one.deviceId === settings.deviceId)));
+    this.input = track.label;
+    this.recallScale();
+    this.levels = new Levels(context.sampleRate);
+    this.peaks = [];
   }
 
   unlisten() {
-    for (const track of this.stream?.getTracks() ?? []) track.stop();
+    if (this.stream) stop(this.stream);
     this.context?.close();
-    this.stream = this.context = this.levels = null;
+    this.listening = this.stream = this.context = this.levels = null;
+    for (const id of ["sensor", "full", "calibrator", "relative"]) this.$(id).disabled = true;
   }
 
   received(piece) {
@@ -129,30 +265,58 @@ export class Capture {
     this.levels.add(piece, this.pad.touching);
     this.peaks.push([performance.now() / 1000, this.levels.peak]);
     if (this.peaks.length > 200) this.peaks.shift();
-    if (!this.pieces) return;
-    this.pieces.push(piece);
-    this.send("s", piece);
-    if (this.pieces.length * piece.length > LONGEST_S * this.context.sampleRate) this.fail(`a capture has at most ${LONGEST_S / 60} minutes`);
+    const { current } = this;
+    if (!current?.recording) return;
+    current.addSound(piece);
+    if (current.seconds > LONGEST_S) this.fail(`a capture has at most ${LONGEST_S / 60} minutes`);
   }
 
   lost(missing) {
-    if (this.pieces) this.fail(`the browser lost ${missing} samples of the sound: close other pages, and try again`);
+    if (this.current?.recording) this.fail(`the browser lost ${missing} samples of the sound: close other pages, and try again`);
   }
 
-  setScale(value) {
-    this.fullScale = value > 0 && Number.isFinite(value) ? value : null;
-    this.$("scale").value = this.fullScale ? `full scale is ${this.fullScale.toPrecision(3)} m/s²` : "Relative units without";
+  // Its sensitivity: each input has its own
+
+  typed() {
+    const [sensor, full] = ["sensor", "full"].map((id) => this.$(id).value);
+    this.setScale(sensor && full ? Number(full) / Number(sensor) : null, [sensor, full]);
+  }
+
+  /** Take an acceleration [m/s²], or null, as full scale of this input, and keep it with what was typed. */
+  setScale(value, fields) {
+    const known = value >= FULL_SCALES[0] && value <= FULL_SCALES[1], scales = JSON.parse(localStorage.getItem("full-scales") ?? "{}");
+    if (known && !NAMELESS.test(this.input)) scales[this.input] = { value, fields };
+    else delete scales[this.input];
+    localStorage.setItem("full-scales", JSON.stringify(scales));
+    this.showScale(known ? value : null, fields);
+    if (value !== null && !known) this.$("scale").value = `Expected ${FULL_SCALES.join(" to ")} m/s² at full scale`;
+  }
+
+  recallScale() {
+    const { value = null, fields = ["", ""] } = JSON.parse(localStorage.getItem("full-scales") ?? "{}")[this.input] ?? {};
+    this.showScale(value, fields);
+    for (const id of ["sensor", "full", "calibrator", "relative"]) this.$(id).disabled = false;
+  }
+
+  showScale(value, fields) {
+    this.fullScale = value;
+    ["sensor", "full"].forEach((id, i) => this.$(id).value === fields[i] || (this.$(id).value = fields[i]));
+    this.$("sensitivity").textContent = value ? `Sensitivity: full scale is ${value.toPrecision(3)} m/s²` : "Sensitivity: relative units";
+    this.$("scale").value = !value ? "" : NAMELESS.test(this.input) ? "For this time: choose the input by its name to keep it" : "Kept for this input, at the gain that it has now";
+    this.$("relative").hidden = !value;
   }
 
   /** A shaker moves the sensor with an RMS of 1 g: a second of it says what full scale is. */
   async calibrate() {
+    const { levels } = this, add = levels.add.bind(levels);
     let squares = 0, n = 0;
-    const add = this.levels.add.bind(this.levels);
-    this.levels.add = (piece, down) => (add(piece, down), (squares += this.levels.rms ** 2), n++);
+    levels.add = (piece, down) => (add(piece, down), (squares += levels.rms ** 2), n++);
+    this.$("scale").value = "Listening for a second";
     await new Promise((resolve) => setTimeout(resolve, 1000));
-    this.levels.add = add;
+    levels.add = add;
+    if (this.levels !== levels) return; // another input was chosen
     const rms = Math.sqrt(squares / Math.max(1, n));
-    this.setScale(rms > 1e-3 ? AN_RMS_OF_1_G / rms : NaN);
+    this.setScale(rms > 1e-3 ? AN_RMS_OF_1_G / rms : null, ["", ""]);
     if (!this.fullScale) this.$("scale").value = "Hardly anything is heard: is the calibrator on?";
   }
 
@@ -160,52 +324,26 @@ export class Capture {
 
   async go() {
     if (this.step === "failed") {
+      this.current = null;
       this.enter("set-up");
-      if (!this.levels) await this.listen();
+      if (!this.levels) await this.listen(this.$("inputs").value);
     } else if (this.step === "set-up") await this.begin();
     else if (this.step === "stroke") this.enter("tap-out");
   }
 
   async begin() {
     if (!this.levels) await this.listen(this.$("inputs").value);
-    this.pieces = [];
-    this.events = [];
-    this.unsent = [];
-    this.levels.clipped = this.levels.lost = 0;
-    this.started = performance.now() / 1000;
-    this.about = { name: this.$("called").value.trim() || "My surface", rate_hz: this.context.sampleRate, ...this.calibration(), input: this.input.slice(0, 100), ...(this.fullScale && { full_scale_m_s2: this.fullScale }) };
+    if (!this.levels || this.step !== "set-up") return; // closed, or pressed twice
+    const { levels, fullScale } = this, name = this.$("called").value.trim() || "My surface";
+    const about = { name, rate_hz: this.context.sampleRate, ...this.calibration(), input: (this.input || "audio input").slice(0, 100), ...(fullScale && { full_scale_m_s2: fullScale }) };
+    levels.clipped = levels.lost = 0;
+    this.touch = null;
+    this.$("learning").value = 0;
+    this.$("notes").replaceChildren();
     this.coverage.start(true);
+    this.current = new Captured(about, (...one) => this.answered(...one), (...one) => this.failed(...one));
     this.enter("tap-in");
-    if (this.canTrain()) await this.connect();
-  }
-
-  connect() {
-    const socket = (this.socket = new WebSocket(new URL("capture", location.href.replace(/^http/, "ws"))));
-    const { about } = this;
-    socket.onmessage = ({ data }) => this.answered(JSON.parse(data), socket);
-    socket.onclose = ({ reason }) => this.socket === socket && this.recording && this.fail(`the server is gone${reason ? `: ${reason}` : ""}`);
-    return new Promise((resolve, reject) => {
-      socket.onopen = () => {
-        socket.send(JSON.stringify({ do: "begin", ...about }));
-        for (const [kind, values] of this.unsent.splice(0)) this.send(kind, values);
-        resolve();
-      };
-      socket.onerror = () => reject(new Error("the server cannot be reached"));
-    });
-  }
-
-  get recording() {
-    return Boolean(this.pieces);
-  }
-
-  send(kind, values) {
-    const { socket } = this;
-    if (!socket) return;
-    if (socket.readyState !== WebSocket.OPEN) return void this.unsent.push([kind, values]);
-    const bytes = new Uint8Array(1 + values.byteLength);
-    bytes[0] = kind.charCodeAt(0);
-    bytes.set(new Uint8Array(values.buffer, values.byteOffset, values.byteLength), 1);
-    socket.send(bytes);
+    if (this.canTrain()) this.current.connect();
   }
 
   touched(e) {
@@ -213,10 +351,10 @@ export class Capture {
   }
 
   event(x, y, pressure, seconds) {
-    if (!this.recording) return;
-    const t = seconds - this.started, { newtons, steepness } = this.about;
-    this.events.push([x, y, pressure, t]);
-    this.send("e", Float64Array.of(x, y, pressure, t));
+    const { current } = this;
+    if (!current?.recording) return;
+    const t = seconds - current.started, { newtons, steepness } = current.about;
+    current.addEvent(x, y, pressure, t);
     if (this.step === "stroke") this.coverage.take(x, y, pressure && newtons * Math.exp(steepness * pressure), t);
     if (pressure && !this.touch) this.touch = { t, at: seconds, x, y, path: 0 };
     else if (this.touch) {
@@ -245,67 +383,61 @@ export class Capture {
   }
 
   finish() {
-    this.pieces.ended = true;
-    this.taken = { pieces: this.pieces, events: this.events, rate: this.context.sampleRate };
-    this.pieces = null;
     this.unlisten();
-    if (!this.socket) {
-      this.enter("kept");
-      this.trouble = "This page has no server to learn from it: save it, and run foten import sound.wav --pen pen.csv.";
-      return;
-    }
-    this.enter("training");
-    this.socket.send(JSON.stringify({ do: "train" }));
+    this.current.train();
+    if (this.current.socket) return this.enter("training");
+    this.enter("kept");
+    this.trouble = "This page has no server to learn from it: save it, and run foten import sound.wav --pen pen.csv.";
   }
 
-  answered(said, socket) {
-    if (socket !== this.socket) return;
-    if (said.refused) return this.fail(said.refused);
-    if (said.share !== undefined) this.$("learning").value = said.share;
-    if (said.stage) this.trouble = `${said.stage[0].toUpperCase()}${said.stage.slice(1)}`;
-    if (said.joined) this.joined = said.joined;
-    if (said.notes) this.notes = said.notes;
-    if (said.playable) this.onTexture(said.playable, false);
-    if (said.done) {
-      this.socket = null;
-      socket.close();
-      this.onTexture(said.done, true);
+  answered(captured, said) {
+    const shown = captured === this.current;
+    if (shown) {
+      if (said.share !== undefined) this.$("learning").value = said.share;
+      if (said.stage) this.trouble = sentence(said.stage);
+      for (const text of [said.joined?.text, ...(said.notes ?? [])].filter(Boolean))
+        this.$("notes").append(Object.assign(document.createElement("p"), { textContent: sentence(text) }));
     }
-    if (said.playable && this.dialog.open) this.dialog.close();
+    const texture = said.done ?? said.playable;
+    if (!texture) return;
+    if (shown) {
+      this.current = null; // it goes on without the dialog
+      this.dialog.close();
+    }
+    this.onTexture(texture, Boolean(said.done));
   }
 
+  failed(captured, why) {
+    if (captured === this.current) return this.fail(why);
+    this.unsaid.push(`${captured.about.name} ${captured.playable ? "gets no better" : "was not captured"}: ${why}`);
+    if (!this.dialog.open) this.sayUnsaid(); // else it would be behind the dialog
+  }
+
+  sayUnsaid() {
+    const text = this.unsaid.splice(0).join(". ");
+    if (text) this.say?.(text);
+  }
+
+  /** End what the dialog shows, and say why. */
   fail(why) {
-    if (this.pieces) this.taken = { pieces: this.pieces, events: this.events, rate: this.context?.sampleRate ?? 48000 };
-    this.pieces = null;
+    this.current?.end();
     this.unlisten();
-    const { socket } = this;
-    this.socket = null;
-    socket?.close();
     this.enter("failed");
-    this.$("keep").hidden = !this.taken?.pieces.length;
-    this.trouble = `${why[0].toUpperCase()}${why.slice(1)}`;
+    this.$("keep").hidden = !this.current?.pieces.length;
+    this.trouble = sentence(why);
   }
 
-  /** What was captured, as the files that `foten import sound.wav --pen pen.csv` reads. */
   keep() {
-    const { pieces, events, rate } = this.taken, samples = new Float32Array(pieces.reduce((sum, one) => sum + one.length, 0));
-    let at = 0;
-    for (const piece of pieces) {
-      samples.set(piece, at);
-      at += piece.length;
-    }
-    save(wavOf(samples, rate), "sound.wav");
-    const rows = events.map(([x, y, pressure, t]) => [t, x, y, pressure].map((value) => value.toFixed(6)).join(","));
-    save(new Blob([["t [s],x [mm],y [mm],pressure", ...rows, ""].join("\n")], { type: "text/csv" }), "pen.csv");
+    const nLate = this.current.save();
+    if (nLate) this.trouble = `${nLate} events of the pen came late, and are kept only as touches and lifts.`;
   }
 
-  close() {
-    if (this.recording) {
-      this.socket?.close();
-      this.socket = null;
-    }
-    this.pieces = null;
+  /** Let go of the input and of the capture that is shown: one that is not at its end is given up, one that learns goes on. */
+  leave() {
+    if (this.current?.recording) this.current.end();
+    this.current = null;
     this.unlisten();
+    this.sayUnsaid();
   }
 
   draw() {
@@ -326,10 +458,15 @@ export class Capture {
           this.$("step").textContent = advice;
           this.advised = performance.now();
         }
-        this.$("go").disabled = this.coverage.stroked < LEAST_S;
       }
-    } else this.$("go").disabled = false;
+    }
+    // Where it is, so that nothing moves under the hand when it comes.
+    this.$("go").style.visibility = step === "stroke" && this.coverage.stroked < LEAST_S ? "hidden" : "";
     const text = this.trouble || (step === "set-up" || step === "stroke" ? levels?.trouble : "") || "";
     if (this.$("trouble").textContent !== text) this.$("trouble").textContent = text;
   }
+}
+
+function stop(stream) {
+  for (const track of stream.getTracks()) track.stop();
 }

@@ -104,6 +104,11 @@ export class Coverage {
         g.fillStyle = style.color;
         g.fillRect(x, y + (1 - share) * (ch - gap), cw, share * (ch - gap));
         g.restore();
+        g.lineWidth = 1;
+        g.globalAlpha = 0.3; // a line about each, for a dark ground hardly differs from a cell
+        g.strokeStyle = style.outlineColor;
+        g.stroke();
+        g.globalAlpha = 1;
         if (next?.row === r && next?.column === c) {
           g.lineWidth = 3;
           g.strokeStyle = style.outlineColor;
