@@ -50,7 +50,7 @@ def run(block: Block, folder: Path) -> None:
             (tools / name).write_text(f'#!/bin/sh\nexec {sys.executable} {program} "$@"\n')
             (tools / name).chmod(0o755)
     if block.about == "serves":
-        serves(tools / "foten", *block.code.split()[1:])
+        serves(folder, tools / "foten", *block.code.split()[1:])
         return
     command = ["bash", "-e", "-c", block.code] if block.language == "sh" else [sys.executable, "-c", block.code]
     environment = {**os.environ, "PATH": f"{tools}:{os.environ['PATH']}", "RAY_DEDUP_LOGS": "0"}
@@ -59,14 +59,14 @@ def run(block: Block, folder: Path) -> None:
     assert done.returncode == expected, f"{block.code}\n{done.stderr[-2000:]}"
 
 
-def serves(*command: str | Path) -> None:
+def serves(folder: Path, *command: str | Path) -> None:
     """Start a server, ask it for its page by the link that it prints, and end it."""
     process = subprocess.Popen(
-        [*command, "--no-open", "--port", "0"], stderr=subprocess.PIPE, text=True, start_new_session=True
+        [*command, "--no-open", "--port", "0"], cwd=folder, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
     try:
         assert process.stderr is not None
-        link = process.stderr.readline().rsplit(" ", 1)[-1].strip()
+        link = next(found[0] for line in process.stderr if (found := re.search(r"https?://\S+", line)))
         own = ssl.create_default_context()
         own.check_hostname, own.verify_mode = False, ssl.CERT_NONE  # as a tablet does that was told to
         opener = urllib.request.build_opener(
@@ -75,7 +75,7 @@ def serves(*command: str | Path) -> None:
             urllib.request.ProxyHandler({}),
         )
         with opener.open(link, timeout=30) as answer:
-            assert b"<title>foten</title>" in answer.read()
+            assert re.search(rb"<title>(foten|Operator)</title>", answer.read())
     finally:
         process.terminate()
         process.communicate(timeout=30)
@@ -103,14 +103,37 @@ def test_every_long_command_of_a_tutorial_runs(page: Path, tmp_path: Path) -> No
 
 def test_the_recordings_tutorial_ends_in_a_report(tmp_path: Path) -> None:
     """What a reader was promised: the commands are there in this order, and none of them is left out of running."""
-    commands = [
-        line.split()[1]
-        for block in runnable(TUTORIALS[-1], slow=False)
+    assert commands_of("recordings") == ["import", "import", "import", "inspect", "train", "evaluate", "render", "play"]
+
+
+def commands_of(tutorial: str) -> list[str]:
+    """Return the subcommands that a tutorial's tests run, `study new` as two words."""
+    lines = [
+        line.split()
+        for block in runnable(ROOT / "docs" / "tutorials" / f"{tutorial}.md", slow=False)
         for line in block.code.splitlines()
         if line.startswith("foten ")
     ]
-    assert TUTORIALS[-1].stem == "recordings"
-    assert commands == ["import", "import", "import", "inspect", "train", "evaluate", "render", "play"]
+    return [" ".join(words[1:3] if words[1] == "study" else words[1:2]) for words in lines]
+
+
+# Three users, and what each wants to have done in the first ten minutes, by the commands of one page.
+JOURNEYS = {
+    "researcher with recordings": ("recordings", {"import", "inspect", "train", "evaluate", "render", "play"}),
+    "developer of an app": ("developers", {"info", "export"}),
+    "maker with a pen": ("page", {"serve", "export"}),
+    "lab with participants": (
+        "study",
+        {"study new", "study check", "study power", "study simulate", "study run", "study status", "study analyze"},
+    ),
+}
+
+
+@pytest.mark.parametrize("user", JOURNEYS)
+def test_each_user_gets_there_by_the_commands_of_one_page(user: str) -> None:
+    """That each of them runs is what `test_every_command_of_a_tutorial_runs` says."""
+    tutorial, wanted = JOURNEYS[user]
+    assert wanted <= set(commands_of(tutorial))
 
 
 def test_what_the_readme_shows_in_python_runs(tmp_path: Path) -> None:

@@ -429,7 +429,7 @@ BAD = [
     ('{"do": "dance"}', "unknown message 'dance', expected one of open"),
     ('{"do": "open"}', "texture is missing"),
     ('{"do": "open", "texture": 5}', "texture is a name"),
-    ('{"do": "open", "texture": "a", "sink": "daq"}', "sink one of stream, device"),
+    ('{"do": "open", "texture": "a", "sink": "daq"}', "sink is 'daq', expected one of stream, device"),
     ('{"do": "actuate", "full_scale": 0}', "full_scale is 0, expected a number from 1e-06"),
     ('{"do": "open", "texture": "a", "colour": 1}', "unknown field 'colour'"),
     ('{"do": "open", "texture": "a", "rate_hz": 1}', "rate_hz is 1, expected a number from 8000"),

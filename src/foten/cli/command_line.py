@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
@@ -23,6 +24,7 @@ from foten.cli.machine import bench, doctor
 from foten.cli.recordings import import_, inspect, simulate
 from foten.cli.render import play, render
 from foten.cli.serve import serve
+from foten.cli.study import app as study
 from foten.cli.train import train
 
 
@@ -48,6 +50,7 @@ app = typer.Typer(
 
 _EXTRAS = dict.fromkeys(("scipy", "h5py", "matplotlib", "openpyxl", "nptdms", "pymatreader"), "data")
 _EXTRAS |= dict.fromkeys(("starlette", "uvicorn", "websockets", "segno", "cryptography"), "serve")
+_EXTRAS |= dict.fromkeys(("statsmodels", "pandas"), "study")
 _EXTRAS |= {"torch": "train", "ray": "sweep", "onnx": "onnx", "onnxruntime": "onnx"}
 """Which extra installs a package that may be missing."""
 
@@ -70,25 +73,17 @@ def _global_options(
 
 
 # In the order in which --help lists them.
-app.command()(simulate)
-app.command("import")(import_)
-for _command in (
-    inspect,
-    train,
-    evaluate,
-    render,
-    play,
-    serve,
-    export,
-    bench,
-    doctor,
-    sweep,
-    tables,
-    figures,
-    info,
-    demo,
-):
-    app.command()(_command)
+_PANELS: dict[str, tuple[Callable[..., None], ...]] = {
+    "From a recording to a texture": (simulate, import_, inspect, train, evaluate, info),
+    "Stroke, play, take elsewhere": (serve, play, render, export),
+    "Compare": (sweep, tables, figures),
+    "This machine": (demo, bench, doctor),
+}
+for _panel, _commands in _PANELS.items():
+    for _command in _commands:
+        app.command(_command.__name__.rstrip("_"), rich_help_panel=_panel)(_command)
+    if _panel == "Compare":
+        app.add_typer(study, name="study", rich_help_panel=_panel)
 
 
 def main() -> None:

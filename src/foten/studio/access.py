@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from http.cookies import SimpleCookie
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, parse_qsl, urlencode, urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse, RedirectResponse
@@ -125,7 +125,9 @@ class Guarded:
     async def _enter(self, scope: Scope, receive: Receive, send: Send, known: bool) -> None:
         """Send a device on to the address without the token, where others could read it; a new one gets a secret of its own."""
         # One slash in front: two would be the address of another host.
-        response = RedirectResponse("/" + scope["path"].lstrip("/"), status_code=303)
+        query = [(name, value) for name, value in parse_qsl(scope["query_string"].decode("latin-1")) if name != "token"]
+        path = "/" + scope["path"].lstrip("/")
+        response = RedirectResponse(f"{path}?{urlencode(query)}" if query else path, status_code=303)
         if known:
             await response(scope, receive, send)
             return

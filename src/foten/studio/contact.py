@@ -20,6 +20,7 @@ from foten.studio.players import Player
 LOUDNESS = 0.1  # of full scale, of a recording's standard deviation at 0 dB
 LINEAR = 0.8  # of full scale; beyond, what leaves is compressed and never reaches it
 FADE_S = 512 / 48_000  # of a change from one texture to another
+LIFT_S = 1e-4  # after the last event, that the pen is lifted where no event says it
 LAST_EVENTS = 16  # that a texture is given which takes over during a stroke
 
 OnBlock = Callable[[NDArray[np.float32], float, float], None]
@@ -121,6 +122,15 @@ class Contact:
                 self._last.append(event)
                 if self._hand is not None:
                     self._hand.stylus.push(*event)
+
+    def lift(self) -> None:
+        """The pen is off the surface, from where it was."""
+        with self._pushing:
+            if self._last and self._last[-1][2] > 0:
+                x, y, _, t = self._last[-1]
+                self._last.append([x, y, 0.0, t + LIFT_S])
+                if self._hand is not None:
+                    self._hand.stylus.push(*self._last[-1])
 
     @property
     def running(self) -> bool:

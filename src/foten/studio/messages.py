@@ -19,7 +19,22 @@ A page that captures says:
     {"do": "train"}
     {"do": "discard"}
 
-Its bytes begin with a letter: `e` and events as above, or `s` and samples of the sound in their order, little-endian float32.
+The bytes of a capture begin with a letter: `e` and events as above, or `s` and samples of the sound in their order,
+little-endian float32.
+
+A participant's page in a study says, and strokes in bytes as above:
+
+    {"do": "join", "code": "KXWQA", "role": "all" | "stroke" | "answer", "rate_hz": 48000, "volume_db": 0, "newtons": 0.13,
+     "steepness": 3.32}                             without a code: as a new participant, where there is no operator
+    {"do": "done", "step": "trial:5", "rating": 63, "seconds": 12.5}
+    {"do": "done", "step": "questions:end", "answers": {"remarks": "…"}}
+    {"do": "side", "side": "real" | "virtual"}
+
+The operator's page says:
+
+    {"do": "begin"}
+    {"do": "hold" | "go", "number": 3}
+    {"do": "side", "number": 3, "side": "real" | "virtual"}
 """
 
 from __future__ import annotations
@@ -61,8 +76,15 @@ _NUMBERS: Mapping[str, tuple[float, float]] = {
     "lowest_hz": (0.0, 1e6),
     "limit": (0.0, 1e6),
     "full_scale": (1e-6, 1e6),
+    "rating": (0.0, 100.0),
+    "seconds": (0.0, 1e6),
+    "number": (1, 1e6),
 }
-_SINKS = ("stream", "device")
+_CHOICES: Mapping[str, tuple[str, ...]] = {
+    "sink": ("stream", "device"),
+    "role": ("all", "stroke", "answer"),
+    "side": ("virtual", "real"),
+}
 Kinds = Mapping[str, tuple[frozenset[str], frozenset[str]]]
 STROKE: Kinds = {
     "open": (frozenset({"texture"}), frozenset({"sink", "rate_hz", "volume_db", "newtons", "steepness"})),
@@ -75,6 +97,17 @@ CAPTURE: Kinds = {
     "begin": (frozenset({"name", "rate_hz"}), frozenset({"newtons", "steepness", "full_scale_m_s2", "input"})),
     "train": (frozenset(), frozenset()),
     "discard": (frozenset(), frozenset()),
+}
+SESSION: Kinds = {
+    "join": (frozenset(), frozenset({"code", "role", "rate_hz", "volume_db", "newtons", "steepness"})),
+    "done": (frozenset({"step"}), frozenset({"rating", "seconds", "answers"})),
+    "side": (frozenset({"side"}), frozenset()),
+}
+OPERATOR: Kinds = {
+    "begin": (frozenset(), frozenset()),
+    "hold": (frozenset({"number"}), frozenset()),
+    "go": (frozenset({"number"}), frozenset()),
+    "side": (frozenset({"number", "side"}), frozenset()),
 }
 """What each kind of message must have, and what it may have."""
 
@@ -106,9 +139,12 @@ def parse_message(text: str, kinds: Kinds = STROKE) -> dict[str, Any]:
         value = message.get(name, low)
         if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
             raise RefusedError(f"{kind}: {name} is {value!r:.40}, expected a number from {low:g} to {high:g}")
-    if not isinstance(message.get("texture", ""), str) or message.get("sink", _SINKS[0]) not in _SINKS:
-        raise RefusedError(f"{kind}: texture is a name, and sink one of {', '.join(_SINKS)}")
-    for name in ("name", "input"):
+    if not isinstance(message.get("texture", ""), str):
+        raise RefusedError(f"{kind}: texture is a name")
+    for name, choices in _CHOICES.items():
+        if message.get(name, choices[0]) not in choices:
+            raise RefusedError(f"{kind}: {name} is {message[name]!r:.40}, expected one of {', '.join(choices)}")
+    for name in ("name", "input", "code", "step"):
         said = message.get(name, "-")
         if (
             not isinstance(said, str)

@@ -12,7 +12,7 @@ import numpy as np
 
 from foten.runtime.actuator import ActuatorProfile
 from foten.runtime.live.devices import SOUND_RATE_HZ
-from foten.runtime.live.live import Live, LiveStatistics, Read
+from foten.runtime.live.live import Live, LiveStatistics, Read, Samples
 from foten.runtime.live.play import gain_for, sink_of
 
 DEVICE_BLOCK_MS, DEVICE_LEAD_MS = 4.0, 12.0
@@ -221,3 +221,21 @@ class TurnPlayer:
         self.statistics.n_samples += self._block.size
         self.statistics.n_missed += end > deadline
         return True
+
+
+def white_noise(level_db: float, device: str | None) -> Live:
+    """Return white noise on a sound card of this machine, to be played as a context, so that an actuator is not heard.
+
+    Args:
+        level_db: its RMS [dB of full scale].
+        device: name or number of the sound card; None for the usual one.
+
+    Raises:
+        OSError: there is none.
+    """
+    rng, rms = np.random.default_rng(), np.float32(10 ** (level_db / 20))
+
+    def render(out: Samples) -> None:
+        np.clip(rms * rng.standard_normal(out.size, dtype=np.float32), -1.0, 1.0, out=out)
+
+    return Live(render, sink_of("sound", SOUND_RATE_HZ, 1.0, None, device), lead_ms=100.0)

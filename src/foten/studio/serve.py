@@ -8,12 +8,13 @@ import socket
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Protocol
 
 import uvicorn
+from starlette.types import ASGIApp
 
 from foten.studio.access import LOOPBACK, Access, access_to, write_certificate
 from foten.studio.messages import MOST_BYTES
-from foten.studio.server import Studio
 
 SHUTDOWN_S = 3
 
@@ -50,8 +51,15 @@ def listening(host: str, port: int) -> socket.socket:
     return listener
 
 
+class Served(Protocol):
+    """What is served."""
+
+    def app(self, access: Access) -> ASGIApp:
+        """Return the application, behind its access."""
+
+
 def serve(
-    studio: Studio,
+    studio: Served,
     host: str,
     port: int,
     on_start: Callable[[Access, str], None],

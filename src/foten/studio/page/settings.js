@@ -97,14 +97,15 @@ export class Settings {
       <p>Hold a bank card to the screen and make the bar as long as it.</p>
       <div id="card"></div>
       <input id="size" type="range" min="120" max="900" step="1" aria-label="length of the bar">
-      <h3>Actuator</h3>
+      <section data-part="actuator"><h3>Actuator</h3>
       <div class="row"><button id="profile-open" class="plain" type="button">Open a profile</button><button id="profile-none" class="plain" type="button" hidden>None</button><input id="profile" type="file" accept=".json" hidden><output id="actuator"></output></div>
       <div class="row" id="drive" hidden><label for="full-scale">Full scale of the output is</label><input id="full-scale" type="number" min="0" step="any"><span id="drive-unit"></span></div>
-      <h3>Delay</h3>
+      </section>
+      <section data-part="delay"><h3>Delay</h3>
       <table aria-label="Delay"><tr><td></td><th>median</th><th>99 %</th></tr>
         <tr><th>pen to graph</th><td id="own50"></td><td id="own99"></td></tr><tr><th>pen to sound</th><td id="all50"></td><td id="all99"></td></tr></table>
       <p><output id="buffers"></output> <output id="quanta"></output></p>
-      <div class="row"><label for="buffer">Buffer</label><select id="buffer"><option value="quick">the shortest that the device has</option><option value="steady">longer, if it crackles</option></select></div>`;
+      <div class="row"><label for="buffer">Buffer</label><select id="buffer"><option value="quick">the shortest that the device has</option><option value="steady">longer, if it crackles</option></select></div></section>`;
     const $ = (id) => dialog.querySelector(`#${id}`);
     this.$ = $;
     $("volume").value = Number(localStorage.getItem("volume") ?? sound.volumeDb);

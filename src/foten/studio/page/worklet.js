@@ -1,11 +1,10 @@
 // Renders on the audio thread, 128 samples a call: a texture by the kernel, or what a server streams.
 import { Foten } from "./foten.mjs";
+import { limited, Stream } from "./stream.js";
 
 const FADE = 512; // samples of a change from one texture to another
 const QUANTA = 6; // of 128 samples between reports: 62 times a second at 48 kHz
 const LAST_EVENTS = 16; // that a texture is given which takes over during a stroke
-const AHEAD = 0.02, BEHIND = 0.15; // s of a stream that wait before it begins to play, and at most
-const LINEAR = 0.8; // of full scale; beyond, what leaves is compressed and never reaches it
 
 class Contact extends AudioWorkletProcessor {
   constructor({ processorOptions: { module } }) {
@@ -82,7 +81,7 @@ class Contact extends AudioWorkletProcessor {
   /** Play what comes from a server. */
   listen({ on, scale }) {
     if (on && this.stream) this.stream.scale = scale;
-    else this.stream = on ? { ring: new Float32Array(1 << 16), read: 0, written: 0, filling: true, lacking: 0, scale } : null;
+    else this.stream = on ? new Stream(scale) : null;
   }
 
   /** An event that a server renders. */
@@ -90,14 +89,8 @@ class Contact extends AudioWorkletProcessor {
     this.recording?.events.push([this.recording.n, ...event]);
   }
 
-  take({ samples, speed, force }) {
-    const { stream } = this;
-    if (!stream) return;
-    const size = stream.ring.length;
-    for (let i = 0; i < samples.length; i++) stream.ring[(stream.written + i) % size] = samples[i];
-    stream.written += samples.length;
-    if (stream.written - stream.read > BEHIND * sampleRate) stream.read = stream.written - AHEAD * sampleRate; // a pause of this page
-    [stream.speed, stream.force] = [speed, force];
+  take(block) {
+    this.stream?.take(block);
   }
 
   calibrate({ newtons, steepness }) {
@@ -144,20 +137,10 @@ class Contact extends AudioWorkletProcessor {
   }
 
   play(out) {
-    const { stream, quantum } = this, waits = stream.written - stream.read;
-    if (stream.filling && waits >= AHEAD * sampleRate) stream.filling = false;
-    quantum.fill(0);
-    if (!stream.filling) {
-      const n = Math.min(quantum.length, waits);
-      for (let i = 0; i < n; i++) quantum[i] = stream.ring[(stream.read + i) % stream.ring.length];
-      stream.read += n;
-      if (n < quantum.length) {
-        stream.filling = true;
-        stream.lacking++;
-      }
-    }
+    const { stream, quantum } = this;
+    stream.fill(quantum);
     this.keep(quantum);
-    this.measure(quantum, { condition: [stream.speed ?? 0, stream.force ?? 0] });
+    this.measure(quantum, { condition: [stream.speed, stream.force] });
     for (let i = 0; i < out.length; i++) out[i] = limited(stream.scale * quantum[i]);
     return true;
   }
@@ -193,13 +176,6 @@ class Contact extends AudioWorkletProcessor {
     this.port.postMessage({ report: { peaks: this.peaks.slice(), rms, speed, force, n: QUANTA * samples.length } });
     this.quanta = this.squares = 0;
   }
-}
-
-function limited(sample) {
-  const size = Math.abs(sample);
-  if (size <= LINEAR) return sample;
-  const room = 1 - LINEAR;
-  return Math.sign(sample) * (LINEAR + room * Math.tanh((size - LINEAR) / room));
 }
 
 registerProcessor("foten-contact", Contact);

@@ -1,0 +1,102 @@
+// The operator's page: who is where, which sample to lay down, and a hand on the trials. It is told nothing of methods.
+const $ = (id) => document.getElementById(id);
+const KINDS = { consent: "reads the consent", questions: "answers questions", instructions: "reads the instructions", break: "has a break", end: "has finished" };
+let socket, hiding, invited = null, link = "";
+
+function say(text) {
+  clearTimeout(hiding);
+  $("message").textContent = text;
+  $("message").hidden = !text;
+  hiding = setTimeout(() => ($("message").hidden = true), 7000);
+}
+
+function connect() {
+  socket = new WebSocket(new URL("operate", location.href.replace(/^http/, "ws")));
+  socket.onmessage = ({ data }) => {
+    const told = JSON.parse(data);
+    if (told.refused) say(told.refused);
+    else if (told.begun) invite(told);
+    else show(told);
+  };
+  socket.onclose = () => {
+    say("No connection to the server; this page tries again.");
+    setTimeout(connect, 1000);
+  };
+}
+
+const ask = (message) => socket.readyState === WebSocket.OPEN && socket.send(JSON.stringify(message));
+
+function show({ title, planned, simulated, screens, sessions, link: newest }) {
+  if (newest !== link && invited && $("invite").open) invite({ ...invited, screens }); // a link lets one device in
+  link = newest;
+  $("title").textContent = title;
+  document.title = `Operator: ${title}`;
+  $("simulated").hidden = !simulated;
+  const ended = sessions.filter((one) => one.kind === "end").length;
+  $("count").value = `${ended} of ${planned} have finished`;
+  $("none").hidden = sessions.length > 0;
+  // Those at work first; who has finished stays below.
+  const order = [...sessions].sort((a, b) => (a.kind === "end") - (b.kind === "end") || b.number - a.number);
+  const known = new Map([...$("people").children].map((row) => [Number(row.dataset.number), row]));
+  for (const one of order) {
+    const row = known.get(one.number) ?? made(one, screens);
+    fill(row, one);
+    $("people").append(row);
+  }
+}
+
+function made(one, screens) {
+  const row = document.createElement("li");
+  row.dataset.number = one.number;
+  row.innerHTML = `<div class="who"></div><div class="now"><strong></strong><span></span></div><div class="do"></div><progress max="1"></progress>`;
+  const button = (name, what) => {
+    const made = Object.assign(document.createElement("button"), { className: "plain", type: "button", textContent: name });
+    made.dataset.what = name;
+    made.addEventListener("click", what);
+    row.querySelector(".do").append(made);
+  };
+  button("Go", () => ask({ do: "go", number: one.number }));
+  button("Hold", () => ask({ do: "hold", number: one.number }));
+  button("Real", () => ask({ do: "side", number: one.number, side: "real" }));
+  button("Virtual", () => ask({ do: "side", number: one.number, side: "virtual" }));
+  button("Code", () => invite({ begun: one.number, code: one.code, screens }));
+  return row;
+}
+
+function fill(row, one) {
+  const who = row.querySelector(".who"), small = document.createElement("small");
+  small.textContent = one.code;
+  who.replaceChildren(String(one.number), small);
+  const trial = one.kind === "trial";
+  row.querySelector("strong").textContent = trial ? `${one.texture}${one.real ? `: ${one.real}` : ""}` : KINDS[one.kind];
+  const facts = [trial && (one.practice ? "practice" : `trial ${one.n + 1} of ${one.of}`), trial && (one.held ? "held" : `on the ${one.side} surface, ${one.switches} switches`)];
+  if (one.block_p99_ms) facts.push(`99 % of blocks in ${one.block_p99_ms.toFixed(1)} of ${one.block_ms.toFixed(0)} ms, ${one.n_missed} late, ${one.n_underruns} under-runs`);
+  const away = !one.pages.length && one.kind !== "end";
+  row.querySelector("span").textContent = away ? "no page is connected" : facts.filter(Boolean).join(" · ");
+  row.querySelector("span").classList.toggle("away", away);
+  row.querySelector("progress").value = one.n / one.of;
+  for (const button of row.querySelectorAll("[data-what]")) {
+    const { what } = button.dataset;
+    button.hidden = one.kind === "end" || (what !== "Code" && !trial) || (what === "Go" && !one.held) || (what === "Hold" && one.held) || (["Real", "Virtual"].includes(what) && (one.held || what.toLowerCase() === one.side));
+  }
+}
+
+function invite({ begun, code, screens }) {
+  invited = { begun, code };
+  $("invited").textContent = `Participant ${begun}`;
+  $("invite-code").textContent = code;
+  const roles = (screens ?? 1) > 1 ? [["stroke", "Tablet to stroke on"], ["answer", "Screen to answer on"]] : [["all", ""]];
+  $("invite-codes").replaceChildren(
+    ...roles.map(([role, name]) => {
+      const figure = document.createElement("figure"), image = Object.assign(new Image(), { src: `codes/${code}.svg?role=${role}&at=${Date.now()}`, alt: `Code to scan for participant ${begun}` });
+      const caption = Object.assign(document.createElement("figcaption"), { textContent: name });
+      figure.append(image, caption);
+      return figure;
+    }),
+  );
+  if (!$("invite").open) $("invite").showModal();
+}
+
+$("begin-one").addEventListener("click", () => ask({ do: "begin" }));
+connect();
+document.documentElement.dataset.ready = "true";

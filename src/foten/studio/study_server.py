@@ -1,0 +1,686 @@
+"""The server of a study: a participant's pages, the operator's page, and the trials between them.
+
+    GET  /                participants' page; its files
+    GET  /pictures/N      the picture of a texture
+    WS   /session         a participant's page (`study_messages` below)
+    GET  /operator        the operator's page, by the key in its link
+    WS   /operate         what it shows, and does
+
+What a participant's page is given says nothing of methods: trials by number, textures by name where the study file says so, and
+samples. A step that was answered is in the database before the next one is shown; where a participant is, the database knows.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hmac
+import io
+import json
+import secrets
+import struct
+import time
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from http.cookies import SimpleCookie
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlencode
+
+import anyio
+import numpy as np
+from numpy.typing import NDArray
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import FileResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.types import ASGIApp
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from foten.runtime.live.devices import SOUND_RATE_HZ
+from foten.runtime.stylus import PressureCalibration
+from foten.studio.access import Access, Guarded
+from foten.studio.contact import Contact
+from foten.studio.messages import (
+    EVENTS_A_SECOND,
+    MESSAGES_A_SECOND,
+    MOST_BYTES,
+    MOST_REFUSED,
+    OPERATOR,
+    SESSION,
+    Allowance,
+    RefusedError,
+    parse_events,
+    parse_message,
+)
+from foten.studio.players import Player, Turns, Wired
+from foten.studio.server import content_type, missing, page_files
+from foten.studio.stimuli import Stimuli, measured
+from foten.study.design import Design, Question
+from foten.study.orders import Trial
+from foten.study.store import Rated, Store
+
+OPERATOR_COOKIE = "foten-operator"
+LETTERS = "ABCDEFGHJKMNPQRSTUVWXYZ"  # that are not taken for one another
+CODE_LETTERS = 5
+MOST_PAGES = 64
+MOST_WAITING = 64  # blocks for a page that does not take them; the oldest go
+KEPT_S = 3.0  # between two writings of a stroke
+SHOWN_S = 0.5  # between two pictures of the study for the operator
+PAGE = Path(__file__).with_name("study_page")
+OPERATOR_PAGE = "operator.html"
+SHARED = (
+    "studio.css",
+    "pad.js",
+    "settings.js",
+    "stream.js",
+)  # with the studio's page; not the kernel, whose bytes name models
+Step = dict[str, Any]
+
+
+def steps_of(design: Design, trials: Sequence[Trial]) -> list[Step]:
+    """Return what a participant goes through, in order: each step has an `id` and a `kind`."""
+    steps: list[Step] = []
+    if design.consent.strip():
+        steps.append({"id": "consent", "kind": "consent", "text": design.consent})
+    steps += _asking(design.questions, "start")
+    steps.append({"id": "instructions", "kind": "instructions", "text": design.instructions})
+    counted = sum(not trial.practice for trial in trials)
+    for trial in trials:
+        n = trial.number
+        steps.append({"id": f"trial:{n}", "kind": "trial", "n": n, "of": counted, "trial": trial})
+        if n < 1 or n == counted:
+            continue
+        steps += _asking(design.questions, n)
+        if design.break_every and n % design.break_every == 0:
+            steps.append({"id": f"break:{n}", "kind": "break", "n": n, "of": counted})
+    return [*steps, *_asking(design.questions, "end"), {"id": "end", "kind": "end"}]
+
+
+def _asking(questions: Sequence[Question], at: str | int) -> list[Step]:
+    asked = [question for question in questions if question.at == at]
+    return [{"id": f"questions:{at}", "kind": "questions", "questions": asked}] if asked else []
+
+
+class StudyServer:
+    """A study that runs.
+
+    Args:
+        store: its database.
+        design, stimuli: as the database has them.
+        wired: what plays here; None where the pages do.
+        pictures: as the study file names them.
+    """
+
+    def __init__(self, store: Store, design: Design, stimuli: Stimuli, wired: Wired | None) -> None:
+        self.store, self.design, self.stimuli, self.wired = store, design, stimuli, wired
+        self.operator_key = secrets.token_urlsafe(16)
+        self.gains = {key: one.gain_db for key, one in store.stimuli().items()}
+        turns = Turns()
+        self.player: Callable[[float], Player] = turns.player if wired is None else wired.player
+        self.link: Callable[[str], str] = lambda query: f"/?{query}"  # by which the next device comes in
+        self.sessions: dict[int, Session] = {}
+        self.pages: set[ParticipantPage] = set()
+        # One thread: SQLite waits for the disk, which the sound must not.
+        self.disk = ThreadPoolExecutor(1, thread_name_prefix="foten-store")
+        for code, number in store.codes().items():
+            self._session(number, code)
+
+    def _session(self, number: int, code: str) -> Session:
+        self.sessions[number] = Session(self, number, code, self.store.trials(number), self.store.done(number))
+        return self.sessions[number]
+
+    async def on_disk(self, work: Callable[[], Any]) -> Any:
+        """Return what some work with the database comes to."""
+        return await asyncio.get_running_loop().run_in_executor(self.disk, work)
+
+    async def begin(self) -> Session:
+        """Return the session of a new participant.
+
+        Raises:
+            RefusedError: the design has no more.
+        """
+        code = "".join(secrets.choice(LETTERS) for _ in range(CODE_LETTERS))
+        try:
+            number = await self.on_disk(lambda: self.store.join(code))
+        except ValueError as error:
+            raise RefusedError(str(error)) from error
+        return self._session(number, code)
+
+    def by_code(self, code: str) -> Session:
+        """Return the session that a code names, or raise RefusedError."""
+        for session in self.sessions.values():
+            if hmac.compare_digest(session.code.encode(), code.strip().upper().encode()):
+                return session
+        raise RefusedError("there is no such code; the operator's page shows it")
+
+    def app(self, access: Access) -> ASGIApp:
+        """Return the application, behind its access."""
+        routes = [
+            Route("/operator", self._operator),
+            Route("/pictures/{number:int}", self._picture),
+            Route("/codes/{code}.svg", self._code),
+            WebSocketRoute("/session", self._serve_page),
+            WebSocketRoute("/operate", self._serve_operator),
+            Route("/{name:path}", self._file),
+        ]
+        return Guarded(Starlette(routes=routes, lifespan=self._lifespan), access)
+
+    @contextlib.asynccontextmanager
+    async def _lifespan(self, _app: Starlette) -> AsyncIterator[None]:
+        yield
+        for session in self.sessions.values():
+            await session.end_contact(keep=True)
+        self.disk.shutdown()
+
+    async def _file(self, request: Request) -> Response:
+        name = request.path_params["name"] or "study.html"
+        path = study_files().get(name)
+        if path is None or name == OPERATOR_PAGE:
+            return missing(f"there is no {name[:80]!r} here")
+        return FileResponse(path, media_type=content_type(path))
+
+    async def _picture(self, request: Request) -> Response:
+        number = request.path_params["number"]
+        textures = self.design.textures
+        path = textures[number].picture if number < len(textures) else None
+        shown = path is not None and self.design.setup.show_names
+        return FileResponse(path) if path is not None and shown else missing("there is no such picture here")
+
+    async def _operator(self, request: Request) -> Response:
+        key = request.query_params.get("key")
+        if key is not None and hmac.compare_digest(key.encode(), self.operator_key.encode()):
+            moved = RedirectResponse("/operator", status_code=303)
+            secure = request.url.scheme == "https"
+            moved.set_cookie(OPERATOR_COOKIE, self.operator_key, httponly=True, samesite="strict", secure=secure)
+            return moved
+        if not self._is_operator(request.headers.get("cookie", "")):
+            return PlainTextResponse(
+                "this page is the operator's: open the link that the server printed\n", status_code=403
+            )
+        return FileResponse(PAGE / OPERATOR_PAGE, media_type="text/html")
+
+    async def _code(self, request: Request) -> Response:
+        """Return a code to scan, which opens a participant's page."""
+        if not self._is_operator(request.headers.get("cookie", "")):
+            return missing("this is the operator's")
+        import segno
+
+        try:
+            query = {"code": self.by_code(request.path_params["code"]).code}
+        except RefusedError as error:
+            return missing(str(error))
+        role = request.query_params.get("role", "all")
+        if role in ("stroke", "answer"):
+            query["role"] = role
+        drawn = io.BytesIO()
+        segno.make(self.link(urlencode(query)), error="l").save(drawn, kind="svg", scale=8, border=2)
+        return Response(drawn.getvalue(), media_type="image/svg+xml")
+
+    def _is_operator(self, cookies: str) -> bool:
+        try:
+            morsel = SimpleCookie(cookies).get(OPERATOR_COOKIE)
+        except ValueError:
+            return False
+        return morsel is not None and hmac.compare_digest(morsel.value.encode(), self.operator_key.encode())
+
+    async def _serve_page(self, socket: WebSocket) -> None:
+        await socket.accept()
+        if len(self.pages) >= MOST_PAGES:
+            await socket.close(1013, f"{MOST_PAGES} pages are open already: close one")
+            return
+        page = ParticipantPage(self, socket)
+        self.pages.add(page)
+        try:
+            await page.run()
+        finally:
+            with anyio.CancelScope(shield=True):
+                await page.leave()
+            self.pages.discard(page)
+
+    async def _serve_operator(self, socket: WebSocket) -> None:
+        if not self._is_operator(socket.headers.get("cookie", "")):
+            await socket.close(1008, "this is the operator's")
+            return
+        await socket.accept()
+        await OperatorPage(self, socket).run()
+
+
+def study_files() -> dict[str, Path]:
+    """Return the files of the study's pages by name."""
+    return {path.name: path for path in PAGE.iterdir() if path.is_file()} | {
+        name: page_files()[name] for name in SHARED
+    }
+
+
+class Session:
+    """One participant: where they are, their pages, and the contact of the trial that is shown."""
+
+    def __init__(self, server: StudyServer, number: int, code: str, trials: Sequence[Trial], done: set[str]) -> None:
+        self.server, self.number, self.code = server, number, code
+        self.steps = steps_of(server.design, trials)
+        self.done = done
+        self.pages: set[ParticipantPage] = set()
+        self.held = False
+        self.side = "virtual"
+        self.n_switches = 0
+        self.shown_at = 0.0
+        self.contact: Contact | None = None
+        self._events: list[NDArray[np.float64]] = []
+        self._kept_at = 0.0
+        self._conditions: list[tuple[float, float]] = []
+        self._block_s = 0.0
+        self._changing = asyncio.Lock()
+        self._arrive()
+
+    @property
+    def step(self) -> Step:
+        """Return the first step that is not behind the participant."""
+        return next((step for step in self.steps if step["id"] not in self.done), self.steps[-1])
+
+    def _arrive(self) -> None:
+        """A step begins: with an operator, a trial waits until the real sample lies there."""
+        self.held = self.step["kind"] == "trial" and self.server.design.setup.operator
+        self.side, self.n_switches, self.shown_at = "virtual", 0, 0.0
+
+    def shown(self) -> dict[str, Any]:
+        """Return what a participant's page is told of the step: nothing of methods."""
+        design, step = self.server.design, self.step
+        public: dict[str, Any] = {name: value for name, value in step.items() if name not in ("trial", "questions")}
+        public |= {"title": design.title, "simulated": self.server.store.simulated, "held": self.held}
+        if step["kind"] == "questions":
+            public["questions"] = [
+                {"key": q.key, "text": q.text, "kind": q.kind, "options": list(q.options), "required": q.required}
+                for q in step["questions"]
+            ]
+        if step["kind"] == "trial":
+            trial: Trial = step["trial"]
+            texture = design.textures[trial.texture]
+            public |= {
+                "practice": trial.practice,
+                "question": design.rating.question,
+                "real_side": design.setup.real_side,
+            }
+            public |= {"lowest": design.rating.lowest, "highest": design.rating.highest, "side": self.side}
+            public |= {"least_s": design.rating.least_seconds, "screens": design.setup.screens}
+            if design.setup.show_names:
+                public |= {"name": texture.name, "picture": f"pictures/{trial.texture}" if texture.picture else None}
+        return public
+
+    async def tell(self) -> None:
+        """Show the step on all pages."""
+        for page in list(self.pages):
+            await page.show()
+
+    async def finish(self, step_id: str, message: Mapping[str, Any]) -> None:
+        """Take the answers of a step, into the database, and go on; a step that is behind already is left as it is.
+
+        Raises:
+            RefusedError: it is not this step's turn, or an answer is missing or wrong, or cannot be stored.
+        """
+        async with self._changing:
+            if step_id in self.done:
+                return  # said again by a page that did not learn that it was taken
+            step = self.step
+            if step_id != step["id"]:
+                raise RefusedError(f"it is the turn of {step['id']}, not of {step_id[:40]!r}")
+            if step["kind"] == "end":
+                return
+            await self._store(step, message)
+            self.done.add(step_id)
+            self._arrive()
+            await self.end_contact(keep=False)
+            if self.step["kind"] == "end":
+                with contextlib.suppress(OSError):
+                    await self.server.on_disk(lambda: self.server.store.take_step(self.number, "end"))
+
+    async def _store(self, step: Step, message: Mapping[str, Any]) -> None:
+        store, number = self.server.store, self.number
+        given: dict[str, Any] = {}
+        if step["kind"] == "consent":
+            given["consent"] = step["text"]
+        elif step["kind"] == "questions":
+            given |= _answered(step["questions"], message.get("answers", {}))
+        elif step["kind"] == "trial":
+            trial: Trial = step["trial"]
+            if "rating" not in message:
+                raise RefusedError("done: rating is missing")
+            if self.held:
+                raise RefusedError("the operator holds this trial")
+            least = self.server.design.rating.least_seconds
+            if least and (not self.shown_at or time.monotonic() - self.shown_at < least - 0.25):
+                raise RefusedError(f"explore both surfaces for {least:g} s first")
+            await self.keep_strokes()
+            given["rated"] = trial.number, self._rated(message)
+        try:
+            await self.server.on_disk(lambda: store.take_step(number, step["id"], **given))
+        except OSError as error:
+            raise RefusedError(f"not stored, and your answer is kept here: {error}") from error
+
+    def _rated(self, message: Mapping[str, Any]) -> Rated:
+        about: dict[str, Any] = {}
+        if self.contact is not None:
+            about = measured(self.contact.statistics, self._conditions, self._block_s)
+        stroking = next((page for page in self.pages if page.strokes), None)
+        if stroking is not None:
+            about |= {"volume_db": stroking.volume_db, "rate_hz": stroking.rate_hz}
+        seconds = message.get("seconds")
+        return Rated(float(message["rating"]), None if seconds is None else float(seconds), self.n_switches, about)
+
+    async def turn(self, side: str, marked_by: str) -> None:
+        """The hand goes over to the real or the virtual surface; on the real one the virtual one is silent."""
+        step = self.step
+        if step["kind"] != "trial" or self.held or side == self.side:
+            return
+        self.side = side
+        self.n_switches += 1
+        trial = step["trial"].number
+        with contextlib.suppress(OSError):  # a full disk does not stop a hand; the answer will say it
+            await self.server.on_disk(lambda: self.server.store.add_switch(self.number, trial, side, marked_by))
+        if side == "real" and self.contact is not None:
+            self.contact.lift()
+        await self.tell()
+
+    async def hold(self, held: bool) -> None:
+        """Hold the trial that is shown, or let it go on."""
+        self.held = held and self.step["kind"] == "trial"
+        if self.held:
+            await self.end_contact(keep=True)
+        await self.tell()
+
+    async def push(self, page: ParticipantPage, events: NDArray[np.float64]) -> None:
+        """Take in events of the pen; the first of a trial make its texture ready."""
+        step = self.step
+        if step["kind"] != "trial" or self.held or self.side == "real":
+            return
+        if self.contact is None:
+            async with self._changing:
+                if self.contact is None and self.step is step:
+                    await self._open(page, step["trial"])
+        if self.contact is not None:
+            self.contact.push(events)
+            self._events.append(events)
+            if time.monotonic() - self._kept_at > KEPT_S:
+                await self.keep_strokes()
+
+    async def _open(self, page: ParticipantPage, trial: Trial) -> None:
+        server, key = self.server, (trial.texture, trial.method)
+        rate_hz = page.rate_hz if server.wired is None else SOUND_RATE_HZ
+        loop = asyncio.get_running_loop()
+        silent = server.wired is not None
+        conditions: list[tuple[float, float]] = []
+        volume_db = server.design.output.volume_db + server.gains[key]
+
+        def on_block(samples: NDArray[np.float32], speed: float, force: float) -> None:
+            conditions.append((speed, force))
+            if not silent:
+                block = np.clip(samples * contact.gain, -1.0, 1.0)
+                with contextlib.suppress(RuntimeError):
+                    loop.call_soon_threadsafe(
+                        page.queue, struct.pack("<ff", speed, force) + block.astype("<f4").tobytes()
+                    )
+
+        try:
+            player = await asyncio.to_thread(server.player, rate_hz)
+            contact = Contact(player, on_block)
+            contact.set_volume(volume_db)
+            data, seed = server.stimuli.bytes_of[key], 1000 * self.number + trial.number + 500
+            await asyncio.to_thread(contact.open, data, page.calibration, seed)
+        except (OSError, ValueError) as error:
+            raise RefusedError(f"nothing can be played: {error}") from error
+        self._conditions, self._block_s = conditions, player.statistics.block_ms / 1000
+        self.contact, self._kept_at = contact, time.monotonic()
+
+    async def keep_strokes(self) -> None:
+        """Write the events that are not in the database yet."""
+        events, self._events = self._events, []
+        self._kept_at = time.monotonic()
+        step = self.step
+        if not events or step["kind"] != "trial":
+            return
+        number, trial, every = self.number, step["trial"].number, np.concatenate(events)
+        with contextlib.suppress(OSError):
+            await self.server.on_disk(lambda: self.server.store.add_strokes(number, trial, every))
+
+    async def end_contact(self, keep: bool) -> None:
+        """End playing, and keep the strokes where the trial goes on later."""
+        if keep:
+            await self.keep_strokes()
+        self._events = []
+        contact, self.contact = self.contact, None
+        if contact is not None:
+            with contextlib.suppress(OSError, ValueError, RuntimeError):
+                await asyncio.to_thread(contact.close)
+
+    def for_operator(self) -> dict[str, Any]:
+        """Return what the operator is shown: the texture, and nothing of the method."""
+        step = self.step
+        shown: dict[str, Any] = {"number": self.number, "code": self.code, "step": step["id"], "kind": step["kind"]}
+        shown |= {"n": sum(one.startswith("trial:") and int(one[6:]) > 0 for one in self.done)}
+        shown |= {"of": sum(one["kind"] == "trial" and one["n"] > 0 for one in self.steps), "held": self.held}
+        shown |= {"pages": sorted(page.role for page in self.pages), "side": self.side, "switches": self.n_switches}
+        if step["kind"] == "trial":
+            texture = self.server.design.textures[step["trial"].texture]
+            shown |= {"texture": texture.name, "real": texture.real, "practice": step["trial"].practice}
+        if self.contact is not None:
+            live = self.contact.statistics
+            p99 = 1000 * live.block.percentile_s(99.0)
+            shown |= {"n_missed": live.n_missed, "n_underruns": live.n_underruns}
+            shown |= {"block_ms": live.block_ms, "block_p99_ms": None if np.isnan(p99) else round(p99, 3)}
+        return shown
+
+
+def _answered(questions: Sequence[Question], answers: Any) -> dict[str, dict[str, str]]:
+    """Return answers and private answers, or raise RefusedError where one is missing or is none."""
+    public: dict[str, str] = {}
+    private: dict[str, str] = {}
+    if not isinstance(answers, dict):
+        raise RefusedError("answers are no object")
+    for question in questions:
+        given = answers.get(question.key, "")
+        if not isinstance(given, str) or len(given) > 2000:
+            raise RefusedError(f"{question.text}: expected up to 2000 characters")
+        given = given.strip()
+        if not given:
+            if question.required:
+                raise RefusedError(f"{question.text}: an answer is missing")
+            continue
+        if question.kind in ("number", "slider") and not _is_number(given):
+            raise RefusedError(f"{question.text}: {given[:40]!r} is no number")
+        if question.kind == "choice" and given not in question.options:
+            raise RefusedError(f"{question.text}: {given[:40]!r} is none of the choices")
+        (private if question.private else public)[question.key] = given
+    return {"answers": public, "private": private}
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return bool(np.isfinite(float(text)))
+    except ValueError:
+        return False
+
+
+class ParticipantPage:
+    """A page at the WebSocket: a tablet to stroke on, a screen to answer on, or both."""
+
+    def __init__(self, server: StudyServer, socket: WebSocket) -> None:
+        self._server, self._socket = server, socket
+        self._waiting: asyncio.Queue[bytes] = asyncio.Queue()
+        self._session: Session | None = None
+        self.role, self.rate_hz, self.volume_db = "all", SOUND_RATE_HZ, 0.0
+        self.calibration = PressureCalibration()
+        self._n_refused = 0
+        self._events, self._messages = Allowance(EVENTS_A_SECOND), Allowance(MESSAGES_A_SECOND)
+
+    @property
+    def strokes(self) -> bool:
+        """Return whether it is stroked on."""
+        return self.role != "answer"
+
+    async def run(self) -> None:
+        """Serve the page until it goes."""
+        sending = asyncio.create_task(self._send_blocks())
+        try:
+            while True:
+                received = await self._socket.receive()
+                if received["type"] == "websocket.disconnect":
+                    return
+                await self._take(received)
+                if self._n_refused > MOST_REFUSED:
+                    await self._socket.close(1008, f"{MOST_REFUSED} messages were refused")
+                    return
+        except WebSocketDisconnect:
+            pass
+        finally:
+            sending.cancel()
+            await asyncio.gather(sending, return_exceptions=True)
+
+    async def leave(self) -> None:
+        """The page is gone: what it stroked is kept, and its trial stays where it is."""
+        session, self._session = self._session, None
+        if session is not None:
+            session.pages.discard(self)
+            if self.strokes:
+                await session.end_contact(keep=True)
+
+    async def _take(self, received: Mapping[str, Any]) -> None:
+        try:
+            if not self._messages.take(1):
+                raise RefusedError(f"more than {MESSAGES_A_SECOND:g} messages a second")
+            data = received.get("bytes")
+            if data is not None:
+                await self._push(data)
+            else:
+                await self._do(parse_message(received.get("text") or "", SESSION))
+        except RefusedError as refused:
+            self._n_refused += 1
+            await self.say({"refused": str(refused)})
+
+    async def _push(self, data: bytes) -> None:
+        if len(data) > MOST_BYTES:
+            raise RefusedError(f"the message has {len(data)} bytes, expected {MOST_BYTES} at most")
+        events = parse_events(data)
+        if self._session is None or not self.strokes:
+            raise RefusedError("events of a page that does not stroke")
+        if not self._events.take(len(events)):
+            raise RefusedError(f"more than {EVENTS_A_SECOND:g} events a second")
+        await self._session.push(self, events)
+
+    async def _do(self, message: Mapping[str, Any]) -> None:
+        kind = message["do"]
+        if kind == "join":
+            await self._join(message)
+            return
+        session = self._session
+        if session is None:
+            raise RefusedError(f"{kind} before a code was given")
+        if kind == "done":
+            before = session.step["id"]
+            await session.finish(str(message["step"]), message)
+            if session.step["id"] != before:
+                await session.tell()
+            else:
+                await self.show()
+        elif kind == "side":
+            await session.turn(str(message["side"]), "participant")
+
+    async def _join(self, message: Mapping[str, Any]) -> None:
+        server = self._server
+        code = message.get("code")
+        if code is None and server.design.setup.operator:
+            raise RefusedError("ask the operator for a code")
+        session = await server.begin() if code is None else server.by_code(str(code))
+        await self.leave()
+        self.role = str(message.get("role", "all"))
+        self.rate_hz = float(message.get("rate_hz", SOUND_RATE_HZ))
+        self.volume_db = float(message.get("volume_db", 0.0))
+        usual = PressureCalibration()
+        self.calibration = PressureCalibration(
+            float(message.get("newtons", usual.a)), float(message.get("steepness", usual.b))
+        )
+        self._session = session
+        session.pages.add(self)
+        await self.say({"joined": session.code, "plays": server.wired is None})
+        await self.show()
+
+    async def show(self) -> None:
+        """Show the step."""
+        session = self._session
+        if session is None:
+            return
+        if session.step["kind"] == "trial" and not session.held and not session.shown_at:
+            session.shown_at = time.monotonic()
+        await self.say({"step": session.shown()})
+
+    async def say(self, document: Mapping[str, Any]) -> None:
+        """Send a message; a page that is gone is not told."""
+        with contextlib.suppress(RuntimeError, WebSocketDisconnect):
+            await self._socket.send_text(json.dumps(document, allow_nan=False))
+
+    def queue(self, block: bytes) -> None:
+        """Send a block of samples when there is time; the oldest go where there is none."""
+        self._waiting.put_nowait(block)
+        while self._waiting.qsize() > MOST_WAITING:
+            self._waiting.get_nowait()
+
+    async def _send_blocks(self) -> None:
+        while True:
+            block = await self._waiting.get()
+            while not self._waiting.empty():
+                later = self._waiting.get_nowait()
+                block = later[:8] + block[8:] + later[8:]
+            await self._socket.send_bytes(block)
+
+
+class OperatorPage:
+    """The operator's page at the WebSocket."""
+
+    def __init__(self, server: StudyServer, socket: WebSocket) -> None:
+        self._server, self._socket = server, socket
+
+    async def run(self) -> None:
+        """Serve the page until it goes."""
+        showing = asyncio.create_task(self._show())
+        try:
+            while True:
+                text = await self._socket.receive_text()
+                try:
+                    await self._do(parse_message(text, OPERATOR))
+                except RefusedError as refused:
+                    await self._socket.send_text(json.dumps({"refused": str(refused)}))
+        except (WebSocketDisconnect, RuntimeError, KeyError):
+            pass
+        finally:
+            showing.cancel()
+            await asyncio.gather(showing, return_exceptions=True)
+
+    async def _do(self, message: Mapping[str, Any]) -> None:
+        server, kind = self._server, message["do"]
+        if kind == "begin":
+            session = await server.begin()
+            await self._socket.send_text(json.dumps({"begun": session.number, "code": session.code}))
+            return
+        session_of = server.sessions.get(int(message["number"]))
+        if session_of is None:
+            raise RefusedError(f"there is no participant {message['number']}")
+        if kind == "hold":
+            await session_of.hold(True)
+        elif kind == "go":
+            await session_of.hold(False)
+        elif kind == "side":
+            await session_of.turn(str(message["side"]), "operator")
+
+    async def _show(self) -> None:
+        server = self._server
+        while True:
+            document = {
+                "title": server.design.title,
+                "planned": server.design.participants,
+                "simulated": server.store.simulated,
+                "operator": server.design.setup.operator,
+                "screens": server.design.setup.screens,
+                "link": server.link(""),  # another once it was used: what is shown is made anew
+                "sessions": [session.for_operator() for session in server.sessions.values()],
+            }
+            await self._socket.send_text(json.dumps(document, allow_nan=False))
+            await asyncio.sleep(SHOWN_S)

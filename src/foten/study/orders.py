@@ -1,0 +1,123 @@
+"""Who strokes what when: orders of trials that are balanced over textures and methods.
+
+A participant goes through all textures once with each method, in rounds: a round holds each texture once. The order of textures
+within a round is a row of a Williams square, in which each texture is at each place equally often, and behind each other one
+equally often; the methods of a texture over the rounds are a row of another. Participants take the rows in turn.
+
+Source: Williams, Australian Journal of Scientific Research A 2, 149 (1949), for the squares.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Rows = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One comparison of a participant."""
+
+    number: int  # from 1; practice trials are 0 and below
+    texture: int
+    method: int
+
+    @property
+    def practice(self) -> bool:
+        """Return whether it does not count."""
+        return self.number < 1
+
+
+def williams(k: int) -> Rows:
+    """Return rows of 0 … k − 1 balanced for place and for what comes before: k rows for an even k, else 2 k; shape (rows, k).
+
+    In each column each number occurs equally often, and so does each pair of neighbours.
+    """
+    first = np.array([(i + 1) // 2 if i % 2 else -(i // 2) for i in range(k)])
+    rows = (np.arange(k)[:, None] + first) % k
+    return rows if k % 2 == 0 or k == 1 else np.concatenate([rows, rows[:, ::-1]])
+
+
+def orders(
+    n_participants: int, n_textures: int, n_methods: int, seed: int, practice: int, order: str
+) -> list[list[Trial]]:
+    """Return the trials of each participant, practice first.
+
+    Args:
+        n_participants: how many.
+        n_textures, n_methods: each texture with each method is one trial.
+        seed: of everything that is drawn; the same seed gives the same orders.
+        practice: how many trials come before, drawn from the same.
+        order: "balanced", or "random" for a permutation drawn for each participant, as in Sec. VII.
+    """
+    rng = np.random.default_rng(seed)
+    made = _balanced if order == "balanced" else _random
+    counted = made(rng, n_participants, n_textures, n_methods)
+    result = []
+    for pairs in counted:
+        drawn = rng.permutation(n_textures * n_methods)[:practice]
+        before = [Trial(i + 1 - practice, int(one) // n_methods, int(one) % n_methods) for i, one in enumerate(drawn)]
+        result.append([*before, *(Trial(i + 1, t, m) for i, (t, m) in enumerate(pairs))])
+    return result
+
+
+def _random(rng: np.random.Generator, n: int, textures: int, methods: int) -> list[list[tuple[int, int]]]:
+    drawn = [rng.permutation(textures * methods) for _ in range(n)]
+    return [[(int(one) // methods, int(one) % methods) for one in row] for row in drawn]
+
+
+def _balanced(rng: np.random.Generator, n: int, textures: int, methods: int) -> list[list[tuple[int, int]]]:
+    texture_rows, method_rows = williams(textures), williams(methods)
+    texture_of, method_of = rng.permutation(textures), rng.permutation(methods)  # which is called what in the squares
+    row_of = _rounds(rng, texture_rows, methods)
+    result = []
+    for p in range(n):
+        pairs = []
+        for r in range(methods):
+            for t in texture_rows[(p + row_of[r]) % len(texture_rows)]:
+                m = method_rows[(t + p) % len(method_rows), r]
+                pairs.append((int(texture_of[t]), int(method_of[m])))
+        result.append(pairs)
+    # In which turn a participant comes says nothing of the row.
+    return [result[i] for i in _in_cycles(rng, n, len(texture_rows) * len(method_rows))]
+
+
+def _in_cycles(rng: np.random.Generator, n: int, cycle: int) -> list[int]:
+    """Return 0 … n − 1, drawn within each cycle."""
+    return [start + int(i) for start in range(0, n, cycle) for i in rng.permutation(min(cycle, n - start))]
+
+
+def _rounds(rng: np.random.Generator, rows: Rows, n_rounds: int) -> list[int]:
+    """Return how far each round is from the first in the square, so that no texture ends one round and begins the next."""
+    chosen = [0]
+    for _ in range(n_rounds - 1):
+        ends = np.roll(rows[:, -1], -chosen[-1])
+        repeats = [int(np.sum(ends == np.roll(rows[:, 0], -offset))) for offset in range(len(rows))]
+        fewest = min(repeats)
+        unused = [i for i, many in enumerate(repeats) if many == fewest and i not in chosen]
+        chosen.append(int(rng.choice(unused or [i for i, many in enumerate(repeats) if many == fewest])))
+    return chosen
+
+
+def balance(made: list[list[Trial]], n_textures: int, n_methods: int) -> dict[str, tuple[int, int]]:
+    """Return how evenly orders are spread, as the fewest and the most:
+
+    `method in round`: how often a method of a texture is in one of the rounds; `texture at place`: how often a texture is at one
+    place of a round; `neighbours`: how often a texture comes behind another within a round.
+    """
+    rounds = np.zeros((n_textures, n_methods, n_methods), dtype=int)
+    places = np.zeros((n_textures, n_textures), dtype=int)
+    behind = np.zeros((n_textures, n_textures), dtype=int)
+    for trials in made:
+        counted = [trial for trial in trials if not trial.practice]
+        for i, trial in enumerate(counted):
+            rounds[trial.texture, trial.method, i // n_textures] += 1
+            places[trial.texture, i % n_textures] += 1
+            if i % n_textures:
+                behind[counted[i - 1].texture, trial.texture] += 1
+    different = behind[~np.eye(n_textures, dtype=bool)]
+    named = {"method in round": rounds, "texture at place": places, "neighbours": different}
+    return {name: (int(counts.min()), int(counts.max())) for name, counts in named.items() if counts.size}

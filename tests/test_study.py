@@ -1,0 +1,537 @@
+"""A study from its file to its report: the server's steps, what pages are told, the commands, and what each refuses."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import json
+import re
+import signal
+import sqlite3
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("starlette")
+pytest.importorskip("statsmodels")
+from starlette.testclient import TestClient
+from starlette.websockets import WebSocketDisconnect
+
+from foten.families.texture_file import read_texture, write_texture
+from foten.runtime.renderer import EXAMPLE
+from foten.studio.access import LOOPBACK, Access
+from foten.studio.stimuli import load_stimuli
+from foten.studio.study_server import OPERATOR_COOKIE, StudyServer
+from foten.study.design import read_design, template
+from foten.study.orders import orders
+from foten.study.store import Store, create
+
+LOCAL = Access(LOOPBACK, 8000)
+HERE = "http://127.0.0.1:8000"
+WS = "ws://127.0.0.1:8000"
+NAMES = (
+    "artificial-grass",
+    "steel-mesh-1",
+    "cardboard",
+    "plain-cloth",
+    "plastic-mesh",
+    "smooth-rubber",
+    "jeans",
+    "soft-fabric",
+)
+NAMES += ("steel-mesh-2", "textured-rubber", "towel", "styrofoam")
+METHODS = ("ar", "dstn", "ldhtd", "foten")
+
+
+def study_file(folder: Path, n_textures: int = 2, n_methods: int = 2, participants: int = 3, **changes: str) -> Path:
+    """Return a study of textures that come along, under other names, and lines of its file replaced by others."""
+    sources = [read_texture(path) for path in sorted(EXAMPLE.parent.glob("*.foten"))]
+    files: dict[str, dict[str, str]] = {}
+    for t, name in enumerate(NAMES[:n_textures]):
+        for m, method in enumerate(METHODS[:n_methods]):
+            source = sources[(t + m) % len(sources)]
+            path = folder / f"{name}-{method}.foten"
+            write_texture(type(source)({**source.card, "texture": name, "licence": method}, source.tensors), path)
+            files.setdefault(name, {})[method] = path.name
+    text = template("Surfaces", files, participants, 1).replace("least_seconds = 3", "least_seconds = 0")
+    for given, instead in changes.items():
+        line = re.search(rf"^{given} = .*$", text, re.M)
+        assert line is not None, given
+        text = text.replace(line[0], f"{given} = {instead}")
+    path = folder / "study.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def server_of(path: Path, simulated: bool = False) -> StudyServer:
+    design, text = read_design(path)
+    stimuli = load_stimuli(design, calibrated=False)
+    database = path.with_suffix(".db")
+    if not database.exists():
+        counts = len(design.textures), len(design.methods)
+        made = orders(design.participants, *counts, design.seed, design.practice, design.order)
+        create(database, design.title, text, path.parent, design.seed, stimuli.listed, made, "test", simulated)
+    return StudyServer(Store(database, "test"), design, stimuli, None)
+
+
+@contextlib.contextmanager
+def served(server: StudyServer) -> Iterator[TestClient]:
+    with TestClient(server.app(LOCAL), base_url=HERE, headers={"origin": HERE}) as client:
+        yield client
+
+
+class Page:
+    """A participant's page, as the server sees it."""
+
+    def __init__(self, socket: Any, **joining: Any) -> None:
+        self.socket, self.bytes, self.texts = socket, 0, []
+        self.say(do="join", **joining)
+        self.code = self.until("joined")["joined"]
+        self.step = self.until("step")["step"]
+
+    def say(self, **message: Any) -> None:
+        self.socket.send_text(json.dumps(message))
+
+    def until(self, *keys: str) -> dict[str, Any]:
+        while True:
+            message = self.socket.receive()
+            if message.get("bytes"):
+                self.bytes += len(message["bytes"])
+            if message.get("text"):
+                self.texts.append(message["text"])
+                document: dict[str, Any] = json.loads(message["text"])
+                if document.keys() & set(keys):
+                    return document
+
+    def done(self, **answer: Any) -> dict[str, Any]:
+        self.say(do="done", step=self.step["id"], **answer)
+        document = self.until("step", "refused")
+        self.step = document.get("step", self.step)
+        return document
+
+    def answer(self, rating: float = 50.0) -> dict[str, Any]:
+        """Do what the step asks for."""
+        kind = self.step["kind"]
+        if kind == "trial":
+            return self.done(rating=rating, seconds=2.5)
+        if kind == "questions":
+            given = {
+                q["key"]: {"number": "30", "choice": (q["options"] or [""])[0]}.get(q["kind"], "fine")
+                for q in self.step["questions"]
+            }
+            return self.done(answers=given)
+        return self.done()
+
+    def stroke(self, n: int = 10) -> None:
+        for k in range(n):
+            self.socket.send_bytes(np.array([0.8 * k, 0.0, 0.5, 0.01 * k], dtype="<f8").tobytes())
+
+
+def test_a_participant_goes_through_all_steps_and_each_is_in_the_database(tmp_path: Path) -> None:
+    server = server_of(study_file(tmp_path, break_every="2"))
+    with served(server) as client, client.websocket_connect(f"{WS}/session") as socket:
+        page = Page(socket)
+        seen = []
+        while page.step["kind"] != "end":
+            seen.append(page.step["id"])
+            before = page.step["id"]
+            page.answer(10.0 * len(seen))
+            assert before in server.store.done(1)  # before the page moves on
+        trials = [f"trial:{n}" for n in (-1, 0, 1, 2)]
+        assert seen == [
+            "consent",
+            "questions:start",
+            "instructions",
+            *trials,
+            "break:2",
+            "trial:3",
+            "trial:4",
+            "questions:end",
+        ]
+    with Store(tmp_path / "study.db") as store:
+        rows = store.ratings()
+        assert [row["trial"] for row in rows] == [1, 2, 3, 4]
+        assert [row["response_s"] for row in rows] == [2.5] * 4
+        designed = [(trial.texture, trial.method) for trial in store.trials(1) if not trial.practice]
+        assert [(row["texture"], row["method"]) for row in rows] == designed
+        assert [one["question"] for one in store.abouts()] == ["age", "handedness"]
+        assert [one["question"] for one in store.answers()] == ["remarks"]
+        assert store.counts()[1]["ended"] == 1
+
+
+def test_a_trial_is_stroked_switched_and_measured(tmp_path: Path) -> None:
+    server = server_of(study_file(tmp_path, practice="0"))
+    with served(server) as client, client.websocket_connect(f"{WS}/session") as socket:
+        page = Page(socket, rate_hz=8000, volume_db=-3.0)
+        while page.step["kind"] != "trial":
+            page.answer()
+        begin = time.monotonic()
+        for k in range(100):
+            socket.send_bytes(np.array([0.4 * k, 0.0, 0.5, 0.005 * k], dtype="<f8").tobytes())
+            time.sleep(max(0.0, begin + 0.005 * k - time.monotonic()))
+        page.say(do="side", side="real")
+        assert page.until("step")["step"]["side"] == "real"
+        page.say(do="side", side="virtual")
+        assert page.until("step")["step"]["side"] == "virtual"
+        page.answer(71.0)
+        assert page.bytes > 8000  # of samples
+    with Store(tmp_path / "study.db") as store:
+        (row,) = store.ratings()
+        assert row["switches"] == 2
+        about = row["measured"]
+        assert about["contact_s"] > 0.2
+        assert 60 < about["speed_mm_s_p50"] < 100
+        assert 0.5 < about["force_n_p50"] < 0.9
+        assert about["block_p99_ms"] > 0
+        assert (about["n_underruns"], about["volume_db"], about["rate_hz"]) == (0, -3.0, 8000.0)
+        events = store.strokes(1, 1)
+        assert events.shape == (100, 4)
+        np.testing.assert_allclose(events[:, 0], 0.4 * np.arange(100))
+
+
+def test_no_byte_that_a_participant_is_sent_names_or_orders_methods(tmp_path: Path) -> None:
+    """All text of two participants whose methods differ in every trial is the same; nothing names a method or a file."""
+    server = server_of(study_file(tmp_path, 1, 4, participants=4, order='"random"'))
+    said: list[list[str]] = []
+    with served(server) as client:
+        for _ in range(3):
+            with client.websocket_connect(f"{WS}/session") as socket:
+                page = Page(socket, rate_hz=8000)
+                while page.step["kind"] != "end":
+                    if page.step["kind"] == "trial":
+                        page.stroke()
+                    page.answer()
+                said.append([text.replace(page.code, "CODE") for text in page.texts])
+        for path in ("/", "/study.js", "/study.css"):
+            said.append([client.get(path).text])
+        for path in (
+            "/operator",
+            "/operate",
+            "/textures.json",
+            f"/textures/{EXAMPLE.name}",
+            "/state",
+            "/gains",
+            "/pictures/0",
+        ):
+            assert client.get(path).status_code in (403, 404)
+    stored = [[trial.method for trial in server.store.trials(n)] for n in (1, 2, 3)]
+    assert len({tuple(one) for one in stored}) == 3  # they were given different orders
+    assert said[0] == said[1] == said[2]
+    everything = "\n".join(text for texts in said for text in texts).lower()
+    for word in ("dstn", "ldhtd", ".foten", *(one.sha256 for one in server.stimuli.listed)):
+        assert word not in everything
+    assert '"method' not in everything
+    assert not re.search(r"[\"' -]ar[\"' ,.]", "\n".join(text for texts in said[:3] for text in texts).lower())
+
+
+def test_an_answer_that_is_said_again_counts_once(tmp_path: Path) -> None:
+    server = server_of(study_file(tmp_path, practice="0"))
+    with served(server) as client, client.websocket_connect(f"{WS}/session") as socket:
+        page = Page(socket)
+        while page.step["kind"] != "trial":
+            page.answer()
+        page.done(rating=40.0)
+        page.say(do="done", step="trial:1", rating=90.0)  # the page did not learn that it was taken
+        assert page.until("step", "refused")["step"]["id"] == "trial:2"
+        page.say(do="done", step="trial:4", rating=90.0)
+        assert "it is the turn of trial:2" in page.until("step", "refused")["refused"]
+    assert [row["rating"] for row in server.store.ratings()] == [40.0]
+
+
+def test_a_server_that_was_killed_goes_on_at_the_same_trial(tmp_path: Path) -> None:
+    path = study_file(tmp_path)
+    with served(server_of(path)) as client, client.websocket_connect(f"{WS}/session") as socket:
+        page = Page(socket)
+        for _ in range(5):
+            page.answer()
+        code, where = page.code, page.step["id"]
+    with served(server_of(path)) as client, client.websocket_connect(f"{WS}/session") as socket:
+        assert Page(socket, code=code.lower()).step["id"] == where
+
+
+def test_two_screens_are_joined_by_a_code_and_the_operator_lets_trials_begin(tmp_path: Path) -> None:
+    server = server_of(study_file(tmp_path, screens="2", operator="true", practice="0"))
+    with served(server) as client:
+        cookie = {"cookie": f"{OPERATOR_COOKIE}={server.operator_key}"}
+        with client.websocket_connect(f"{WS}/operate", headers=cookie) as operator:
+
+            def until(kind: str) -> dict[str, Any]:
+                while True:
+                    document: dict[str, Any] = json.loads(operator.receive_text())
+                    if kind in document:
+                        return document
+
+            def shown(**expected: Any) -> dict[str, Any]:
+                while True:
+                    (one,) = until("sessions")["sessions"]
+                    if all(one.get(name) == value for name, value in expected.items()):
+                        return dict(one)
+
+            operator.send_text(json.dumps({"do": "begin"}))
+            code = until("begun")["code"]
+            with client.websocket_connect(f"{WS}/session") as a, client.websocket_connect(f"{WS}/session") as b:
+                tablet, screen = Page(a, code=code, role="stroke", rate_hz=8000), Page(b, code=code, role="answer")
+                while screen.step["kind"] != "trial":
+                    screen.answer()
+                    tablet.step = tablet.until("step")["step"]
+                assert screen.step["held"]
+                assert tablet.step["id"] == screen.step["id"] == "trial:1"
+                one = shown(kind="trial", held=True)
+                assert one["pages"] == ["answer", "stroke"]
+                assert one["texture"] in NAMES
+                assert "method" not in one
+                assert "the operator holds this trial" in screen.done(rating=5.0)["refused"]
+                operator.send_text(json.dumps({"do": "go", "number": 1}))
+                assert not tablet.until("step")["step"]["held"]
+                assert not screen.until("step")["step"]["held"]
+                tablet.stroke()
+                operator.send_text(json.dumps({"do": "side", "number": 1, "side": "real"}))
+                assert tablet.until("step")["step"]["side"] == "real"
+                screen.until("step")
+                b.send_bytes(bytes(32))
+                assert "events of a page that does not stroke" in screen.until("refused")["refused"]
+                screen.answer(61.0)
+                assert screen.step["id"] == "trial:2"
+                assert tablet.until("step")["step"]["id"] == "trial:2"
+                assert server.store.ratings()[0]["switches"] == 1
+                operator.send_text(json.dumps({"do": "go", "number": 9}))
+                assert "there is no participant 9" in until("refused")["refused"]
+        with client.websocket_connect(f"{WS}/session") as socket:
+            socket.send_text(json.dumps({"do": "join"}))
+            assert "ask the operator for a code" in json.loads(socket.receive_text())["refused"]
+            socket.send_text(json.dumps({"do": "join", "code": "AAAAA"}))
+            assert "there is no such code" in json.loads(socket.receive_text())["refused"]
+
+
+def test_the_operators_page_is_the_operators(tmp_path: Path) -> None:
+    server = server_of(study_file(tmp_path))
+    with served(server) as client:
+        assert client.get("/operator").status_code == 403
+        assert client.get("/operator", params={"key": "wrong"}).status_code == 403
+        assert client.get("/operator.html").status_code == 404
+        assert client.get("/codes/AAAAA.svg").status_code == 404
+        with pytest.raises(WebSocketDisconnect), client.websocket_connect(f"{WS}/operate"):
+            pass
+        moved = client.get("/operator", params={"key": server.operator_key}, follow_redirects=False)
+        assert (moved.status_code, moved.headers["location"]) == (303, "/operator")
+        assert "httponly" in moved.headers["set-cookie"].lower()
+        assert "New participant" in client.get("/operator").text
+        assert client.get("/codes/AAAAA.svg").status_code == 404  # there is no such participant
+
+
+@pytest.mark.parametrize(
+    ("message", "why"),
+    [
+        ({"do": "done", "step": "trial:1", "rating": 101}, "rating is 101, expected a number from 0 to 100"),
+        ({"do": "done", "step": "trial:1", "rating": "50"}, "rating is '50'"),
+        ({"do": "done", "step": "trial:1"}, "rating is missing"),
+        ({"do": "done", "step": "end"}, "it is the turn of trial:1"),
+        ({"do": "done", "rating": 50}, "step is missing"),
+        ({"do": "side", "side": "left"}, "side is 'left', expected one of virtual, real"),
+        ({"do": "open", "texture": "x"}, "unknown message 'open', expected one of join"),
+        ({"do": "join", "role": "operator"}, "role is 'operator'"),
+    ],
+)
+def test_what_a_page_may_not_say_is_refused(tmp_path: Path, message: dict[str, Any], why: str) -> None:
+    server = server_of(study_file(tmp_path, practice="0"))
+    with served(server) as client, client.websocket_connect(f"{WS}/session") as socket:
+        page = Page(socket)
+        while page.step["kind"] != "trial":
+            page.answer()
+        page.say(**message)
+        assert why in page.until("refused")["refused"]
+    assert server.store.ratings() == []
+
+
+def test_a_full_disk_is_said_to_the_page_and_the_answer_can_be_given_again(tmp_path: Path) -> None:
+    server = server_of(study_file(tmp_path, practice="0"))
+    with served(server) as client, client.websocket_connect(f"{WS}/session") as socket:
+        page = Page(socket)
+        while page.step["kind"] != "trial":
+            page.answer()
+        writing = server.store._writing
+
+        @contextlib.contextmanager
+        def full() -> Iterator[Any]:
+            with writing() as connection:
+                pages = connection.execute("PRAGMA page_count").fetchone()[0]
+                connection.execute(f"PRAGMA max_page_count = {pages}")
+                connection.execute("CREATE TABLE fills (a)")
+                connection.execute("INSERT INTO fills VALUES (zeroblob(10000000))")
+                yield connection
+
+        server.store._writing = full  # type: ignore[method-assign]
+        refused = page.answer(33.0)["refused"]
+        assert "not stored, and your answer is kept here: study.db: the disk is full" in refused
+        server.store._writing = writing  # type: ignore[method-assign]
+        server.store._connection.execute("PRAGMA max_page_count = 1000000")
+        page.answer(33.0)
+        assert page.step["id"] == "trial:2"
+    assert [row["rating"] for row in server.store.ratings()] == [33.0]
+
+
+def test_a_trial_lasts_as_long_as_the_study_asks(tmp_path: Path) -> None:
+    server = server_of(study_file(tmp_path, practice="0", least_seconds="1"))
+    with served(server) as client, client.websocket_connect(f"{WS}/session") as socket:
+        page = Page(socket)
+        while page.step["kind"] != "trial":
+            page.answer()
+        assert "explore both surfaces for 1 s first" in page.answer()["refused"]
+        time.sleep(1.0)
+        page.answer()
+        assert page.step["id"] == "trial:2"
+
+
+def test_levels_are_matched_and_stored(tmp_path: Path) -> None:
+    path = study_file(tmp_path)
+    matched = load_stimuli(read_design(path)[0], calibrated=False)
+    assert max(abs(one.gain_db) for one in matched.listed) > 0.3
+    assert all(abs(one.gain_db) <= 30 for one in matched.listed)
+    plain = load_stimuli(read_design(study_file(tmp_path, match_levels="false"))[0], calibrated=True)
+    assert {one.gain_db for one in plain.listed} == {0.0}
+    server = server_of(path)
+    assert server.gains == {(one.texture, one.method): one.gain_db for one in server.store.stimuli().values()}
+
+
+# The commands
+
+
+def foten(*arguments: str | Path, ok: bool = True) -> str:
+    command = [sys.executable, "-c", "from foten.cli import main; main()", "study", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if ok:
+        assert done.returncode == 0, done.stderr
+        return done.stdout + done.stderr
+    assert done.returncode == 2, done.stdout + done.stderr
+    assert done.stderr.count("\n") == 1
+    return done.stderr
+
+
+def test_from_texture_files_to_a_report_without_anyone(tmp_path: Path) -> None:
+    study_file(tmp_path, 3, 2)
+    study, database, results = tmp_path / "mine.toml", tmp_path / "mine.db", tmp_path / "results"
+    textures = sorted(tmp_path.glob("*.foten"))
+    assert "3 textures × 2 methods, 15 participants" in foten("new", study, *textures, "--participants", "15")
+    assert "6 trials of each of 15 participants" in foten("check", study)
+    foten("simulate", study, "-o", database, "--difference", "12", "--better", "dstn", "--missing", "0.2")
+    status = foten("status", database)
+    assert "15 simulated raters" in status
+    assert "the file is sound" in status
+    said = foten("analyze", database, "-o", results, "--reference", "dstn")
+    assert "The highest mean is that of dstn." in said
+    assert "simulated raters rated 2 methods on 3 textures" in said
+    page = (results / "report.html").read_text(encoding="utf-8")
+    assert "Simulated ratings: of a model of raters, and not of people." in page
+    assert "did not rate everything" in page
+    assert page.count("<svg") == 2
+    with (results / "ratings.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["simulated"] for row in rows} == {"1"}
+    assert {row["method"] for row in rows} == {"ar", "dstn"}
+    with (results / "ratings-wide.csv").open(newline="", encoding="utf-8") as file:
+        wide = list(csv.reader(file))
+    assert wide[0][:3] == ["participant", "simulated", "ar.artificial-grass"]
+    assert 12 <= len(wide) <= 16  # who left during practice has no row
+    document = json.loads((results / "results.json").read_text(encoding="utf-8"))
+    assert document["simulated"] is True
+    assert document["anova_one_way"][0]["p_corrected"] < 0.01
+    assert document["mixed_model"]["n_participants"] == len(wide) - 1
+    meant = (results / "dictionary.csv").read_text(encoding="utf-8")
+    assert "response_s,from when the trial was shown to the answer,s" in meant
+    foten("backup", database, "-o", tmp_path / "copy.db")
+    foten("correct", database, "--participant", "1", "--trial", "1", "--rating", "5", "--reason", "slipped")
+    foten("forget", database, "--participant", "2", "--yes")
+    assert "14 simulated raters" in foten("status", database)
+    assert "15 simulated raters" in foten("status", tmp_path / "copy.db")
+
+
+def test_what_the_commands_refuse(tmp_path: Path) -> None:
+    study = study_file(tmp_path)
+    database = tmp_path / "study.db"
+    foten("simulate", study, "-o", database)
+    assert "holds simulated ratings, which stay apart" in foten("run", study, "--no-open", "--port", "0", ok=False)
+    assert "is there already" in foten("new", study, *tmp_path.glob("*.foten"), ok=False)
+    one = tmp_path / "artificial-grass-ar.foten"
+    assert "has one method, expected two texture files or more" in foten("new", tmp_path / "x.toml", one, ok=False)
+    assert not (tmp_path / "x.toml").exists()
+    text = study.read_text(encoding="utf-8")
+    study.write_text(text + "\n# another comment\n", encoding="utf-8")
+    assert "has changed since" in foten("simulate", study, "-o", database, ok=False)
+    study.write_text(text.replace("artificial-grass-ar.foten", "nothing.foten"), encoding="utf-8")
+    assert "no such file" in foten("check", study, ok=False)
+    study.write_text(text, encoding="utf-8")
+    one.write_bytes((tmp_path / "steel-mesh-1-dstn.foten").read_bytes())
+    assert "is another file than when" in foten("simulate", study, "-o", database, ok=False)
+    one.write_bytes(b"no texture")
+    assert "artificial-grass-ar.foten" in foten("check", study, ok=False)
+    assert "expected one of ar, dstn" in foten("analyze", database, "--reference", "x", "-o", tmp_path / "r", ok=False)
+    assert not (tmp_path / "r").exists()
+    assert "no such file" in foten("status", tmp_path / "nothing.db", ok=False)
+    sqlite3.connect(database).execute("PRAGMA user_version = 9").connection.close()
+    assert "update foten" in foten("analyze", database, ok=False)
+
+
+def test_too_few_ratings_are_said(tmp_path: Path) -> None:
+    study = study_file(tmp_path, participants=2)
+    foten("simulate", study, "-o", tmp_path / "s.db")
+    why = foten("analyze", tmp_path / "s.db", "-o", tmp_path / "r", ok=False)
+    assert "2 participants have rated everything, of 2 who began: expected three or more" in why
+
+
+def test_power_says_how_many(tmp_path: Path) -> None:
+    said = foten("power", "--studies", "60", "--difference", "12", "--methods", "2", "--textures", "3")
+    assert re.search(r"\d+ participants find a pair in 80 % of studies", said)
+    document = json.loads(foten("power", "--studies", "60", "--json"))
+    assert len(document["power"]) <= 12
+    assert document["power"][0]["participants"] == 4
+
+
+def started_study(path: Path, *options: str) -> tuple[subprocess.Popen[str], str, str]:
+    """Return a study that runs, its operator's link and its participants'."""
+    command = [
+        sys.executable,
+        "-c",
+        "from foten.cli import main; main()",
+        "study",
+        "run",
+        str(path),
+        "--no-open",
+        *options,
+    ]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    operator = participants = ""
+    for line in process.stderr:
+        if line.startswith("operator: "):
+            operator = line.split()[-1]
+        if line.startswith("participants at "):
+            participants = line.split()[-1]
+            break
+    assert participants, "the study did not start"
+    threading.Thread(target=_read_out, args=(process.stderr,), daemon=True).start()  # so that it never waits for us
+    return process, operator, participants
+
+
+def _read_out(stream: Any) -> None:
+    with stream:
+        stream.read()
+
+
+def test_a_study_that_runs_ends_cleanly_and_goes_on(tmp_path: Path) -> None:
+    study = study_file(tmp_path)
+    for begun in (0, 0):
+        process, operator, participants = started_study(study, "--port", "0")
+        assert "/operator?key=" in operator
+        assert participants.startswith("http://127.0.0.1:")
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=20) in (0, 130)
+        with Store(tmp_path / "study.db") as store:
+            assert len(store.codes()) == begun
+            assert len(store.ordered()) == 3 + 2  # and some for those who leave

@@ -1,0 +1,309 @@
+"""A study through its real pages in Chromium: whole studies while the server is killed, what is sent to them, how they look."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from foten.study.store import Store
+from test_studio_page import CHROMIUM, SHOTS, SIZES, playwright
+from test_study import METHODS, started_study, study_file
+
+pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt install chromium")]
+
+# A simulated participant: does with the page what a hand does, and rates trial n with (37 n + 11) mod 101.
+DRIVE = """() => {
+  const wait = (ms) => new Promise((resolve) => setTimeout(resolve, ms)), $ = (s) => document.querySelector(s);
+  const rating = (n) => (37 * n + 11) % 101;
+  const stroke = async () => {
+    const canvas = $("#pad"), box = canvas.getBoundingClientRect();
+    canvas.setPointerCapture = () => {};
+    const say = (type, x) => canvas.dispatchEvent(new PointerEvent(type, { pointerId: 7, pointerType: "pen", pressure: 0.5,
+      clientX: box.left + x, clientY: box.top + 60, bubbles: true, buttons: 1 }));
+    say("pointerdown", 20);
+    for (let k = 1; k < 6; k++) { await wait(4); say("pointerrawupdate", 20 + 6 * k); }
+    say("pointerup", 50);
+  };
+  window.ended = false;
+  (async () => {
+    let before = null, since = 0;
+    while (true) {
+      const { step, pending } = window.study, button = $("#content .big");
+      if (step?.kind === "end") break;
+      if (!step || pending || !button) { await wait(15); continue; }
+      if (step.id === before && performance.now() - since < 4000) { await wait(15); continue; }
+      [before, since] = [step.id, performance.now()];
+      if (step.kind === "trial") {
+        await stroke();
+        const slider = $(".scale input");
+        slider.value = rating(step.n);
+        slider.dispatchEvent(new Event("input"));
+      }
+      for (const field of document.querySelectorAll("#content textarea")) field.value = "fine";
+      $("#content input[type=radio]")?.click();
+      button.click();
+      await wait(5);
+    }
+    window.ended = true;
+  })();
+}"""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    flags = ["--no-sandbox", "--autoplay-policy=no-user-gesture-required"]
+    with playwright.sync_playwright() as started:
+        browser = started.chromium.launch(executable_path=CHROMIUM, args=flags)
+        yield browser
+        browser.close()
+
+
+def free_port() -> int:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
+@contextlib.contextmanager
+def running(study: Path, *options: str) -> Iterator[tuple[str, str]]:
+    """Return the links of the operator and of participants while a study runs."""
+    process, operator, participants = started_study(study, *(options or ("--port", "0")))
+    try:
+        yield operator, participants
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.wait(timeout=30)
+
+
+def until(page: Any, expression: str, seconds: float = 20.0) -> None:
+    end = time.monotonic() + seconds
+    while not page.evaluate(expression):
+        assert time.monotonic() < end, f"after {seconds:g} s not yet: {expression}"
+        page.wait_for_timeout(20)
+
+
+def begin(page: Any, link: str) -> None:
+    """Open the page, and begin as a new participant."""
+    for _ in range(100):
+        try:
+            page.goto(link, timeout=5000)
+            page.wait_for_selector("html[data-ready]", timeout=5000)
+            break
+        except playwright.Error:  # the server is away
+            time.sleep(0.2)
+    page.click("button.big")
+    until(page, "window.study.code !== null", 40.0)
+
+
+def whole_study(
+    browser: Any, folder: Path, n_textures: int, participants: int, browsers: int, kills: int
+) -> dict[str, Any]:
+    """Let simulated participants answer through the pages while the server is killed, and return what there was to see."""
+    study = study_file(folder, n_textures, 4, participants=participants, practice="1")
+    port = free_port()
+    options = ("--simulated", "--port", str(port))
+    process, _, link = started_study(study, *options)
+    contexts = [browser.new_context() for _ in range(browsers)]
+    pages = [context.new_page() for context in contexts]
+    begun = finished = killed = 0
+    busy = [False] * browsers
+    rng, at = random.Random(3), time.monotonic()
+    expected = participants * (n_textures * 4 + 6)
+    due = sorted(rng.uniform(0.03, 0.9) for _ in range(kills))
+    copies: list[Path] = []
+    start = time.monotonic()
+    while finished < participants:
+        assert time.monotonic() - start < 1500
+        for i, page in enumerate(pages):
+            if not busy[i] and begun < participants:
+                begin(page, link)
+                page.evaluate(DRIVE)
+                busy[i] = True
+                begun += 1
+            elif busy[i] and page.evaluate("window.ended === true"):
+                busy[i] = False
+                finished += 1
+        with Store(folder / "study.db") as store:
+            share = sum(len(store.done(n)) for n in store.codes().values()) / expected
+        if killed < kills and share > due[killed]:
+            time.sleep(rng.uniform(0, 0.3))
+            os.kill(process.pid, signal.SIGKILL)
+            process.wait()
+            process, _, link = started_study(study, *options)
+            killed += 1
+        if not copies and share > 0.5:
+            copies.append(folder / "copy.db")
+            command = [sys.executable, "-c", "from foten.cli import main; main()", "study", "backup"]
+            subprocess.run([*command, folder / "study.db", "-o", copies[0]], check=True, capture_output=True)
+        pages[0].wait_for_timeout(30)
+    seconds = time.monotonic() - at
+    process.send_signal(signal.SIGTERM)
+    process.wait(timeout=30)
+    for context in contexts:
+        context.close()
+    return {"killed": killed, "seconds": seconds, "copies": copies}
+
+
+def check_study(database: Path, participants: int, n_trials: int) -> None:
+    with Store(database) as store:
+        assert store.check() == []
+        assert store.simulated
+        rows = store.ratings()
+        assert len(rows) == participants * n_trials
+        assert len({(row["participant"], row["trial"]) for row in rows}) == len(rows)
+        for row in rows:
+            assert row["rating"] == (37 * row["trial"] + 11) % 101
+        for number in store.codes().values():
+            designed = [(trial.texture, trial.method) for trial in store.trials(number) if not trial.practice]
+            assert [(row["texture"], row["method"]) for row in rows if row["participant"] == number] == designed
+        stroked = sum(len(store.strokes(row["participant"], row["trial"])) > 0 for row in rows)
+        assert stroked > 0.8 * len(rows)  # a kill takes with it what was not answered yet
+
+
+def test_a_study_through_its_pages_while_the_server_is_killed(browser: Any, tmp_path: Path) -> None:
+    """A tenth of the paper's study."""
+    seen = whole_study(browser, tmp_path, 6, 4, 3, 3)
+    assert seen["killed"] == 3
+    check_study(tmp_path / "study.db", 4, 24)
+    with Store(seen["copies"][0]) as copy:  # taken while three browsers wrote
+        assert copy.check() == []
+        assert 0 < len(copy.ratings()) < 96
+
+
+@pytest.mark.slow
+def test_a_study_of_21_participants_and_48_trials_while_the_server_is_killed_20_times(
+    browser: Any, tmp_path: Path
+) -> None:
+    seen = whole_study(browser, tmp_path, 12, 21, 3, 20)
+    print(f"{seen['killed']} kills, {seen['seconds']:.0f} s")
+    assert seen["killed"] == 20
+    check_study(tmp_path / "study.db", 21, 48)
+    with Store(seen["copies"][0]) as copy:
+        assert copy.check() == []
+    begin = time.monotonic()
+    command = [sys.executable, "-c", "from foten.cli import main; main()", "study", "analyze"]
+    subprocess.run([*command, tmp_path / "study.db", "-o", tmp_path / "results"], check=True, capture_output=True)
+    print(f"analyze: {time.monotonic() - begin:.1f} s")
+
+
+def test_an_answer_is_kept_while_the_server_is_away(browser: Any, tmp_path: Path) -> None:
+    study, port = study_file(tmp_path, practice="0"), free_port()
+    page = browser.new_page()
+    with running(study, "--port", str(port)) as (_, link):
+        begin(page, link)
+        for text in ("I agree", "Next", "Start"):
+            page.click(f"button.big >> text={text}")
+            page.wait_for_timeout(150)
+        until(page, "window.study.step?.kind === 'trial'")
+    until(page, "document.querySelector('#message').textContent.startsWith('No connection')")
+    page.fill(".scale input", "83")
+    page.click("button.big")
+    with running(study, "--port", str(port)):
+        until(page, "window.study.step?.id === 'trial:2'")
+    with Store(tmp_path / "study.db") as store:
+        assert [row["rating"] for row in store.ratings()] == [83.0]
+    page.close()
+
+
+def test_nothing_is_chosen_before_someone_chooses(browser: Any, tmp_path: Path) -> None:
+    with running(study_file(tmp_path, practice="0")) as (_, link):
+        page = browser.new_page()
+        begin(page, link)
+        for text in ("I agree", "Next", "Start"):
+            page.click(f"button.big >> text={text}")
+            page.wait_for_timeout(150)
+        until(page, "window.study.step?.kind === 'trial'")
+        assert page.get_attribute(".scale input", "aria-valuetext") == "not set"
+        assert page.is_disabled("button.big")
+        page.focus(".scale input")
+        page.keyboard.press("ArrowRight")
+        assert page.get_attribute(".scale input", "aria-valuetext") == "51"
+        assert page.is_enabled("button.big")
+        page.close()
+
+
+def test_no_byte_on_the_network_names_a_method(browser: Any, tmp_path: Path) -> None:
+    with running(study_file(tmp_path, 2, 4), "--simulated", "--port", "0") as (_, link):
+        context = browser.new_context()
+        page = context.new_page()
+        seen: list[bytes] = []
+        said: list[bytes] = []
+
+        def received(data: str | bytes) -> None:
+            (said if isinstance(data, str) else seen).append(data.encode() if isinstance(data, str) else data)
+
+        page.on("websocket", lambda one: one.on("framereceived", received))
+        page.on("response", lambda answer: seen.append(answer.body() + str(answer.headers).encode()))
+        begin(page, link)
+        page.evaluate(DRIVE)
+        until(page, "window.ended", 60.0)
+        context.close()
+    assert len(said) > 10
+    assert len(seen) > 10
+    for data in (*seen, *said):
+        for word in (b"dstn", b"ldhtd", b".foten", b"sha256"):
+            assert word not in data.lower()
+    for data in said:
+        assert not re.search(rb"\bar\b|\bfoten\b|method", data.lower())
+    assert set(METHODS) == {"ar", "dstn", "ldhtd", "foten"}
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize("size", SIZES)
+def test_the_pages_are_accessible_and_look_as_the_screenshots_show(
+    browser: Any, tmp_path: Path, size: str, dark: bool
+) -> None:
+    axe = pytest.importorskip(
+        "axe_playwright_python.sync_playwright", reason="needs axe-core: pip install '.[browser]'"
+    )
+    SHOTS.mkdir(parents=True, exist_ok=True)
+    width, height = SIZES[size]
+    context = browser.new_context(viewport={"width": width, "height": height}, color_scheme="dark" if dark else "light")
+    found: list[Any] = []
+
+    def look(page: Any, name: str) -> None:
+        page.wait_for_timeout(250)
+        page.screenshot(path=SHOTS / f"study-{size}-{'dark' if dark else 'light'}-{name}.png")
+        found.extend(axe.Axe().run(page).response["violations"])
+
+    with running(study_file(tmp_path, practice="0", break_every="1")) as (operator, link):
+        page = context.new_page()
+        page.goto(link)
+        page.wait_for_selector("html[data-ready]")
+        look(page, "join")
+        page.click("button.big")
+        until(page, "window.study.step?.kind === 'consent'")
+        look(page, "consent")
+        page.click("button.big")
+        until(page, "window.study.step?.kind === 'questions'")
+        look(page, "questions")
+        page.click("button.big")
+        until(page, "window.study.step?.kind === 'instructions'")
+        page.click("button.big")
+        until(page, "window.study.step?.kind === 'trial'")
+        look(page, "trial")
+        other = context.new_page()
+        other.goto(operator)
+        other.wait_for_selector("#people li")
+        look(other, "operator")
+        other.click("[data-what=Code]")
+        look(other, "code")
+        page.fill(".scale input", "64")
+        look(page, "rated")
+        page.click("button.big")
+        until(page, "window.study.step?.kind === 'break'")
+        look(page, "break")
+    context.close()
+    assert not [(one["id"], [node["html"] for node in one["nodes"]]) for one in found]

@@ -1,0 +1,258 @@
+"""A study's database: answers are only added, nothing is there twice, what is removed is gone, and a full disk loses nothing."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sqlite3
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from foten.study.orders import orders
+from foten.study.store import MIGRATIONS, FullError, Rated, Stimulus, Store, create
+
+TEXTURES, METHODS = 3, 2
+
+
+def made(path: Path, simulated: bool = False) -> Path:
+    stimuli = [
+        Stimulus(t, m, f"t{t}", f"m{m}", f"{t}{m}" * 8, 0.5 * m) for t in range(TEXTURES) for m in range(METHODS)
+    ]
+    create(
+        path,
+        "A study",
+        "title = 1",
+        path.parent,
+        7,
+        stimuli,
+        orders(5, TEXTURES, METHODS, 7, 1, "balanced"),
+        "9.9",
+        simulated,
+    )
+    return path
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store(made(tmp_path / "study.db"), "9.9")
+
+
+def test_orders_and_stimuli_are_there_before_anyone_comes(store: Store) -> None:
+    assert store.ordered() == [1, 2, 3, 4, 5]
+    assert store.trials(2) == orders(5, TEXTURES, METHODS, 7, 1, "balanced")[1]
+    assert store.stimuli()[2, 1].method_key == "m1"
+    assert store.study["seed"] == 7
+    assert not store.simulated
+    assert store.codes() == {}
+
+
+def test_a_database_is_not_written_over(store: Store) -> None:
+    with pytest.raises(ValueError, match="is there already, and may hold answers"):
+        made(store.path)
+
+
+def test_a_step_is_stored_once(store: Store) -> None:
+    number = store.join("KXWQA")
+    rated = 3, Rated(62.0, 12.5, 4, {"contact_s": 9.0})
+    assert store.take_step(number, "trial:3", rated)
+    assert not store.take_step(number, "trial:3", (3, Rated(10.0)))
+    (row,) = store.ratings()
+    assert (row["rating"], row["response_s"], row["switches"], row["measured"]) == (62.0, 12.5, 4, {"contact_s": 9.0})
+    assert (row["software"], row["simulated"], row["sha256"]) == ("9.9", 0, f"{row['texture']}{row['method']}" * 8)
+    assert store.done(number) == {"trial:3"}
+    assert store.check() == []
+
+
+def test_practice_is_stored_and_not_analysed(store: Store) -> None:
+    number = store.join("A")
+    store.take_step(number, "trial:0", (0, Rated(50.0)))
+    assert store.ratings() == []
+    assert store.counts()[number]["n"] == 0
+
+
+def test_codes_and_numbers_are_given_once(store: Store) -> None:
+    assert [store.join(code) for code in "ABC"] == [1, 2, 3]
+    with pytest.raises(sqlite3.IntegrityError):
+        store.join("A")
+    with pytest.raises(ValueError, match="participant 2 has begun already"):
+        store.join("X", 2)
+    assert [store.join(code) for code in "DE"] == [4, 5]
+    with pytest.raises(ValueError, match="all 5 participants of the design have begun"):
+        store.join("F")
+
+
+def test_ratings_are_only_added_and_corrected_by_new_rows(store: Store) -> None:
+    number = store.join("A")
+    store.take_step(number, "trial:1", (1, Rated(62.0)))
+    for statement in (
+        "UPDATE ratings SET rating = 0",
+        "DELETE FROM ratings",
+        "UPDATE trials SET method = 0",
+        "DELETE FROM log",
+    ):
+        with pytest.raises(sqlite3.IntegrityError, match="only added to"):
+            store._connection.execute(statement)
+    with pytest.raises(sqlite3.IntegrityError):  # nor a second one beside the step
+        store._connection.execute(
+            "INSERT INTO ratings (participant, trial, rating, measured, at, software, simulated, reason) "
+            "VALUES (1, 1, 5, '{}', '', '', 0, '')"
+        )
+    store.correct(number, 1, 26.0, "read the scale the wrong way round")
+    store.correct(number, 1, 27.0, "once more")
+    (row,) = store.ratings()
+    assert (row["rating"], row["corrected"]) == (27.0, True)
+    everything = store._connection.execute("SELECT rating FROM ratings ORDER BY id").fetchall()
+    assert [one[0] for one in everything] == [62.0, 26.0, 27.0]
+    assert "corrected to 26" in store.log()[1][1]
+    for arguments, why in (
+        ((1, 2, 5.0, "x"), "no rating of trial 2"),
+        ((1, 1, 101.0, "x"), "0 to 100"),
+        ((1, 1, 5.0, " "), "reason"),
+    ):
+        with pytest.raises(ValueError, match=why):
+            store.correct(*arguments)
+
+
+def test_simulated_and_real_ratings_do_not_mix(tmp_path: Path, store: Store) -> None:
+    simulated = Store(made(tmp_path / "simulated.db", simulated=True))
+    number = simulated.join("A")
+    simulated.take_step(number, "trial:1", (1, Rated(5.0)))
+    assert simulated.ratings()[0]["simulated"] == 1
+    for one, kind in ((store, 1), (simulated, 0)):
+        with pytest.raises(sqlite3.IntegrityError, match="do not go into one file"):
+            one._connection.execute("INSERT INTO participants VALUES (4, 'Z', '', ?)", (kind,))
+        with pytest.raises(sqlite3.IntegrityError, match="do not go into one file"):
+            one._connection.execute(
+                "INSERT INTO ratings (participant, trial, rating, measured, at, software, simulated, reason) "
+                f"VALUES (1, 2, 5, '{{}}', '', '', {kind}, '')"
+            )
+        with pytest.raises(sqlite3.IntegrityError, match="only added to"):
+            one._connection.execute("UPDATE study SET simulated = 1 - simulated")
+
+
+def test_what_people_say_of_themselves_lies_apart(store: Store) -> None:
+    number = store.join("A")
+    store.take_step(number, "questions:start", answers={"mood": "fine"}, private={"age": "34"}, consent="I agree")
+    assert store.answers()[0]["answer"] == "fine"
+    assert store.abouts() == [{"question": "age", "answer": "34"}]  # without a number
+    consent = store._connection.execute("SELECT * FROM consents").fetchone()
+    assert len(consent["text_sha256"]) == 64
+
+
+def test_strokes_come_back_as_they_went_in(store: Store) -> None:
+    number = store.join("A")
+    events = np.random.default_rng(0).normal(size=(500, 4))
+    store.add_strokes(number, 1, events[:200])
+    store.add_strokes(number, 1, events[200:])
+    np.testing.assert_array_equal(store.strokes(number, 1), events)
+    assert store.strokes(number, 2).shape == (0, 4)
+
+
+def filled(store: Store) -> list[int]:
+    numbers = [store.join(code) for code in ("FIRST", "SECOND", "THIRD")]
+    for number in numbers:
+        store.take_step(
+            number, "questions:start", answers={"q": f"SECRET-{number}"}, private={"age": f"PRIVATE-{number}"}
+        )
+        for trial in range(1, 7):
+            store.add_strokes(number, trial, np.full((50, 4), float(number)))
+            store.add_switch(number, trial, "real", "operator")
+            store.take_step(
+                number, f"trial:{trial}", (trial, Rated(10.0 * number, 3.0, 1, {"note": f"MEASURED-{number}"}))
+            )
+    return numbers
+
+
+def test_a_participant_who_is_forgotten_is_gone_from_every_byte(store: Store) -> None:
+    numbers = filled(store)
+    store.correct(numbers[1], 2, 33.0, "PRIVATE-REASON")
+    store.forget(numbers[1])
+    assert sorted(store.counts()) == [numbers[0], numbers[2]]
+    assert {row["participant"] for row in store.ratings()} == {numbers[0], numbers[2]}
+    assert store.check() == []
+    assert store.log()[-1][1] == "all data of participant 2 was removed, as asked"
+    store.close()
+    for path in store.path.parent.glob("study.db*"):
+        data = path.read_bytes()
+        for word in (b"SECRET-2", b"PRIVATE-2", b"MEASURED-2", b"SECOND", b"PRIVATE-REASON"):
+            assert word not in data
+        assert b"SECRET-1" in data or path.suffix != ".db"
+    again = Store(store.path)
+    with pytest.raises(sqlite3.IntegrityError, match="only added to"):  # the guards are there again
+        again._connection.execute("DELETE FROM ratings")
+    with pytest.raises(ValueError, match="no participant 2 who has begun"):
+        again.forget(2)
+
+
+def test_a_backup_while_it_is_written_to_is_whole(tmp_path: Path, store: Store) -> None:
+    filled(store)
+    other = Store(store.path)
+    number = other.join("LATER")
+    for trial in range(1, 7):
+        other.take_step(number, f"trial:{trial}", (trial, Rated(1.0)))
+        store.backup(tmp_path / f"copy{trial}.db")
+        with Store(tmp_path / f"copy{trial}.db") as copy:
+            assert copy.check() == []
+            assert len(copy.ratings()) == 18 + trial
+
+
+def test_a_full_disk_is_said_and_nothing_is_lost(store: Store) -> None:
+    number = store.join("A")
+    store.take_step(number, "trial:1", (1, Rated(62.0)))
+    pages = store._connection.execute("PRAGMA page_count").fetchone()[0]
+    store._connection.execute(f"PRAGMA max_page_count = {pages}")
+    with pytest.raises(FullError, match="the disk is full or cannot be written; what was there is there"):
+        store.add_strokes(number, 2, np.random.default_rng(0).normal(size=(9000, 4)))
+    assert [row["rating"] for row in store.ratings()] == [62.0]
+    store._connection.execute("PRAGMA max_page_count = 1000000")
+    assert store.take_step(number, "trial:2", (2, Rated(30.0)))
+    assert store.check() == []
+
+
+def test_a_newer_database_and_no_database_are_refused_in_a_line(tmp_path: Path, store: Store) -> None:
+    store.close()
+    connection = sqlite3.connect(store.path)
+    connection.execute(f"PRAGMA user_version = {len(MIGRATIONS) + 1}")
+    connection.close()
+    with pytest.raises(ValueError, match=r"is of version 2, and this foten knows up to 1: update foten"):
+        Store(store.path)
+    (tmp_path / "text.db").write_text("hello " * 1000)
+    with pytest.raises(ValueError, match="is no study of foten, or is damaged"):
+        Store(tmp_path / "text.db")
+    sqlite3.connect(tmp_path / "other.db").execute("CREATE TABLE t (a)").connection.close()
+    with pytest.raises(ValueError, match="is no study of foten, expected a file that 'foten study run' made"):
+        Store(tmp_path / "other.db")
+    with pytest.raises(FileNotFoundError):
+        Store(tmp_path / "nothing.db")
+
+
+def _writes_for_ever(path: str, said: object) -> None:
+    store = Store(Path(path))
+    number = store.join("KILL")
+    for trial in range(1, 7):
+        store.take_step(number, f"trial:{trial}", (trial, Rated(float(trial))))
+        said.send(trial)  # type: ignore[attr-defined]
+        time.sleep(0.01)
+
+
+def test_what_was_taken_before_a_kill_is_there(tmp_path: Path) -> None:
+    for attempt, killed_after in enumerate((1, 3, 5)):
+        path = made(tmp_path / f"{attempt}.db")
+        hears, says = multiprocessing.get_context("spawn").Pipe(duplex=False)
+        process = multiprocessing.get_context("spawn").Process(target=_writes_for_ever, args=(str(path), says))
+        process.start()
+        taken = 0
+        while taken < killed_after:
+            taken = hears.recv()
+        assert process.pid is not None
+        os.kill(process.pid, signal.SIGKILL)
+        process.join()
+        with Store(path) as store:
+            ratings = [row["rating"] for row in store.ratings()]
+            assert ratings[:taken] == [float(trial) for trial in range(1, taken + 1)]
+            assert store.check() == []
+            assert store.done(1) == {f"trial:{trial}" for trial in range(1, len(ratings) + 1)}
