@@ -262,7 +262,7 @@ def listed(*names: str) -> str:
     return "\n".join(lines)
 
 
-MEASURED = ("step", "contacts", "soak", "install", "studio-page", "studio-load")
+MEASURED = ("step", "contacts", "soak", "install", "studio-page", "studio-load", "study")
 TABLES: dict[str, dict[str, Callable[[], Cells | str]]] = {
     "../README.md": {"readme": readme},
     "results.md": {
@@ -289,7 +289,7 @@ TABLES: dict[str, dict[str, Callable[[], Cells | str]]] = {
     },
     "runtime.md": {
         name: (lambda name=name: kept(name))
-        for name in ("step", "contacts", "soak", "install", "studio-page", "studio-load")
+        for name in ("step", "contacts", "soak", "install", "studio-page", "studio-load", "study")
     },
 }
 
