@@ -24,8 +24,10 @@ pytest.importorskip("statsmodels")
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
+from foten.datasets.importing import read_stroke
 from foten.families.texture_file import read_texture, write_texture
 from foten.runtime.renderer import EXAMPLE
+from foten.runtime.stroke import tabled_stroke
 from foten.studio.access import LOOPBACK, Access
 from foten.studio.stimuli import load_stimuli
 from foten.studio.study_server import OPERATOR_COOKIE, StudyServer
@@ -113,14 +115,15 @@ class Page:
     def done(self, **answer: Any) -> dict[str, Any]:
         self.say(do="done", step=self.step["id"], **answer)
         document = self.until("step", "refused")
-        self.step = document.get("step", self.step)
+        if "refused" not in document:
+            self.step = document["step"]
         return document
 
     def answer(self, rating: float = 50.0) -> dict[str, Any]:
         """Do what the step asks for."""
         kind = self.step["kind"]
         if kind == "trial":
-            return self.done(rating=rating, seconds=2.5)
+            return self.done(rating=rating, seconds=2.5, underruns=0)
         if kind == "questions":
             given = {
                 q["key"]: {"number": "30", "choice": (q["options"] or [""])[0]}.get(q["kind"], "fine")
@@ -161,7 +164,7 @@ def test_a_participant_goes_through_all_steps_and_each_is_in_the_database(tmp_pa
         assert [row["response_s"] for row in rows] == [2.5] * 4
         designed = [(trial.texture, trial.method) for trial in store.trials(1) if not trial.practice]
         assert [(row["texture"], row["method"]) for row in rows] == designed
-        assert [one["question"] for one in store.abouts()] == ["age", "handedness"]
+        assert [one["question"] for one in store.abouts()] == ["age", "experience", "gender", "handedness"]
         assert [one["question"] for one in store.answers()] == ["remarks"]
         assert store.counts()[1]["ended"] == 1
 
@@ -194,6 +197,13 @@ def test_a_trial_is_stroked_switched_and_measured(tmp_path: Path) -> None:
         events = store.strokes(1, 1)
         assert events.shape == (100, 4)
         np.testing.assert_allclose(events[:, 0], 0.4 * np.arange(100))
+    said = foten("strokes", tmp_path / "study.db", "--participant", "1", "--trial", "1", "-o", tmp_path / "stroke.csv")
+    assert "100 events, 0.5 s" in said
+    stroke = tabled_stroke(read_stroke(tmp_path / "stroke.csv", {}), 1000.0)
+    assert 0.5 < stroke.force.max() < 0.9
+    assert "no stroke of participant 1 in trial 3" in foten(
+        "strokes", tmp_path / "study.db", "--participant", "1", "--trial", "3", "-o", tmp_path / "none.csv", ok=False
+    )
 
 
 def test_no_byte_that_a_participant_is_sent_names_or_orders_methods(tmp_path: Path) -> None:
@@ -310,6 +320,60 @@ def test_two_screens_are_joined_by_a_code_and_the_operator_lets_trials_begin(tmp
             assert "there is no such code" in json.loads(socket.receive_text())["refused"]
 
 
+def test_after_a_restart_a_trial_goes_on_with_what_was_counted(tmp_path: Path) -> None:
+    """The page has counted on while the server was away: its answer is good at once."""
+    path = study_file(tmp_path, practice="0", least_seconds="3")
+    with served(server_of(path)) as client, client.websocket_connect(f"{WS}/session") as socket:
+        page = Page(socket, rate_hz=8000)
+        while page.step["kind"] != "trial":
+            page.answer()
+        page.stroke()
+        for side in ("real", "virtual"):
+            page.say(do="side", side=side)
+            page.until("step")
+        code = page.code
+    with served(server_of(path)) as client, client.websocket_connect(f"{WS}/session") as socket:
+        page = Page(socket, code=code)
+        page.done(rating=44.0, seconds=9.0)
+        assert page.step["id"] == "trial:2"
+    with Store(tmp_path / "study.db") as store:
+        (row,) = store.ratings()
+        assert (row["switches"], row["measured"]["resumed"]) == (2, True)
+
+
+def test_the_page_that_strokes_is_the_one_that_sounds(tmp_path: Path) -> None:
+    """After a lost network the old connection may be there still; both count for the trial."""
+    server = server_of(study_file(tmp_path, practice="0"))
+    with served(server) as client, client.websocket_connect(f"{WS}/session") as old:
+        first = Page(old, rate_hz=8000)
+        while first.step["kind"] != "trial":
+            first.answer()
+        first.stroke()
+        while first.bytes == 0:
+            first.bytes += len(old.receive().get("bytes") or b"")
+        with client.websocket_connect(f"{WS}/session") as new:
+            second = Page(new, code=first.code, rate_hz=8000)
+            second.stroke()
+            while second.bytes == 0:
+                second.bytes += len(new.receive().get("bytes") or b"")
+            second.answer()
+    (row,) = server.store.ratings()
+    assert row["measured"]["n_contacts"] >= 2
+    assert len(server.store.strokes(1, 1)) > 10  # of both; what the old one still had on its way is not taken any more
+
+
+def test_a_page_that_joins_again_is_no_second_participant(tmp_path: Path) -> None:
+    server = server_of(study_file(tmp_path))
+    with served(server) as client:
+        for _ in range(2):
+            with client.websocket_connect(f"{WS}/session") as socket:
+                assert Page(socket, fresh="KXWQA").code == "KXWQA"
+        with client.websocket_connect(f"{WS}/session") as socket:
+            socket.send_text(json.dumps({"do": "join", "fresh": "ab"}))
+            assert "expected 5 letters" in json.loads(socket.receive_text())["refused"]
+    assert server.store.codes() == {"KXWQA": 1}
+
+
 def test_the_operators_page_is_the_operators(tmp_path: Path) -> None:
     server = server_of(study_file(tmp_path))
     with served(server) as client:
@@ -368,8 +432,9 @@ def test_a_full_disk_is_said_to_the_page_and_the_answer_can_be_given_again(tmp_p
                 yield connection
 
         server.store._writing = full  # type: ignore[method-assign]
-        refused = page.answer(33.0)["refused"]
-        assert "not stored, and your answer is kept here: study.db: the disk is full" in refused
+        refused = page.answer(33.0)
+        assert "not stored, and your answer is kept here: study.db: the disk is full" in refused["refused"]
+        assert refused["again"]
         server.store._writing = writing  # type: ignore[method-assign]
         server.store._connection.execute("PRAGMA max_page_count = 1000000")
         page.answer(33.0)
@@ -383,9 +448,11 @@ def test_a_trial_lasts_as_long_as_the_study_asks(tmp_path: Path) -> None:
         page = Page(socket)
         while page.step["kind"] != "trial":
             page.answer()
-        assert "explore both surfaces for 1 s first" in page.answer()["refused"]
+        refused = page.done(rating=5.0, seconds=0.2)
+        assert "explore both surfaces for 1 s first" in refused["refused"]
+        assert (refused["step"], refused["again"]) == ("trial:1", False)
         time.sleep(1.0)
-        page.answer()
+        page.done(rating=5.0, seconds=1.2)
         assert page.step["id"] == "trial:2"
 
 
@@ -446,6 +513,9 @@ def test_from_texture_files_to_a_report_without_anyone(tmp_path: Path) -> None:
     meant = (results / "dictionary.csv").read_text(encoding="utf-8")
     assert "response_s,from when the trial was shown to the answer,s" in meant
     foten("backup", database, "-o", tmp_path / "copy.db")
+    for there in (database, tmp_path / "copy.db"):
+        assert "is there already: give the copy another name" in foten("backup", database, "-o", there, ok=False)
+    assert "is there already" in foten("simulate", study, "-o", database, ok=False)
     foten("correct", database, "--participant", "1", "--trial", "1", "--rating", "5", "--reason", "slipped")
     foten("forget", database, "--participant", "2", "--yes")
     assert "14 simulated raters" in foten("status", database)
@@ -463,12 +533,12 @@ def test_what_the_commands_refuse(tmp_path: Path) -> None:
     assert not (tmp_path / "x.toml").exists()
     text = study.read_text(encoding="utf-8")
     study.write_text(text + "\n# another comment\n", encoding="utf-8")
-    assert "has changed since" in foten("simulate", study, "-o", database, ok=False)
+    assert "has changed since" in foten("run", study, "--simulated", "-o", database, ok=False)
     study.write_text(text.replace("artificial-grass-ar.foten", "nothing.foten"), encoding="utf-8")
     assert "no such file" in foten("check", study, ok=False)
     study.write_text(text, encoding="utf-8")
     one.write_bytes((tmp_path / "steel-mesh-1-dstn.foten").read_bytes())
-    assert "is another file than when" in foten("simulate", study, "-o", database, ok=False)
+    assert "is another file than when" in foten("run", study, "--simulated", "-o", database, ok=False)
     one.write_bytes(b"no texture")
     assert "artificial-grass-ar.foten" in foten("check", study, ok=False)
     assert "expected one of ar, dstn" in foten("analyze", database, "--reference", "x", "-o", tmp_path / "r", ok=False)
@@ -528,10 +598,15 @@ def test_a_study_that_runs_ends_cleanly_and_goes_on(tmp_path: Path) -> None:
     study = study_file(tmp_path)
     for begun in (0, 0):
         process, operator, participants = started_study(study, "--port", "0")
+        assert "is in use: end the 'foten study run' of it first" in foten("run", study, "--port", "0", ok=False)
+        with Store(tmp_path / "study.db") as store:
+            if not store.codes():
+                store.join("ABCDE")
+        assert "is in use" in foten("forget", tmp_path / "study.db", "--participant", "1", "--yes", ok=False)
         assert "/operator?key=" in operator
         assert participants.startswith("http://127.0.0.1:")
         process.send_signal(signal.SIGINT)
         assert process.wait(timeout=20) in (0, 130)
         with Store(tmp_path / "study.db") as store:
-            assert len(store.codes()) == begun
+            assert len(store.codes()) == begun + 1
             assert len(store.ordered()) == 3 + 2  # and some for those who leave

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from foten.study.design import read_design, template
-from foten.study.orders import balance, orders, williams
+from foten.study.orders import balance, orders, planned, square, williams
 
 FILES = {
     "mesh": {"ar": "mesh-ar.foten", "foten": "mesh.foten"},
@@ -39,6 +39,8 @@ def test_a_new_study_file_reads_back(study: Path) -> None:
     assert [(q.key, q.private, q.at) for q in design.questions] == [
         ("age", True, "start"),
         ("handedness", True, "start"),
+        ("gender", True, "start"),
+        ("experience", True, "start"),
         ("remarks", False, "end"),
     ]
     assert design.consent.startswith("You take part")
@@ -123,6 +125,18 @@ def test_orders_of_the_paper_are_as_even_as_21_participants_allow() -> None:
     assert spread["method in round"] == (5, 6)  # 21 / 4
     assert len({tuple((t.texture, t.method) for t in trials) for trials in made}) == 21
     assert balance(orders(21, 12, 4, 1, 2, "random"), 12, 4)["method in round"][1] > 8
+
+
+@pytest.mark.parametrize("n", [12, 24, 48])
+def test_the_orders_that_a_study_stores_are_balanced_over_its_participants(n: int) -> None:
+    """Whatever is kept for those who leave."""
+    made = planned(n, 12, 4, 1, 2, "balanced")
+    assert len(made) == n + n // 4
+    for name, (low, high) in balance(made[:n], 12, 4).items():
+        assert low == high, name
+    low, high = balance(planned(21, 12, 4, 1, 2, "balanced")[:21], 12, 4)["texture at place"]
+    assert high - low <= 3
+    assert square(12, 4) == 12
 
 
 def test_a_seed_is_an_order() -> None:

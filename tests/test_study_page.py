@@ -199,7 +199,7 @@ def test_a_study_of_21_participants_and_48_trials_while_the_server_is_killed_20_
 
 
 def test_an_answer_is_kept_while_the_server_is_away(browser: Any, tmp_path: Path) -> None:
-    study, port = study_file(tmp_path, practice="0"), free_port()
+    study, port = study_file(tmp_path, practice="0", least_seconds="2"), free_port()
     page = browser.new_page()
     with running(study, "--port", str(port)) as (_, link):
         begin(page, link)
@@ -232,6 +232,50 @@ def test_nothing_is_chosen_before_someone_chooses(browser: Any, tmp_path: Path) 
         assert page.get_attribute(".scale input", "aria-valuetext") == "51"
         assert page.is_enabled("button.big")
         page.close()
+
+
+def test_a_trial_that_is_held_keeps_what_was_chosen_and_its_time(browser: Any, tmp_path: Path) -> None:
+    """And the operator's row stays where it is: a press on it that lasts is a press."""
+    with running(study_file(tmp_path, practice="0", operator="true")) as (operator, _):
+        context = browser.new_context()
+        other = context.new_page()
+        other.goto(operator)
+        other.click("#begin-one")
+        code = other.inner_text("#invite-code", timeout=10_000)
+        other.keyboard.press("Escape")
+        page = context.new_page()
+        page.goto(operator.split("operator")[0] + f"?code={code}")
+        for text in ("I agree", "Next", "Start"):
+            page.click(f"button.big >> text={text}")
+            page.wait_for_timeout(150)
+        until(page, "window.study.step?.held === true")
+
+        def press(what: str) -> None:
+            other.wait_for_selector(f"[data-what={what}]:visible")
+            box = other.locator(f"[data-what={what}]").bounding_box()
+            other.mouse.move(box["x"] + 5, box["y"] + 5)
+            other.mouse.down()
+            other.wait_for_timeout(1200)  # while the page is told of the study twice
+            other.mouse.up()
+
+        press("Go")
+        until(page, "window.study.step.held === false")
+        page.fill(".scale input", "83")
+        before = page.evaluate("window.study.seconds")
+        press("Hold")
+        until(page, "window.study.step.held === true")
+        assert page.is_disabled("button.big")
+        at = page.evaluate("window.study.seconds")
+        page.wait_for_timeout(400)
+        assert page.evaluate("window.study.seconds") == at >= before
+        press("Go")
+        until(page, "window.study.step.held === false")
+        assert page.input_value(".scale input") == "83"
+        page.click("button.big")
+        until(page, "window.study.step.id === 'trial:2'")
+        context.close()
+    with Store(tmp_path / "study.db") as store:
+        assert [row["rating"] for row in store.ratings()] == [83.0]
 
 
 def test_no_byte_on_the_network_names_a_method(browser: Any, tmp_path: Path) -> None:

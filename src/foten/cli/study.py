@@ -46,6 +46,7 @@ def new(
     """
     from foten.atomic_write import atomic_write
     from foten.study.design import template
+    from foten.study.orders import square
     from foten.study.raters import SMALLEST, needed, raters_for
 
     check_folders([output])
@@ -55,7 +56,8 @@ def new(
     methods = len(next(iter(several.values())))
     if participants is None:
         _, smallest = needed(raters_for(methods, len(several), SMALLEST), 300, 0)
-        participants = smallest or 40
+        whole = square(len(several), methods)
+        participants = -(-(smallest or 40) // whole) * whole if whole <= 48 else smallest or 40
         why = f"a difference of {SMALLEST:g} points on a texture is found in 80 % of studies of that size"
         say(f"{participants} participants: {why}; foten study power says more")
     with atomic_write(output) as part:
@@ -67,16 +69,16 @@ def new(
 @app.command()
 def check(study: StudyFile, as_json: JsonOption = False) -> None:
     """Check a study file: texture files, levels, balance of the orders, devices, and how long it takes."""
-    from foten.study.orders import balance, orders
+    from foten.study.orders import balance, planned
 
     design, _, stimuli, wired = _loaded(study)
     if wired is not None:
         wired.check()
     _check_noise(design)
-    made = orders(
+    made = planned(
         design.participants, len(design.textures), len(design.methods), design.seed, design.practice, design.order
     )
-    spread = balance(made, len(design.textures), len(design.methods))
+    spread = balance(made[: design.participants], len(design.textures), len(design.methods))
     many = f"{len(design.textures)} textures × {len(design.methods)} methods: {design.n_trials} trials"
     rows = [
         f"{many} of each of {design.participants} participants, {design.practice} of practice before",
@@ -122,8 +124,9 @@ def run(
 
     design, _, stimuli, wired = _loaded(study)
     database = output or study.with_suffix(".db")
-    store = _opened(study, database, simulated)
     _check_noise(design)
+    store = _opened(study, database, simulated)
+    store.hold()
     server = StudyServer(store, design, stimuli, wired)
 
     def links(access: Access, shown: str) -> tuple[str, str]:
@@ -197,9 +200,7 @@ def simulate(
     better: Annotated[str | None, Option(metavar="METHOD", help="That is better; by default the last.")] = None,
     sd: Annotated[float, Option(min=0.1, help="Standard deviation of ratings between raters (points).")] = 10.67,
     correlation: Annotated[float, Option(min=0, max=0.99, help="Between two ratings of one rater.")] = 0.3,
-    missing: Annotated[
-        float, Option(min=0, max=0.9, help="Share of ratings that raters leave out at their end.")
-    ] = 0.0,
+    missing: Annotated[float, Option(min=0, max=0.9, help="Share of raters who leave before their end.")] = 0.0,
     seed: Annotated[int, Option(min=0, help="Of what the raters answer.")] = 0,
 ) -> None:
     """Let raters of a stated model take part, to try the analysis before anyone is invited. What comes is marked as simulated.
@@ -211,6 +212,8 @@ def simulate(
     from foten.study.raters import raters_for
     from foten.study.store import Rated
 
+    if output.exists():
+        raise ValueError(f"{output} is there already: give another name")
     design, _, _, _ = _loaded(study)
     methods = list(design.methods)
     if better is not None and better not in methods:
@@ -316,6 +319,33 @@ def analyze(
 
 
 @app.command()
+def strokes(
+    database: Database,
+    participant: Participant,
+    trial: Annotated[int, Option(help="Number of the trial.")],
+    output: Annotated[Path, Option("-o", "--output", metavar="S.csv", help="The table to write: t, x, y, pressure.")],
+) -> None:
+    """Write how a participant stroked the virtual surface in a trial, as 'foten render --stroke' reads it.
+
+    foten study strokes similarity.db --participant 3 --trial 7 -o stroke.csv
+    """
+    import csv
+
+    from foten.atomic_write import atomic_write
+
+    check_folders([output])
+    with _store(database) as store:
+        events = store.strokes(participant, trial)
+    if not len(events):
+        raise ValueError(f"there is no stroke of participant {participant} in trial {trial}")
+    with atomic_write(output) as part, part.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(("t", "x", "y", "pressure"))
+        writer.writerows([f"{value:.6f}" for value in (t - events[0, 3], x, y, p)] for x, y, p, t in events)
+    print(f"wrote {output}: {len(events)} events, {events[-1, 3] - events[0, 3]:.1f} s")
+
+
+@app.command()
 def correct(
     database: Database,
     participant: Participant,
@@ -417,15 +447,14 @@ def _opened(study: Path, database: Path, simulated: bool) -> Store:
     """Return a study's database: a new one, or the one that is there, where it is of this very study."""
     from foten import __version__
     from foten.studio.stimuli import changed
-    from foten.study.orders import orders
+    from foten.study.orders import planned
     from foten.study.store import Store, create
 
     design, text, stimuli, _ = _loaded(study)
     if not database.exists():
         check_folders([database])
-        spare = design.participants + max(2, design.participants // 4)  # for those who leave
         counts = len(design.textures), len(design.methods)
-        made = orders(spare, *counts, design.seed, design.practice, design.order)
+        made = planned(design.participants, *counts, design.seed, design.practice, design.order)
         create(database, design.title, text, study.parent, design.seed, stimuli.listed, made, __version__, simulated)
     store = Store(database, __version__)
     try:

@@ -25,8 +25,9 @@ little-endian float32.
 A participant's page in a study says, and strokes in bytes as above:
 
     {"do": "join", "code": "KXWQA", "role": "all" | "stroke" | "answer", "rate_hz": 48000, "volume_db": 0, "newtons": 0.13,
-     "steepness": 3.32}                             without a code: as a new participant, where there is no operator
-    {"do": "done", "step": "trial:5", "rating": 63, "seconds": 12.5}
+     "steepness": 3.32}
+    {"do": "join", "fresh": "KXWQA", …}             as a new participant, under a code that the page drew; not with an operator
+    {"do": "done", "step": "trial:5", "rating": 63, "seconds": 12.5, "underruns": 0}
     {"do": "done", "step": "questions:end", "answers": {"remarks": "…"}}
     {"do": "side", "side": "real" | "virtual"}
 
@@ -78,6 +79,7 @@ _NUMBERS: Mapping[str, tuple[float, float]] = {
     "full_scale": (1e-6, 1e6),
     "rating": (0.0, 100.0),
     "seconds": (0.0, 1e6),
+    "underruns": (0, 1e6),
     "number": (1, 1e6),
 }
 _CHOICES: Mapping[str, tuple[str, ...]] = {
@@ -99,8 +101,8 @@ CAPTURE: Kinds = {
     "discard": (frozenset(), frozenset()),
 }
 SESSION: Kinds = {
-    "join": (frozenset(), frozenset({"code", "role", "rate_hz", "volume_db", "newtons", "steepness"})),
-    "done": (frozenset({"step"}), frozenset({"rating", "seconds", "answers"})),
+    "join": (frozenset(), frozenset({"code", "fresh", "role", "rate_hz", "volume_db", "newtons", "steepness"})),
+    "done": (frozenset({"step"}), frozenset({"rating", "seconds", "underruns", "answers"})),
     "side": (frozenset({"side"}), frozenset()),
 }
 OPERATOR: Kinds = {
@@ -144,7 +146,7 @@ def parse_message(text: str, kinds: Kinds = STROKE) -> dict[str, Any]:
     for name, choices in _CHOICES.items():
         if message.get(name, choices[0]) not in choices:
             raise RefusedError(f"{kind}: {name} is {message[name]!r:.40}, expected one of {', '.join(choices)}")
-    for name in ("name", "input", "code", "step"):
+    for name in ("name", "input", "code", "fresh", "step"):
         said = message.get(name, "-")
         if (
             not isinstance(said, str)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from foten.families.texture_file import Texture, read_texture
-from foten.runtime.live.live import LiveStatistics
+from foten.runtime.live.live import LiveStatistics, Timing
 from foten.runtime.renderer import Renderer
 from foten.studio.levels import gains_db
 from foten.study.design import Design
@@ -78,21 +79,38 @@ def changed(now: Sequence[Stimulus], then: Mapping[tuple[int, int], Stimulus]) -
     ]
 
 
-def measured(
-    statistics: LiveStatistics, conditions: Sequence[tuple[float, float]], block_s: float
-) -> dict[str, float | int | None]:
-    """Return what a trial's record says of its strokes and of rendering: seconds in contact, and of them the 10th, 50th and 90th
-    percentile of speed [mm/s] and force [N]; the blocks' p99 [ms], how many came late, and under-runs.
+@dataclass
+class Measured:
+    """What a trial's record says of its strokes and of rendering, through all contacts of the trial: a lost connection or a hold
+    begins another.
     """
-    touching = np.array([one for one in conditions if one[1] > 0.01]).reshape(-1, 2)
-    result: dict[str, float | int | None] = {"contact_s": round(block_s * len(touching), 3)}
-    for name, column in (("speed_mm_s", 0), ("force_n", 1)):
-        for percent in (10, 50, 90):
-            value = float(np.percentile(touching[:, column], percent)) if len(touching) else None
-            result[f"{name}_p{percent}"] = None if value is None else round(value, 4)
-    p99 = 1000 * statistics.block.percentile_s(99.0)
-    result["block_p99_ms"] = round(p99, 4) if math.isfinite(p99) else None
-    return result | {"n_missed": statistics.n_missed, "n_underruns": statistics.n_underruns}
+
+    conditions: list[tuple[float, float]] = field(
+        default_factory=list
+    )  # speed [mm/s] and force [N] at each block's end
+    parts: list[LiveStatistics] = field(default_factory=list)  # of contacts that have ended
+    block_s: float = 0.0
+    resumed: bool = False  # the server was started again within the trial: what was before is in the strokes alone
+
+    def about(self, live: Sequence[LiveStatistics]) -> dict[str, Any]:
+        """Return seconds in contact, and of them the 10th, 50th and 90th percentile of speed [mm/s] and force [N]; the blocks'
+        p99 [ms], how many came late, and under-runs; `live` are the contacts that have not ended.
+        """
+        touching = np.array([one for one in list(self.conditions) if one[1] > 0.01]).reshape(-1, 2)
+        result: dict[str, Any] = {"contact_s": round(self.block_s * len(touching), 3)}
+        for name, column in (("speed_mm_s", 0), ("force_n", 1)):
+            for percent in (10, 50, 90):
+                value = float(np.percentile(touching[:, column], percent)) if len(touching) else None
+                result[f"{name}_p{percent}"] = None if value is None else round(value, 4)
+        block = Timing()
+        every = [*self.parts, *live]
+        for one in every:
+            block.counts += one.block.counts
+            block.largest_s = max(block.largest_s, one.block.largest_s)
+        p99 = 1000 * block.percentile_s(99.0)
+        result["block_p99_ms"] = round(p99, 4) if math.isfinite(p99) else None
+        result |= {"n_missed": sum(one.n_missed for one in every), "n_underruns": sum(one.n_underruns for one in every)}
+        return result | {"n_contacts": len(every), "resumed": self.resumed}
 
 
 def _checked(path: Path) -> Texture:

@@ -55,7 +55,7 @@ from foten.studio.messages import (
 )
 from foten.studio.players import Player, Turns, Wired
 from foten.studio.server import content_type, missing, page_files
-from foten.studio.stimuli import Stimuli, measured
+from foten.studio.stimuli import Measured, Stimuli
 from foten.study.design import Design, Question
 from foten.study.orders import Trial
 from foten.study.store import Rated, Store
@@ -64,6 +64,7 @@ OPERATOR_COOKIE = "foten-operator"
 LETTERS = "ABCDEFGHJKMNPQRSTUVWXYZ"  # that are not taken for one another
 CODE_LETTERS = 5
 MOST_PAGES = 64
+ELSEWHERE = 4001  # the code of a WebSocket's end, of those that are ours to give
 MOST_WAITING = 64  # blocks for a page that does not take them; the oldest go
 KEPT_S = 3.0  # between two writings of a stroke
 SHOWN_S = 0.5  # between two pictures of the study for the operator
@@ -134,18 +135,23 @@ class StudyServer:
         """Return what some work with the database comes to."""
         return await asyncio.get_running_loop().run_in_executor(self.disk, work)
 
-    async def begin(self) -> Session:
-        """Return the session of a new participant.
+    async def begin(self, code: str | None = None) -> Session:
+        """Return the session of a new participant, under a code that the page drew: one that asks again is the same.
 
         Raises:
             RefusedError: the design has no more.
         """
-        code = "".join(secrets.choice(LETTERS) for _ in range(CODE_LETTERS))
+        if code is None:
+            code = "".join(secrets.choice(LETTERS) for _ in range(CODE_LETTERS))
+        elif len(code) != CODE_LETTERS or not set(code) <= set(LETTERS):
+            raise RefusedError(f"join: fresh is {code[:40]!r}, expected {CODE_LETTERS} letters")
+        for session in self.sessions.values():
+            if session.code == code:
+                return session
         try:
-            number = await self.on_disk(lambda: self.store.join(code))
-        except ValueError as error:
+            return await self.on_disk(lambda: self._session(self.store.join(code), code))
+        except (ValueError, OSError) as error:
             raise RefusedError(str(error)) from error
-        return self._session(number, code)
 
     def by_code(self, code: str) -> Session:
         """Return the session that a code names, or raise RefusedError."""
@@ -192,7 +198,7 @@ class StudyServer:
         if key is not None and hmac.compare_digest(key.encode(), self.operator_key.encode()):
             moved = RedirectResponse("/operator", status_code=303)
             secure = request.url.scheme == "https"
-            moved.set_cookie(OPERATOR_COOKIE, self.operator_key, httponly=True, samesite="strict", secure=secure)
+            moved.set_cookie(OPERATOR_COOKIE, self.operator_key, httponly=True, samesite="lax", secure=secure)
             return moved
         if not self._is_operator(request.headers.get("cookie", "")):
             return PlainTextResponse(
@@ -253,6 +259,10 @@ def study_files() -> dict[str, Path]:
     }
 
 
+class NotYetError(RefusedError):
+    """An answer that is good, and can be given again as it is a little later."""
+
+
 class Session:
     """One participant: where they are, their pages, and the contact of the trial that is shown."""
 
@@ -266,12 +276,16 @@ class Session:
         self.n_switches = 0
         self.shown_at = 0.0
         self.contact: Contact | None = None
+        self._page: ParticipantPage | None = None  # that the contact plays for
         self._events: list[NDArray[np.float64]] = []
         self._kept_at = 0.0
-        self._conditions: list[tuple[float, float]] = []
-        self._block_s = 0.0
+        self._measured = Measured()
         self._changing = asyncio.Lock()
         self._arrive()
+        step = self.step
+        if step["kind"] == "trial":  # as it was before the server ended
+            self.n_switches = server.store.switches(number, step["trial"].number)
+            self._measured.resumed = len(server.store.strokes(number, step["trial"].number)) > 0
 
     @property
     def step(self) -> Step:
@@ -282,6 +296,7 @@ class Session:
         """A step begins: with an operator, a trial waits until the real sample lies there."""
         self.held = self.step["kind"] == "trial" and self.server.design.setup.operator
         self.side, self.n_switches, self.shown_at = "virtual", 0, 0.0
+        self._measured = Measured()
 
     def shown(self) -> dict[str, Any]:
         """Return what a participant's page is told of the step: nothing of methods."""
@@ -328,8 +343,8 @@ class Session:
                 return
             await self._store(step, message)
             self.done.add(step_id)
-            self._arrive()
             await self.end_contact(keep=False)
+            self._arrive()
             if self.step["kind"] == "end":
                 with contextlib.suppress(OSError):
                     await self.server.on_disk(lambda: self.server.store.take_step(self.number, "end"))
@@ -346,24 +361,30 @@ class Session:
             if "rating" not in message:
                 raise RefusedError("done: rating is missing")
             if self.held:
-                raise RefusedError("the operator holds this trial")
+                raise NotYetError("the operator holds this trial; your answer is kept here")
             least = self.server.design.rating.least_seconds
-            if least and (not self.shown_at or time.monotonic() - self.shown_at < least - 0.25):
+            here = time.monotonic() - self.shown_at if self.shown_at else 0.0
+            # The page has counted on while the server was away.
+            if max(here, float(message.get("seconds") or 0.0)) < least - 0.25:
                 raise RefusedError(f"explore both surfaces for {least:g} s first")
             await self.keep_strokes()
             given["rated"] = trial.number, self._rated(message)
         try:
             await self.server.on_disk(lambda: store.take_step(number, step["id"], **given))
         except OSError as error:
-            raise RefusedError(f"not stored, and your answer is kept here: {error}") from error
+            raise NotYetError(f"not stored, and your answer is kept here: {error}") from error
 
     def _rated(self, message: Mapping[str, Any]) -> Rated:
-        about: dict[str, Any] = {}
-        if self.contact is not None:
-            about = measured(self.contact.statistics, self._conditions, self._block_s)
+        live = [] if self.contact is None else [self.contact.statistics]
+        about = self._measured.about(live)
+        if self.server.wired is None:  # the sound runs dry in the tablet, if anywhere: its page says so
+            about["n_underruns"] = None if "underruns" not in message else int(message["underruns"])
+        if self.shown_at:
+            about["shown_s"] = round(time.monotonic() - self.shown_at, 3)
         stroking = next((page for page in self.pages if page.strokes), None)
         if stroking is not None:
-            about |= {"volume_db": stroking.volume_db, "rate_hz": stroking.rate_hz}
+            about |= {"volume_db": stroking.volume_db, "rate_hz": stroking.rate_hz, "n_unsent": stroking.n_unsent}
+            stroking.n_unsent = 0
         seconds = message.get("seconds")
         return Rated(float(message["rating"]), None if seconds is None else float(seconds), self.n_switches, about)
 
@@ -393,8 +414,10 @@ class Session:
         step = self.step
         if step["kind"] != "trial" or self.held or self.side == "real":
             return
-        if self.contact is None:
+        if self.contact is None or self._page is not page:  # another page, or the same after its connection was lost
             async with self._changing:
+                if self.contact is not None and self._page is not page:
+                    await self.end_contact(keep=True)
                 if self.contact is None and self.step is step:
                     await self._open(page, step["trial"])
         if self.contact is not None:
@@ -408,7 +431,7 @@ class Session:
         rate_hz = page.rate_hz if server.wired is None else SOUND_RATE_HZ
         loop = asyncio.get_running_loop()
         silent = server.wired is not None
-        conditions: list[tuple[float, float]] = []
+        conditions = self._measured.conditions
         volume_db = server.design.output.volume_db + server.gains[key]
 
         def on_block(samples: NDArray[np.float32], speed: float, force: float) -> None:
@@ -428,8 +451,8 @@ class Session:
             await asyncio.to_thread(contact.open, data, page.calibration, seed)
         except (OSError, ValueError) as error:
             raise RefusedError(f"nothing can be played: {error}") from error
-        self._conditions, self._block_s = conditions, player.statistics.block_ms / 1000
-        self.contact, self._kept_at = contact, time.monotonic()
+        self._measured.block_s = player.statistics.block_ms / 1000
+        self.contact, self._page, self._kept_at = contact, page, time.monotonic()
 
     async def keep_strokes(self) -> None:
         """Write the events that are not in the database yet."""
@@ -446,11 +469,20 @@ class Session:
         """End playing, and keep the strokes where the trial goes on later."""
         if keep:
             await self.keep_strokes()
-        self._events = []
+        else:
+            self._events = []
         contact, self.contact = self.contact, None
         if contact is not None:
+            self._measured.parts.append(contact.statistics)
             with contextlib.suppress(OSError, ValueError, RuntimeError):
                 await asyncio.to_thread(contact.close)
+
+    async def leave(self, page: ParticipantPage) -> None:
+        """A page is gone: what it stroked is kept, and its trial stays where it is."""
+        self.pages.discard(page)
+        if self._page is page:
+            await self.end_contact(keep=True)
+            self._page = None
 
     def for_operator(self) -> dict[str, Any]:
         """Return what the operator is shown: the texture, and nothing of the method."""
@@ -463,10 +495,8 @@ class Session:
             texture = self.server.design.textures[step["trial"].texture]
             shown |= {"texture": texture.name, "real": texture.real, "practice": step["trial"].practice}
         if self.contact is not None:
-            live = self.contact.statistics
-            p99 = 1000 * live.block.percentile_s(99.0)
+            live = self.contact.statistics  # how long a block takes would tell methods apart
             shown |= {"n_missed": live.n_missed, "n_underruns": live.n_underruns}
-            shown |= {"block_ms": live.block_ms, "block_p99_ms": None if np.isnan(p99) else round(p99, 3)}
         return shown
 
 
@@ -509,7 +539,7 @@ class ParticipantPage:
         self._session: Session | None = None
         self.role, self.rate_hz, self.volume_db = "all", SOUND_RATE_HZ, 0.0
         self.calibration = PressureCalibration()
-        self._n_refused = 0
+        self._n_refused = self.n_unsent = 0
         self._events, self._messages = Allowance(EVENTS_A_SECOND), Allowance(MESSAGES_A_SECOND)
 
     @property
@@ -539,9 +569,7 @@ class ParticipantPage:
         """The page is gone: what it stroked is kept, and its trial stays where it is."""
         session, self._session = self._session, None
         if session is not None:
-            session.pages.discard(self)
-            if self.strokes:
-                await session.end_contact(keep=True)
+            await session.leave(self)
 
     async def _take(self, received: Mapping[str, Any]) -> None:
         try:
@@ -555,6 +583,20 @@ class ParticipantPage:
         except RefusedError as refused:
             self._n_refused += 1
             await self.say({"refused": str(refused)})
+
+    async def _finish(self, session: Session, message: Mapping[str, Any]) -> None:
+        """Take an answer; the page is told whether one that is refused may be given again as it is."""
+        before = session.step["id"]
+        try:
+            await session.finish(str(message["step"]), message)
+        except RefusedError as refused:
+            again = isinstance(refused, NotYetError)
+            await self.say({"refused": str(refused), "step": message["step"], "again": again})
+            return
+        if session.step["id"] != before:
+            await session.tell()
+        else:
+            await self.show()
 
     async def _push(self, data: bytes) -> None:
         if len(data) > MOST_BYTES:
@@ -575,12 +617,7 @@ class ParticipantPage:
         if session is None:
             raise RefusedError(f"{kind} before a code was given")
         if kind == "done":
-            before = session.step["id"]
-            await session.finish(str(message["step"]), message)
-            if session.step["id"] != before:
-                await session.tell()
-            else:
-                await self.show()
+            await self._finish(session, message)
         elif kind == "side":
             await session.turn(str(message["side"]), "participant")
 
@@ -589,7 +626,7 @@ class ParticipantPage:
         code = message.get("code")
         if code is None and server.design.setup.operator:
             raise RefusedError("ask the operator for a code")
-        session = await server.begin() if code is None else server.by_code(str(code))
+        session = await server.begin(message.get("fresh")) if code is None else server.by_code(str(code))
         await self.leave()
         self.role = str(message.get("role", "all"))
         self.rate_hz = float(message.get("rate_hz", SOUND_RATE_HZ))
@@ -598,10 +635,19 @@ class ParticipantPage:
         self.calibration = PressureCalibration(
             float(message.get("newtons", usual.a)), float(message.get("steepness", usual.b))
         )
+        for other in list(session.pages):  # a tab that was forgotten, or this one before its connection was lost
+            if other.strokes == self.strokes or "all" in (other.role, self.role):
+                await other.make_way()
         self._session = session
         session.pages.add(self)
         await self.say({"joined": session.code, "plays": server.wired is None})
         await self.show()
+
+    async def make_way(self) -> None:
+        """Another page goes on with this one's participant."""
+        await self.leave()
+        with contextlib.suppress(RuntimeError, WebSocketDisconnect):
+            await self._socket.close(ELSEWHERE, "open on another page")
 
     async def show(self) -> None:
         """Show the step."""
@@ -622,6 +668,7 @@ class ParticipantPage:
         self._waiting.put_nowait(block)
         while self._waiting.qsize() > MOST_WAITING:
             self._waiting.get_nowait()
+            self.n_unsent += 1
 
     async def _send_blocks(self) -> None:
         while True:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from foten.study.raters import Raters
 from foten.study.statistics import (
     Array,
     Effect,
@@ -23,6 +24,9 @@ from foten.study.store import Store
 
 ALPHA = 0.05
 UNRELIABLE = 0.2  # correlation with the others, below which a participant is pointed at
+NULL_STUDIES, NULL_SEED = 1000, 0
+CONSERVATIVE = 0.04  # rate of errors at ALPHA, below which a test is said to be conservative
+_AT_ONCE = 1_000_000  # ratings of null studies that are in memory
 
 
 @dataclass(frozen=True)
@@ -36,6 +40,8 @@ class Result:
     rows: list[dict[str, Any]]  # the ratings in long form
     ratings: Array  # (participants, methods, textures), NaN where there is none
     complete: list[int]  # numbers of the participants who rated everything
+    answers: list[dict[str, Any]]  # to the questions that are not private, by participant
+    abouts: list[dict[str, Any]]  # to the private ones, without numbers
     document: dict[str, Any]  # every number
     sentences: list[str]  # ready for a paper
     cautions: list[str]
@@ -71,6 +77,26 @@ def analysed(store: Store, reference: str | None = None) -> Result:
     return _Analysis(store, methods, textures, rows, every, complete, every[whole], chosen).result()
 
 
+def null_rates(n: int, a: int, b: int) -> dict[str, float]:
+    """Return in which share of null studies each effect is significant at α after Greenhouse and Geisser's correction.
+
+    Raters of one mean answer: n participants, a methods, b textures; seeded. With one texture there is only the effect of method.
+    The correction takes ε from the same ratings. Where contrasts are many for the participants, ε comes out too low and the test
+    is conservative.
+    """
+    rng = np.random.default_rng(NULL_SEED)
+    raters = Raters(np.full((a, b), 60.0))
+    errors: dict[str, int] = {}
+    done = 0
+    while done < NULL_STUDIES:
+        studies = min(NULL_STUDIES - done, max(1, _AT_ONCE // (n * a * b)))
+        y = raters.draw(rng, n, studies)
+        for effect in anova(y) if b > 1 else anova(y[..., 0], ("method",)):
+            errors[effect.name] = errors.get(effect.name, 0) + int((effect.p_corrected < ALPHA).sum())
+        done += studies
+    return {name: count / NULL_STUDIES for name, count in errors.items()}
+
+
 class _Analysis:
     def __init__(
         self,
@@ -97,12 +123,14 @@ class _Analysis:
         ranks = friedman(by_participant)
         signed = wilcoxon_tests(by_participant, self.reference)
         agreement = reliability(y.reshape(n, -1))
+        rates = null_rates(n, len(self.methods), len(self.textures))
         document: dict[str, Any] = {
             "title": self.store.study["title"],
             "simulated": self.store.simulated,
             "software": self.store.study["software"],
             "participants": {"began": len(self.every), "complete": n, "numbers": self.complete},
             "means": self._means(),
+            "null_rates": rates,
             "anova_one_way": [_effect(effect) for effect in one_way],
             "anova_two_way": [_effect(effect) for effect in two_way],
             "pairs_overall": self._pairs(overall),
@@ -127,7 +155,7 @@ class _Analysis:
                 "with_others": {str(p): _or_none(r) for p, r in zip(self.complete, agreement.with_others, strict=True)},
             },
         }
-        self._caution(two_way, agreement.with_others)
+        self._caution(two_way or one_way, rates, agreement.with_others)
         sentences = self._sentences(one_way, two_way, within, document)
         return Result(
             self.store.study["title"],
@@ -137,6 +165,8 @@ class _Analysis:
             self.rows,
             self.every,
             self.complete,
+            self.store.answers(),
+            self.store.abouts(),
             document,
             sentences,
             self.cautions,
@@ -202,7 +232,7 @@ class _Analysis:
             "converged": model.converged,
         }
 
-    def _caution(self, two_way: Sequence[Effect], with_others: Array) -> None:
+    def _caution(self, effects: Sequence[Effect], rates: dict[str, float], with_others: Array) -> None:
         n, began = len(self.complete), len(self.every)
         if self.store.simulated:
             self.cautions.append("these ratings are of a model of raters, and not of people")
@@ -211,26 +241,27 @@ class _Analysis:
                 f"{began - n} of {began} participants did not rate everything: the analyses of variance, paired tests and ranks "
                 "leave them out, the mixed model does not"
             )
-        for effect in two_way:
-            d = effect.df[0]
-            if d > n - 1:
+        for effect in effects:
+            # With one contrast ε is 1 and nothing is corrected: a low rate is chance.
+            if effect.df[0] > 1 and rates[effect.name] < CONSERVATIVE:
                 self.cautions.append(
-                    f"{effect.name}: with {n} participants for {d:.0f} contrasts Greenhouse and Geisser's correction is "
-                    "conservative (in null studies of 21 participants, 4 methods and 12 textures it errs in below 1 % at "
-                    "α = 0.05); that an interaction is not significant by it does not say that there is none"
+                    f"{effect.name}: in null studies of this size Greenhouse and Geisser's correction errs in "
+                    f"{100 * rates[effect.name]:.1f} % at α = {ALPHA:g}: it is conservative, and that an effect is not "
+                    "significant by it does not say that there is none"
                 )
         low = [str(p) for p, r in zip(self.complete, with_others, strict=True) if not r >= UNRELIABLE]
         if low:
             self.cautions.append(
-                f"participants {', '.join(low)} correlate with the others below {UNRELIABLE:g}: look at their ratings; leaving "
-                "them out needs a reason that was set before"
+                f"participant{'s' * (len(low) > 1)} {', '.join(low)}: correlation with the others below {UNRELIABLE:g}; look at "
+                "these ratings; leaving them out needs a reason that was set before"
             )
         corrected = sum(row["corrected"] for row in self.rows)
         if corrected:
-            self.cautions.append(f"{corrected} ratings were corrected by hand; the log of the study says which")
+            were = "rating was" if corrected == 1 else "ratings were"
+            self.cautions.append(f"{corrected} {were} corrected by hand; the log of the study says which")
         under = sum(1 for row in self.rows if row["measured"].get("n_underruns"))
         if under:
-            self.cautions.append(f"in {under} trials the sound had under-runs")
+            self.cautions.append(f"in {under} {'trial' if under == 1 else 'trials'} the sound had under-runs")
 
     def _sentences(
         self, one_way: Sequence[Effect], two_way: Sequence[Effect], within: Sequence[Paired], document: dict[str, Any]
@@ -239,9 +270,10 @@ class _Analysis:
         who = "simulated raters" if self.store.simulated else "participants"
         overall = {one["method"]: one for one in document["means"] if one["texture"] is None}
         best = max(self.methods, key=lambda method: overall[method]["mean"])
+        b = len(self.textures)
         said = [
-            f"{n} {who} rated {len(self.methods)} methods on {len(self.textures)} textures "
-            f"({n * len(self.methods) * len(self.textures)} ratings). "
+            f"{n} {who} rated {len(self.methods)} methods on {b} texture{'s' * (b > 1)} "
+            f"({n * len(self.methods) * b} ratings). "
             + "Mean similarity: "
             + ", ".join(
                 f"{method} {overall[method]['mean']:.2f} ± {overall[method]['sd']:.2f}" for method in self.methods
@@ -249,7 +281,7 @@ class _Analysis:
             + " (± SD between participants)."
         ]
         said.append(
-            "A one-way repeated-measures ANOVA on ratings averaged across textures gave an effect of method, "
+            f"A one-way repeated-measures ANOVA on ratings{' averaged across textures' * (b > 1)} gave an effect of method, "
             + _anova(one_way[0])
             + "."
         )
@@ -259,18 +291,7 @@ class _Analysis:
                 + "; ".join(f"{effect.name}, {_anova(effect)}" for effect in two_way)
                 + "."
             )
-        for name, key in (("Bonferroni", "p_bonferroni"), ("Holm", "p_holm")):
-            found = []
-            for i, j in within[0].pairs:
-                k = within[0].pairs.index((i, j))
-                up = sum(bool(t.difference[k] > 0 and getattr(t, key)[k] < ALPHA) for t in within)
-                down = sum(bool(t.difference[k] < 0 and getattr(t, key)[k] < ALPHA) for t in within)
-                found.append(f"{self.methods[i]} above {self.methods[j]} on {up}, below on {down}")
-            family = "each other" if self.reference is None else self.methods[self.reference]
-            said.append(
-                f"Paired t-tests within textures, {family} as the family of {len(within[0].pairs)}, {name}: of "
-                f"{len(self.textures)} textures, " + "; ".join(found) + "."
-            )
+        said += self._paired_sentences(within)
         ranks = document["friedman"]
         if ranks["p"] is not None:
             said.append(
@@ -287,6 +308,34 @@ class _Analysis:
         if agree["icc_mean"] is not None:
             said.append(f"Agreement: ICC(2,1) = {agree['icc_single']:.2f}, ICC(2,k) = {agree['icc_mean']:.2f}.")
         said.append(f"The highest mean is that of {best}.")
+        return said
+
+    def _paired_sentences(self, within: Sequence[Paired]) -> list[str]:
+        """Return what the tests within textures found, by each correction; with one pair there is nothing to correct for."""
+        family, b = within[0].pairs, len(within)
+        many = len(family)
+        if many == 1:
+            what = f"paired t-test{'s' * (b > 1)} of {self.methods[family[0][0]]} and {self.methods[family[0][1]]}"
+        elif self.reference is None:
+            what = f"paired t-tests of all {many} pairs of methods"
+        else:
+            what = f"paired t-tests of the {many} other methods against {self.methods[self.reference]}"
+        said = []
+        for name, key in (("Bonferroni", "p_bonferroni"), ("Holm", "p_holm"))[: 1 if many == 1 else 2]:
+            found = []
+            for k, (i, j) in enumerate(family):
+                first, second = self.methods[i], self.methods[j]
+                up = sum(bool(t.difference[k] > 0 and getattr(t, key)[k] < ALPHA) for t in within)
+                down = sum(bool(t.difference[k] < 0 and getattr(t, key)[k] < ALPHA) for t in within)
+                if b > 1:
+                    found.append(f"{first} above {second} on {up}, below on {down}")
+                elif up or down:
+                    found.append(f"{first} {'above' if up else 'below'} {second}")
+                else:
+                    found.append(f"no significant difference between {first} and {second}")
+            corrected = f", {name}-corrected for {many}" if many > 1 else ""
+            where, of = ("each texture", f"of {b} textures, ") if b > 1 else ("the one texture", "")
+            said.append(f"Within {where}, {what}{corrected}: {of}{'; '.join(found)}.")
         return said
 
 

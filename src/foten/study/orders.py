@@ -9,6 +9,7 @@ Source: Williams, Australian Journal of Scientific Research A 2, 149 (1949), for
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,7 +83,23 @@ def _balanced(rng: np.random.Generator, n: int, textures: int, methods: int) -> 
                 pairs.append((int(texture_of[t]), int(method_of[m])))
         result.append(pairs)
     # In which turn a participant comes says nothing of the row.
-    return [result[i] for i in _in_cycles(rng, n, len(texture_rows) * len(method_rows))]
+    return [result[i] for i in _in_cycles(rng, n, square(textures, methods))]
+
+
+def square(n_textures: int, n_methods: int) -> int:
+    """Return how many participants make orders wholly balanced: that many, and each multiple."""
+    return math.lcm(len(williams(n_textures)), len(williams(n_methods)))
+
+
+def planned(
+    n_participants: int, n_textures: int, n_methods: int, seed: int, practice: int, order: str
+) -> list[list[Trial]]:
+    """Return the orders that a study stores: of its participants, and behind them a quarter more for those who leave."""
+    counts = n_textures, n_methods, seed, practice, order
+    return [
+        *orders(n_participants, *counts),
+        *orders(n_participants + max(2, n_participants // 4), *counts)[n_participants:],
+    ]
 
 
 def _in_cycles(rng: np.random.Generator, n: int, cycle: int) -> list[int]:

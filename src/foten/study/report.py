@@ -5,7 +5,11 @@ from __future__ import annotations
 import csv
 import html
 import json
+import math
+import statistics
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +17,9 @@ from foten.atomic_write import atomic_write
 from foten.study.analysis import Result, stars
 from foten.study.pictures import bars, panels
 
+MOST_ROWS = 12  # of a table that people read
+MOST_NAMED = 8  # different answers to a question that the report names
+CI = "95 % CI, not adjusted"
 MARK = "Simulated ratings: of a model of raters, and not of people."
 DICTIONARY = (
     ("participant", "number of the participant", ""),
@@ -30,6 +37,7 @@ DICTIONARY = (
     ("block_p99_ms", "99 % of blocks were rendered within", "ms"),
     ("n_missed", "blocks that came late", ""),
     ("n_underruns", "times that the sound had nothing to play", ""),
+    ("software", "version of foten that stored the answer", ""),
     ("sha256", "of the texture file", ""),
     ("at", "when the answer was stored (UTC)", ""),
 )
@@ -51,6 +59,9 @@ LONG = (
     "corrected",
     "simulated",
     *_MEASURED,
+    "software",
+    "sha256",
+    "at",
 )
 STYLE = """:root { color-scheme: light dark; --ink: #1b1f24; --soft: #59636e; --page: #fff; --panel: #f5f6f8; --line: #d9dde2; }
 @media (prefers-color-scheme: dark) { :root { --ink: #e4e7eb; --soft: #9aa4af; --page: #15181c; --panel: #1e2227;
@@ -68,8 +79,8 @@ thead th { border-bottom-width: 2px; font-size: 0.9rem; } figure { margin: 0; } 
 
 
 def write_report(result: Result, folder: Path) -> list[Path]:
-    """Write report.html, report.md, results.json, ratings.csv (long), ratings-wide.csv, dictionary.csv, pairs.csv, and the
-    figures as SVG and PNG; return their paths.
+    """Write report.html, report.md, results.json, ratings.csv (long), ratings-wide.csv, dictionary.csv, pairs.csv, answers.csv,
+    participants.csv, and the figures as SVG and PNG; return their paths.
     """
     folder.mkdir(parents=True, exist_ok=True)
     figures = {"ratings": bars(result), "textures": panels(result)}
@@ -94,6 +105,8 @@ def write_report(result: Result, folder: Path) -> list[Path]:
         "ratings.csv": _long(result),
         "ratings-wide.csv": _wide(result),
         "pairs.csv": _pairs(result),
+        "answers.csv": _answers(result),
+        "participants.csv": _participants(result),
         "dictionary.csv": [("column", "meaning", "unit"), *DICTIONARY],
     }
     for name, rows in tables.items():
@@ -104,11 +117,11 @@ def write_report(result: Result, folder: Path) -> list[Path]:
 
 
 def _long(result: Result) -> list[Sequence[Any]]:
-    rows: list[Sequence[Any]] = [(*LONG, "sha256", "at")]
+    rows: list[Sequence[Any]] = [LONG]
     for row in result.rows:
         known = {**row["measured"], **row, "texture": row["texture_key"], "method": row["method_key"]}
         known |= {"corrected": int(row["corrected"])}
-        rows.append([_cell(known.get(name)) for name in (*LONG, "sha256", "at")])
+        rows.append([_cell(known.get(name)) for name in LONG])
     return rows
 
 
@@ -134,42 +147,114 @@ def _pairs(result: Result) -> list[Sequence[Any]]:
     return rows
 
 
+def _answers(result: Result) -> list[Sequence[Any]]:
+    names = ("participant", "question", "answer", "at")
+    rows: list[Sequence[Any]] = [(*names, "simulated")]
+    rows += [[*(one[name] for name in names), int(result.simulated)] for one in result.answers]
+    return rows
+
+
+def _participants(result: Result) -> list[Sequence[Any]]:
+    """Return what participants said of themselves, in sum: a row for a question that has numbers, else one for each answer."""
+    rows: list[Sequence[Any]] = [("question", "n", "mean", "sd", "answer", "count", "simulated")]
+    for question, said in _by_question(result).items():
+        numbers = _numbers(said)
+        if numbers is not None:
+            summary = [_cell(statistics.fmean(numbers)), _cell(_sd(numbers)), "", ""]
+            rows.append([question, len(said), *summary, int(result.simulated)])
+            continue
+        for answer, count in Counter(said).most_common():
+            rows.append([question, len(said), "", "", answer, count, int(result.simulated)])
+    return rows
+
+
+def _participants_paragraph(result: Result) -> str:
+    """Return the same as a line to read; empty where nothing was asked."""
+    parts = []
+    for question, said in _by_question(result).items():
+        numbers, counts = _numbers(said), Counter(said)
+        if numbers is not None:
+            sd = _sd(numbers)
+            spread = "" if sd is None else f" ± {sd:.1f}"
+            parts.append(f"{question} {statistics.fmean(numbers):.1f}{spread} (n = {len(said)})")
+        elif len(counts) <= MOST_NAMED:
+            parts.append(f"{question}: {', '.join(f'{answer} {count}' for answer, count in counts.most_common())}")
+        else:
+            parts.append(f"{question}: {len(counts)} different answers, in participants.csv")
+    return f"{'; '.join(parts)}." if parts else ""
+
+
+def _by_question(result: Result) -> dict[str, list[str]]:
+    """Return the answers to the private questions; a question that was passed over has none."""
+    said: dict[str, list[str]] = {}
+    for one in result.abouts:
+        if answer := " ".join(str(one["answer"]).split()):
+            said.setdefault(one["question"], []).append(answer)
+    return said
+
+
+def _numbers(said: Sequence[str]) -> list[float] | None:
+    """Return answers as numbers, or None where one is not."""
+    try:
+        numbers = [float(one) for one in said]
+    except ValueError:
+        return None
+    return numbers if all(math.isfinite(one) for one in numbers) else None
+
+
+def _sd(numbers: Sequence[float]) -> float | None:
+    return statistics.stdev(numbers) if len(numbers) > 1 else None
+
+
 def _cell(value: Any) -> Any:
     return "" if value is None else f"{value:.6g}" if isinstance(value, float) else value
 
 
-def _tables(result: Result) -> list[tuple[str, list[Sequence[str]]]]:
-    """Return what people read: title and rows, the first of which is the head."""
+@dataclass(frozen=True)
+class _Table:
+    """What people read: rows, the first of which is the head."""
+
+    title: str
+    rows: list[Sequence[str]]
+    note: str = ""
+    folded: bool = False  # shown when asked for, where a page can
+
+
+def _tables(result: Result) -> list[_Table]:
     document = result.document
-    means: list[Sequence[str]] = [("method", "mean", "SD", "95 % CI of the mean")]
+    several = len(result.textures) > 1
+    across = ", averaged across textures" if several else ""
+    means: list[Sequence[str]] = [("method", "mean", "SD", "95 % CI of the mean, not adjusted")]
     for one in (one for one in document["means"] if one["texture"] is None):
         from scipy import stats
 
         half = stats.t.ppf(0.975, one["n"] - 1) * one["sd"] / one["n"] ** 0.5
-        means.append(
-            (
-                one["method"],
-                f"{one['mean']:.2f}",
-                f"{one['sd']:.2f}",
-                f"{one['mean'] - half:.2f} to {one['mean'] + half:.2f}",
-            )
-        )
+        ends = f"{one['mean'] - half:.2f} to {one['mean'] + half:.2f}"
+        means.append((one["method"], f"{one['mean']:.2f}", f"{one['sd']:.2f}", ends))
     anova: list[Sequence[str]] = [
         ("effect", "F", "df", "ε", "p (Greenhouse–Geisser)", "η² partial", "η² generalised", "Mauchly p")
     ]
-    for name, effects in (("method, averaged", document["anova_one_way"]), ("", document["anova_two_way"])):
+    averaged = "method, averaged" if several else "method"
+    for name, effects in ((averaged, document["anova_one_way"]), ("", document["anova_two_way"])):
         for one in effects:
             df = f"{one['df'][0]:.0f}, {one['df'][1]:.0f}"
             numbers = [
                 _short(one[key]) for key in ("epsilon", "p_corrected", "partial_eta2", "generalised_eta2", "mauchly_p")
             ]
             anova.append((name or one["name"], _short(one["f"]), df, *numbers))
-    pairs: list[Sequence[str]] = [("pair", "difference", "95 % CI", "t", "p Bonferroni", "p Holm", "dz")]
-    for one in document["pairs_overall"]:
-        ends = " to ".join(_short(end) for end in one["ci95"])
+    tests, note = _lowest(document["pairs_overall"], "pairs.csv")
+    pairs: list[Sequence[str]] = [("pair", "difference", CI, "t", "p Bonferroni", "p Holm", "dz")]
+    for one in tests:
         numbers = [_short(one[key]) for key in ("t", "p_bonferroni", "p_holm", "dz")]
-        pairs.append((f"{one['pair'][0]} − {one['pair'][1]}", f"{one['difference']:.2f}", ends, *numbers))
-    found = [("Ratings", means), ("Analyses of variance", anova), ("Pairs, averaged across textures", pairs)]
+        pairs.append((_pair(one), f"{one['difference']:.2f}", _interval(one), *numbers))
+    found = [_Table("Ratings", means), _Table("Analyses of variance", anova), _Table(f"Pairs{across}", pairs, note)]
+    if several:  # else they are those above
+        found += _within(document["pairs_within_textures"])
+    tests, note = _lowest(document["wilcoxon"], "results.json")
+    signed: list[Sequence[str]] = [("pair", "W", "p", "p Holm", "rank-biserial")]
+    for one in tests:
+        signed.append((_pair(one), *(_short(one[key]) for key in ("w", "p", "p_holm", "rank_biserial"))))
+    found.append(_Table(f"Wilcoxon's signed-rank tests{across}", signed, note))
     model = document["mixed_model"]
     if model is not None:
         rows: list[Sequence[str]] = [("effect", "F", "df", "p")]
@@ -177,8 +262,57 @@ def _tables(result: Result) -> list[tuple[str, list[Sequence[str]]]]:
             (term["name"], _short(term["f"]), f"{term['df'][0]:.0f}, {term['df'][1]:.0f}", _short(term["p"]))
             for term in model["terms"]
         ]
-        found.append((f"Linear mixed model of all {model['n_ratings']} ratings", rows))
+        found.append(_Table(f"Linear mixed model of all {model['n_ratings']} ratings", rows))
+    return [*found, *_agreement(document["reliability"])]
+
+
+def _within(tests_of: dict[str, list[dict[str, Any]]]) -> list[_Table]:
+    """Return the tests within textures: one table, or one for each texture where that has too many rows."""
+    head = ("pair", "difference", CI, "p Bonferroni", "p Holm", "dz")
+
+    def row(one: dict[str, Any]) -> tuple[str, ...]:
+        numbers = [_short(one[key]) for key in ("p_bonferroni", "p_holm", "dz")]
+        return _pair(one), f"{one['difference']:.2f}", _interval(one), *numbers
+
+    if sum(len(tests) for tests in tests_of.values()) <= MOST_ROWS:
+        rows = [(texture, *row(one)) for texture, tests in tests_of.items() for one in tests]
+        return [_Table("Tests within textures", [("texture", *head), *rows])]
+    found = []
+    for texture, tests in tests_of.items():
+        shown, note = _lowest(tests, "pairs.csv")
+        found.append(_Table(f"Tests within {texture}", [head, *(row(one) for one in shown)], note, folded=True))
     return found
+
+
+def _agreement(reliability: dict[str, Any]) -> list[_Table]:
+    """Return how far participants agree, and those who agree least with the others."""
+    icc: list[Sequence[str]] = [("intraclass correlation", "value")]
+    icc += [("of one rater, ICC(2,1)", _short(reliability["icc_single"]))]
+    icc += [("of the mean of all, ICC(2,k)", _short(reliability["icc_mean"]))]
+    least_first = sorted(reliability["with_others"].items(), key=lambda one: -2.0 if one[1] is None else one[1])
+    many = len(least_first)
+    note = f"The lowest {MOST_ROWS} of {many}; results.json has all." if many > MOST_ROWS else ""
+    each = [(number, _short(r)) for number, r in least_first[:MOST_ROWS]]
+    return [
+        _Table("Reliability", icc),
+        _Table("Each participant's correlation with the others", [("participant", "correlation"), *each], note),
+    ]
+
+
+def _lowest(tests: list[dict[str, Any]], file: str) -> tuple[list[dict[str, Any]], str]:
+    """Return tests that a table can show, in their order, and what is left out."""
+    if len(tests) <= MOST_ROWS:
+        return tests, ""
+    limit = sorted(range(len(tests)), key=lambda k: 2.0 if tests[k]["p"] is None else tests[k]["p"])[:MOST_ROWS]
+    return [tests[k] for k in sorted(limit)], f"The {MOST_ROWS} lowest p of {len(tests)} pairs; {file} has all."
+
+
+def _pair(one: dict[str, Any]) -> str:
+    return f"{one['pair'][0]} − {one['pair'][1]}"
+
+
+def _interval(one: dict[str, Any]) -> str:
+    return " to ".join(_short(end) for end in one["ci95"])
 
 
 def _short(value: float | None) -> str:
@@ -200,10 +334,15 @@ def _html(result: Result, svgs: dict[str, str]) -> str:
     parts.append(f"<h2>Ratings by method and texture</h2><figure>{_inline(svgs['ratings'])}</figure>")
     parts.append("<h2>In words</h2>")
     parts += [f"<p>{esc(sentence)}</p>" for sentence in result.sentences]
-    for title, rows in _tables(result):
-        parts.append(f"<h2>{esc(title)}</h2>{_html_table(rows)}")
+    if paragraph := _participants_paragraph(result):
+        parts.append(f"<h2>Participants</h2><p>{esc(paragraph)}</p>")
+    tables = _tables(result)
+    for table in tables:
+        if table.folded and table == next(one for one in tables if one.folded):
+            parts.append("<h2>Tests within textures</h2>")
+        parts.append(_html_of(table))
     parts.append(f"<h2>Each texture</h2><figure>{_inline(svgs['textures'])}</figure>")
-    parts.append(f"<h2>Columns of ratings.csv</h2>{_html_table([('column', 'meaning', 'unit'), *DICTIONARY])}")
+    parts.append("<p>ratings.csv beside this page holds every rating; dictionary.csv says what its columns mean.</p>")
     body = "\n".join(parts)
     head = (
         f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{esc(result.title)}</title>'
@@ -214,6 +353,13 @@ def _html(result: Result, svgs: dict[str, str]) -> str:
 
 def _inline(svg: str) -> str:
     return svg[svg.index("<svg") :]
+
+
+def _html_of(table: _Table) -> str:
+    title, note = html.escape(table.title), f"<p>{html.escape(table.note)}</p>" if table.note else ""
+    if table.folded:
+        return f"<details><summary>{title}</summary>{note}{_html_table(table.rows)}</details>"
+    return f"<h2>{title}</h2>{note}{_html_table(table.rows)}"
 
 
 def _html_table(rows: Sequence[Sequence[str]]) -> str:
@@ -228,11 +374,12 @@ def _markdown(result: Result) -> str:
         parts.append(f"**{MARK}**")
     parts += [f"> {one}" for one in result.cautions]
     parts += ["![Ratings by method and texture](ratings.png)", *result.sentences]
-    for title, rows in _tables(result):
-        parts += [
-            f"## {title}",
-            "\n".join(["| " + " | ".join(row) + " |" for row in (rows[0], ["---"] * len(rows[0]), *rows[1:])]),
-        ]
+    if paragraph := _participants_paragraph(result):
+        parts += ["## Participants", html.escape(paragraph, quote=False)]  # Markdown lets HTML through
+    for table in _tables(result):
+        lines = (table.rows[0], ["---"] * len(table.rows[0]), *table.rows[1:])
+        parts += [f"## {table.title}", *([table.note] if table.note else [])]
+        parts.append("\n".join("| " + " | ".join(line) + " |" for line in lines))
     within: list[str] = []
     for texture, tests in result.document["pairs_within_textures"].items():
         marked = [

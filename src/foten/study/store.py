@@ -19,7 +19,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -194,10 +194,14 @@ class Store:
     def __init__(self, path: Path, software: str = "") -> None:
         check_regular(path)
         self.path, self._software = path, software
+        self._lock: BinaryIO | None = None
         self._connection = sqlite3.connect(path, isolation_level=None, timeout=BUSY_S, check_same_thread=False)
         self._connection.row_factory = sqlite3.Row
         try:
             self._open()
+        except sqlite3.OperationalError as error:
+            self._connection.close()
+            raise OSError(f"{path} cannot be opened, though it may be sound: {error}") from error
         except sqlite3.DatabaseError as error:
             self._connection.close()
             raise ValueError(f"{path} is no study of foten, or is damaged: {error}") from error
@@ -219,9 +223,28 @@ class Store:
         _migrate(self._connection)
         self.study = dict(execute("SELECT * FROM study").fetchone())
 
+    def hold(self) -> None:
+        """Be the one that runs the study, until the file is given back or this process ends.
+
+        Raises:
+            OSError: another process runs it.
+        """
+        if self._lock is not None:
+            return
+        lock = self.path.with_name(self.path.name + ".lock").open("a+b")
+        try:
+            _lock(lock.fileno())
+        except OSError as error:
+            lock.close()
+            raise OSError(f"{self.path.name} is in use: end the 'foten study run' of it first") from error
+        self._lock = lock
+
     def close(self) -> None:
         """Give the file back."""
         self._connection.close()
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
 
     def __enter__(self) -> Store:
         return self
@@ -477,6 +500,8 @@ class Store:
 
     def backup(self, path: Path) -> None:
         """Copy the study to another file, whole or not at all, while it is being written to."""
+        if any(path.with_name(path.name + end).exists() for end in ("", "-wal", "-shm")):
+            raise ValueError(f"{path} is there already: give the copy another name")
         with atomic_write(path) as part:
             copy = sqlite3.connect(part)
             try:
@@ -494,8 +519,11 @@ class Store:
             ValueError: there is no such participant.
             OSError: the study is in use.
         """
-        if participant not in self.codes().values():
+        removed = f"all data of participant {participant} was removed, as asked"
+        # Asked a second time, since the file was in use: what is left of the bytes goes now.
+        if participant not in self.codes().values() and not any(what == removed for _, what in self.log()):
             raise ValueError(f"there is no participant {participant} who has begun")
+        self.hold()
         connection = self._connection
         connection.execute("PRAGMA secure_delete = ON")
         try:
@@ -508,7 +536,7 @@ class Store:
                     connection.execute(f"DELETE FROM {table} WHERE {column} = ?", (participant,))
                 # Its corrections name the participant.
                 connection.execute("DELETE FROM log WHERE what LIKE ?", (f"participant {participant},%",))
-                self._log(connection, f"all data of participant {participant} was removed, as asked")
+                self._log(connection, removed)
                 for name, guard in _GUARDS.items():
                     connection.execute(f"CREATE TRIGGER {name} {guard}")
             connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
@@ -524,6 +552,18 @@ class Store:
 
 # The last in each chain of corrections.
 _HOLDING = "SELECT * FROM ratings WHERE NOT EXISTS (SELECT 1 FROM ratings later WHERE later.corrects = ratings.id)"
+
+
+def _lock(file: int) -> None:
+    """Lock a file for this process alone, or raise OSError at once; the lock ends with the process, however that ends."""
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        import msvcrt
+
+        msvcrt.locking(file, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
+    else:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def _is_full(error: sqlite3.OperationalError) -> bool:

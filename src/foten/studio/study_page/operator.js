@@ -38,11 +38,11 @@ function show({ title, planned, simulated, screens, sessions, link: newest }) {
   // Those at work first; who has finished stays below.
   const order = [...sessions].sort((a, b) => (a.kind === "end") - (b.kind === "end") || b.number - a.number);
   const known = new Map([...$("people").children].map((row) => [Number(row.dataset.number), row]));
-  for (const one of order) {
-    const row = known.get(one.number) ?? made(one, screens);
+  order.forEach((one, i) => {
+    const row = known.get(one.number) ?? made(one, screens), there = $("people").children[i];
     fill(row, one);
-    $("people").append(row);
-  }
+    if (there !== row) $("people").insertBefore(row, there ?? null); // a row that is moved loses the focus and a press on it
+  });
 }
 
 function made(one, screens) {
@@ -70,7 +70,7 @@ function fill(row, one) {
   const trial = one.kind === "trial";
   row.querySelector("strong").textContent = trial ? `${one.texture}${one.real ? `: ${one.real}` : ""}` : KINDS[one.kind];
   const facts = [trial && (one.practice ? "practice" : `trial ${one.n + 1} of ${one.of}`), trial && (one.held ? "held" : `on the ${one.side} surface, ${one.switches} switches`)];
-  if (one.block_p99_ms) facts.push(`99 % of blocks in ${one.block_p99_ms.toFixed(1)} of ${one.block_ms.toFixed(0)} ms, ${one.n_missed} late, ${one.n_underruns} under-runs`);
+  if (one.n_missed !== undefined) facts.push(`${one.n_missed} blocks late, ${one.n_underruns} under-runs`);
   const away = !one.pages.length && one.kind !== "end";
   row.querySelector("span").textContent = away ? "no page is connected" : facts.filter(Boolean).join(" · ");
   row.querySelector("span").classList.toggle("away", away);

@@ -3,6 +3,8 @@ import { Pad } from "./pad.js";
 import { Settings } from "./settings.js";
 
 const RETRY_MS = [300, 600, 1200, 2500];
+const ELSEWHERE = 4001; // as the server closes a page that another one takes the place of
+const AGAIN_MS = 1500;
 const MOST_AT_ONCE = 64; // events in a message
 const $ = (id) => document.getElementById(id);
 const given = new URLSearchParams(location.search);
@@ -25,6 +27,7 @@ class Output extends EventTarget {
     this.context = null;
     this.volumeDb = 0;
     this.latency = {};
+    this.underruns = 0; // of the trial
   }
 
   get running() {
@@ -43,11 +46,18 @@ class Output extends EventTarget {
     await this.context.audioWorklet.addModule("player.js");
     this.node = new AudioWorkletNode(this.context, "foten-player", { numberOfInputs: 0, outputChannelCount: [1] });
     this.volume = new GainNode(this.context, { gain: 10 ** (this.volumeDb / 20) });
+    this.node.port.onmessage = () => this.underruns++;
     this.node.connect(this.volume).connect(this.context.destination);
   }
 
   take(block) {
     this.node?.port.postMessage(block);
+  }
+
+  /** Another trial: what is left of the last one is not played, and no under-run of this one. */
+  afresh() {
+    this.node?.port.postMessage({ afresh: true });
+    this.underruns = 0;
   }
 
   setVolume(db) {
@@ -86,12 +96,13 @@ class Study {
     socket.binaryType = "arraybuffer";
     socket.onopen = () => {
       const { newtons, steepness } = this.settings.calibration;
-      const code = this.code ?? this.wanted;
-      this.say({ do: "join", role: this.role, rate_hz: this.sound.context?.sampleRate ?? 48000, volume_db: this.sound.volumeDb, newtons, steepness, ...(code && { code }) });
+      const code = this.code ?? this.wanted, fresh = code ? {} : { fresh: this.fresh };
+      this.say({ do: "join", role: this.role, rate_hz: this.sound.context?.sampleRate ?? 48000, volume_db: this.sound.volumeDb, newtons, steepness, ...(code && { code }), ...fresh });
     };
     socket.onmessage = ({ data }) => (typeof data === "string" ? this.told(JSON.parse(data)) : this.played(data));
-    socket.onclose = ({ reason }) => {
+    socket.onclose = ({ code, reason }) => {
       if (socket !== this.socket) return;
+      if (code === ELSEWHERE) return this.put(el("div", { className: "page" }, el("h2", {}, "Open on another page"), el("p", {}, "Go on there, or load this page again to go on here.")));
       this.show(reason || (this.code ? "No connection. Your answers are kept; this page goes on by itself." : "The server cannot be reached."), true);
       setTimeout(() => this.connect(), RETRY_MS[Math.min(this.tries++, RETRY_MS.length - 1)]);
     };
@@ -104,15 +115,16 @@ class Study {
   told(message) {
     if (message.joined) {
       this.code = message.joined;
+      sessionStorage.removeItem("foten-fresh");
       this.plays = message.plays;
       this.tries = 0;
       history.replaceState(null, "", `?${new URLSearchParams({ code: this.code, ...(this.role !== "all" && { role: this.role }) })}`);
       this.show("");
-    } else if (message.step) this.arrive(message.step);
-    else if (message.refused) this.refused(message.refused);
+    } else if (message.refused) this.refused(message);
+    else if (message.step) this.arrive(message.step);
   }
 
-  refused(why) {
+  refused({ refused: why, step, again }) {
     this.show(why);
     this.busy(false);
     if (!this.code) {
@@ -121,9 +133,26 @@ class Study {
       socket.close();
       return;
     }
-    this.pending = null; // it was not taken: the participant decides
+    if (!this.pending || step !== this.pending.step) return;
+    const { pending } = this;
+    if (again) {
+      setTimeout(() => this.pending === pending && this.say(pending), AGAIN_MS); // it is good, and kept
+      return;
+    }
+    this.pending = null; // the participant decides
     localStorage.removeItem(this.kept);
     this.busy(false);
+  }
+
+  /** A code of this page's own: one that asks again, since the answer was lost, is no second participant. */
+  get fresh() {
+    const letters = "ABCDEFGHJKMNPQRSTUVWXYZ";
+    let code = sessionStorage.getItem("foten-fresh");
+    if (!code) {
+      code = Array.from(crypto.getRandomValues(new Uint32Array(5)), (value) => letters[value % letters.length]).join("");
+      sessionStorage.setItem("foten-fresh", code);
+    }
+    return code;
   }
 
   get kept() {
@@ -147,7 +176,7 @@ class Study {
       this.pending = null;
       localStorage.removeItem(this.kept);
     }
-    const same = this.step?.id === step.id && this.step.held === step.held;
+    const same = this.step?.id === step.id;
     this.step = step;
     $("title").textContent = step.title;
     document.title = step.title;
@@ -156,9 +185,9 @@ class Study {
     $("progress").hidden = !counts;
     $("progress").value = counts ? Math.max(0, step.n - (step.kind === "trial" ? 1 : 0)) / step.of : 0;
     $("count").value = !counts ? "" : step.practice ? "practice" : `${Math.max(1, step.n)} / ${step.of}`;
-    if (!same) this.begun = null;
-    if (same) this.side(step.side);
-    else this.page(step);
+    if (!same) this.page(step);
+    else if (step.kind === "trial") this.side(step.side);
+    if (step.kind === "trial") this.hold(step.held);
     this.busy(Boolean(this.pending));
   }
 
@@ -262,6 +291,7 @@ class Study {
     const { role } = this, strokes = role !== "answer", answers = role !== "stroke";
     const box = el("div", { className: `trial ${role}` });
     this.ready = false;
+    this.check = null;
     if (strokes) {
       this.realButton = el("button", { className: "real", type: "button", onclick: () => this.turn("real") }, "real surface");
       this.virtual = el("div", { className: "virtual" }, this.surface, step.name ? el("b", {}, step.name) : null, el("div", { className: "held", hidden: !step.held }, "One moment, please"));
@@ -270,24 +300,47 @@ class Study {
     }
     if (answers) {
       const scale = this.scale(step.lowest, step.highest, step.question);
-      const next = el("button", { className: "big", type: "button", onclick: () => this.done({ rating: Number(scale.input.value), seconds: this.seconds }) }, "Next");
+      const next = el("button", { className: "big", type: "button", onclick: () => this.done({ rating: Number(scale.input.value), seconds: this.seconds, underruns: this.sound.underruns }) }, "Next");
       next.dataset.needs = "rating";
       const check = () => {
-        this.ready = Boolean(scale.input.dataset.set) && !step.held && this.seconds >= step.least_s;
+        this.ready = Boolean(scale.input.dataset.set) && !this.step.held && this.seconds >= step.least_s;
         this.busy(Boolean(this.pending));
       };
+      this.check = check;
       scale.input.addEventListener("set", check);
+      if (this.pending?.step === step.id) {
+        scale.input.value = this.pending.rating; // as it was chosen before the page was loaded again
+        scale.input.dispatchEvent(new Event("input"));
+      }
       if (step.least_s) setTimeout(check, 1000 * step.least_s + 50);
       box.append(el("section", { className: "rate", ariaLabel: "Rating" }, el("h2", {}, step.question), scale.element, next));
     }
-    this.begun = performance.now();
+    this.begin(step.id);
+    this.sound.afresh();
     this.put(box);
     this.pad.resize();
     this.side(step.side);
   }
 
+  /** Count from when a trial is shown first, a page that is loaded again too; not while it is held. */
+  begin(id) {
+    const known = JSON.parse(sessionStorage.getItem("foten-begun") ?? "null");
+    this.clock = known?.id === id && known.code === this.code ? known : { id, code: this.code, at: Date.now(), held: 0, since: null };
+  }
+
+  hold(held) {
+    const { clock } = this;
+    if (held) clock.since ??= Date.now();
+    else if (clock.since !== null) [clock.held, clock.since] = [clock.held + Date.now() - clock.since, null];
+    sessionStorage.setItem("foten-begun", JSON.stringify(clock));
+    const cover = document.querySelector(".held");
+    if (cover) cover.hidden = !held;
+    this.check?.();
+  }
+
   get seconds() {
-    return this.begun === null ? 0 : (performance.now() - this.begun) / 1000;
+    const { clock } = this;
+    return ((clock.since ?? Date.now()) - clock.at - clock.held) / 1000;
   }
 
   async picture(url) {
