@@ -33,7 +33,7 @@ from foten.runtime.live import devices
 from foten.runtime.live.live import LiveStatistics
 from foten.runtime.renderer import EXAMPLE, Renderer
 from foten.runtime.stylus import PressureCalibration, Stylus
-from foten.studio import server
+from foten.studio import players, server
 from foten.studio.access import LOOPBACK, Access, access_to, write_certificate
 from foten.studio.contact import Contact, limit
 from foten.studio.messages import Allowance, RefusedError, parse_events, parse_message
@@ -771,3 +771,31 @@ def test_a_damaged_capture_is_left_out_and_said(tmp_path: Path) -> None:
     assert listed == [KEY, "cork.foten"]
     assert rest.count("\n") == 2  # the first line was read by `started`
     assert f"left out {tmp_path / 'oak' / 'oak.foten'}: the file has 0 bytes" in rest
+
+
+def test_white_noise_has_its_level_and_is_white(monkeypatch: pytest.MonkeyPatch) -> None:
+    taken: list[NDArray[np.float32]] = []
+
+    class Sink:
+        rate_hz, n_at_once, patient, failed = 48_000.0, 480, False, None
+
+        def start(self, read: Any) -> None:
+            for _ in range(20):
+                block = np.zeros(480, dtype=np.float32)
+                time.sleep(0.005)
+                read(block)
+                taken.append(block)
+
+        def stop(self) -> None:
+            pass
+
+    asked: list[Any] = []
+    monkeypatch.setattr(players, "sink_of", lambda *options: asked.append(options) or Sink())
+    with players.white_noise(-30.0, "3"):
+        pass
+    assert asked[0][0] == "sound"
+    assert asked[0][4] == "3"
+    noise = np.concatenate([block for block in taken if block.any()]).astype(float)
+    assert noise.size > 5000
+    assert 20 * np.log10(noise.std()) == pytest.approx(-30.0, abs=0.5)
+    assert abs(np.corrcoef(noise[:-1], noise[1:])[0, 1]) < 0.05
