@@ -26,7 +26,7 @@ from foten.families.texture_file import read_texture
 from foten.recording.captured import About, file_name
 from foten.recording.recording import RELATIVE
 from foten.runtime.renderer import EXAMPLE
-from foten.studio import capturing, server
+from foten.studio import capturing, conversation, server
 from foten.studio.access import LOOPBACK, Access
 from foten.studio.capture import Capture, in_order
 from foten.studio.messages import CAPTURE, LONGEST_NAME, MOST_BYTES, RefusedError, parse_captured, parse_message
@@ -332,7 +332,7 @@ def hostile(rng: random.Random) -> bytes | str:
 
 @pytest.mark.parametrize("n", [2000, pytest.param(100_000, marks=pytest.mark.slow)])
 def test_no_message_of_a_capture_brings_it_down(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, n: int) -> None:
-    monkeypatch.setattr(capturing, "MOST_REFUSED", 10 * n)
+    monkeypatch.setattr(conversation, "MOST_REFUSED", 10 * n)
     monkeypatch.setattr(capturing, "CAPTURED_A_SECOND", 1e9)
     studio, rng = Studio(Shelf([EXAMPLE]), tmp_path / "captures"), random.Random(0)
     monkeypatch.setattr(studio.trainings, "start", lambda folder, say: None)
@@ -354,7 +354,7 @@ def test_no_message_of_a_capture_brings_it_down(monkeypatch: pytest.MonkeyPatch,
 
 
 def test_a_flood_of_refused_messages_is_sent_away(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(capturing, "MOST_REFUSED", 50)
+    monkeypatch.setattr(conversation, "MOST_REFUSED", 50)
     with client.websocket_connect(WS) as socket:
         for _ in range(100):
             socket.send_text("{}")

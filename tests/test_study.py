@@ -30,7 +30,7 @@ from foten.runtime.renderer import EXAMPLE
 from foten.runtime.stroke import tabled_stroke
 from foten.studio.access import LOOPBACK, Access
 from foten.studio.stimuli import load_stimuli
-from foten.studio.study_server import OPERATOR_COOKIE, StudyServer
+from foten.studio.study_server import ELSEWHERE, OPERATOR_COOKIE, StudyServer
 from foten.study.design import read_design, template
 from foten.study.orders import orders
 from foten.study.store import Store, create
@@ -104,6 +104,8 @@ class Page:
     def until(self, *keys: str) -> dict[str, Any]:
         while True:
             message = self.socket.receive()
+            if message["type"] == "websocket.close":
+                raise WebSocketDisconnect(message["code"], message.get("reason"))
             if message.get("bytes"):
                 self.bytes += len(message["bytes"])
             if message.get("text"):
@@ -353,6 +355,9 @@ def test_the_page_that_strokes_is_the_one_that_sounds(tmp_path: Path) -> None:
             first.bytes += len(old.receive().get("bytes") or b"")
         with client.websocket_connect(f"{WS}/session") as new:
             second = Page(new, code=first.code, rate_hz=8000)
+            with pytest.raises(WebSocketDisconnect) as gone:
+                first.until("never")
+            assert gone.value.code == ELSEWHERE
             second.stroke()
             while second.bytes == 0:
                 second.bytes += len(new.receive().get("bytes") or b"")

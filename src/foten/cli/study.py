@@ -20,6 +20,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+MINUTES_A_TRIAL = 90 / 48  # Sec. VII: 90 minutes for 48 comparisons
+
 StudyFile = Annotated[Path, Argument(metavar="STUDY.toml", help="A study file, as 'foten study new' writes it.")]
 Database = Annotated[
     Path, Argument(metavar="STUDY.db", help="The ratings of a study, as 'foten study run' keeps them.")
@@ -86,6 +88,7 @@ def check(study: StudyFile, as_json: JsonOption = False) -> None:
         *(f"{s.texture_key}, {s.method_key}: {s.gain_db:+.1f} dB" for s in stimuli.listed),
         *stimuli.doubts,
         f"plays through {design.output.to}",
+        f"about {design.n_trials * MINUTES_A_TRIAL:.0f} minutes of each participant, where a trial is as long as the paper's",
     ]
     document = {
         "trials": design.n_trials,

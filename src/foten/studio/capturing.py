@@ -17,15 +17,8 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from foten.atomic_write import reason
 from foten.recording.captured import About
 from foten.studio.capture import Capture
-from foten.studio.messages import (
-    CAPTURE,
-    CAPTURED_A_SECOND,
-    MOST_REFUSED,
-    Allowance,
-    RefusedError,
-    parse_captured,
-    parse_message,
-)
+from foten.studio.conversation import converse
+from foten.studio.messages import CAPTURE, CAPTURED_A_SECOND, Allowance, RefusedError, parse_captured, parse_message
 from foten.studio.shelf import Shelf
 from foten.untrusted import LONGEST_TEXT, brief, check_numbers, parse_json, printable
 
@@ -147,28 +140,17 @@ class CapturePage:
 
     async def run(self) -> None:
         """Serve the page until it goes."""
-        sending = asyncio.create_task(self._send())
-        try:
-            while True:
-                received = await self._socket.receive()
-                if received["type"] == "websocket.disconnect":
-                    return
-                try:
-                    await self._take(received)
-                except RefusedError as refused:
-                    self._refuse(str(refused))
-                except OSError as error:
-                    self._refuse(f"the capture cannot be kept: {reason(error)}")
-                if self.n_refused > MOST_REFUSED:
-                    await self._socket.close(1008, f"{MOST_REFUSED} messages were refused")
-                    return
-        except WebSocketDisconnect:
-            pass
-        finally:
-            sending.cancel()
-            await asyncio.gather(sending, return_exceptions=True)
+        await converse(self._socket, self._take, lambda: self.n_refused, self._send())
 
     async def _take(self, received: Mapping[str, Any]) -> None:
+        try:
+            await self._understand(received)
+        except RefusedError as refused:
+            self._refuse(str(refused))
+        except OSError as error:
+            self._refuse(f"the capture cannot be kept: {reason(error)}")
+
+    async def _understand(self, received: Mapping[str, Any]) -> None:
         if not self._messages.take(1):
             raise RefusedError(f"more than {CAPTURED_A_SECOND:g} messages a second")
         data = received.get("bytes")

@@ -30,7 +30,7 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp
-from starlette.websockets import WebSocket, WebSocketDisconnect
+from starlette.websockets import WebSocket
 
 from foten import __version__
 from foten.runtime.actuator import ActuatorProfile
@@ -41,12 +41,12 @@ from foten.runtime.stylus import PressureCalibration
 from foten.studio.access import Access, Guarded
 from foten.studio.capturing import CapturePage, Trainings, why_not
 from foten.studio.contact import Contact
+from foten.studio.conversation import Blocks, converse
 from foten.studio.levels import gains_db
 from foten.studio.messages import (
     EVENTS_A_SECOND,
     MESSAGES_A_SECOND,
     MOST_BYTES,
-    MOST_REFUSED,
     Allowance,
     RefusedError,
     parse_events,
@@ -58,11 +58,9 @@ from foten.studio.shelf import Shelf
 PAGE = Path(__file__).with_name("page")
 KERNEL = ("foten.mjs", "foten.wasm")
 MOST_PAGES = 64  # that stroke at once
-MOST_WAITING = 64  # blocks for a page that does not take them; the oldest go
 MOST_COMPARED = 16  # methods
 MOST_CAPTURING = 8  # pages at once, each of which holds its sound or waits for its texture
 CAPTURES = Path("captures")  # below where the server is started
-CONDITION_BYTES = 8  # speed and force before the samples of a block
 STATE_S = 1.0  # between two reports of how rendering keeps up
 
 
@@ -181,32 +179,17 @@ class Page:
     def __init__(self, studio: Studio, socket: WebSocket) -> None:
         self._studio, self._socket = studio, socket
         self._loop = asyncio.get_running_loop()
-        self._waiting: asyncio.Queue[bytes] = asyncio.Queue()
+        self._blocks = Blocks(socket)
         self._contact: Contact | None = None
         self._opening: Contact | None = None  # that does not play yet
         self._calibration = PressureCalibration()
         self._texture, self._sink, self._rate_hz = "", "", 0.0
-        self._n_events = self._n_refused = self._n_unsent = 0
+        self._n_events = self._n_refused = 0
         self._events, self._messages = Allowance(EVENTS_A_SECOND), Allowance(MESSAGES_A_SECOND)
 
     async def run(self) -> None:
         """Serve the page until it goes."""
-        sending = [asyncio.create_task(self._send_blocks()), asyncio.create_task(self._send_state())]
-        try:
-            while True:
-                received = await self._socket.receive()
-                if received["type"] == "websocket.disconnect":
-                    return
-                await self._take(received)
-                if self._n_refused > MOST_REFUSED:
-                    await self._socket.close(1008, f"{MOST_REFUSED} messages were refused")
-                    return
-        except WebSocketDisconnect:
-            pass
-        finally:
-            for task in sending:
-                task.cancel()
-            await asyncio.gather(*sending, return_exceptions=True)
+        await converse(self._socket, self._take, lambda: self._n_refused, self._blocks.send(), self._send_state())
 
     async def close(self) -> None:
         """End playing; a second time nothing happens."""
@@ -220,7 +203,7 @@ class Page:
     def state(self) -> dict[str, Any]:
         """Return how the page does, for people."""
         known: dict[str, Any] = {"texture": self._texture, "sink": self._sink, "n_events": self._n_events}
-        known |= {"n_refused": self._n_refused, "n_unsent": self._n_unsent}
+        known |= {"n_refused": self._n_refused, "n_unsent": self._blocks.n_unsent}
         contact = self._contact
         if contact is not None:
             live = contact.statistics
@@ -312,22 +295,7 @@ class Page:
         """Pass a block on to the page: speed [mm/s] and force [N], then the samples [m/s²], all little-endian float32."""
         block = struct.pack("<ff", speed, force) + samples.astype("<f4").tobytes()
         with contextlib.suppress(RuntimeError):  # the loop has ended, and so does the contact
-            self._loop.call_soon_threadsafe(self._queue, block)
-
-    def _queue(self, block: bytes) -> None:
-        self._waiting.put_nowait(block)
-        while self._waiting.qsize() > MOST_WAITING:
-            self._waiting.get_nowait()
-            self._n_unsent += 1
-
-    async def _send_blocks(self) -> None:
-        while True:
-            block = await self._waiting.get()
-            # What waits goes out together, under the last speed and force: fewer messages where there are many pages.
-            while not self._waiting.empty():
-                later = self._waiting.get_nowait()
-                block = later[:CONDITION_BYTES] + block[CONDITION_BYTES:] + later[CONDITION_BYTES:]
-            await self._socket.send_bytes(block)
+            self._loop.call_soon_threadsafe(self._blocks.put, block)
 
     async def _send_state(self) -> None:
         while True:

@@ -41,11 +41,11 @@ from foten.runtime.live.devices import SOUND_RATE_HZ
 from foten.runtime.stylus import PressureCalibration
 from foten.studio.access import Access, Guarded
 from foten.studio.contact import Contact
+from foten.studio.conversation import Blocks, converse
 from foten.studio.messages import (
     EVENTS_A_SECOND,
     MESSAGES_A_SECOND,
     MOST_BYTES,
-    MOST_REFUSED,
     OPERATOR,
     SESSION,
     Allowance,
@@ -65,7 +65,6 @@ LETTERS = "ABCDEFGHJKMNPQRSTUVWXYZ"  # that are not taken for one another
 CODE_LETTERS = 5
 MOST_PAGES = 64
 ELSEWHERE = 4001  # the code of a WebSocket's end, of those that are ours to give
-MOST_WAITING = 64  # blocks for a page that does not take them; the oldest go
 KEPT_S = 3.0  # between two writings of a stroke
 SHOWN_S = 0.5  # between two pictures of the study for the operator
 PAGE = Path(__file__).with_name("study_page")
@@ -383,8 +382,12 @@ class Session:
             about["shown_s"] = round(time.monotonic() - self.shown_at, 3)
         stroking = next((page for page in self.pages if page.strokes), None)
         if stroking is not None:
-            about |= {"volume_db": stroking.volume_db, "rate_hz": stroking.rate_hz, "n_unsent": stroking.n_unsent}
-            stroking.n_unsent = 0
+            about |= {
+                "volume_db": stroking.volume_db,
+                "rate_hz": stroking.rate_hz,
+                "n_unsent": stroking.blocks.n_unsent,
+            }
+            stroking.blocks.n_unsent = 0
         seconds = message.get("seconds")
         return Rated(float(message["rating"]), None if seconds is None else float(seconds), self.n_switches, about)
 
@@ -414,10 +417,8 @@ class Session:
         step = self.step
         if step["kind"] != "trial" or self.held or self.side == "real":
             return
-        if self.contact is None or self._page is not page:  # another page, or the same after its connection was lost
+        if self.contact is None:
             async with self._changing:
-                if self.contact is not None and self._page is not page:
-                    await self.end_contact(keep=True)
                 if self.contact is None and self.step is step:
                     await self._open(page, step["trial"])
         if self.contact is not None:
@@ -437,10 +438,10 @@ class Session:
         def on_block(samples: NDArray[np.float32], speed: float, force: float) -> None:
             conditions.append((speed, force))
             if not silent:
-                block = np.clip(samples * contact.gain, -1.0, 1.0)
+                block = samples * np.float32(contact.gain)  # the page bends what is too loud
                 with contextlib.suppress(RuntimeError):
                     loop.call_soon_threadsafe(
-                        page.queue, struct.pack("<ff", speed, force) + block.astype("<f4").tobytes()
+                        page.blocks.put, struct.pack("<ff", speed, force) + block.astype("<f4").tobytes()
                     )
 
         try:
@@ -535,11 +536,11 @@ class ParticipantPage:
 
     def __init__(self, server: StudyServer, socket: WebSocket) -> None:
         self._server, self._socket = server, socket
-        self._waiting: asyncio.Queue[bytes] = asyncio.Queue()
+        self.blocks = Blocks(socket)
         self._session: Session | None = None
         self.role, self.rate_hz, self.volume_db = "all", SOUND_RATE_HZ, 0.0
         self.calibration = PressureCalibration()
-        self._n_refused = self.n_unsent = 0
+        self._n_refused = 0
         self._events, self._messages = Allowance(EVENTS_A_SECOND), Allowance(MESSAGES_A_SECOND)
 
     @property
@@ -549,21 +550,7 @@ class ParticipantPage:
 
     async def run(self) -> None:
         """Serve the page until it goes."""
-        sending = asyncio.create_task(self._send_blocks())
-        try:
-            while True:
-                received = await self._socket.receive()
-                if received["type"] == "websocket.disconnect":
-                    return
-                await self._take(received)
-                if self._n_refused > MOST_REFUSED:
-                    await self._socket.close(1008, f"{MOST_REFUSED} messages were refused")
-                    return
-        except WebSocketDisconnect:
-            pass
-        finally:
-            sending.cancel()
-            await asyncio.gather(sending, return_exceptions=True)
+        await converse(self._socket, self._take, lambda: self._n_refused, self.blocks.send())
 
     async def leave(self) -> None:
         """The page is gone: what it stroked is kept, and its trial stays where it is."""
@@ -662,21 +649,6 @@ class ParticipantPage:
         """Send a message; a page that is gone is not told."""
         with contextlib.suppress(RuntimeError, WebSocketDisconnect):
             await self._socket.send_text(json.dumps(document, allow_nan=False))
-
-    def queue(self, block: bytes) -> None:
-        """Send a block of samples when there is time; the oldest go where there is none."""
-        self._waiting.put_nowait(block)
-        while self._waiting.qsize() > MOST_WAITING:
-            self._waiting.get_nowait()
-            self.n_unsent += 1
-
-    async def _send_blocks(self) -> None:
-        while True:
-            block = await self._waiting.get()
-            while not self._waiting.empty():
-                later = self._waiting.get_nowait()
-                block = later[:8] + block[8:] + later[8:]
-            await self._socket.send_bytes(block)
 
 
 class OperatorPage:
