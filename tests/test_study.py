@@ -355,6 +355,7 @@ def test_the_page_that_strokes_is_the_one_that_sounds(tmp_path: Path) -> None:
             first.bytes += len(old.receive().get("bytes") or b"")
         with client.websocket_connect(f"{WS}/session") as new:
             second = Page(new, code=first.code, rate_hz=8000)
+            assert len(server.sessions[1].pages) == 1
             with pytest.raises(WebSocketDisconnect) as gone:
                 first.until("never")
             assert gone.value.code == ELSEWHERE
@@ -477,7 +478,7 @@ def test_levels_are_matched_and_stored(tmp_path: Path) -> None:
 
 def foten(*arguments: str | Path, ok: bool = True) -> str:
     command = [sys.executable, "-c", "from foten.cli import main; main()", "study", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)  # none of these serves
     if ok:
         assert done.returncode == 0, done.stderr
         return done.stdout + done.stderr

@@ -96,6 +96,7 @@ def planned(
 ) -> list[list[Trial]]:
     """Return the orders that a study stores: of its participants, and behind them a quarter more for those who leave."""
     counts = n_textures, n_methods, seed, practice, order
+    # Not the first of a longer list: within a square those who come would then be any of its rows.
     return [
         *orders(n_participants, *counts),
         *orders(n_participants + max(2, n_participants // 4), *counts)[n_participants:],
