@@ -26,9 +26,10 @@ from starlette.websockets import WebSocketDisconnect
 
 from foten.datasets.importing import read_stroke
 from foten.families.texture_file import read_texture, write_texture
-from foten.runtime.renderer import EXAMPLE
+from foten.runtime.renderer import EXAMPLE, Renderer
 from foten.runtime.stroke import tabled_stroke
 from foten.studio.access import LOOPBACK, Access
+from foten.studio.levels import gains_db
 from foten.studio.stimuli import load_stimuli
 from foten.studio.study_server import ELSEWHERE, OPERATOR_COOKIE, StudyServer
 from foten.study.design import read_design, template
@@ -467,6 +468,14 @@ def test_levels_are_matched_and_stored(tmp_path: Path) -> None:
     matched = load_stimuli(read_design(path)[0], calibrated=False)
     assert max(abs(one.gain_db) for one in matched.listed) > 0.3
     assert all(abs(one.gain_db) <= 30 for one in matched.listed)
+    design = read_design(path)[0]
+    for t, texture in enumerate(design.textures):  # with them, nothing is left to match
+        renderers = [Renderer(file) for file in texture.files.values()]
+        gains = [one.gain_db for one in matched.listed if one.texture == t]
+        scales = [
+            10 ** (db / 20) / r.native_texture.info.acceleration_sd for db, r in zip(gains, renderers, strict=True)
+        ]
+        np.testing.assert_allclose(gains_db(renderers, scales), 0.0, atol=1e-9)
     plain = load_stimuli(read_design(study_file(tmp_path, match_levels="false"))[0], calibrated=True)
     assert {one.gain_db for one in plain.listed} == {0.0}
     server = server_of(path)
