@@ -241,7 +241,8 @@ def test_a_trial_that_is_held_keeps_what_was_chosen_and_its_time(browser: Any, t
         other = context.new_page()
         other.goto(operator)
         other.click("#begin-one")
-        code = other.inner_text("#invite-code", timeout=10_000)
+        until(other, "document.querySelector('#invite-code').textContent !== ''")  # the server was asked for it
+        code = other.inner_text("#invite-code")
         other.keyboard.press("Escape")
         page = context.new_page()
         page.goto(operator.split("operator")[0] + f"?code={code}")

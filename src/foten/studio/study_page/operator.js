@@ -18,7 +18,9 @@ function connect() {
     else if (told.begun) invite(told);
     else show(told);
   };
+  socket.onopen = () => ($("begin-one").disabled = false); // a press before would be lost
   socket.onclose = () => {
+    $("begin-one").disabled = true;
     say("No connection to the server; this page tries again.");
     setTimeout(connect, 1000);
   };
