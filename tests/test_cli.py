@@ -86,6 +86,29 @@ def test_evaluate_prints_the_contracts_keys(
     assert document["references"]["ar"]["mae_scaled"] > 0.9 * document["references"]["bound"]["mae_scaled"]
 
 
+def test_listeners_are_asked_where_they_are_asked_for(
+    texture: Path, recording: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Under a long stroke of a simulated truth, beside two true ones; here with next to no training and a short one."""
+    monkeypatch.setattr("foten.networks.listener.N_STEPS", 2)
+    monkeypatch.setattr("foten.experiments.truth.LONG_S", 46.0)
+    capsys.readouterr()
+    assert _status(["evaluate", str(texture), str(recording), "--json", "--listener"]) == 0
+    scores = json.loads(capsys.readouterr().out)["listener"]
+    for key in ("listener_auc", "listener_auc_waveform"):
+        assert 0 <= scores[key] <= 1
+        assert 0 <= scores[f"{key}_control"] <= 1
+    assert scores["listener_control_of"] == "a second realisation of the same stroke"
+    assert 40 < scores["listener_s"] < 46
+    assert _status(["evaluate", str(texture), str(recording), "--listener"]) == 0
+    assert "Listener: area under its curve over 4" in capsys.readouterr().out
+    monkeypatch.setattr("foten.experiments.truth.LONG_S", 20.0)
+    assert _status(["evaluate", str(texture), str(recording), "--listener"]) == 0
+    assert "Listener, not computed: areas under its curve (20 s to listen to" in capsys.readouterr().out
+    assert _status(["evaluate", str(texture), str(recording)]) == 0
+    assert "Listener" not in capsys.readouterr().out
+
+
 def test_a_foreign_recording_is_scored_on_all_of_its_blocks(
     texture: Path, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -26,6 +26,13 @@ def evaluate(
     block: Annotated[
         float | None, Option(help="Of another recording, what is scored as one (ms).", show_default="the trained one's")
     ] = None,
+    listener: Annotated[
+        bool,
+        Option(
+            "--listener",
+            help="Ask networks trained for it whether they can tell the free run from the surface (a minute; needs PyTorch).",
+        ),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Judge a texture on its test blocks: one-step and free-run, beside references and a ceiling."""
@@ -38,8 +45,8 @@ def evaluate(
 
     check_folder(report, "--report")
     texture, recording = read_texture(texture_file), load_recording(recording_file)
-    truth = truth_for(recording, texture, trim, block)
-    judgement = judge.evaluate(texture, recording, truth, seed, lambda stage: say(f"{stage} …"), trim, block)
+    truth = truth_for(recording, texture, trim, block, listener)
+    judgement = judge.evaluate(texture, recording, truth, seed, lambda stage: say(f"{stage} …"), trim, block, listener)
     if report is not None:
         from foten.evaluate.report.page import write_report
 

@@ -173,10 +173,13 @@ def simulate(
     return _simulate(simulation)
 
 
-def second_realisation(recording: Recording, noise_seed: int) -> Recording:
+def second_realisation(
+    recording: Recording, noise_seed: int, *, stroke_seed: int | None = None, seconds: float | None = None
+) -> Recording:
     """Return the stroke and texture of a simulated recording, by the parameters that it carries, with fresh surface and noise.
 
-    The recording's own `noise_seed` gives the recording back.
+    The recording's own `noise_seed` gives the recording back. With a `stroke_seed` or `seconds`, another stroke
+    or a longer one over the same texture.
 
     Raises:
         ValueError: the recording is not simulated, or by another version of the model.
@@ -187,7 +190,8 @@ def second_realisation(recording: Recording, noise_seed: int) -> Recording:
     if simulation.get("version") != VERSION:
         raise ValueError(f"simulated by version {simulation.get('version')}, this is {VERSION}: simulate it again")
     try:
-        return _simulate({**simulation, "noise_seed": noise_seed})
+        changed = {"noise_seed": noise_seed, "stroke_seed": stroke_seed, "seconds": seconds}
+        return _simulate({**simulation, **{name: value for name, value in changed.items() if value is not None}})
     except (KeyError, TypeError) as error:
         raise ValueError(f"its parameters are those of another simulator ({error}): simulate it again") from error
 

@@ -18,7 +18,8 @@ from foten.recording.recording import RELATIVE, Recording
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.recording.windows import targets
-from foten.runtime.native import NativeTexture
+from foten.runtime.loops import on_all_cores
+from foten.runtime.native import NativeState, NativeTexture
 
 ONE_STEP_KEYS = ("mae_scaled", "mae_m_s2", "gfc")
 REFERENCES = ("zero", "persistence", "ar", "ar_scheduled", "ar_best", "lattice", "bound", "bound_window")
@@ -27,6 +28,7 @@ FREE_RUN_KEYS = (
     *("lsd_db", "lsd_long_db", "gfc_raw", "gfc_welch", "level_bias_db", "level_error_db", "level_corr"),
     *("kurtosis", "max_sd"),
 )
+LISTENER_STREAM = 2**35  # of noise, the first that listeners are played
 ANCHOR_ORDER = 20  # of the linear predictor that every model is held against
 _WHY_UNKNOWN = {
     "level_bias_db": "blocks hold no frame of 40 ms after their first fifth",
@@ -41,6 +43,7 @@ class Truth:
     """What only a simulator knows; the caller asks it."""
 
     realisations: Sequence[Trace] = ()  # the same stroke over fresh roughness, preprocessed as the recording was
+    strokes: tuple[Trace, Trace] | None = None  # two realisations of a long stroke by another hand, for listeners
     # Expected absolute one-step error [m/s²] from the infinite past and from a window of m, at each sample, shape (n,).
     bound: Array | None = None
     bound_window: Array | None = None
@@ -81,10 +84,12 @@ def evaluate(
     on_stage: Callable[[str], None] = lambda stage: None,
     trim_ms: float | None = None,
     block_ms: float | None = None,
+    listener: bool = False,
 ) -> Judgement:
     """Return every figure of a texture on the test blocks of the recording it was trained on, or on all of another.
 
-    The trained one is recognised by its digest; `trim_ms` and `block_ms` are as of `trace_for`, `seed` is the excitation's.
+    The trained one is recognised by its digest; `trim_ms` and `block_ms` are as of `trace_for`, `seed` is the excitation's. A
+    `listener` is asked where it is asked for: it needs PyTorch, and a minute.
 
     Raises:
         ValueError: the recording is too short, the split does not fit it, or one of the two alone is in relative units.
@@ -120,6 +125,7 @@ def evaluate(
     one = _one_step(texture, kernel, trace, samples, blocks, fitted, truth, reasons)
     on_stage("free run")
     free, synthesized = _free_run(texture, kernel, trace, blocks, split, fitted.get("ar"), truth, seed, reasons)
+    by_listeners = _listener(kernel, texture, trace, blocks, truth, seed, reasons, on_stage) if listener else None
     validation = ("mae_scaled", "mae_scaled_lattice", "mae_scaled_hop", "spectrum_db", "lsd_db", "level_error_db")
     document = {
         "texture": texture.card["texture"],
@@ -134,12 +140,50 @@ def evaluate(
         "unit": texture.unit,
         **one,
         **free,
+        "listener": by_listeners,
         "reasons": reasons,
         "texture_sha256": texture.sha256(),
         "recording_sha256": trace.recording_sha256,
         "validation": {name: texture.card["metrics"].get(f"validation_{name}") for name in validation},
     }
     return Judgement(document, trace, blocks, synthesized)
+
+
+def _listener(
+    kernel: NativeTexture,
+    texture: Texture,
+    trace: Trace,
+    blocks: tuple[int, ...],
+    truth: Truth,
+    seed: int,
+    reasons: dict[str, str],
+    on_stage: Callable[[str], None],
+) -> dict[str, Any] | None:
+    """Return what listeners tell apart: under a long stroke of a simulated truth, else under the test blocks."""
+    if not texture.has_excitation:
+        reasons["listener"] = f"{texture.card['model']} carries no excitation"
+        return None
+    from foten.evaluate.listener import listener_scores, long_stroke
+
+    recorded, second = long_stroke(trace, blocks), None
+    if truth.strokes is not None:
+        recorded, second = (long_stroke(one) for one in truth.strokes)
+
+    def rendered(number: int) -> Array:
+        run = np.empty_like(recorded.acceleration)
+
+        def render(piece: int) -> None:
+            state = NativeState(kernel, seed=number, stream=LISTENER_STREAM + piece)
+            run[piece] = state.render_stroke(recorded.speed[piece], recorded.force[piece])
+
+        on_all_cores(render, len(run))
+        return run
+
+    try:
+        return listener_scores(recorded, rendered, second, seed, on_stage)
+    except ValueError as error:
+        reasons["listener"] = str(error)
+        return None
 
 
 def _one_step(

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
-from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length, welch
+from foten.dsp.bands import band_energies
+from foten.dsp.distance import earth_mover_octaves, log_spectral_distance, scored_bins, segment_length, welch
 from foten.dsp.level import frame_levels, frame_means
 from foten.dsp.noise import gaussian
 from foten.evaluate import metrics
@@ -20,6 +21,7 @@ from foten.runtime.native import NativeState, NativeTexture
 
 N_SEEDS = 5
 SETTLING = 0.2  # of each block, not scored
+LEVEL_JND_DB = 2.3  # just noticeable difference of a level, 20 to 35 dB above threshold: 2.2 to 2.5 dB
 
 
 def scored(block: int) -> slice:
@@ -110,8 +112,10 @@ def free_run(
         of them; `gfc_raw`, `gfc_welch`: Eq. 13 on raw and on Welch amplitudes, means; `level_bias_db`,
         `level_error_db`, `level_corr`: of levels in frames of 40 ms; `kurtosis` of all samples, and `kurtosis_recorded`;
         `max_sd`: largest synthesized sample over `sd`, the first fifth included; `band_errors_db`; `level_slopes` and
-        `level_slopes_recorded` [dB per decade of speed, of force]; `modulation_db`: distance of envelope spectra, 2 to 50 Hz;
-        `intervals`.
+        `level_slopes_recorded` [dB per decade of speed, of force]; `modulation_db`: distance of envelope spectra, 1 to 50 Hz;
+        `emd_octaves`: earth-mover distance of power over log frequency, mean over blocks and seeds; `level_jnd`: the level error
+        in just noticeable differences; `band_correlation_error`: RMS difference of the correlations between the envelopes of
+        bands; `intervals`.
     """
     n_segment, part = segment_length(recorded.shape[-1]), scored(recorded.shape[-1])
     worst = np.abs(synthesized[:, :, n_given:]).max(axis=(0, 2)) / sd
@@ -120,12 +124,13 @@ def free_run(
     _, q = welch(synthesized, rate_hz, n_segment)
     bins = scored_bins(frequencies, rate_hz)
     p, q = p[:, bins], q[:, :, bins]
-    distance = log_spectral_distance(p[None], q)
+    distance, moved = log_spectral_distance(p[None], q), earth_mover_octaves(frequencies[bins], p[None], q)
     reference = float(np.sqrt(np.square(recorded).mean()))
     level_p, level_q = (frame_levels(x, rate_hz, reference) for x in (recorded, synthesized))
     frame_speed, frame_force = frame_means(speed, rate_hz), frame_means(force, rate_hz)
     raw, smooth = metrics.goodness_of_fit(recorded, synthesized), metrics.cosine(np.sqrt(p), np.sqrt(q))
     envelope_p, envelope_q = (metrics.modulation_spectra(x, rate_hz) for x in (recorded, synthesized))
+    energy_p, energy_q = (band_energies(x, rate_hz) for x in (recorded, synthesized))
     moments = np.stack([np.power(synthesized, k).mean(axis=(0, 2)) for k in range(1, 5)])
 
     def figures(index: NDArray[np.int64]) -> dict[str, Any]:
@@ -149,6 +154,9 @@ def free_run(
                 level_q[:, index].mean(axis=0), frame_speed[index], frame_force[index]
             ),
             "modulation_db": modulation,
+            "emd_octaves": float(moved[:, index].mean()),
+            "level_jnd": float(np.abs(difference).mean()) / LEVEL_JND_DB if framed else None,
+            "band_correlation_error": _correlation_error(energy_p[index], energy_q[:, index]),
         }
 
     every = np.arange(len(recorded))
@@ -164,6 +172,15 @@ def free_run(
 def _pooled(recorded: Array, synthesized: Array, index: NDArray[np.int64]) -> tuple[Array, Array]:
     """Return the mean spectra of some blocks: recorded (n_blocks, k), synthesized (n_seeds, n_blocks, k) → (k,) each."""
     return recorded[index].mean(axis=0), synthesized[:, index].mean(axis=(0, 1))
+
+
+def _correlation_error(recorded: Array, synthesized: Array) -> float | None:
+    """Return the RMS difference of the correlations between bands, mean over seeds; None without two frames."""
+    if recorded.shape[0] * recorded.shape[2] < 2:
+        return None
+    target = metrics.band_correlations(recorded)
+    errors = [np.sqrt(np.square(metrics.band_correlations(run) - target).mean()) for run in synthesized]
+    return float(np.mean(errors))
 
 
 def _kurtosis(moments: Array) -> float:

@@ -74,7 +74,7 @@ def band_errors(recorded: Array, synthesized: Array, frequencies: Array, edges: 
 
 
 def modulation_spectra(blocks: Array, rate_hz: float) -> tuple[Array, Array] | None:
-    """Return frequencies [Hz], 2 to 50, and the power spectrum of each block's envelope: blocks (…, n) → (k,), (…, k).
+    """Return frequencies [Hz], 1 to 50, and the power spectrum of each block's envelope: blocks (…, n) → (k,), (…, k).
 
     The envelope is the magnitude of the analytic signal, divided by its mean in each block. None for blocks under 1 s.
     """
@@ -84,9 +84,25 @@ def modulation_spectra(blocks: Array, rate_hz: float) -> tuple[Array, Array] | N
 
     envelope = np.abs(signal.hilbert(blocks, axis=-1))
     envelope = envelope / np.maximum(envelope.mean(axis=-1, keepdims=True), 1e-12)
-    frequencies, density = signal.welch(envelope, rate_hz, nperseg=int(0.5 * rate_hz), axis=-1)
-    inside = (frequencies >= 2.0) & (frequencies <= 50.0)
+    frequencies, density = signal.welch(envelope, rate_hz, nperseg=int(rate_hz), axis=-1)
+    inside = (frequencies >= 1.0) & (frequencies <= 50.0)
     return frequencies[inside], density[..., inside]
+
+
+def band_correlations(energies: Array) -> Array:
+    """Return how the envelopes of bands rise and fall in step: energies (n_blocks, bands, frames) → (pairs,), −1 to 1.
+
+    Correlations over all frames of all blocks of amplitudes to the power of 0.3, each pair of bands once; 0 where one does not
+    vary. Impacts raise all bands at once, a hiss each by itself, under the same spectrum.
+
+    Source: McDermott & Simoncelli, "Sound texture perception via statistics of the auditory periphery", Neuron 71 (2011); bands
+    as of `dsp.bands`.
+    """
+    envelopes = np.moveaxis(energies, 1, 0).reshape(energies.shape[1], -1) ** 0.15
+    envelopes -= envelopes.mean(axis=1, keepdims=True)
+    norms = np.linalg.norm(envelopes, axis=1)
+    correlations = (envelopes @ envelopes.T) / np.maximum(np.outer(norms, norms), np.finfo(float).tiny)
+    return np.asarray(correlations[np.triu_indices(len(envelopes), 1)])
 
 
 def intervals(figures: Callable[[NDArray[np.int64]], Mapping[str, Any]], n_blocks: int) -> dict[str, Any]:

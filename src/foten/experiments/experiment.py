@@ -20,7 +20,7 @@ from foten.recording.recording import Recording
 from foten.train.config import OWN_RECIPES, RECIPES, TrainConfig, check_used
 
 RECORDED = (".h5", ".hdf5")
-MEASURES = ("stability", "onset", "innovations")
+MEASURES = ("stability", "onset", "innovations", "listener")
 """What may be measured of a texture file beside its evaluation, each a module of this package."""
 OF_TRAINING = {one.name for one in fields(TrainConfig)} - {"recipe"}
 

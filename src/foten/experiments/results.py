@@ -87,7 +87,16 @@ WITHOUT = ", without excitation"
 """What is added to a method's name, in tables and figures, where its free run has no excitation."""
 VALIDATION = ("validation.mae_scaled", "validation.spectrum_db")
 """What the recipe of a method is chosen by, the first that it has: a one-step error, of models of spectra a distance."""
-_KEPT = ("one_step", "free_run", "free_run_deterministic", "free_run_ar", "ceiling", "references", "validation")
+_KEPT = (
+    "one_step",
+    "free_run",
+    "free_run_deterministic",
+    "free_run_ar",
+    "ceiling",
+    "listener",
+    "references",
+    "validation",
+)
 
 
 def records_of(results: Results) -> list[dict[str, Any]]:
@@ -122,7 +131,7 @@ def _record(result: Mapping[str, Any]) -> dict[str, Any]:
         "version.foten": result["foten"],
         **{f"version.{package}": version for package, version in result["versions"].items()},
     }
-    scores = {name: judged[name] for name in _KEPT if name in judged} | result.get("measures", {})
+    scores = {name: judged[name] for name in _KEPT if judged.get(name) is not None} | result.get("measures", {})
     record |= dict(_flat(scores))
     for figure in FIGURES.values():
         head, _, key = figure.path.rpartition(".")

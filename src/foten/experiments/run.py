@@ -66,7 +66,8 @@ def _job(run: Run, recording: Recording) -> TrainingJob:
 
 def _judged(run: Run, recording: Recording, texture: Texture, seconds: float, n_batched: int = 1) -> dict[str, Any]:
     started = time.perf_counter()
-    judgement = evaluate(texture, recording, truth_for(recording, texture))
+    listener = "listener" in run.measures
+    judgement = evaluate(texture, recording, truth_for(recording, texture, listener=listener), listener=listener)
     document, metrics = judgement.document, texture.card["metrics"]
     return {
         "run": asdict(run),
@@ -92,7 +93,7 @@ def _measures(names: Sequence[str], texture: Texture, trace: Trace) -> dict[str,
         "onset": lambda: onset(texture),
         "innovations": lambda: innovations(texture, trace),
     }
-    return {name: measures[name]() for name in names}
+    return {name: measures[name]() for name in names if name in measures}  # the listener is the evaluation's
 
 
 def _signals(judgement: Judgement) -> dict[str, Any] | None:

@@ -17,11 +17,19 @@ from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.recording.trace import Trace
 
+LONG_S = 240.0  # of a stroke for listeners
+
 
 def truth_for(
-    recording: Recording, texture: Texture, trim_ms: float | None = None, block_ms: float | None = None
+    recording: Recording,
+    texture: Texture,
+    trim_ms: float | None = None,
+    block_ms: float | None = None,
+    listener: bool = False,
 ) -> Truth:
     """Return further realisations of a simulated stroke and, for the linear family, the bounds of any predictor.
+
+    For listeners two realisations of a long stroke by another hand too.
 
     A recording that was not simulated, or by another version of the simulator, has no truth. The bounds hold at the simulated
     rate and with a causal high-pass of order 2 only.
@@ -38,15 +46,32 @@ def truth_for(
             realisations = list(pool.map(realisation, range(1, N_SEEDS + 1)))
     except (KeyError, TypeError, ValueError) as error:
         return Truth(why_no_bound=f"the simulator's parameters in the recording cannot be used ({error})")
+    strokes = long_strokes(recording, texture) if listener else None
     config = PreprocessConfig(**texture.card["preprocess"])
     if recording.simulation["key"] not in LINEAR_FAMILY:
-        return Truth(realisations)
+        return Truth(realisations, strokes)
     if recording["acceleration"].rate_hz != config.rate_hz:
-        return Truth(realisations, why_no_bound="known at the simulated rate alone")
+        return Truth(realisations, strokes, why_no_bound="known at the simulated rate alone")
     if config.highpass_order != 2 or config.zero_phase:
-        return Truth(realisations, why_no_bound="known with a causal high-pass of order 2 alone")
+        return Truth(realisations, strokes, why_no_bound="known with a causal high-pass of order 2 alone")
     trace = trace_for(texture, recording, trim_ms, block_ms)
-    return Truth(realisations, *linear_bounds(recording, trace, config.highpass_hz, texture.window))
+    return Truth(realisations, strokes, *linear_bounds(recording, trace, config.highpass_hz, texture.window))
+
+
+def long_strokes(recording: Recording, texture: Texture) -> tuple[Trace, Trace] | None:
+    """Return two realisations of a long stroke by another hand over a simulated texture; None of what was not simulated here."""
+    try:
+        if recording.simulation is None:
+            return None
+        used, hand = (int(recording.simulation[name]) for name in ("noise_seed", "stroke_seed"))
+
+        def realisation(k: int) -> Trace:
+            seeds = {"noise_seed": used + 1_000_003 * (100 + k), "stroke_seed": hand + 1_000_003}
+            return trace_for(texture, second_realisation(recording, seconds=LONG_S, **seeds))
+
+        return realisation(0), realisation(1)
+    except (KeyError, TypeError, ValueError):
+        return None
 
 
 def linear_bounds(recording: Recording, trace: Trace, highpass_hz: float, window: int) -> tuple[Array, Array]:

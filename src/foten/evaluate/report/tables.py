@@ -32,6 +32,8 @@ FREE_RUN_FIGURES = {
     "kurtosis": ("kurtosis", "", "nearer recorded"),
     "max_sd": ("largest sample", "sd", "no outlier"),
     "modulation_db": ("envelope spectrum", "dB", "lower"),
+    "emd_octaves": ("earth-mover distance", "octave", "lower"),
+    "band_correlation_error": ("correlations of bands", "0 to 2", "lower"),
 }
 """Figures of a free run: name, unit, and what is better."""
 _MEANINGS = {
@@ -44,7 +46,9 @@ _MEANINGS = {
     "level_corr": "whether the level rises and falls with the recording's",
     "kurtosis": "3 for a Gaussian, more for a spiky vibration",
     "max_sd": "peak over the training standard deviation: shows a loop that bursts",
-    "modulation_db": "log-spectral distance of the envelope, 2 to 50 Hz: roughness and rhythm",
+    "modulation_db": "log-spectral distance of the envelope, 1 to 50 Hz: roughness and rhythm",
+    "emd_octaves": "power moved along log frequency; people notice 0.25 to 0.3 octave; blind to gain",
+    "band_correlation_error": "whether bands rise and fall in step, as under impacts; RMS difference of correlations",
 }
 
 
@@ -217,9 +221,25 @@ def to_text(document: Mapping[str, Any]) -> str:
     if len(figures) > 1:
         ceiling = f"; the ceiling is {document['ceiling']['of']}" if document["ceiling"].get("of") else ""
         lines += ["", f"Free run: its own output is its history{ceiling}", *_aligned(figures)]
+    if scores := document.get("listener"):
+        lines += ["", *_listener_lines(scores)]
     missing = {"One step": _missing_errors(document), "Free run": _missing_figures(document, runs)}
+    if "listener" in document["reasons"]:
+        missing["Listener"] = {"areas under its curve": reason(document, "listener")}
     sentences = [f"{what}, not computed: {_grouped(why_of)}." for what, why_of in missing.items() if why_of]
     return "\n".join([*lines, *([""] if sentences else []), *sentences])
+
+
+def _listener_lines(scores: Mapping[str, Any]) -> list[str]:
+    """Return what listeners can tell apart, for a terminal."""
+    control = scores["listener_control_of"]
+    beside = f"; the control is {control}" if control else ""
+    cells = [["", "this texture", "control"]]
+    for key, name in (("listener_auc", "band energies"), ("listener_auc_waveform", "and the waveform")):
+        values = (scores[key], scores[f"{key}_control"])
+        cells.append([name, *("–" if value is None else f"{value:.3f}" for value in values)])
+    about = f"area under its curve over {scores['listener_s']:.0f} s, 0.5 is chance, 1 certainty{beside}"
+    return [f"Listener: {about}", *_aligned(cells)]
 
 
 def _errors(document: Mapping[str, Any]) -> list[list[str]]:

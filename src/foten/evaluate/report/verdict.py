@@ -65,14 +65,15 @@ def signed(value: float, digits: int) -> str:
 
 
 def verdict(document: Mapping[str, Any]) -> list[Finding]:
-    """Return the findings of a document: one step, then spectrum, level and dynamics of the free run."""
+    """Return the findings of a document: one step, then spectrum, level and dynamics of the free run, and the listener."""
     # The run that stands for the texture: with excitation where there is one.
     key = "free_run" if document["free_run"]["lsd_db"] is not None else "free_run_deterministic"
     if document[key]["lsd_db"] is None:
         why = reason(document, "free_run")
         unknown = Finding("unknown", "Free run", "–", "not scored", f"Free run: not scored ({why}).")
         return [_one_step(document), unknown]
-    return [_one_step(document), _spectrum(document, key), _level(document[key]), _dynamics(document, key)]
+    asked = [_listener(document)] if document.get("listener") or "listener" in document["reasons"] else []
+    return [_one_step(document), _spectrum(document, key), _level(document[key]), _dynamics(document, key), *asked]
 
 
 def cautions(document: Mapping[str, Any]) -> list[str]:
@@ -176,7 +177,8 @@ def _level(run: Mapping[str, Any]) -> Finding:
     side = "right on average" if abs(bias) < 0.05 else f"{abs(bias):.1f} dB too {'high' if bias > 0 else 'low'}"
     # Levels below −30 dB count as −30 dB, and a hand pauses: of a silent run the bias alone is too small.
     silent = " It all but falls silent." if bias < -10 and run["lsd_db"] > 20 else ""
-    sentence = f"Level: {side}, {error:.1f} dB off in a frame of 40 ms.{silent}"
+    noticeable = f", {run['level_jnd']:.1f} just noticeable differences" if run.get("level_jnd") is not None else ""
+    sentence = f"Level: {side}, {error:.1f} dB off in a frame of 40 ms{noticeable}.{silent}"
     figure, beside = f"{signed(bias, 1)} dB", f"{error:.1f} dB off in 40 ms frames"
     interval = _interval(run, "level_bias_db")
     return _finding(tone, "Level", figure, beside, sentence, interval, lambda value: abs(value) <= 3)
@@ -198,3 +200,19 @@ def _dynamics(document: Mapping[str, Any], key: str) -> Finding:
     sentence = f"Dynamics: the level follows the recording's with a correlation of {figure} ({beside})."
     beside, interval = f"level correlation; {beside}", _interval(document[key], "level_corr")
     return _finding(tone, "Dynamics", figure, beside, sentence, interval, lambda value: value >= 0.5 * target)
+
+
+def _listener(document: Mapping[str, Any]) -> Finding:
+    scores = document["listener"]
+    if scores is None:
+        why = reason(document, "listener")
+        return Finding("unknown", "Listener", "–", why, f"Listener: not asked ({why}).")
+    found, control, waveform = (scores[f"listener_auc{name}"] for name in ("", "_control", "_waveform"))
+    chance = 0.5 if control is None else max(0.5, control)
+    tone = "good" if found <= chance + 0.1 else "even" if found <= chance + 0.3 else "bad"
+    beside = "0.5 is chance" if control is None else f"two true vibrations: {control:.2f}"
+    sentence = (
+        f"Listener: a network trained for it is right about {found:.2f} of pairs of half a second of recorded and rendered band "
+        f"energies, and about {waveform:.2f} with the waveform ({beside}; 1 is certainty)."
+    )
+    return Finding(tone, "Listener", f"{found:.2f}", beside, sentence)

@@ -1,0 +1,119 @@
+"""The listener: a small network that is trained to tell two vibrations under one hand apart.
+
+It is shown half a second of eight log band energies in frames of 8 ms (`dsp.bands`) beside log speed and log force, and, where it
+is asked to, the waveform. What it scores is the area under its curve on excerpts from later on than those it was trained on: the
+probability that it takes a rendered excerpt for rendered rather than a recorded one. 0.5 is chance, 1 is certainty.
+
+Source: the classifier two-sample test (Lopez-Paz & Oquab, ICLR 2017), of excerpts as a hand meets them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+
+from foten.dsp import Array
+
+EXCERPT = 62  # frames of 8 ms: half a second
+N_STEPS, BATCH = 500, 96  # the budget: four seconds on one core, seven with the waveform
+RATE = 4e-3  # highest, of the learning
+HOP = 15  # frames between the excerpts that are scored
+
+
+@dataclass(frozen=True)
+class Vibration:
+    """One of the two, cut into frames: what the listener is shown of it, and where its excerpts may begin."""
+
+    frames: Array  # standardised log energies, log speed and log force, shape (channels, n_frames)
+    waveform: Array | None  # compressed, shape (n_frames, samples of a frame)
+    train: NDArray[np.int64]  # numbers of the frames with which excerpts to learn from begin
+    test: NDArray[np.int64]  # and those to be scored on
+
+
+class Listener(nn.Module):
+    """Excerpts in, log odds of the second vibration out."""
+
+    def __init__(self, n_channels: int, frame: int | None) -> None:
+        """Make one for so many channels, and a waveform of so many samples a frame or none."""
+        super().__init__()
+        self.of_waveform = None
+        if frame is not None:
+            stride = max(1, frame // 2)
+            self.of_waveform = nn.Sequential(
+                nn.Conv1d(1, 32, 2 * frame, stride, padding=frame - stride // 2),
+                nn.ReLU(),
+                nn.Conv1d(32, 24, 4, 2, padding=1),
+                nn.ReLU(),
+                nn.AdaptiveAvgPool1d(EXCERPT),
+            )
+            n_channels += 24
+        self.layers = nn.Sequential(
+            *(nn.Conv1d(n_channels, 32, 5), nn.ReLU(), nn.Conv1d(32, 32, 5), nn.ReLU(), nn.AvgPool1d(2)),
+            *(nn.Conv1d(32, 64, 5), nn.ReLU()),
+        )
+        self.out = nn.Linear(128, 1)
+
+    def forward(self, frames: Tensor, waveform: Tensor | None) -> Tensor:
+        """Return log odds (b,): frames (b, channels, EXCERPT) and, where it takes them, waveforms (b, n)."""
+        if self.of_waveform is not None and waveform is not None:
+            frames = torch.cat([frames, self.of_waveform(waveform[:, None])], dim=1)
+        over_time = self.layers(frames)
+        return self.out(torch.cat([over_time.mean(dim=2), over_time.amax(dim=2)], dim=1))[:, 0]
+
+
+def listener_auc(first: Vibration, second: Vibration, seed: int) -> float:
+    """Return the area under the curve of a listener that was trained on these two for a fixed budget, on one core."""
+    n_threads = torch.get_num_threads()
+    torch.set_num_threads(1)  # the layers are too small for more, and the sums are the same on every machine
+    try:
+        with torch.random.fork_rng():
+            torch.manual_seed(seed)
+            return _listener_auc((first, second), np.random.default_rng(seed))
+    finally:
+        torch.set_num_threads(n_threads)
+
+
+def _listener_auc(both: tuple[Vibration, Vibration], rng: np.random.Generator) -> float:
+    frames = [torch.from_numpy(one.frames).float() for one in both]
+    waveforms = [None if one.waveform is None else torch.from_numpy(one.waveform).float() for one in both]
+    frame = None if waveforms[0] is None else waveforms[0].shape[1]
+    offsets = torch.arange(EXCERPT)
+
+    def excerpts(which: int, starts: NDArray[np.int64]) -> tuple[Tensor, Tensor | None]:
+        at = torch.from_numpy(starts)[:, None] + offsets
+        shown, samples = frames[which][:, at].transpose(0, 1), waveforms[which]
+        return shown, None if samples is None else samples[at].flatten(1)
+
+    listener = Listener(len(frames[0]), frame)
+    optimiser = torch.optim.AdamW(listener.parameters(), RATE, weight_decay=1e-2)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=N_STEPS)
+    half = BATCH // 2
+    known = torch.arange(2).repeat_interleave(half).float()
+    same_hand = len(both[0].train) == len(both[1].train)
+    for _ in range(N_STEPS):
+        starts = [rng.choice(one.train, half) for one in both]
+        if same_hand:  # of both the same moments, so that the hand says nothing
+            starts[1] = both[1].train[np.searchsorted(both[0].train, starts[0])]
+        (x, w), (y, u) = (excerpts(k, one) for k, one in enumerate(starts))
+        odds = listener(torch.cat([x, y]), None if w is None or u is None else torch.cat([w, u]))
+        loss = functional.binary_cross_entropy_with_logits(odds, known)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        schedule.step()
+    listener.eval()
+    with torch.no_grad():
+        odds_of = [listener(*excerpts(k, one.test)).double().numpy() for k, one in enumerate(both)]
+    return area_under_curve(*odds_of)
+
+
+def area_under_curve(first: Array, second: Array) -> float:
+    """Return the share of pairs in which a score of the second is the larger, ties by half: shapes (n,) and (k,)."""
+    order = np.sort(first)
+    below, up_to = (np.searchsorted(order, second, side) for side in ("left", "right"))
+    return float((below + up_to).mean() / (2 * len(first)))
