@@ -123,7 +123,7 @@ def stroke(arguments: argparse.Namespace) -> None:
     scale = 0.5 / largest
     for name, signal in both.items():
         sound = interpolate(scale * signal.ravel(), Fraction(SOUND_HZ, round(trace.rate_hz)))
-        (DOCS / "audio" / f"{name}.wav").write_bytes(pcm_wav(sound[: 8 * SOUND_HZ], SOUND_HZ))
+        (DOCS / "audio" / f"{name}.wav").write_bytes(pcm_wav(sound[: 5 * SOUND_HZ], SOUND_HZ))
 
 
 def boxes(name: str, placed: Mapping[str, tuple[float, float, float, str]], arrows: list[tuple[Any, ...]]) -> None:
