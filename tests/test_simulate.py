@@ -8,6 +8,7 @@ import pytest
 from scipy.signal import butter, sosfiltfilt, welch
 
 from foten.datasets.simulate import (
+    CONTACT,
     GRID_MM,
     LINEAR_FAMILY,
     TEXTURES,
@@ -41,7 +42,7 @@ def vibrations(recording: Recording) -> np.ndarray:
     return np.asarray(sosfiltfilt(butter(4, 20, "high", fs=rate_hz, output="sos"), samples, axis=0))
 
 
-@pytest.mark.parametrize("key", [*TEXTURES, *LINEAR_FAMILY])
+@pytest.mark.parametrize("key", [*TEXTURES, *CONTACT, *LINEAR_FAMILY])
 def test_a_seed_is_a_recording(key: str) -> None:
     first, again, other = simulate(key, 2, seed=3), simulate(key, 2, seed=3), simulate(key, 2, seed=4)
     assert first.sha256() == again.sha256() != other.sha256()
@@ -216,7 +217,7 @@ def test_the_command_writes_what_the_function_returns(tmp_path: Path, capsys: py
     assert stored.simulation == expected.simulation
     capsys.readouterr()
     assert _status(["simulate", "--list"]) == 0
-    assert len(capsys.readouterr().out.splitlines()) == len(TEXTURES) + len(LINEAR_FAMILY)
+    assert len(capsys.readouterr().out.splitlines()) == len(TEXTURES) + len(CONTACT) + len(LINEAR_FAMILY)
     assert _status(["simulate", "sandpaper", "-o", str(path)]) == 2
     message = capsys.readouterr().err
     assert message.count("\n") == 1

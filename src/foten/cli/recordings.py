@@ -58,6 +58,7 @@ def simulate(
 
     if show_list:
         known = {name: parameters.description for name, parameters in simulator.TEXTURES.items()}
+        known |= {name: parameters.description for name, parameters in simulator.CONTACT.items()}
         known |= {name: process.description for name, process in simulator.LINEAR_FAMILY.items()}
         print_result(known, "\n".join(f"{name:18s}{description}" for name, description in known.items()), as_json)
         return

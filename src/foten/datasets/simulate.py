@@ -1,6 +1,6 @@
-"""Seeded recordings with a known truth: twelve textures under raw sensors, and the linear family.
+"""Seeded recordings with a known truth: twelve textures under raw sensors, ten of contact mechanics, and the linear family.
 
-The model of a texture, from the hand to the sensor:
+The model of one of the twelve, from the hand to the sensor:
 
     path length s(t) ─▶ roughness w(s): a lattice and self-affine noise ─┐
     Poisson impacts of asperities, a number for each mm ─────────────────┴▶ × level fᵅ vᵝ ─┐
@@ -8,19 +8,21 @@ The model of a texture, from the hand to the sensor:
 
 Nothing in it is fitted to a real surface. It is there to have tones that move with speed, levels and colours that depend on speed
 and force, and parts that no model can predict, in known amounts. It leaves out the direction of the stroke and its place on the
-plate: going back meets new roughness of the same kind.
+plate: going back meets new roughness of the same kind. Those of contact mechanics (`contact`) are where no linear filter of
+anything is the truth.
 """
 
 from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
+from foten.datasets.contact import CONTACT, ContactParameters, contact_vibration
 from foten.datasets.linear_family import (
     LINEAR_FAMILY,
     REFERENCE_SPEED,
@@ -140,13 +142,13 @@ def simulate(
     stroke_seed: int | None = None,
     accelerometer_hz: float | None = None,
 ) -> Recording:
-    """Return a simulated recording of one texture or of one member of the linear family.
+    """Return a simulated recording of one texture, of either simulator, or of one member of the linear family.
 
     A texture comes as raw sensors (Sec. III): acceleration with gravity, force and position, three axes each.
     A linear process comes as acceleration, speed and force at the model's rate, one axis, without noise.
 
     Args:
-        key: one of TEXTURES or LINEAR_FAMILY.
+        key: one of TEXTURES, CONTACT or LINEAR_FAMILY.
         seconds: length; the default leaves 60 s once 2 s are cut at each end.
         seed: of everything random that the next two leave out.
         noise_seed: of the surface, the impacts and the sensors; another one is a second realisation.
@@ -156,10 +158,14 @@ def simulate(
     Raises:
         ValueError: an unknown key, or lengths, seeds and rates out of range.
     """
-    known: dict[str, TextureParameters | LinearParameters] = {**TEXTURES, **LINEAR_FAMILY}
+    known: dict[str, TextureParameters | ContactParameters | LinearParameters] = {
+        **TEXTURES,
+        **CONTACT,
+        **LINEAR_FAMILY,
+    }
     if key not in known:
         raise ValueError(f"unknown texture {key!r}, expected one of {', '.join(known)}")
-    default_hz = RATE_HZ if key in TEXTURES else LINEAR_RATE_HZ
+    default_hz = LINEAR_RATE_HZ if key in LINEAR_FAMILY else RATE_HZ
     simulation = {
         "key": key,
         "seconds": float(seconds),
@@ -196,11 +202,18 @@ def second_realisation(
         raise ValueError(f"its parameters are those of another simulator ({error}): simulate it again") from error
 
 
+_KINDS: Mapping[str, Callable[..., TextureParameters | ContactParameters | LinearParameters]] = {
+    "coefficients": LinearParameters,
+    "tip_mm": ContactParameters,
+}
+"""By a name that only they have; `TextureParameters` else."""
+
+
 def _simulate(simulation: Mapping[str, Any]) -> Recording:
     seconds, rate_hz = float(simulation["seconds"]), float(simulation["accelerometer_hz"])
     _, noise_seed, stroke_seed = (int(simulation[name]) for name in ("seed", "noise_seed", "stroke_seed"))
     key = str(simulation["key"])
-    kind = LinearParameters if "coefficients" in simulation["parameters"] else TextureParameters
+    kind = next((kind for name, kind in _KINDS.items() if name in simulation["parameters"]), TextureParameters)
     parameters = kind(**simulation["parameters"])
     if not 1 <= seconds <= 3600:
         raise ValueError(f"{seconds:g} s asked for, expected 1 to 3600")
@@ -221,7 +234,11 @@ def _simulate(simulation: Mapping[str, Any]) -> Recording:
         decimation = round(RATE_HZ / rate_hz)
         if RATE_HZ / decimation != rate_hz:
             raise ValueError(f"{rate_hz:g} Hz is not {RATE_HZ:g} Hz divided by a whole number")
-        channels = _sensor_channels(parameters, stroke, decimation, rng)
+        if isinstance(parameters, ContactParameters):
+            acceleration, normal_force = contact_vibration(parameters, key, stroke, rng)
+        else:
+            acceleration, normal_force = vibration(parameters, stroke, rng), stroke.force
+        channels = _sensor_channels(acceleration, normal_force, parameters.friction, stroke, decimation, rng)
         tool = "simulated rigid tool, 2 mm steel ball"
         sensors = "simulated ADXL335, force at 10 kHz, position at 120 Hz"
     return Recording(channels, texture=key, tool=tool, sensors=sensors, notes="simulated", simulation=simulation)
@@ -282,12 +299,16 @@ def vibration(parameters: TextureParameters, stroke: Stroking, rng: np.random.Ge
 
 
 def _sensor_channels(
-    parameters: TextureParameters, stroke: Stroking, decimation: int, rng: np.random.Generator
+    acceleration: Array,
+    normal_force: Array,
+    friction: float,
+    stroke: Stroking,
+    decimation: int,
+    rng: np.random.Generator,
 ) -> dict[str, Channel]:
-    """Return the raw channels of Sec. III for one stroke over a fresh piece of the texture."""
+    """Return the raw channels of Sec. III: from the tool's vibration [m/s²], (n, 3), and the surface's normal force [N], (n,)."""
     from scipy.signal import butter, sosfilt
 
-    acceleration = vibration(parameters, stroke, rng)
     acceleration[:, :2] += np.gradient(stroke.velocity, axis=0) * stroke.rate_hz / 1000  # the hand's own
     lean = np.sin(stroke.tilt)
     acceleration[:, :2] += GRAVITY * lean
@@ -302,7 +323,7 @@ def _sensor_channels(
     np.clip(acceleration, -ACCELEROMETER_RANGE, ACCELEROMETER_RANGE, out=acceleration)
 
     direction = stroke.velocity / (stroke.speed + 5.0)[:, None]  # 5 mm/s: friction turns over smoothly
-    force = np.column_stack([-parameters.friction * stroke.force[:, None] * direction, stroke.force])
+    force = np.column_stack([-friction * normal_force[:, None] * direction, normal_force])
     force += rng.normal(0, FORCE_NOISE_N, force.shape)
 
     n_position = int(len(stroke.position) / stroke.rate_hz * POSITION_HZ)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from foten.datasets.hdf5 import load_recording
-from foten.datasets.simulate import LINEAR_FAMILY, TEXTURES, simulate
+from foten.datasets.simulate import CONTACT, LINEAR_FAMILY, TEXTURES, simulate
 from foten.families import FAMILIES, sizes_of
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
@@ -279,7 +279,7 @@ def _texture(content: object, folder: Path) -> str:
         if not (folder / content).exists():
             raise ValueError(f"there is no recording {content} in {folder}: give its folder by --recordings")
         return str(folder / content)
-    known = [*TEXTURES, *LINEAR_FAMILY]
+    known = [*TEXTURES, *CONTACT, *LINEAR_FAMILY]
     if content not in known:
         raise ValueError(f"unknown texture {content!r}, expected a recording, .h5, or one of {', '.join(known)}")
     return str(content)
