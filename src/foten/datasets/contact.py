@@ -3,9 +3,9 @@
     place on the profile ─▶ height under the ball ─▶ Hertz contact, or none ─▶ force ─┐
     speed ─▶ the tip, on a spring, under Coulomb friction of that force ─▶ friction ──┴─▶ modes of the tool ─▶ acceleration
 
-Here no autoregression is the truth: a tip that flies is silent until it lands, a sharp grain is struck harder the faster it is
-met, and a sticking tip lets go when its spring has the force. The profile is the texture's, drawn by its key and closed to a loop;
-a realisation meets it from a place of its own.
+Here no autoregression is the truth: a tip that flies is silent until it lands, a sharp grain is struck harder the faster it
+is met, and a sticking tip lets go when its spring has the force. The profile is the texture's, drawn by its key and closed to a
+loop; a realisation meets it from a place of its own.
 
 Height under a ball of radius R, the dilation of the profile: h(s) = maxᵤ [p(s + u) − u²/2R].
 Normal force: F = K δ^1.5 (1 + D dδ/dt), not negative, with δ = h − z and K = 4/3 E* √R (Hertz; Hunt & Crossley, "Coefficient of
