@@ -29,7 +29,14 @@ RESULTS = DOCS / "results"
 Records = Sequence[Mapping[str, Any]]
 Cells = list[list[str]]
 REAL_10, REAL_2_5, LINEAR, SIMULATED = "main-real-10khz", "main-real-2500hz", "main-linear", "main-simulated"
-MAIN = {REAL_10: "real, 10 kHz", REAL_2_5: "real, 2.5 kHz", LINEAR: "linear processes", SIMULATED: "simulated textures"}
+CONTACT = "main-contact"
+MAIN = {
+    REAL_10: "real, 10 kHz",
+    REAL_2_5: "real, 2.5 kHz",
+    LINEAR: "linear processes",
+    SIMULATED: "simulated textures",
+    CONTACT: "contact mechanics",
+}
 MOST_COLUMNS, MOST_ROWS = 8, 12
 NOT_RUN = "*Not measured yet with this version.*"
 
@@ -225,6 +232,21 @@ def innovations() -> Cells:
     return cells
 
 
+def listener() -> Cells:
+    """Return areas under listeners' curves, means over the textures of each kind, beside those of two true vibrations."""
+    cells = [["mean of", "textures", "band energies", "worst", "control", "and waveform", "control"]]
+    for title, of in measured("listener").items():
+
+        def mean(key: str, of: Records = of) -> str:
+            return f"{np.mean([one[f'listener.{key}'] for one in of]):.2f}"
+
+        worst = max(of, key=lambda one: one["listener.listener_auc"])
+        row = [title, str(len(of)), mean("listener_auc"), f"{worst['listener.listener_auc']:.2f} ({worst['texture']})"]
+        row += [mean(key) for key in ("listener_auc_control", "listener_auc_waveform", "listener_auc_waveform_control")]
+        cells.append(row)
+    return cells
+
+
 def of_experiment(name: str, table: Callable[[Records], Cells]) -> Cells:
     """Return a table of an experiment's runs, empty where it has not been run."""
     path = RESULTS / f"{name}.csv"
@@ -273,6 +295,7 @@ TABLES: dict[str, dict[str, Callable[[], Cells | str]]] = {
         "stability": stability,
         "onset": onset,
         "innovations": innovations,
+        "listener": listener,
         **{
             f"ingredients-{kind}": (lambda kind=kind: of_experiment(f"ingredients-{kind}", ratios))
             for kind in ("simulated", "real", "network")
