@@ -545,3 +545,28 @@ def test_a_relative_recording_is_not_judged_by_a_texture_in_units(texture) -> No
     recording = replace(simulate("jeans", 14.0), calibrated=False)
     with pytest.raises(ValueError, match="the recording is in relative units and the other in m/s²"):
         evaluate(texture, recording)
+
+
+@pytest.mark.parametrize(
+    ("found", "control", "tone"), [(0.58, 0.49, "good"), (0.7, 0.62, "good"), (0.75, 0.5, "even"), (0.97, None, "bad")]
+)
+def test_the_listener_is_a_finding_beside_its_control(judged, found, control, tone):
+    scores = {"listener_auc": found, "listener_auc_control": control, "listener_auc_waveform": 0.8}
+    scores |= {"listener_auc_waveform_control": control, "listener_s": 236.0, "listener_control_of": "another"}
+    findings = verdict(judged.document | {"listener": scores})
+    assert (findings[-1].title, findings[-1].tone, findings[-1].figure) == ("Listener", tone, f"{found:.2f}")
+    assert f"right in {100 * found:.0f} % of pairs" in findings[-1].sentence
+    assert ("of two true vibrations" in findings[-1].sentence) == (control is not None)
+    text = to_text(judged.document | {"listener": scores})
+    assert "Listener: area under its curve over 236 s" in text
+    assert f"{found:.3f}" in text
+
+
+def test_a_listener_that_could_not_be_asked_says_why(judged):
+    reasons = judged.document["reasons"] | {"listener": "12 s to listen to, expected at least 40"}
+    (finding,) = [
+        one for one in verdict(judged.document | {"listener": None, "reasons": reasons}) if one.title == "Listener"
+    ]
+    assert finding.tone == "unknown"
+    assert "12 s to listen to" in finding.sentence
+    assert "Listener, not computed" in to_text(judged.document | {"listener": None, "reasons": reasons})

@@ -211,8 +211,9 @@ def _listener(document: Mapping[str, Any]) -> Finding:
     chance = 0.5 if control is None else max(0.5, control)
     tone = "good" if found <= chance + 0.1 else "even" if found <= chance + 0.3 else "bad"
     beside = "0.5 is chance" if control is None else f"two true vibrations: {control:.2f}"
+    of_true = "" if control is None else f"; of two true vibrations in {100 * control:.0f} %"
     sentence = (
-        f"Listener: a network trained for it is right about {found:.2f} of pairs of half a second of recorded and rendered band "
-        f"energies, and about {waveform:.2f} with the waveform ({beside}; 1 is certainty)."
+        f"Listener: a network trained for it is right in {100 * found:.0f} % of pairs of a recorded and a rendered half second by "
+        f"the energies of eight bands, and in {100 * waveform:.0f} % with the waveform (50 % is chance{of_true})."
     )
     return Finding(tone, "Listener", f"{found:.2f}", beside, sentence)
