@@ -213,7 +213,7 @@ def _listener(document: Mapping[str, Any]) -> Finding:
     beside = "0.5 is chance" if control is None else f"two true vibrations: {control:.2f}"
     of_true = "" if control is None else f"; of two true vibrations in {100 * control:.0f} %"
     sentence = (
-        f"Listener: a network trained for it is right in {100 * found:.0f} % of pairs of a recorded and a rendered half second by "
+        f"Listener: a network trained for it is right in {100 * found:.0f} % of pairs of recorded and rendered half seconds by "
         f"the energies of eight bands, and in {100 * waveform:.0f} % with the waveform (50 % is chance{of_true})."
     )
     return Finding(tone, "Listener", f"{found:.2f}", beside, sentence)
