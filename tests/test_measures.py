@@ -9,10 +9,11 @@ import pytest
 from scipy.integrate import quad
 
 from conftest import exported
-from foten.experiments.experiment import MEASURES
+from foten.datasets.simulate import simulate
+from foten.experiments.experiment import MEASURES, Experiment, Method
 from foten.experiments.innovations import KINDS, innovations
 from foten.experiments.onset import onset
-from foten.experiments.run import _measures
+from foten.experiments.run import _judged, _measures
 from foten.experiments.stability import into, proven, stability
 from foten.families import FotenPlusSizes
 from foten.families.texture_file import Texture
@@ -80,6 +81,28 @@ def test_innovations_are_of_excited_textures_without_tones(texture: Texture) -> 
 
 
 def test_every_measure_that_a_file_may_name_is_there(texture: Texture, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in MEASURES:
+    own = [name for name in MEASURES if name != "listener"]  # which the evaluation asks
+    for name in own:
         monkeypatch.setattr(f"foten.experiments.run.{name}", lambda *_, name=name: {"named": name})
-    assert _measures(MEASURES, texture, None) == {name: {"named": name} for name in MEASURES}  # type: ignore[arg-type]
+    assert _measures(MEASURES, texture, None) == {name: {"named": name} for name in own}  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("measures", [(), ("stability", "listener")])
+def test_the_listener_is_asked_where_a_file_names_it(
+    texture: Texture, monkeypatch: pytest.MonkeyPatch, measures: tuple[str, ...]
+) -> None:
+    asked: dict[str, bool] = {}
+
+    class EnoughError(Exception):
+        pass
+
+    def evaluated(*_: object, listener: bool) -> None:
+        asked["evaluation"] = listener
+        raise EnoughError
+
+    monkeypatch.setattr("foten.experiments.run.truth_for", lambda *_, listener: asked.update(truth=listener))
+    monkeypatch.setattr("foten.experiments.run.evaluate", evaluated)
+    run = next(iter(Experiment("t", ("linear-hum",), (Method("foten", measures=measures),)).runs()))
+    with pytest.raises(EnoughError):
+        _judged(run, simulate("linear-hum", 4), texture, 0.0)
+    assert asked == {"truth": "listener" in measures, "evaluation": "listener" in measures}
