@@ -99,6 +99,14 @@ def test_a_bounce_loses_what_its_damping_says() -> None:
     assert impacts(0.2) > impacts(2.0) >= 1
 
 
+def test_a_contact_pushes_and_never_pulls() -> None:
+    """However fast a tip leaves: Hunt and Crossley's damping alone would pull it back from 1/D on, here 0.1 m/s."""
+    surface = np.where(np.arange(40_000) < 1000, 0.0, 0.5)  # a step up, from which it is thrown
+    force, _ = forces(replace(FLAT, hand_n_s_m=0.0, damping_s_m=10.0), surface, 100.0, 0.5, seconds=0.3)
+    assert force.min() == 0.0
+    assert force.max() > 5.0
+
+
 def test_friction_is_coulombs_while_it_slides_and_what_holds_while_it_sticks() -> None:
     p = replace(FLAT, friction=0.5, stick=0.0, shaft_damping=0.3)
     _, friction = forces(p, np.zeros(4000), 100.0, 0.8)

@@ -70,12 +70,29 @@ def test_a_gain_shows_as_level_and_as_nothing_else(gain: float) -> None:
     gain_db = 20 * math.log10(gain)
     assert found["level_bias_db"] == pytest.approx(gain_db, abs=1e-9)
     assert found["level_error_db"] == pytest.approx(abs(gain_db), abs=1e-9)
+    assert found["level_jnd"] == pytest.approx(abs(gain_db) / 2.3, abs=1e-9)
+    assert found["emd_octaves"] == pytest.approx(0.0, abs=1e-9)
+    assert found["band_correlation_error"] == pytest.approx(0.0, abs=1e-9)
     assert found["lsd_db"] == pytest.approx(abs(gain_db), abs=1e-9)
     np.testing.assert_allclose(found["band_errors_db"], gain_db, atol=1e-9)
     assert found["gfc_raw"] == pytest.approx(1.0, abs=1e-9)
     assert found["level_corr"] == pytest.approx(1.0, abs=1e-9)
     assert found["modulation_db"] == pytest.approx(0.0, abs=1e-9)
     assert found["max_sd"] == pytest.approx(gain * np.abs(recorded).max() / recorded.std(), rel=1e-9)
+
+
+def test_bands_that_rise_in_step_are_seen_where_each_rises_by_itself() -> None:
+    """Impacts, and noise of their spectrum: correlations of all pairs of bands differ by 0.3 and more, by chance by 0.05."""
+    rng = np.random.default_rng(0)
+
+    def impacts() -> np.ndarray:
+        return lfilter(
+            [1.0], [1.0, *-resonance(120.0, 0.9, 2)[::-1]], np.where(rng.random((8, BLOCK)) < 0.005, 14.0, 0.0)
+        )
+
+    recorded = impacts()
+    apart, alike = figures(recorded, resonant(2, 8, BLOCK, seed=1)), figures(recorded, np.stack([impacts(), impacts()]))
+    assert apart["band_correlation_error"] > 0.3 > 0.15 > alike["band_correlation_error"]
 
 
 def test_silence_is_judged_and_not_divided_by() -> None:

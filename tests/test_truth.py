@@ -5,12 +5,14 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pytest
 
+from conftest import exported
 from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.experiments.truth import truth_for
 from foten.families import FotenPlusSizes
-from foten.recording.preprocess import PreprocessConfig
+from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
 from foten.train.config import TrainConfig
 from foten.train.job import Trained, TrainingJob
@@ -57,3 +59,20 @@ def test_parameters_that_cannot_be_used_cost_the_truth_and_no_more() -> None:
         truth = truth_for(dataclasses.replace(recording, simulation=broken), trained.texture)
         assert not truth.realisations
         assert "cannot be used" in truth.why_no_bound
+
+
+def test_listeners_have_two_true_vibrations_under_another_and_longer_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("foten.experiments.truth.LONG_S", 12.0)
+    recording = simulate("linear-hum", 8, seed=3)
+    texture = exported("foten", preprocess={"block_ms": 500.0})
+    first, second = truth_for(recording, texture, listener=True).strokes or (None, None)
+    assert first is not None
+    assert second is not None
+    np.testing.assert_array_equal(first.speed, second.speed)
+    assert abs(np.corrcoef(first.acceleration, second.acceleration)[0, 1]) < 0.1
+    assert len(first.speed) > 1.4 * 8 * 1000 * 0.5
+    own = preprocess(recording, PreprocessConfig())
+    n = min(len(own.speed), len(first.speed))
+    assert abs(np.corrcoef(own.speed[:n], first.speed[:n])[0, 1]) < 0.5
+    assert truth_for(recording, texture).strokes is None
+    assert truth_for(dataclasses.replace(recording, simulation=None), texture, listener=True).strokes is None
