@@ -30,7 +30,8 @@ from foten.dsp import Array
 
 GRID_MM = 0.01  # of a profile
 LOOP_MM = 4000.0  # after which a profile begins again: half a minute at the usual speed
-RATE_HZ, SUBSTEPS = 10_000.0, 4  # of a stroke, and steps of the mechanics in each of its samples
+RATE_HZ = 10_000.0  # of both simulators' physics, of the force sensor, and of the accelerometer by default
+SUBSTEPS = 4  # of the mechanics in each sample of a stroke
 HARDEST_N = 50.0  # of an impact, for which steps must be short enough
 PIECE_S, OVERLAP_S, FADE_S = (
     0.25,

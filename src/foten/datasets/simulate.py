@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from foten.datasets.contact import CONTACT, ContactParameters, contact_vibration
+from foten.datasets.contact import CONTACT, RATE_HZ, ContactParameters, contact_vibration
 from foten.datasets.linear_family import (
     LINEAR_FAMILY,
     REFERENCE_SPEED,
@@ -36,7 +36,6 @@ from foten.recording.recording import AXES, Channel, Recording
 
 _LOCK = threading.Lock()
 VERSION = 2  # of the model; a change that moves a sample raises it
-RATE_HZ = 10_000.0  # of the physics, of the force sensor, and of the accelerometer by default
 LINEAR_RATE_HZ = 1000.0  # of the linear family by default
 POSITION_HZ = 120.0  # Sec. III-c
 GRAVITY = 9.81  # m/s²

@@ -33,8 +33,8 @@ TRAIN_SHARE, TEST_SHARE = 0.6, 0.3  # the first and the last part of a stroke; w
 LEAST_S = (
     40.0  # of a stroke: 24 s to learn from, and 12 s, 100 excerpts that overlap by three quarters, to be scored on
 )
-FLOOR = 1e-4  # of the mean energy of a band: 40 dB below it nothing is heard
-SD_FLOOR = 1e-6  # a band or a hand that does not vary stays what it is
+FLOOR = 1e-4  # of the mean energy of a band: what is 40 dB below it counts as that
+SD_FLOOR = 1e-6  # a band or a hand that does not vary is not divided by zero
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ def vibrations(first: LongStroke, second: LongStroke, waveform: bool) -> tuple[V
     moving = [_moving(one) for one in both]  # (n_pieces, frames)
     starts = [_starts(len(one), one.shape[1], EXCERPT) for one in moving]
     logs = [np.log(one + floor + np.finfo(float).tiny) for one in energies]
-    of_bands, of_hand = _standardisation(logs, moving, starts), None
+    of_bands = _standardisation(logs, moving, starts)
     hands = [_hand(one) for one in both]
     of_hand = _standardisation(hands, [np.ones_like(one) for one in moving], starts)
     scale = float(np.sqrt(np.mean([np.square(one.acceleration).mean() for one in both]))) or 1.0
