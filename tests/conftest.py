@@ -35,6 +35,9 @@ SMALL: dict[str, Any] = {
 }
 """Sizes of a network that is quick to run and has every part."""
 
+PLUS: dict[str, Any] = {"window": 12, "n_hidden": 6, "head_width": 5, "n_components": 3}
+"""The same of foten-plus."""
+
 
 def sizes_with(model: str, wanted: dict[str, Any]) -> Sizes:
     """Return a model's sizes with those that are wanted and that it has."""
@@ -89,8 +92,6 @@ def untrained(model: str, sizes: Sizes | None = None, seed: int = 0) -> Any:
     with torch.no_grad():
         for parameter in network.parameters():
             parameter += 0.1 * torch.randn_like(parameter)
-        if model == "foten-plus":
-            network.head_3.weight *= 0.1  # else the correction drowns the excitation
     return network.eval()
 
 
@@ -120,6 +121,8 @@ def untrained_tensors(model: str, sizes: Sizes, network: Any, seed: int = 0) -> 
         tensors = {GRAPH: graph_of(network, sizes.window)}
     else:
         tensors = tensors_of(network, "network." if model == "foten-plus" else "")
+        if isinstance(sizes, FotenPlusSizes) and sizes.n_tones and sizes.network_in_loop:
+            tensors |= tensors_of(untrained(model, sizes, seed + 2), "residual_network.")
     if sizes.excited:
         width = sizes.excitation_width
         tensors |= tensors_of(filled(Excitation(width), 0.0), "excitation.")
@@ -199,9 +202,7 @@ def exported(
 @pytest.fixture(scope="session")
 def texture() -> Texture:
     """Return a foten-plus texture: rings at 120 Hz, excited, trained for 8–220 mm/s and 0.3–2.5 N."""
-    return exported(
-        "foten-plus", FAMILIES["foten-plus"](**{**SMALL, "n_layers": 1, "order": 6, "n_speed": 3, "n_force": 2})
-    )
+    return exported("foten-plus", FAMILIES["foten-plus"](**PLUS, order=6, n_speed=3, n_force=2))
 
 
 @pytest.fixture(scope="session")

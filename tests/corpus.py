@@ -15,7 +15,7 @@ from foten.families import FAMILIES
 from foten.families.texture_file import Texture
 
 TINY = {"window": 3, "d_model": 1, "n_heads": 1, "n_layers": 1, "d_feedforward": 1, "head": (1, 1), "spectral_width": 1}
-PLUS = {**TINY, "excitation_width": 1, "order": 2}
+PLUS = {"window": 3, "n_hidden": 1, "head_width": 1, "n_components": 2, "excitation_width": 1, "order": 2}
 TEN = {name: size for name, size in TINY.items() if name != "spectral_width"}
 FNN = {"window": 24, "n_lags": 1, "first": 1, "second": 1}
 EXCITED = {"excitation": True, "excitation_width": 1}
@@ -28,7 +28,7 @@ KINDS = {
     "ar-zeros": ("ar", {"order": 2, "ma": 3, "n_models": 5, "n_triangles": 4, "window": 9}),
     "plus": ("foten-plus", PLUS),
     "plus-table": ("foten-plus", {**PLUS, "n_speed": 2, "n_force": 2, "gain_before_filter": True}),
-    "plus-silent": ("foten-plus", {**PLUS, "network_in_loop": False, "condition_in_tokens": False}),
+    "plus-silent": ("foten-plus", {**PLUS, "network_in_loop": False}),
     "ten-excited": ("ten", {**TEN, **EXCITED}),
     "graph": ("fnn", FNN),
     "graph-excited": ("fnn", {**FNN, **EXCITED}),

@@ -10,7 +10,7 @@ import pytest
 import torch
 from scipy.signal import lfilter
 
-from conftest import CARD, SCALING, SMALL, untrained, untrained_tensors
+from conftest import CARD, PLUS, SCALING, untrained, untrained_tensors
 from foten.dsp.lattice import polynomial
 from foten.dsp.noise import gaussian
 from foten.families import FotenPlusSizes
@@ -42,7 +42,7 @@ BLOCK, N_BLOCKS = 1000, 24
 
 def model(before: bool = False) -> tuple[FotenPlusSizes, Tensors]:
     """Return a lattice that rings at 120 Hz, its gain before or after the filter, with an excitation that is Gaussian."""
-    sizes = FotenPlusSizes(**SMALL, order=2, network_in_loop=False, gain_before_filter=before)
+    sizes = FotenPlusSizes(**PLUS, order=2, network_in_loop=False, gain_before_filter=before)
     tensors = untrained_tensors("foten-plus", sizes, untrained("foten-plus", sizes))
     tensors["excitation.volatility"] = np.zeros(2, dtype=np.float32)
     return sizes, tensors
@@ -249,7 +249,7 @@ def test_a_still_hand_or_one_in_the_air_does_not_count() -> None:
 def test_power_that_enters_a_lattice_rings_on(before: bool) -> None:
     """Oracle: the mean square of what a lattice makes of noise whose power jumps, over 4000 runs."""
     k = np.array([-0.9, 0.95])
-    sizes = FotenPlusSizes(**SMALL, order=2, gain_before_filter=before)
+    sizes = FotenPlusSizes(**PLUS, order=2, gain_before_filter=before)
     response = LinearPart(sizes, {"lattice.reflections": k[None]}, None, {}).response(200)
     power = np.concatenate([np.full(100, 4.0), np.full(100, 0.01)])
     leaving = _filtered(power[None, :, None], response)[0, :, 0]

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import layer_norm, linear
 
-from conftest import SMALL, untrained
+from conftest import PLUS, SMALL, untrained
 from foten.families import FotenPlusSizes, FotenSizes
 from foten.networks import build
 from foten.reference.network import Network
@@ -205,7 +205,7 @@ def test_silence_has_finite_gradients(model: str, fields: dict[str, object]) -> 
 
 def test_the_network_of_foten_plus_adds_nothing_at_first_and_a_bounded_correction_later() -> None:
     """Windows of x, speed, force and e, as well in NumPy."""
-    sizes = FotenPlusSizes(**SMALL)
+    sizes = FotenPlusSizes(**PLUS)
     given = torch.from_numpy(np.random.default_rng(0).standard_normal((200, sizes.window, 4)))
     torch.manual_seed(0)
     network = build("foten-plus", sizes).double().eval()
@@ -222,7 +222,7 @@ def test_the_network_of_foten_plus_adds_nothing_at_first_and_a_bounded_correctio
 
 def test_the_tokens_of_foten_plus_hold_the_condition_where_they_are_said_to() -> None:
     for in_tokens in (True, False):
-        sizes = FotenPlusSizes(**SMALL, condition_in_tokens=in_tokens)
+        sizes = FotenPlusSizes(**PLUS, condition_in_tokens=in_tokens)
         network = untrained("foten-plus", sizes).double()
         given = torch.from_numpy(np.random.default_rng(0).standard_normal((20, sizes.window, 4)))
         before = given.clone()

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from conftest import SMALL, reflections_of, untrained, untrained_tensors
+from conftest import PLUS, reflections_of, untrained, untrained_tensors
 from foten.dsp.lattice import LEAK
 from foten.families import FotenPlusSizes
 from foten.reference import model_of
@@ -16,7 +16,7 @@ from foten.train.export import Tensors
 
 
 def made(**sizes: object) -> tuple[FotenPlusSizes, Tensors]:
-    made_sizes = FotenPlusSizes(**{**SMALL, **sizes})  # type: ignore[arg-type]
+    made_sizes = FotenPlusSizes(**{**PLUS, **sizes})  # type: ignore[arg-type]
     return made_sizes, untrained_tensors("foten-plus", made_sizes, untrained("foten-plus", made_sizes))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from conftest import sizes_with
+from conftest import PLUS, sizes_with
 from foten.datasets.simulate import simulate
 from foten.families import FotenPlusSizes
 from foten.networks.scale import Excitation
@@ -56,7 +56,7 @@ def recording() -> Recording:
 
 @pytest.fixture(scope="module")
 def prepared(recording: Recording) -> FotenPlusTask:
-    return prepare_foten_plus(TrainingJob(recording, "foten-plus", FotenPlusSizes(**SMALL), QUICK, SHORT), silent)
+    return prepare_foten_plus(TrainingJob(recording, "foten-plus", FotenPlusSizes(**PLUS), QUICK, SHORT), silent)
 
 
 def fitted(prepared: FotenPlusTask, gained: float) -> tuple[FotenPlusTask, Progress]:
@@ -72,14 +72,14 @@ def fitted(prepared: FotenPlusTask, gained: float) -> tuple[FotenPlusTask, Progr
 
 def test_a_block_too_short_to_settle_its_level_is_refused_before_anything_is_fitted(recording: Recording) -> None:
     stages: list[str] = []
-    sizes, preprocess = FotenPlusSizes(**{**SMALL, "window": 8}), PreprocessConfig(trim_ms=0, block_ms=40)
+    sizes, preprocess = FotenPlusSizes(**{**PLUS, "window": 8}), PreprocessConfig(trim_ms=0, block_ms=40)
     with pytest.raises(ValueError, match=r"a block of 40 ms holds no frame of 40 ms .* --block of 56 ms or more"):
         train(TrainingJob(recording, "foten-plus", sizes, QUICK, preprocess), on_stage=stages.append)
     assert not stages
 
 
 def test_the_block_that_the_refusal_asks_for_is_long_enough(recording: Recording) -> None:
-    sizes, preprocess = FotenPlusSizes(**{**SMALL, "window": 8}), PreprocessConfig(trim_ms=0, block_ms=56)
+    sizes, preprocess = FotenPlusSizes(**{**PLUS, "window": 8}), PreprocessConfig(trim_ms=0, block_ms=56)
     config = TrainConfig(epochs=0, threads=1)
     trained = train(TrainingJob(recording, "foten-plus", sizes, config, preprocess))
     assert np.isfinite(trained.texture.card["metrics"]["validation_level_error_db"])
@@ -219,7 +219,7 @@ def test_a_process_with_its_gain_before_the_filter_is_trained_as_one(before: boo
     """The linear family scales its innovations: known from a recording, level and all."""
     config = TrainConfig(epochs=0, threads=1, max_order=80, table=False, gain_before_filter=before)
     recording = simulate("linear-cloth", 16.0, seed=3)
-    texture = train(TrainingJob(recording, "foten-plus", FotenPlusSizes(**SMALL), config)).texture
+    texture = train(TrainingJob(recording, "foten-plus", FotenPlusSizes(**PLUS), config)).texture
     assert texture.sizes.gain_before_filter == before
     lines: list[dict[str, Any]] = texture.card["metrics"]["linear_part"]["lattices"]
     assert {line["gain_before_filter"] for line in lines} == {False, before}

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from conftest import SCALING, SMALL, exported, untrained, untrained_tensors
+from conftest import PLUS, SCALING, exported, untrained, untrained_tensors
 from foten.datasets.simulate import TEXTURES, simulate
 from foten.dsp.tones import tone
 from foten.families import FotenPlusSizes
@@ -46,7 +46,7 @@ def test_a_prediction_knows_the_condition_of_the_sample_before_and_a_blocks_firs
 @pytest.mark.parametrize("before", [False, True])
 def test_innovations_are_what_the_kernel_misses(before: bool) -> None:
     """In units of the scaled acceleration; the network of the file is none of the linear part."""
-    sizes = FotenPlusSizes(**SMALL, order=6, n_speed=3, n_force=2, gain_before_filter=before)
+    sizes = FotenPlusSizes(**PLUS, order=6, n_speed=3, n_force=2, gain_before_filter=before)
     tensors = untrained_tensors("foten-plus", sizes, untrained("foten-plus", sizes))
     blocks, m = moving_blocks(), sizes.history
     x, e, unit = LinearPart(sizes, tensors, None, {}).innovations(blocks)
@@ -66,7 +66,7 @@ def test_innovations_are_what_the_kernel_misses(before: bool) -> None:
 
 def test_innovations_beside_tones_are_of_what_the_tones_leave() -> None:
     """A recording of tones alone, whose phase is known, leaves nothing; without them it does."""
-    sizes = FotenPlusSizes(**SMALL, order=4, n_tones=2, residual_order=3, network_in_loop=False)
+    sizes = FotenPlusSizes(**PLUS, order=4, n_tones=2, residual_order=3, network_in_loop=False)
     tensors = untrained_tensors("foten-plus", sizes, untrained("foten-plus", sizes))
     blocks = moving_blocks()
     part = LinearPart(sizes, tensors, None, {})
@@ -85,7 +85,7 @@ def test_innovations_beside_tones_are_of_what_the_tones_leave() -> None:
 
 def test_a_steady_power_is_that_of_excitation_and_tones() -> None:
     """Oracle: a tone's mean square over many periods."""
-    sizes = FotenPlusSizes(**SMALL, order=4, n_tones=2, residual_order=3, network_in_loop=False)
+    sizes = FotenPlusSizes(**PLUS, order=4, n_tones=2, residual_order=3, network_in_loop=False)
     tensors = untrained_tensors("foten-plus", sizes, untrained("foten-plus", sizes))
     part = LinearPart(sizes, tensors, np.zeros((1, 1)), {})
     condition = np.array([[-0.5, 0.2], [0.7, -0.3]])
@@ -102,7 +102,7 @@ def test_a_steady_power_is_that_of_excitation_and_tones() -> None:
 
 def test_a_surface_that_repeats_is_fitted_once_more_with_its_tones() -> None:
     """Simulated jeans, whose threads are a known distance apart; linear cloth has none."""
-    sizes, config = FotenPlusSizes(**SMALL), TrainConfig(max_order=20, table=False)
+    sizes, config = FotenPlusSizes(**PLUS), TrainConfig(max_order=20, table=False)
     n_parts, reports = [], []
     for name in ("jeans", "linear-cloth"):
         trace = preprocess(simulate(name, 10.0, seed=1), PreprocessConfig(trim_ms=0, block_ms=1000))

@@ -25,7 +25,7 @@ from hypothesis import strategies as st
 from scipy.signal import butter, lfilter, lfilter_zi
 
 import foten
-from conftest import SCALING, SMALL, exported, untrained
+from conftest import PLUS, SCALING, SMALL, exported, untrained
 from foten.dsp.noise import gaussian
 from foten.families import FAMILIES, FotenPlusSizes, FotenSizes
 from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, Texture
@@ -397,7 +397,7 @@ def test_a_slower_device_keeps_its_band_and_gets_no_more(native: NativeTexture, 
 @pytest.mark.parametrize("rate", [60.0, 250.0, 999.0, 1001.0, 8000.0])
 def test_a_constant_stays_itself_at_any_rate(rate: float) -> None:
     """Physics: a lattice without excitation dies away, and leaves the mean acceleration."""
-    sizes = FotenPlusSizes(**{**SMALL, "n_layers": 1, "network_in_loop": False})
+    sizes = FotenPlusSizes(**{**PLUS, "network_in_loop": False})
     texture = exported("foten-plus", sizes, scaling={"mean": [0.7, 100.0, 1.0], "sd": list(SCALING.sd)})
     state = NativeState(NativeTexture(texture.to_bytes()), rate, excitation=False)
     state.set_condition(100.0, 1.0)
@@ -603,7 +603,7 @@ def test_a_window_without_a_prediction_hides_no_other(texture: Texture) -> None:
 
 def test_silence_does_not_become_slow() -> None:
     """A lattice without excitation dies away: its state becomes zero before it becomes denormal."""
-    texture = exported("foten-plus", FotenPlusSizes(**{**SMALL, "network_in_loop": False}))
+    texture = exported("foten-plus", FotenPlusSizes(**{**PLUS, "network_in_loop": False}))
     state = NativeState(NativeTexture(texture.to_bytes()), excitation=False)
     state.set_condition(100.0, 1.0)
     out = np.empty(2_000_000, dtype=np.float32)
@@ -657,7 +657,7 @@ def test_the_instruction_set_is_named() -> None:
 
 
 def test_a_large_order_runs() -> None:
-    texture = exported("foten-plus", FotenPlusSizes(**{**SMALL, "order": 240}))
+    texture = exported("foten-plus", FotenPlusSizes(**{**PLUS, "order": 240}))
     assert np.isfinite(Renderer(texture).render(80.0, 1.0, 1000)).all()
 
 

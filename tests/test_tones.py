@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from conftest import SCALING, SMALL, exported
+from conftest import PLUS, SCALING, exported
 from foten.datasets.simulate import simulate
 from foten.dsp.tones import audible_share, fitted_phase, tone, tone_slope
 from foten.families import FotenPlusSizes
@@ -26,7 +26,7 @@ from foten.train.tones import _unevenness, fit_tones, n_tones, wavelength
 RATE = 1000.0
 LENGTH = 1.7  # mm
 WITH_TONES = FotenPlusSizes(
-    **{**SMALL, "n_layers": 1, "order": 4, "n_tones": 3, "n_tone_speed": 4, "n_tone_force": 2, "residual_order": 4}
+    **{**PLUS, "order": 4, "n_tones": 3, "n_tone_speed": 4, "n_tone_force": 2, "residual_order": 4}
 )
 
 
@@ -176,7 +176,7 @@ def test_tones_are_fitted_to_a_mesh_and_to_nothing_that_has_none() -> None:
     for key in ("steel-mesh-1", "linear-hum"):
         config = TrainConfig(epochs=0, threads=1, max_order=20)
         blocks = PreprocessConfig(trim_ms=500, block_ms=1000)
-        job = TrainingJob(simulate(key, 12.0, seed=3), "foten-plus", FotenPlusSizes(**SMALL), config, blocks)
+        job = TrainingJob(simulate(key, 12.0, seed=3), "foten-plus", FotenPlusSizes(**PLUS), config, blocks)
         texture = train(job).texture
         lengths[key] = texture.card["metrics"]["linear_part"]["wavelength_mm"]
         assert isinstance(texture.sizes, FotenPlusSizes)

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from conftest import exported
+from conftest import PLUS, exported
 from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.experiments.truth import truth_for
@@ -18,7 +18,7 @@ from foten.train.config import TrainConfig
 from foten.train.job import Trained, TrainingJob
 from foten.train.pipeline import train
 
-SMALL = FotenPlusSizes(window=20, d_model=8, n_heads=2, n_layers=1, d_feedforward=16, head=(16, 8), spectral_width=8)
+SMALL = FotenPlusSizes(**PLUS)
 
 
 def trained_on(recording: Recording, config: TrainConfig) -> Trained:

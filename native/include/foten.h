@@ -137,9 +137,10 @@ typedef enum {
 } foten_prediction_part;
 
 typedef struct {
-    double sample; /* scaled */
-    double scale;  /* standard deviation of the innovation at mean volatility, scaled; 0 if it is not known or there is no excitation */
-    double tail;   /* h of the innovation's distribution, z exp(h z^2 / 2) with z normal */
+    double sample;       /* scaled */
+    double scale;        /* of what is random, at mean volatility: a standard deviation but for its tails, scaled; 0 if it is not known or nothing is */
+    double standardised; /* what came, as a standard normal number, if the distribution is right; 0 if that is not known */
+    double nll;          /* negative log-likelihood of what came [nat, scaled]; 0 if it is not known */
 } foten_prediction;
 
 /* Predict a recording one step ahead. `samples` holds n samples, each acceleration, speed and force, scaled. Each sample from foten_info.window

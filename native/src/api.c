@@ -195,7 +195,7 @@ foten_status foten_predict(foten_state *s, const double *samples, size_t n, fote
     if (m->of_noise || n < window || !all_finite(samples, 3 * n)) return FOTEN_BAD_ARGUMENT;
     m->kind->start(m, s->loop, samples, m->history, 1);
     for (size_t t = window; t < n; t++) {
-        m->kind->predict(m, s->loop, part, &out[t - window]);
+        m->kind->predict(m, s->loop, part, samples[3 * t], &out[t - window]);
         m->kind->push(m, s->loop, samples + 3 * t);
     }
     foten_reset(s, s->seed);

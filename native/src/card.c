@@ -25,13 +25,16 @@ static const struct {
     size_t at;
     int usual, least;
 } SIZES[] = {
-    {"window", CARD_NETWORKS | CARD_AR | CARD_GRAPH, offsetof(card_sizes, network.window), 0, 2},
+    {"window", CARD_NETWORKS | CARD_PLUS | CARD_AR | CARD_GRAPH, offsetof(card_sizes, network.window), 0, 2},
     {"d_model", CARD_NETWORKS, offsetof(card_sizes, network.d_model), FOTEN_USUAL_D_MODEL, 1},
     {"n_heads", CARD_NETWORKS, offsetof(card_sizes, network.n_heads), FOTEN_USUAL_N_HEADS, 1},
     {"n_layers", CARD_NETWORKS, offsetof(card_sizes, network.n_layers), FOTEN_USUAL_N_LAYERS, 1},
     {"d_feedforward", CARD_NETWORKS, offsetof(card_sizes, network.d_feedforward), FOTEN_USUAL_D_FEEDFORWARD, 1},
-    {"spectral_width", CARD_FOTEN | CARD_PLUS, offsetof(card_sizes, network.spectral_width), FOTEN_USUAL_SPECTRAL_WIDTH, 1},
-    {"excitation_width", CARD_NETWORKS | CARD_GRAPH, offsetof(card_sizes, excitation_width), FOTEN_USUAL_EXCITATION_WIDTH, 1},
+    {"spectral_width", CARD_FOTEN, offsetof(card_sizes, network.spectral_width), FOTEN_USUAL_SPECTRAL_WIDTH, 1},
+    {"n_hidden", CARD_PLUS, offsetof(card_sizes, n_hidden), FOTEN_USUAL_N_HIDDEN, 1},
+    {"head_width", CARD_PLUS, offsetof(card_sizes, head_width), FOTEN_USUAL_HEAD_WIDTH, 1},
+    {"n_components", CARD_PLUS, offsetof(card_sizes, n_components), FOTEN_USUAL_N_COMPONENTS, 1},
+    {"excitation_width", CARD_NETWORKS | CARD_PLUS | CARD_GRAPH, offsetof(card_sizes, excitation_width), FOTEN_USUAL_EXCITATION_WIDTH, 1},
     {"order", CARD_PLUS, offsetof(card_sizes, order), FOTEN_USUAL_ORDER, 1},
     {"order", CARD_AR, offsetof(card_sizes, order), FOTEN_USUAL_AR_ORDER, 1},
     {"n_speed", CARD_PLUS, offsetof(card_sizes, n_speed), 1, 1},
@@ -47,7 +50,6 @@ static const struct {
     {"n_triangles", CARD_AR, offsetof(card_sizes, n_triangles), 1, 1},
     {"pre_norm", CARD_NETWORKS, offsetof(card_sizes, network.pre_norm), 1, SWITCH},
     {"excitation", CARD_TEN | CARD_FOTEN | CARD_GRAPH, offsetof(card_sizes, excitation), 0, SWITCH},
-    {"condition_in_tokens", CARD_PLUS, offsetof(card_sizes, condition_in_tokens), 1, SWITCH},
     {"network_in_loop", CARD_PLUS, offsetof(card_sizes, network_in_loop), 1, SWITCH},
     {"gain_before_filter", CARD_PLUS, offsetof(card_sizes, gain_before_filter), 0, SWITCH},
     {"residual_gain_before_filter", CARD_PLUS, offsetof(card_sizes, residual_gain_before_filter), 0, SWITCH},
@@ -112,9 +114,9 @@ static int check_sizes(texture_file *file, card_sizes *s) {
         if (s->ma > FOTEN_HIGHEST_ORDER) return wrong_size(file, "ma");
         return n->window > s->order || wrong_size(file, "window");
     }
+    if (s->model == CARD_PLUS) return 1;
     if (n->n_layers > MOST_LAYERS) return wrong_size(file, "n_layers");
     if (n->d_model % n->n_heads || (n->spectral_width > 1 && n->spectral_width % n->n_heads)) return wrong_size(file, "n_heads");
-    n->n_inputs = s->model != CARD_PLUS ? 1 : s->condition_in_tokens ? 4 : 2;
     n->fourier = s->model != CARD_TEN;
     return 1;
 }
@@ -131,7 +133,7 @@ int card_read_sizes(texture_file *file, int has_function, card_sizes *s) {
     long long version;
     size_t n_known = 0;
     int usual_window = 0;
-    *s = (card_sizes){.correction_limit = FOTEN_USUAL_CORRECTION_LIMIT};
+    *s = (card_sizes){0};
     if (!json_integer(json_member(file->card, "format_version"), &version))
         return file_refuse(file, FOTEN_BAD_FILE, "the card has no format version");
     if (version != FOTEN_FORMAT_VERSION)
@@ -148,13 +150,10 @@ int card_read_sizes(texture_file *file, int has_function, card_sizes *s) {
         if (!is_switch && (count < SIZES[i].least || count > FOTEN_LARGEST_COUNT)) return wrong_size(file, SIZES[i].name);
         FIELD(s, SIZES[i].at) = is_switch ? on : (int)count;
     }
-    value = size_named(from, "bins", s->model & (CARD_FOTEN | CARD_PLUS), &n_known);
+    value = size_named(from, "bins", s->model == CARD_FOTEN, &n_known);
     s->network.half_bins = json_is_string(value, "half");
     if (value.begin && !s->network.half_bins && !json_is_string(value, "all")) return wrong_size(file, "bins");
     if (!read_head(size_named(from, "head", s->model & CARD_NETWORKS, &n_known), s->network.head)) return wrong_size(file, "head");
-    value = size_named(from, "correction_limit", s->model == CARD_PLUS, &n_known);
-    if (value.begin && (!json_number(value, &s->correction_limit) || !(s->correction_limit > 0 && s->correction_limit < 1e6)))
-        return wrong_size(file, "correction_limit");
     if (s->model == CARD_GRAPH) return check_graph(file, from, s);
     if (s->model == CARD_PLUS) s->excitation = 1;
     if (json_count(from) != n_known)

@@ -21,7 +21,10 @@ static inline double clip(double x, double limit) { return x > limit ? limit : x
 #define FOTEN_LONGEST_GRAPH_WINDOW 4096 /* foten.families.sizes.LONGEST_GRAPH_WINDOW */
 #define FOTEN_HIGHEST_ORDER 40 /* foten.families.piecewise_ar.HIGHEST_ORDER */
 #define FOTEN_USUAL_WINDOW 20 /* foten.families.foten.FotenSizes.window */
-#define FOTEN_USUAL_PLUS_WINDOW 20 /* foten.families.foten_plus.FotenPlusSizes.window */
+#define FOTEN_USUAL_PLUS_WINDOW 40 /* foten.families.foten_plus.FotenPlusSizes.window */
+#define FOTEN_USUAL_N_HIDDEN 48 /* foten.families.foten_plus.FotenPlusSizes.n_hidden */
+#define FOTEN_USUAL_HEAD_WIDTH 48 /* foten.families.foten_plus.FotenPlusSizes.head_width */
+#define FOTEN_USUAL_N_COMPONENTS 4 /* foten.families.foten_plus.FotenPlusSizes.n_components */
 #define FOTEN_USUAL_TEN_WINDOW 25 /* foten.families.ten.TenSizes.window */
 #define FOTEN_USUAL_AR_WINDOW 21 /* foten.families.piecewise_ar.PiecewiseArSizes.window */
 #define FOTEN_USUAL_D_MODEL 32 /* foten.families.ten.TenSizes.d_model */
@@ -34,7 +37,6 @@ static inline double clip(double x, double limit) { return x > limit ? limit : x
 #define FOTEN_USUAL_EXCITATION_WIDTH 16 /* foten.families.foten_plus.FotenPlusSizes.excitation_width */
 #define FOTEN_USUAL_ORDER 20 /* foten.families.foten_plus.FotenPlusSizes.order */
 #define FOTEN_USUAL_AR_ORDER 20 /* foten.families.piecewise_ar.PiecewiseArSizes.order */
-#define FOTEN_USUAL_CORRECTION_LIMIT 3.0 /* foten.families.foten_plus.FotenPlusSizes.correction_limit */
 
 /* Speed and force. */
 #define FOTEN_FADE_SPEED 5.0 /* foten.families.conditions.FADE_SPEED */
@@ -66,6 +68,10 @@ static inline double clip(double x, double limit) { return x > limit ? limit : x
 #define FOTEN_SIZE_SD 0.6028102749890869 /* foten.dsp.noise._SIZE_SD */
 #define FOTEN_HEAVIEST_TAIL 0.25 /* foten.families.excitation.HEAVIEST_TAIL */
 #define FOTEN_LARGEST_SHOCK 4.0 /* foten.dsp.noise.LARGEST_SHOCK */
+#define FOTEN_N_INNOVATION_INPUTS 5 /* foten.families.foten_plus.N_INNOVATION_INPUTS */
+#define FOTEN_LOG_SCALE_LIMIT 6.0 /* foten.families.foten_plus.LOG_SCALE_LIMIT */
+#define FOTEN_QUANTILE_STEPS 60 /* foten.reference.innovation.MOST_STEPS */
+#define FOTEN_QUANTILE_PRECISION 1e-14 /* foten.reference.innovation._PRECISION */
 #define FOTEN_LARGEST_VOLATILITY 3.0 /* foten.dsp.noise.LARGEST_VOLATILITY */
 
 /* How a stream begins. */

@@ -56,6 +56,23 @@ double excitation_factor(const excitation *e, const excitation_state *s) { retur
 
 double excitation_rms(const excitation_state *s) { return pow(1 - 2 * s->tail, -0.75); }
 
+/* The z of z exp(h z^2 / 2) = u by Newton's method on log |z|: from above the root of a convex function every step stays above. */
+static double gaussianised(double u, double tail) {
+    double log_u = log(fabs(u) > 1e-300 ? fabs(u) : 1e-300), q = log_u;
+    for (int i = 0; i < 20; i++) {
+        double spread = tail * exp(2 * q);
+        q -= (q + 0.5 * spread - log_u) / (1 + spread);
+    }
+    return copysign(exp(q), u);
+}
+
+void excitation_score(const excitation_state *s, double missed, double scale, foten_prediction *out) {
+    double z = gaussianised(missed / scale, s->tail), spread = s->tail * z * z;
+    out->scale = scale;
+    out->standardised = z;
+    out->nll = 0.5 * (z * z + spread) + log1p(spread) + log(scale) + 0.5 * log(2 * PI);
+}
+
 void excitation_draw(const excitation *e, excitation_state *s, double noise) {
     s->volatility = e->volatility_sd * clip(noise, FOTEN_LARGEST_VOLATILITY);
 }

@@ -34,5 +34,8 @@ double excitation_rms(const excitation_state *s);
 /* A volatility as if the stream had always been there, from a standard normal number. */
 void excitation_draw(const excitation *e, excitation_state *s, double noise);
 
+/* How likely an error of a prediction is, whose excitation has that scale, into the prediction. */
+void excitation_score(const excitation_state *s, double missed, double scale, foten_prediction *out);
+
 /* The excitation of a standard normal number, where a unit of it moves the sample by `unit`; the volatility moves on. */
 double excitation_next(const excitation *e, excitation_state *s, double noise, double unit);

@@ -194,7 +194,7 @@ static double spectral(const network *net, const float *window, float *scratch) 
     double energy = 0;
     for (int k = 0; k < n; k++) re[k] = im[k] = 0;
     for (int t = 0; t < m; t++) {
-        double a = window[t * net->n_inputs];
+        double a = window[t];
         for (int k = 0; k < n; k++) {
             re[k] += a * net->real[t * n + k];
             im[k] += a * net->imaginary[t * n + k];
@@ -222,7 +222,7 @@ static float predict(const network *net, const float *window, float *scratch) {
     int m = net->window, stride = net->d_stride, d = net->d, n = net->n_features;
     const network_scratch *at = &net->scratch;
     float *tokens = scratch + at->tokens, *features = scratch + at->features, *first = scratch + at->first, *second = scratch + at->second;
-    apply(&net->embedding, m, window, net->n_inputs, tokens, stride, 0);
+    apply(&net->embedding, m, window, 1, tokens, stride, 0);
     for (int i = 0; i < m * stride; i += LANES) store(tokens + i, load(tokens + i) + load(net->positions + i));
     for (int layer = 0; layer < net->n_layers; layer++)
         encode(&net->layers[layer], net->pre_norm, m, layer == net->n_layers - 1 ? m - 1 : 0, tokens, NULL, scratch);
@@ -233,8 +233,8 @@ static float predict(const network *net, const float *window, float *scratch) {
         apply(&net->spectral_embedding, 1, &spectral_sample, 1, first, stride, 0);
         memcpy(features + d, first, sizeof(float) * (size_t)d);
     }
-    features[n] = window[m * net->n_inputs];
-    features[n + 1] = window[m * net->n_inputs + 1];
+    features[n] = window[m];
+    features[n + 1] = window[m + 1];
     apply(&net->head_1, 1, features, n + 2, first, net->first, 1);
     apply(&net->head_2, 1, first, net->first, second, net->second, 1);
     double out = net->head_3_bias;

@@ -18,8 +18,8 @@ int lattice_read(texture_file *file, arena *memory, const char *prefix, int n_sp
 }
 
 void lattice_set_condition(const lattice *of, lattice_state *l, const double scaled[2]) {
-    double logs[2], physical[2];
-    l->level = scale_at(&of->level, scaled, logs);
+    double physical[2];
+    l->level = scale_at(&of->level, scaled, l->logs);
     scale_physical(&of->level, scaled, physical);
     speed_force_table_at(&of->reflections, physical[0], physical[1], l->reflections);
     lattice_turn(l, of->order);

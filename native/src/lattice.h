@@ -11,7 +11,7 @@ typedef struct {
     double *states;               /* b_0 ... b_(order-1) */
     double *reflections;          /* k_1 ... k_order */
     double *cosines, all_cosines; /* sqrt(1 - k^2), and their product, by which an innovation moves the sample that leaves the filter */
-    double level;                 /* where there is a level over speed and force */
+    double level, logs[2];        /* where there is a level over speed and force; logarithms of these re their means */
 } lattice_state;
 
 /* A level and reflection coefficients over speed and force. */

@@ -9,7 +9,8 @@ struct loop {
     lattice_state lattice;       /* foten-plus, piecewise AR */
     excitation_state excitation; /* foten-plus, networks */
     tones_state tones;           /* foten-plus */
-    predictor_state predictor;   /* foten-plus, networks, graphs */
+    innovation_state innovation; /* foten-plus */
+    predictor_state predictor;   /* networks, graphs */
     mixture mixture;             /* piecewise AR */
     double *innovations;         /* piecewise AR: the last ones, the youngest first */
     int cut;                     /* whether the last sample was */
@@ -27,8 +28,8 @@ struct loop_kind {
     /* Take a state as after a long time under a condition, whatever was before, from a stream's noise. */
     void (*begin)(const foten_model *model, loop *l, const condition *c, noise_source noise);
 
-    /* Predict the next recorded sample, after a start `as_prediction`. */
-    void (*predict)(const foten_model *model, loop *l, foten_prediction_part part, foten_prediction *out);
+    /* Predict the next sample, which was recorded, after a start `as_prediction`. */
+    void (*predict)(const foten_model *model, loop *l, foten_prediction_part part, double recorded, foten_prediction *out);
 
     /* Take in a recorded sample (acceleration, speed, force), after that. */
     void (*push)(const foten_model *model, loop *l, const double *sample);

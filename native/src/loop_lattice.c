@@ -1,4 +1,4 @@
-/* The loop of foten-plus: an excited lattice, with tones of the path or with the network's correction of the next innovation. */
+/* The loop of foten-plus: a lattice with innovations that a network draws, or an excitation, and tones of the path. */
 #include <math.h>
 
 #include "loop.h"
@@ -9,7 +9,7 @@ static int longer_order(const foten_model *m) { return m->lattice.order > m->exc
 static void place(const foten_model *m, loop *l, block *from) {
     lattice_place(&l->lattice, longer_order(m), from);
     l->tones.coefficients = block_take(from, 2 * (size_t)m->tones.n, sizeof *l->tones.coefficients);
-    predictor_place(&m->predictor, &l->predictor, from);
+    innovation_place(&m->network, &l->innovation, from);
 }
 
 /* Make ready, at the phase that there is, for the sample after one under a condition. */
@@ -23,10 +23,13 @@ static void set_condition(const foten_model *m, loop *l, const condition *c, int
     if (m->tones.n) tones_set_condition(&m->tones, &m->lattice.level, &l->tones, c, moved_path);
 }
 
-/* Take in a recorded sample of the vibration, whose lattice is made ready for it. */
-static void analyse(const foten_model *m, loop *l, const double *sample) {
-    double e = lattice_analyse(&l->lattice, m->lattice.order, sample[0] / gain_after(&m->lattice, &l->lattice));
-    predictor_push(&m->predictor, &l->predictor, sample[0] / l->lattice.level, sample + 1, e / gain_before(&m->lattice, &l->lattice));
+/* Take in a recorded sample of what a lattice is of, which is made ready for it, and its condition; a network, or NULL for none, takes in its
+ * innovation. */
+static void analyse(loop *l, const lattice *of, const innovation_network *network, double sample, const condition *c) {
+    double e = lattice_analyse(&l->lattice, of->order, sample / gain_after(of, &l->lattice)) / gain_before(of, &l->lattice);
+    double x = sample / l->lattice.level;
+    lattice_set_condition(of, &l->lattice, c->scaled);
+    if (network) innovation_push(network, &l->innovation, e, x, l->lattice.logs);
 }
 
 static void start_with_tones(const foten_model *m, loop *l, const double *windows, int n) {
@@ -35,76 +38,89 @@ static void start_with_tones(const foten_model *m, loop *l, const double *window
     condition last = condition_of(level, windows + 3 * n - 2);
     tones_fit(&m->tones, level, &l->tones, windows, n);
     for (int t = 1; t < n; t++) {
-        condition before = condition_of(level, windows + 3 * t - 2);
+        condition before = condition_of(level, windows + 3 * t - 2), now = condition_of(level, windows + 3 * t + 1);
         double tone = tones_follow(&m->tones, level, &l->tones, &before);
-        lattice_set_condition(of, &l->lattice, before.scaled);
-        lattice_analyse(&l->lattice, of->order, (windows[3 * t] - tone) / gain_after(of, &l->lattice));
+        analyse(l, of, t >= n - m->warm_up ? m->network_in_loop : NULL, windows[3 * t] - tone, &now);
     }
     tones_begin_path(&m->tones, &l->tones, &last);
     set_condition(m, l, &last, 1);
 }
 
 static void start(const foten_model *m, loop *l, const double *windows, int n, int as_prediction) {
-    predictor_clear(&m->predictor, &l->predictor);
+    const lattice *of = as_prediction ? &m->lattice : m->excited_lattice;
     l->excitation.volatility = 0;
     lattice_clear(&l->lattice, longer_order(m));
+    lattice_set_condition(of, &l->lattice, windows + 1);
+    innovation_clear(&m->network, &l->innovation, l->lattice.logs);
     if (m->tones.n && !as_prediction) {
         start_with_tones(m, l, windows, n);
         return;
     }
     for (int t = 1; t < n; t++) {
-        lattice_set_condition(&m->lattice, &l->lattice, windows + 3 * t - 2);
-        analyse(m, l, windows + 3 * t);
+        condition now = condition_of(&m->lattice.level, windows + 3 * t + 1);
+        const innovation_network *network = as_prediction ? &m->network : m->network_in_loop;
+        analyse(l, of, t >= n - m->warm_up ? network : NULL, windows[3 * t], &now);
     }
     condition last = condition_of(&m->lattice.level, windows + 3 * n - 2);
-    if (m->tones.n) lattice_set_condition(&m->lattice, &l->lattice, last.scaled);
-    else set_condition(m, l, &last, 1);
+    if (!as_prediction || !m->tones.n) set_condition(m, l, &last, 1);
 }
 
-/* What the network adds, in units of the innovation. */
-static double correction(const foten_model *m, loop *l) {
-    return m->correction_limit * tanh(predictor_predict(&m->predictor, &l->predictor) / m->correction_limit);
-}
-
-/* The lattice of the vibration and the network predict, with tones as well: the phase of a recording is not known. The scale is
- * that of a rendering, and so known only where that predicts the same. */
-static void predict(const foten_model *m, loop *l, foten_prediction_part part, foten_prediction *out) {
-    int with_network = part == FOTEN_PREDICT_MODEL || (part == FOTEN_PREDICT_RENDERING && m->network_in_loop);
+/* The lattice of the vibration and its network predict, with tones as well: the phase of a recording is not known. How likely a sample is, is that
+ * of a rendering, and so known only where that predicts the same. */
+static void predict(const foten_model *m, loop *l, foten_prediction_part part, double recorded, foten_prediction *out) {
+    const innovation_network *in_loop = m->tones.n ? NULL : m->network_in_loop;
+    int with_network = part == FOTEN_PREDICT_MODEL || (part == FOTEN_PREDICT_RENDERING && in_loop);
     double unit = l->lattice.all_cosines * l->lattice.level;
-    *out = (foten_prediction){lattice_predict(&l->lattice, m->lattice.order) * gain_after(&m->lattice, &l->lattice), 0, 0};
-    if (with_network) out->sample += unit * correction(m, l);
-    if (m->tones.n) return;
-    if (with_network == m->network_in_loop) out->scale = unit * l->excitation.sigma;
-    out->tail = l->excitation.tail;
+    double linear = lattice_predict(&l->lattice, m->lattice.order) * gain_after(&m->lattice, &l->lattice);
+    *out = (foten_prediction){.sample = linear};
+    if (with_network) out->sample += unit * innovation_mixture(&m->network, &l->innovation);
+    if (m->tones.n || with_network != (in_loop != NULL)) return;
+    if (with_network) {
+        double e = (recorded - linear) / unit;
+        out->scale = unit * innovation_sd(&m->network, &l->innovation);
+        out->standardised = innovation_standardised(&m->network, &l->innovation, e);
+        out->nll = innovation_nll(&m->network, &l->innovation, e) + log(unit);
+    } else excitation_score(&l->excitation, recorded - linear, unit * l->excitation.sigma, out);
 }
 
 static void push(const foten_model *m, loop *l, const double *sample) {
-    analyse(m, l, sample);
     condition now = condition_of(&m->lattice.level, sample + 1);
-    if (m->tones.n) lattice_set_condition(&m->lattice, &l->lattice, now.scaled);
-    else set_condition(m, l, &now, 0);
+    analyse(l, &m->lattice, &m->network, sample[0], &now);
+    excitation_set_condition(&m->excitation, &l->excitation, now.scaled);
 }
 
 static double scale_of_noise(const foten_model *m, const loop *l) {
-    return l->lattice.all_cosines * l->lattice.level * excitation_factor(&m->excitation, &l->excitation) * l->excitation.sigma;
+    double factor = m->network_in_loop ? 1 : excitation_factor(&m->excitation, &l->excitation);
+    return l->lattice.all_cosines * l->lattice.level * factor * l->excitation.sigma;
+}
+
+/* The next innovation, and what of it sigma does not scale: all but the largest of what the network draws, or expects without noise. */
+static double drawn(const foten_model *m, loop *l, const double *noise) {
+    const innovation_network *network = m->network_in_loop;
+    const double *largest = m->excitation.largest;
+    double expected = innovation_mixture(network, &l->innovation);
+    if (!noise) return expected;
+    double most = largest[1] / scale_of_noise(m, l);
+    return clip(innovation_quantile(network, &l->innovation, *noise), most < largest[0] ? most : largest[0]);
 }
 
 static double step(const foten_model *m, loop *l, const condition *c, const double *noise, double limit) {
     const lattice *of = m->excited_lattice;
-    double e = m->network_in_loop ? correction(m, l) : 0;
-    if (noise) e += excitation_next(&m->excitation, &l->excitation, *noise, l->lattice.all_cosines * l->lattice.level);
-    double sample = gain_after(of, &l->lattice) * lattice_synthesise(&l->lattice, of->order, gain_before(of, &l->lattice) * e);
+    double sigma = l->excitation.sigma, level = l->lattice.level * sigma, innovation = 0, e = 0;
+    if (m->network_in_loop) e = sigma * (innovation = drawn(m, l, noise));
+    else if (noise) e = excitation_next(&m->excitation, &l->excitation, *noise, l->lattice.all_cosines * l->lattice.level);
+    double residual = gain_after(of, &l->lattice) * lattice_synthesise(&l->lattice, of->order, gain_before(of, &l->lattice) * e);
+    double sample = residual;
     if (m->tones.n) {
         sample += l->tones.tone;
         tones_push(&m->tones, &l->tones, e, c);
-    } else {
-        predictor_push(&m->predictor, &l->predictor, sample / l->lattice.level, c->scaled, e);
     }
     set_condition(m, l, c, 0);
+    if (m->network_in_loop) innovation_push(m->network_in_loop, &l->innovation, innovation, residual / level, l->lattice.logs);
     return loop_cut(l, sample, limit);
 }
 
-/* Draw the states, the volatility, and the phase of tones; run the network, where it is in the loop, for the length of its window. */
+/* Draw the states, the volatility, and the phase of tones; run a network for the length of its window. */
 static void begin(const foten_model *m, loop *l, const condition *c, noise_source noise) {
     const lattice *of = m->excited_lattice;
     set_condition(m, l, c, 1);
@@ -116,15 +132,12 @@ static void begin(const foten_model *m, loop *l, const condition *c, noise_sourc
         double sine = noise_next(&noise), cosine = noise_next(&noise);
         tones_draw(&l->tones, sine, cosine);
         set_condition(m, l, c, 1);
-        return;
     }
-    predictor_fill(&m->predictor, &l->predictor, c->scaled);
-    if (m->network_in_loop) loop_run(m, l, c, &noise, m->predictor.window, INFINITY);
+    if (!m->network_in_loop) return;
+    innovation_clear(m->network_in_loop, &l->innovation, l->lattice.logs);
+    loop_run(m, l, c, &noise, m->warm_up, INFINITY);
 }
 
-static void quiet(const foten_model *m, loop *l) {
-    lattice_quiet(&l->lattice, m->excited_lattice->order);
-    predictor_quiet(&m->predictor, &l->predictor);
-}
+static void quiet(const foten_model *m, loop *l) { lattice_quiet(&l->lattice, m->excited_lattice->order); }
 
 const loop_kind lattice_loop = {place, start, begin, predict, push, scale_of_noise, step, quiet};

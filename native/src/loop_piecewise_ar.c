@@ -67,10 +67,12 @@ static void start(const foten_model *m, loop *l, const double *windows, int n, i
     for (int t = 1; t < n; t++) infer(m, l, windows + 3 * t, t > m->piecewise_ar->order);
 }
 
-static void predict(const foten_model *m, loop *l, foten_prediction_part part, foten_prediction *out) {
+static void predict(const foten_model *m, loop *l, foten_prediction_part part, double recorded, foten_prediction *out) {
     (void)part;
+    static const excitation_state gaussian = {0};
     double scale = scale_of_noise(m, l);
-    *out = (foten_prediction){expected(m, l), scale < LEAST_SCALE ? LEAST_SCALE : scale, 0};
+    *out = (foten_prediction){.sample = expected(m, l)};
+    excitation_score(&gaussian, recorded - out->sample, scale < LEAST_SCALE ? LEAST_SCALE : scale, out);
 }
 
 static double step(const foten_model *m, loop *l, const condition *c, const double *noise, double limit) {

@@ -12,7 +12,7 @@ static void set_condition(const foten_model *m, loop *l, const condition *c, int
 static void push(const foten_model *m, loop *l, const double *sample) {
     condition now = condition_of(&m->lattice.level, sample + 1);
     l->predictor.n_pending = 0; /* a hop goes on from its own samples */
-    predictor_push(&m->predictor, &l->predictor, sample[0], sample + 1, 0);
+    predictor_push(&m->predictor, &l->predictor, sample[0], sample + 1);
     set_condition(m, l, &now, 0);
 }
 
@@ -21,16 +21,14 @@ static void start(const foten_model *m, loop *l, const double *windows, int n, i
     condition last = condition_of(&m->lattice.level, windows + 3 * n - 2);
     predictor_clear(&m->predictor, &l->predictor);
     l->excitation.volatility = 0;
-    for (int t = 0; t < n; t++) predictor_push(&m->predictor, &l->predictor, windows[3 * t], windows + 3 * t + 1, 0);
+    for (int t = 0; t < n; t++) predictor_push(&m->predictor, &l->predictor, windows[3 * t], windows + 3 * t + 1);
     set_condition(m, l, &last, 1);
 }
 
-static void predict(const foten_model *m, loop *l, foten_prediction_part part, foten_prediction *out) {
+static void predict(const foten_model *m, loop *l, foten_prediction_part part, double recorded, foten_prediction *out) {
     (void)part;
-    *out = (foten_prediction){predictor_predict(&m->predictor, &l->predictor), 0, 0};
-    if (!m->excited) return;
-    out->scale = l->excitation.sigma;
-    out->tail = l->excitation.tail;
+    *out = (foten_prediction){.sample = predictor_predict(&m->predictor, &l->predictor)};
+    if (m->excited) excitation_score(&l->excitation, recorded - out->sample, l->excitation.sigma, out);
 }
 
 static double scale_of_noise(const foten_model *m, const loop *l) {
@@ -43,7 +41,7 @@ static double step(const foten_model *m, loop *l, const condition *c, const doub
     if (noise && m->excited) sample += excitation_next(&m->excitation, &l->excitation, *noise, 1);
     double played = loop_cut(l, sample, limit);
     double fed_back = !m->of_noise ? played : noise ? *noise : 0;
-    predictor_push(&m->predictor, &l->predictor, fed_back, c->scaled, 0);
+    predictor_push(&m->predictor, &l->predictor, fed_back, c->scaled);
     set_condition(m, l, c, 0);
     return played;
 }

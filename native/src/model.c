@@ -8,19 +8,25 @@
 static int read_plus(foten_model *m, texture_file *file, const card_sizes *s) {
     int width = s->excitation_width;
     m->kind = &lattice_loop;
+    m->warm_up = s->network.window;
     m->excited_lattice = s->n_tones ? &m->residual : &m->lattice;
-    m->network_in_loop = s->network_in_loop && !s->n_tones;
-    m->correction_limit = s->correction_limit;
+    m->network_in_loop = !s->network_in_loop ? NULL : s->n_tones ? &m->residual_network : &m->network;
     if (!lattice_read(file, &m->memory, "lattice.", s->n_speed, s->n_force, s->order, width, s->gain_before_filter, &m->lattice)) return 0;
+    if (!innovation_read(file, &m->memory, "network.", s->n_hidden, s->head_width, s->n_components, &m->network)) return 0;
+    if (!excitation_read(file, &m->memory, width, &m->excitation)) return 0;
+    m->excited = 1;
     if (!s->n_tones) return 1;
     if (!tones_read(file, &m->memory, s->n_tones, s->n_tone_speed, s->n_tone_force, &m->tones)) return 0;
+    if (s->network_in_loop &&
+        !innovation_read(file, &m->memory, "residual_network.", s->n_hidden, s->head_width, s->n_components, &m->residual_network))
+        return 0;
     return lattice_read(file, &m->memory, "residual.", s->n_residual_speed, s->n_residual_force, s->residual_order, width,
                         s->residual_gain_before_filter, &m->residual);
 }
 
 static int read_network(foten_model *m, texture_file *file, const card_sizes *s, const isa *isa) {
-    network *network = network_make(file, s->model == CARD_PLUS ? "network." : "", &s->network, isa, &m->memory);
-    m->predictor = (predictor){.window = s->network.window, .n_inputs = s->network.n_inputs, .isa = isa, .network = network};
+    network *network = network_make(file, &s->network, isa, &m->memory);
+    m->predictor = (predictor){.window = s->network.window, .n_inputs = 1, .isa = isa, .network = network};
     return network != NULL;
 }
 
@@ -41,9 +47,9 @@ static int read_tensors(foten_model *m, texture_file *file, const card_sizes *s,
         m->piecewise_ar = piecewise_ar_read(file, s->order, s->ma, s->n_models, s->n_triangles, &m->memory);
         return m->piecewise_ar != NULL;
     }
+    if (s->model == CARD_PLUS) return read_plus(m, file, s);
     m->kind = &window_loop;
     m->excited = s->excitation;
-    if (s->model == CARD_PLUS && !read_plus(m, file, s)) return 0;
     if (m->excited && !excitation_read(file, &m->memory, s->excitation_width, &m->excitation)) return 0;
     return s->model == CARD_GRAPH ? leave_graph(m, file, s) : read_network(m, file, s, isa);
 }
@@ -138,7 +144,7 @@ static int prove(foten_model *m, texture_file *file, arena *memory) {
     for (size_t i = 0; i < replayed(n); i++) {
         foten_prediction prediction;
         m->kind->start(m, l, windows + i * length * 3, m->history, 1);
-        m->kind->predict(m, l, FOTEN_PREDICT_MODEL, &prediction);
+        m->kind->predict(m, l, FOTEN_PREDICT_MODEL, 0, &prediction);
         ours[i] = prediction.sample;
     }
     if (!proven(file, "one step", ours, one_step, NULL, n, FOTEN_ONE_STEP_TOLERANCE)) return 0;

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "excitation.h"
+#include "innovation.h"
 #include "lattice.h"
 #include "piecewise_ar.h"
 #include "predictor.h"
@@ -20,15 +21,17 @@ struct foten_model {
     int excited;  /* whether there is a random part with a scale of its own */
     int of_noise; /* whether the predictor is given noise in the place of acceleration */
 
-    predictor predictor;   /* of foten-plus, networks and graphs */
+    predictor predictor;   /* of networks and graphs */
     excitation excitation; /* of foten-plus, and of a network that has one */
 
-    /* Of foten-plus: the lattice of the vibration, that of what tones leave, and the one of both that a rendering excites. */
+    /* Of foten-plus: lattice and network of the vibration, those of what tones leave, and which of them a rendering goes by; its network is NULL
+     * where the excitation is noise. */
     lattice lattice, residual;
+    innovation_network network, residual_network;
     const struct lattice *excited_lattice;
+    const innovation_network *network_in_loop;
     tones tones;
-    double correction_limit;
-    int network_in_loop;
+    int warm_up; /* samples that a network takes in before it is asked */
 
     const piecewise_ar *piecewise_ar; /* of piecewise AR */
 

@@ -7,7 +7,6 @@
 
 typedef struct {
     texture_file *file;
-    const char *prefix;
     size_t lanes;
     arena *memory;
 } maker;
@@ -23,7 +22,7 @@ static float *room(maker *m, size_t n) { return missing(m) ? NULL : arena_take(m
 static const double *tensor(maker *m, const char *layer, const char *part, const char *which, size_t rows, size_t columns) {
     char name[96];
     snprintf(name, sizeof name, "%s%s%s", layer, part, which);
-    return missing(m) ? NULL : file_take(m->file, m->memory, m->prefix, name, (size_t[4]){rows, columns});
+    return missing(m) ? NULL : file_take(m->file, m->memory, "", name, (size_t[4]){rows, columns});
 }
 
 /* A map whose outputs lie in blocks, `stride` apart; those of the first are multiplied. */
@@ -175,16 +174,16 @@ static void lay_out(network *n, encoder *layers, size_t lanes) {
     s->n = larger(most, at);
 }
 
-network *network_make(texture_file *file, const char *prefix, const network_sizes *s, const isa *isa, arena *memory) {
-    maker make = {file, prefix, (size_t)isa->lanes, memory}, *m = &make;
+network *network_make(texture_file *file, const network_sizes *s, const isa *isa, arena *memory) {
+    maker make = {file, (size_t)isa->lanes, memory}, *m = &make;
     network *n = arena_take(memory, 1, sizeof *n);
     encoder *layers = arena_take(memory, (size_t)s->n_layers, sizeof *layers);
     if (!n || !layers) return NULL;
     size_t d = (size_t)s->d_model, first = (size_t)s->head[0], second = (size_t)s->head[1], n_features = d * (size_t)(1 + s->fourier);
-    *n = (network){.window = s->window, .n_inputs = s->n_inputs, .d = s->d_model, .d_stride = (int)up(m, d), .n_layers = s->n_layers,
+    *n = (network){.window = s->window, .d = s->d_model, .d_stride = (int)up(m, d), .n_layers = s->n_layers,
                    .layers = layers, .first = s->head[0], .second = s->head[1], .pre_norm = s->pre_norm,
                    .lifted = s->spectral_width > 1, .fourier = s->fourier, .n_features = (int)n_features};
-    n->embedding = linear_of(m, "temporal.embedding", "", d, (size_t)s->n_inputs);
+    n->embedding = linear_of(m, "temporal.embedding", "", d, 1);
     n->positions = positions_of(m, (size_t)s->window, d, (size_t)n->d_stride);
     for (int i = 0; i < s->n_layers && !missing(m); i++) {
         char name[64];

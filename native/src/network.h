@@ -25,7 +25,7 @@ typedef struct {
 typedef struct {
     int window, d_model, n_heads, n_layers, d_feedforward, head[2], spectral_width;
     int pre_norm, half_bins;
-    int n_inputs, fourier; /* fourier: whether there is a spectral branch */
+    int fourier; /* whether there is a spectral branch */
 } network_sizes;
 
 /* Where a step's numbers lie in the scratch memory, in floats, and how many floats there are. After the tokens the temporal layers, the spectral
@@ -37,7 +37,7 @@ typedef struct {
 } network_scratch;
 
 typedef struct {
-    int window, n_inputs, d, d_stride, width_stride, n_layers, n_bins, n_magnitudes, first, second;
+    int window, d, d_stride, width_stride, n_layers, n_bins, n_magnitudes, first, second;
     int pre_norm, lifted, fourier, n_features; /* n_features: numbers that the branches give the head */
     linear embedding;
     const float *positions; /* window x d_stride */
@@ -54,7 +54,7 @@ typedef struct {
     network_scratch scratch;
 } network;
 
-/* What one instruction set does. `window` holds n_inputs numbers a sample, then speed and force of the last, scaled. */
+/* What one instruction set does. `window` holds the samples, then speed and force of the last, scaled. */
 typedef struct {
     const char *name;
     int lanes; /* floats in a vector */
@@ -66,5 +66,5 @@ extern const isa isa_portable, isa_avx2, isa_avx512, isa_neon, isa_simd128;
 /* The best that this processor has, or the one that FOTEN_ISA names if the processor has it. Looked up once. */
 const isa *isa_here(void);
 
-/* The network of a file whose tensors begin with `prefix`; NULL, and a reason in the file, where it does not fit. */
-network *network_make(texture_file *file, const char *prefix, const network_sizes *sizes, const isa *isa, arena *memory);
+/* The network of a file; NULL, and a reason in the file, where it does not fit. */
+network *network_make(texture_file *file, const network_sizes *sizes, const isa *isa, arena *memory);

@@ -17,7 +17,7 @@ void predictor_clear(const predictor *p, predictor_state *s) {
 
 void predictor_fill(const predictor *p, predictor_state *s, const double scaled[2]) {
     predictor_clear(p, s);
-    for (int i = 0; i < p->window; i++) predictor_push(p, s, 0, scaled, 0);
+    for (int i = 0; i < p->window; i++) predictor_push(p, s, 0, scaled);
 }
 
 void predictor_set_condition(const predictor *p, predictor_state *s, const double scaled[2]) {
@@ -28,12 +28,11 @@ void predictor_set_condition(const predictor *p, predictor_state *s, const doubl
     }
 }
 
-void predictor_push(const predictor *p, predictor_state *s, double sample, const double scaled[2], double innovation) {
+void predictor_push(const predictor *p, predictor_state *s, double sample, const double scaled[2]) {
     int n = p->n_inputs;
     memmove(s->window, s->window + n, (size_t)(p->window - 1) * (size_t)n * sizeof *s->window);
     float *last = s->window + (p->window - 1) * n;
     last[0] = (float)sample;
-    if (n == 2 || n == 4) last[n - 1] = (float)innovation;
     predictor_set_condition(p, s, scaled);
     if (s->n_pending) s->n_pending--;
 }

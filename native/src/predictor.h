@@ -5,7 +5,7 @@
 
 /* Window 0: there is none. */
 typedef struct {
-    int window, n_inputs;     /* samples that it is given, and numbers of each */
+    int window, n_inputs;     /* samples that it is given, and numbers of each: 1, or 3 with speed and force */
     const isa *isa;
     const network *network;   /* NULL where the function predicts */
     foten_predictor function;
@@ -30,8 +30,8 @@ void predictor_fill(const predictor *p, predictor_state *s, const double scaled[
 /* Another speed and force of the last sample. */
 void predictor_set_condition(const predictor *p, predictor_state *s, const double scaled[2]);
 
-/* Take in a sample, its speed and force and, for a network that is given one, its innovation. */
-void predictor_push(const predictor *p, predictor_state *s, double sample, const double scaled[2], double innovation);
+/* Take in a sample, and its speed and force. */
+void predictor_push(const predictor *p, predictor_state *s, double sample, const double scaled[2]);
 
 /* The next sample; 0 where somebody else's function gives no finite number. */
 double predictor_predict(const predictor *p, predictor_state *s);

@@ -107,7 +107,7 @@ def _linear_part(texture: Texture) -> dict[str, str]:
     vertices = sizes["n_speed"] * sizes["n_force"]
     over = "for all speeds and forces" if vertices == 1 else f"over {vertices} speeds and forces"
     gain = ", gain before the filter" if sizes["gain_before_filter"] else ""
-    parts = f"the network is given {sizes['window']} of them, and the lattice those before"
+    parts = f"the network takes in {sizes['window']} of them, and the lattice those before"
     rows = {"history": f"a prediction is made from the last {texture.window} samples: {parts}"}
     rows |= {"lattice": f"order {sizes['order']}, {over}{gain}", "tones": "none"}
     rows["network"] = network_summary(texture.card)
@@ -131,11 +131,11 @@ def network_summary(card: Mapping[str, Any]) -> str:
     improves = (
         f"improves one-step predictions by {gain:.1f} %" if gain >= 0.05 else "does not improve one-step predictions"
     )
+    if not sizes["network_in_loop"]:
+        return f"{improves}; a rendering does without it, as it did not help on the validation blocks"
     if sizes["n_tones"]:
-        return f"{improves}; a rendering, which is made of tones, does without it"
-    if sizes["network_in_loop"]:
-        return f"{improves}, and is part of a rendering"
-    return f"{improves}; a rendering does without it, as it did not help on the validation blocks"
+        return f"{improves}; another draws what tones leave of a rendering"
+    return f"{improves}, and draws the innovations of a rendering"
 
 
 def validation_summary(card: Mapping[str, Any]) -> str:

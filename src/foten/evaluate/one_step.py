@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from foten.dsp import Array
 from foten.dsp.ar import MAX_POLE, solved, stabilised
-from foten.dsp.noise import innovation_likelihood
 from foten.evaluate.metrics import goodness_of_fit, intervals
 from foten.recording.windows import stretches, targets
 from foten.runtime.loops import Prediction, predict_blocks
@@ -58,10 +57,10 @@ def predict(texture: NativeTexture, samples: Array, n: NDArray[np.int64], part: 
 def excitation_scores(
     texture: NativeTexture, samples: Array, n: NDArray[np.int64], counted: NDArray[np.bool_]
 ) -> dict[str, Any]:
-    """Return how well the excitation, its scale and its tails, describes the one-step error.
+    """Return how well the random part, a network's distribution or an excitation's scale and tails, describes the one-step error.
 
-    Settling the level in the closed loop (`train.excitation`) trades likelihood for level. The error is that of the prediction
-    which a rendering uses, with the network or without. It is not known where a rendering has tones (`dsp.tones`).
+    Settling an excitation's level in the closed loop (`train.excitation`) trades likelihood for level. The error is that of the
+    prediction which a rendering uses, with the network or without. It is not known where a rendering has tones (`dsp.tones`).
 
     Args:
         samples, n: scaled, shape (t, 3), and the indices to score, rows of consecutive ones, shape (n_blocks, k).
@@ -77,7 +76,7 @@ def excitation_scores(
     predicted = predict(texture, samples, n, "rendering")
     if not predicted.scale.all():
         return {**unknown, "intervals": {}}
-    standardised, nll = innovation_likelihood(samples[n, 0] - predicted.sample, predicted.scale, predicted.tail)
+    standardised, nll = predicted.standardised, predicted.nll
 
     def figures(index: NDArray[np.int64]) -> dict[str, Any]:
         some = counted[index]

@@ -79,7 +79,7 @@ def _judged(run: Run, recording: Recording, texture: Texture, seconds: float, n_
         "n_epochs": metrics.get("n_epochs"),
         "validation_mae_scaled": metrics["validation_mae_scaled"],
         "file_bytes": len(texture.to_bytes()),
-        "network_in_loop": texture.sizes.renders_with_network if isinstance(texture.sizes, FotenPlusSizes) else None,
+        "network_in_loop": texture.sizes.network_in_loop if isinstance(texture.sizes, FotenPlusSizes) else None,
         "measures": _measures(run.measures, texture, judgement.trace),
         "evaluation": document,
         "signals": _signals(judgement),

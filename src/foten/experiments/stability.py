@@ -163,11 +163,9 @@ def proven(texture: Texture) -> float | None:
     if not isinstance(sizes, FotenPlusSizes):
         return None
     _, volatility = map(float, tensors["excitation.volatility"])
-    heaviest = LARGEST_NOISE * np.exp(0.5 * HEAVIEST_TAIL * LARGEST_NOISE**2)
+    heaviest = np.inf if sizes.network_in_loop else LARGEST_NOISE * np.exp(0.5 * HEAVIEST_TAIL * LARGEST_NOISE**2)
     shock = float(tensors["excitation.highest"].item()) * min(heaviest, float(tensors["excitation.largest"][0]))
-    entering = (sizes.correction_limit if sizes.renders_with_network else 0.0) + shock * np.exp(
-        (LARGEST_VOLATILITY - volatility) * volatility
-    )
+    entering = shock * np.exp((LARGEST_VOLATILITY - volatility) * volatility)
     level = float(tensors[f"{'residual' if sizes.n_tones else 'lattice'}.level.highest"].item())
     bound = level * entering / np.sqrt(1 - LEAK**2)
     if sizes.n_tones:

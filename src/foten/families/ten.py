@@ -35,11 +35,6 @@ class TransformerSizes(Sizes):
         object.__setattr__(self, "head", tuple(self.head))
 
     @property
-    def n_inputs(self) -> int:
-        """Return how many numbers of each sample the temporal branch is given: its acceleration."""
-        return 1
-
-    @property
     def n_features(self) -> int:
         """Return how many numbers the branches give the head."""
         return self.n_branches * self.d_model
@@ -47,7 +42,7 @@ class TransformerSizes(Sizes):
     def network_shapes(self) -> Shapes:
         """Return the tensors of the temporal branch and the head."""
         d, (first, second) = self.d_model, self.head
-        shapes = linear_shapes("temporal.embedding", d, self.n_inputs)
+        shapes = linear_shapes("temporal.embedding", d, 1)
         for layer in range(self.n_layers):
             shapes |= encoder_shapes(f"temporal.layers.{layer}", d, self.d_feedforward)
         if self.pre_norm:
@@ -61,7 +56,7 @@ class TransformerSizes(Sizes):
         Of the last temporal layer one query counts: the others change nothing.
         """
         m, d, (first, second) = self.window, self.d_model, self.head
-        temporal = m * self.n_inputs * d + encoder_cost(m, 1, d, self.d_feedforward)
+        temporal = m * d + encoder_cost(m, 1, d, self.d_feedforward)
         temporal += (self.n_layers - 1) * encoder_cost(m, m, d, self.d_feedforward)
         return temporal + (self.n_features + 2) * first + first * second + second
 

@@ -10,14 +10,14 @@ from foten.networks.dftnet import Dftnet
 from foten.networks.dstn import Dstn
 from foten.networks.fnn import Fnn
 from foten.networks.foten import Foten
-from foten.networks.foten_plus import Corrector
 from foten.networks.gan import Gan
 from foten.networks.hapinf import Hapinf
+from foten.networks.innovation import InnovationNetwork
 from foten.networks.ldhtd import Ldhtd
 from foten.networks.ldhtd_hop import LdhtdHop
 
 NETWORKS: dict[str, Callable[[Any], nn.Module]] = {
-    "foten-plus": Corrector,
+    "foten-plus": InnovationNetwork,
     **dict.fromkeys(("foten", "ten", "ten-mfcc", "ten-wavelet", "foten-d"), Foten),
     "fnn": Fnn,
     "dstn": Dstn,

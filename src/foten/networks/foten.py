@@ -22,7 +22,7 @@ class TemporalBranch(nn.Module):
     def __init__(self, sizes: TransformerSizes) -> None:
         super().__init__()
         d = sizes.d_model
-        self.embedding = nn.Linear(sizes.n_inputs, d)
+        self.embedding = nn.Linear(1, d)
         self.layers = nn.ModuleList(
             EncoderLayer(d, sizes.n_heads, sizes.d_feedforward, sizes.pre_norm) for _ in range(sizes.n_layers)
         )
@@ -31,7 +31,7 @@ class TemporalBranch(nn.Module):
         self.register_buffer("positions", torch.from_numpy(position_encoding(sizes.window, d)), persistent=False)
 
     def forward(self, samples: Tensor, last_only: bool = True) -> Tensor:
-        """Return E_t, or its last token alone: (b, m, n_inputs) scaled → (b, m or 1, d_model)."""
+        """Return E_t, or its last token alone: (b, m, 1) scaled → (b, m or 1, d_model)."""
         tokens = self.dropout(self.embedding(samples) + self.positions.to(samples.dtype))
         for layer in self.layers[:-1]:
             tokens = layer(tokens)
@@ -117,13 +117,8 @@ class Foten(nn.Module):
         self.dropout = Dropout()
 
     def forward(self, windows: Tensor) -> Tensor:
-        """Return the next samples: windows (b, m, 3) of scaled acceleration, speed, force → (b,) scaled.
-
-        Of foten-plus windows are (b, m, 4), with the innovation; its temporal branch is given both or, with 4 inputs, all.
-        """
-        without_condition = torch.cat([windows[:, :, :1], windows[:, :, 3:]], dim=2)
-        given = windows if self.sizes.n_inputs == 4 else without_condition
-        tokens = self.temporal(given, last_only=self.decoder is None)
+        """Return the next samples: windows (b, m, 3) of scaled acceleration, speed, force → (b,) scaled."""
+        tokens = self.temporal(windows[:, :, :1], last_only=self.decoder is None)
         if self.spectral is not None and self.spectral_embedding is not None:
             tokens = torch.cat([tokens, self.spectral_embedding(self.spectral(windows[:, :, 0]))[:, None]], dim=1)
         if self.decoder is not None:

@@ -1,4 +1,4 @@
-"""foten-plus as `families.foten_plus` describes it: lattice, tones, excitation, and the network's bounded correction."""
+"""foten-plus as `families.foten_plus` describes it: lattice, tones, and innovations of a network or of an excitation."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from foten.dsp.speed_force_table import SpeedForceTable
 from foten.dsp.tones import LARGEST_JITTER, audible_share, fitted_phase, tone
 from foten.families.foten_plus import FotenPlusSizes
 from foten.reference.excitation import Excitation, Scale
-from foten.reference.network import Network, Weights
+from foten.reference.innovation import InnovationNetwork, innovation_inputs
+from foten.reference.network import Weights
 from foten.reference.stream import Prediction
 
 
@@ -66,28 +67,27 @@ class FotenPlus:
         self.sizes, self.window = sizes, sizes.history
         self.excitation = Excitation(tensors)
         self.lattice = self.excited_lattice = Lattice(tensors, "lattice.", sizes.gain_before_filter)
+        self.network = InnovationNetwork(tensors, "network.")
+        self.network_in_loop = self.network if sizes.network_in_loop else None
         self.tones: Tones | None = None
         if sizes.n_tones:
             self.excited_lattice = Lattice(tensors, "residual.", sizes.residual_gain_before_filter)
             self.tones = Tones(tensors, self.lattice.level)
-        self._network = Network(sizes, tensors, "network.")
+            if sizes.network_in_loop:
+                self.network_in_loop = InnovationNetwork(tensors, "residual_network.")
 
     def predict(self, windows: Array) -> Array:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled, by the lattice and the network."""
-        return self._analysed(windows, self.lattice, corrected=True).predict().sample
-
-    def correction(self, network_window: Array) -> Array:
-        """Return L · tanh(FoTEN / L), in units of the innovation: x, speed, force and e (s, m, 4) → (s,)."""
-        limit = self.sizes.correction_limit
-        return limit * np.tanh(self._network(network_window) / limit)
+        return self._analysed(windows, self.lattice, self.network, settled=False).predict().sample
 
     def start(self, windows: Array) -> FotenPlusStream:
         """Return streams that go on from scaled windows, shape (s, m, 3).
 
-        Their first sample is not what `predict` gives where the network is not in the loop, or where there are tones.
+        Their first sample is not what `predict` gives where the network is not in the loop, where there are tones, or where σ
+        is not 1.
         """
         if self.tones is None:
-            return self._analysed(windows, self.lattice, self.sizes.network_in_loop)
+            return self._analysed(windows, self.lattice, self.network_in_loop)
         condition = self.with_path(windows[:, :-1, 1:])
         flat = condition.reshape(-1, 3)
         level = self.lattice.level(flat[:, :2]).reshape(condition.shape[:2])
@@ -96,7 +96,7 @@ class FotenPlus:
         phase = fitted_phase(windows[:, 1:, 0] / level, coefficients, travelled)
         residual = windows.copy()
         residual[:, 1:, 0] -= level * tone(coefficients, travelled + phase[:, None])
-        stream = self._analysed(residual, self.excited_lattice, corrected=False, tones=self.tones)
+        stream = self._analysed(residual, self.excited_lattice, self.network_in_loop, tones=self.tones)
         phase = travelled[:, -1] + phase + self.tones.increment(stream.condition)
         phase = np.remainder(phase + np.pi, 2 * np.pi) - np.pi  # within half a turn
         stream.begin_path(self.tones, phase, np.zeros_like(phase))
@@ -107,39 +107,55 @@ class FotenPlus:
         return np.concatenate([condition, self.lattice.level.physical(condition)[..., :1]], axis=-1)
 
     def _analysed(
-        self, windows: Array, lattice: Lattice, corrected: bool, tones: Tones | None = None
+        self,
+        windows: Array,
+        lattice: Lattice,
+        network: InnovationNetwork | None,
+        tones: Tones | None = None,
+        settled: bool = True,
     ) -> FotenPlusStream:
-        """Return streams after windows of what a lattice is of."""
+        """Return streams after windows of what a lattice is of; the network takes in the last samples."""
         conditions = self.with_path(windows[:, :, 1:])
-        stream = FotenPlusStream(self, lattice, corrected, conditions[:, 0], tones)
-        for n in range(1, windows.shape[1]):
-            stream.analyse(windows[:, n, 0])
-            stream.set_condition(conditions[:, n])
+        stream = FotenPlusStream(self, lattice, network, conditions[:, 0], tones, settled)
+        n = windows.shape[1]
+        for i in range(1, n):
+            e = stream.analyse(windows[:, i, 0])
+            stream.follow(e, windows[:, i, 0] / stream.level, conditions[:, i], taken_in=i >= n - self.sizes.window)
         return stream
 
 
 class FotenPlusStream:
-    """Streams of foten-plus: of a lattice, corrected where the network is in the loop, and of tones or none."""
+    """Streams of foten-plus: of a lattice, with a network or without, and of tones or none.
+
+    Where they are not `settled`, σ does not scale what the network draws: as in a recording, which it was trained on.
+    """
 
     bounded: ClassVar[bool] = True
 
     def __init__(
-        self, model: FotenPlus, lattice: Lattice, corrected: bool, condition: Array, tones: Tones | None = None
+        self,
+        model: FotenPlus,
+        lattice: Lattice,
+        network: InnovationNetwork | None,
+        condition: Array,
+        tones: Tones | None = None,
+        settled: bool = True,
     ) -> None:
         s = len(condition)
-        self.model, self.lattice, self.corrected, self.tones = model, lattice, corrected, tones
+        self.model, self.lattice, self.network, self.tones, self.settled = model, lattice, network, tones, settled
         self.states = np.zeros((lattice.order, s))  # b₀ … b_{p−1} of the lattice
-        self.network_window = np.zeros((s, model.sizes.window, 4))  # x, speed, force and e of the last m samples
+        self.hidden = np.zeros((s, network.n_hidden if network else 0))  # of the network, after the last sample
         self.volatility = model.excitation.volatility(s)
         # Phase of the tones at the next sample [rad], the same without jitter, r of `dsp.tones`, and T; 0 without tones.
         self.phase = self.path = self.rate = self.tone = np.zeros(s)
         self.set_condition(condition)
+        self.inputs = innovation_inputs(np.zeros(s), np.zeros(s), self.logs)  # of the last sample
 
     def set_condition(self, condition: Array) -> None:
-        """Make ready for the sample after one under a condition (s, 3), which goes into the network's window with it."""
+        """Make ready for the sample after one under a condition (s, 3)."""
         self.condition = condition  # speed and force, scaled, and the speed that tones go by [mm/s]
-        self.network_window[:, -1, 1:3] = condition[:, :2]
         self.level = self.lattice.level(condition[:, :2])
+        self.logs = self.lattice.level.logarithms(condition[:, :2])
         self.reflections = self.lattice.reflections(condition[:, :2])
 
     def begin_path(self, tones: Tones, phase: Array, path: Array) -> None:
@@ -150,10 +166,11 @@ class FotenPlusStream:
     @property
     def n_initial(self) -> int:
         """Return a number for each state and the volatility; two for a phase; one for each sample of a network's window."""
-        return len(self.states) + 1 + (2 if self.tones else self.corrected * self.network_window.shape[1])
+        warm_up = self.model.sizes.window if self.network else 0
+        return len(self.states) + 1 + (2 if self.tones else 0) + warm_up
 
     def begin(self, condition: Array, noise: Array) -> None:
-        """Draw the states, the volatility and where in its period a surface is touched; fill the network's window.
+        """Draw the states, the volatility and where in its period a surface is touched; run the network for its window.
 
         Under a constant condition the states of a normalised lattice are uncorrelated and as large as what enters it, each a sum
         of many innovations, so Gaussian numbers of that size are a stream that was always there (but for the leak): level,
@@ -167,32 +184,40 @@ class FotenPlusStream:
         size = before * excitation.sigma(known) * heavy_tailed_rms(excitation.tail(known))
         self.states = size * noise[:, :p].T
         self.volatility.draw(noise[:, p])
+        p += 1
         if self.tones:
-            phase = np.arctan2(noise[:, p + 1], noise[:, p + 2])
+            phase = np.arctan2(noise[:, p], noise[:, p + 1])
             self.begin_path(self.tones, phase, phase)
-            return
-        self.network_window = np.zeros_like(self.network_window)
-        self.network_window[..., 1:3] = known[:, None]
-        for z in noise[:, p + 1 :].T:
+            p += 2
+        zero = np.zeros(len(noise))
+        self.hidden, self.inputs = np.zeros_like(self.hidden), innovation_inputs(zero, zero, self.logs)
+        for z in noise[:, p:].T:
             self.push(self.predict().excited(z), condition, z)
 
     def predict(self) -> Prediction:
         """Return what lattice, tones and network predict, with the excitation."""
         x, cosines = predict(self.states, self.reflections)
-        unit = cosines * self.level
+        unit, known = cosines * self.level, self.condition[:, :2]
         sample = x * self.lattice.gains(self.level)[1] + self.tone
-        if self.corrected:
-            sample = sample + unit * self.model.correction(self.network_window)
-        return self.model.excitation.added_to(sample, unit * self.volatility.factor(), self.condition[:, :2])
+        if self.network is None:
+            return self.model.excitation.added_to(sample, unit * self.volatility.factor(), known)
+        mixture = self.network.mixture(self.hidden, self.inputs)
+        expected = self.model.excitation.added_to(sample, unit, known)
+        scale = expected.scale if self.settled and expected.scale is not None else unit
+        return expected._replace(sample=sample + scale * mixture.expected(), scale=scale, mixture=mixture)
 
     def analyse(self, sample: Array) -> Array:
         """Take a sample (s,) of what the lattice is of through it, and return its innovation."""
         before, after = self.lattice.gains(self.level)
         self.states, e = push(self.states, self.reflections, sample / after)
-        e = e / before
-        self.network_window[:, :-1] = self.network_window[:, 1:]
-        self.network_window[:, -1, 0], self.network_window[:, -1, 3] = sample / self.level, e
-        return e
+        return e / before
+
+    def follow(self, innovation: Array, x: Array, condition: Array, taken_in: bool = True) -> None:
+        """Go on to the condition (s, 3) of a sample; the network takes in its innovation and x, (s,) each."""
+        self.set_condition(condition)
+        if self.network is not None and taken_in:
+            self.inputs = innovation_inputs(innovation, x, self.logs)
+            self.hidden = self.network.push(self.hidden, self.inputs)
 
     def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
         """Take in the next samples.
@@ -203,9 +228,10 @@ class FotenPlusStream:
         on simulated jeans, whose periods are uneven, they had not met in 12 s.
         """
         self.volatility.push(noise)
+        before, tones, sigma = self.condition, self.tones, self.model.excitation.sigma(self.condition[:, :2])
+        level = self.level * sigma
         e = self.analyse(sample - self.tone)
-        before, tones = self.condition, self.tones
-        self.set_condition(condition)
+        self.follow(e / sigma, (sample - self.tone) / level, condition)
         if tones is None:
             return
         increment = tones.increment(before)

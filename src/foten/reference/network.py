@@ -39,17 +39,14 @@ class Weights(dict[str, Array]):
 
 
 class Network:
-    """Windows (b, m, 3 or 4) scaled → (b,): acceleration, speed, force, and what else the tokens hold."""
+    """Windows (b, m, 3) scaled → (b,)."""
 
-    def __init__(self, sizes: TransformerSizes, tensors: Mapping[str, NDArray[Any]], prefix: str = "") -> None:
-        self._sizes, self._w = sizes, Weights(tensors, prefix)
+    def __init__(self, sizes: TransformerSizes, tensors: Mapping[str, NDArray[Any]]) -> None:
+        self._sizes, self._w = sizes, Weights(tensors, "")
 
     def __call__(self, windows: Array) -> Array:
         sizes, w = self._sizes, self._w
-        tokens = windows
-        if sizes.n_inputs < 4:
-            tokens = np.concatenate([windows[:, :, :1], windows[:, :, 3:]], axis=2)
-        tokens = w.linear("temporal.embedding", tokens) + position_encoding(sizes.window, sizes.d_model)
+        tokens = w.linear("temporal.embedding", windows[:, :, :1]) + position_encoding(sizes.window, sizes.d_model)
         for layer in range(sizes.n_layers):
             tokens = self._encoder(f"temporal.layers.{layer}", tokens)
         if sizes.pre_norm:

@@ -8,6 +8,7 @@ import numpy as np
 
 from foten.dsp import Array
 from foten.dsp.noise import heavy_tailed
+from foten.reference.innovation import Mixture
 
 
 class Prediction(NamedTuple):
@@ -17,6 +18,9 @@ class Prediction(NamedTuple):
     scale: Array | None = None  # by how much a unit of excitation moves it; None for no excitation
     tail: Array | None = None  # h of z·exp(h z²/2); None for Gaussian noise
     largest: tuple[float, float] = (np.inf, np.inf)  # excitation, in units of the scale and of scaled acceleration
+    mixture: Mixture | None = (
+        None  # of the excitation, in units of the scale, whose mean is in the sample; None for noise
+    )
 
     def excited(self, noise: Array) -> Array:
         """Return the sample with excitation from standard normal noise, shape (s,)."""
@@ -25,6 +29,9 @@ class Prediction(NamedTuple):
         if self.tail is None:
             return self.sample + self.scale * noise
         limit = np.minimum(self.largest[0], self.largest[1] / self.scale)
+        if self.mixture is not None:
+            drawn = np.clip(self.mixture.quantile(noise), -limit, limit)
+            return self.sample + self.scale * (drawn - self.mixture.expected())
         return self.sample + self.scale * heavy_tailed(noise, self.tail, limit)
 
 

@@ -50,11 +50,15 @@ def run_loops(
 
 
 class Prediction(NamedTuple):
-    """What is expected of samples, and the distribution of what is missed; scaled, of one shape."""
+    """What is expected of samples, and how likely they were; scaled, of one shape.
+
+    All but the sample are 0 where they are not known: a rendering predicts from something else, or has no random part.
+    """
 
     sample: Array
-    scale: Array  # 0 where it is not known: a rendering predicts from something else, or has no excitation
-    tail: Array
+    scale: Array  # of what is random, at mean volatility: a standard deviation but for its tails
+    standardised: Array  # what came, as standard normal numbers, if the distribution is right
+    nll: Array  # negative log-likelihood of what came [nat, scaled]
 
 
 def predict_blocks(texture: NativeTexture, blocks: Array, part: PredictionPart = "model") -> Prediction:
@@ -64,7 +68,7 @@ def predict_blocks(texture: NativeTexture, blocks: Array, part: PredictionPart =
         blocks: acceleration, speed and force; each sample is predicted from those before it in its block.
         part: all of the "model"; its "linear" part alone; or what a "rendering" uses, the network only where it is in the loop.
     """
-    out = np.empty((len(blocks), blocks.shape[1] - texture.info.window, 3))
+    out = np.empty((len(blocks), blocks.shape[1] - texture.info.window, 4))
 
     def predict(i: int) -> None:
         NativeState(texture).predict(np.ascontiguousarray(blocks[i], dtype=np.float64), part, out[i])

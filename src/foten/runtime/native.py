@@ -130,7 +130,7 @@ class NativeState:
             raise ValueError("the window to start from holds NaN or infinity")
 
     def predict(self, samples: NDArray[np.float64], part: PredictionPart, out: NDArray[np.float64]) -> None:
-        """Predict recorded samples (n, 3) one step ahead, filling `out` (n − window, 3): see `predict_blocks`."""
+        """Predict recorded samples (n, 3) one step ahead, filling `out` (n − window, 4): see `predict_blocks`."""
         which = get_args(PredictionPart).index(part)
         status = library().foten_predict(self.pointer, samples.ctypes, len(samples), which, out.ctypes)
         self._texture.raise_failed()

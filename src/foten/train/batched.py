@@ -22,7 +22,7 @@ from foten.train.epochs import Progress, goes_on
 from foten.train.fit import DeviceWindows, TrainingWindows, epoch_seed, loss_of, mask_seed, masks_of, rate_of, validated
 from foten.train.optimiser import Optimiser
 
-BATCHED = ("foten", "foten-plus", "ten", "ten-mfcc", "ten-wavelet", "foten-d", "fnn")
+BATCHED = ("foten", "ten", "ten-mfcc", "ten-wavelet", "foten-d", "fnn")
 """Models that are faster so; those with recurrent layers would be taken apart again."""
 
 

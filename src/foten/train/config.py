@@ -90,6 +90,11 @@ There dense layers begin with Glorot's uniform weights and zero biases, here wit
 """
 
 OWN_RECIPES: dict[str, dict[str, Any]] = {
+    # Epochs of 100 steps, of chunks; what is left to learn of a linear process ends them by patience.
+    "foten-plus": {
+        **{"optimiser": "adamw", "learning_rate": 4e-3, "weight_decay": 0.1, "batch": 64},
+        **{"patience": 4, "probation": 10_000},
+    },
     "ten": {"delta": 2.0},
     "ten-wavelet": {"loss": "mse"},
     **{key: {"loss": "mse", "optimiser": "adamw"} for key in ("fnn", "dstn", "hapinf", "ldhtd", "ldhtd-hop", "dftnet")},
@@ -98,12 +103,13 @@ OWN_RECIPES: dict[str, dict[str, Any]] = {
 }
 """What a model changes of a recipe: losses of Sec. VI-d for TEN's variants, and for the others, where nothing is stated, ours."""
 UNUSED: dict[str, tuple[str, ...]] = {
+    "foten-plus": ("loss", "delta", "dropout", "matrix_learning_rate", "probation", "least_gain"),
     "gan": (
         *("loss", "delta", "dropout", "threads", "weight_decay", "schedule", "clip_norm"),
         *("optimiser", "matrix_learning_rate", "probation", "least_gain"),
-    )
+    ),
 }
-"""Settings that are nothing to a model: the GAN's loss is what judges it."""
+"""Settings that are nothing to a model: foten-plus has a likelihood for a loss, the GAN what judges it."""
 
 
 def check_used(model: str, given: Iterable[str]) -> None:
@@ -111,4 +117,4 @@ def check_used(model: str, given: Iterable[str]) -> None:
     for name in given:
         if name in UNUSED.get(model, ()):
             option = name.replace("_", "-")
-            raise ValueError(f"{option} means nothing to {model}, whose loss is a discriminator: leave it out")
+            raise ValueError(f"{option} means nothing to {model}: leave it out")

@@ -32,6 +32,7 @@ class FittedExcitation:
     level_errors_db: list[float]  # by how much the closed loop was louder than the recording before each adjustment
     tail_gain: float  # what the tails gain in the negative log-likelihood of the validation blocks [nat]
     likelihood: float | None  # mean negative log-likelihood of those blocks, where a rendering does not fade [nat]
+    likelihood_in_units: float = math.nan  # that of innovations over all of them, before the level was settled [nat]
 
     @property
     def nearness(self) -> float:
@@ -50,18 +51,12 @@ class FittedExcitation:
 
 
 def fit_excitation(
-    width: int,
-    innovations: Array,
-    windows: TrainingWindows,
-    loop: ClosedLoop,
-    config: TrainConfig,
-    useless_from: float = math.inf,
-) -> FittedExcitation | None:
+    width: int, innovations: Array, windows: TrainingWindows, loop: ClosedLoop, config: TrainConfig
+) -> FittedExcitation:
     """Return an excitation: scale, tails and bound, then level and volatility in the closed loop.
 
     Args:
         innovations: what is left to the excitation at the training, then the validation indices, in its unit.
-        useless_from: None is returned for a free run so far away (`nearness`) before anything is settled in the loop.
     """
     torch.manual_seed(config.seed)
     excitation = Excitation(width).requires_grad_(False)
@@ -71,20 +66,42 @@ def fit_excitation(
     n, unit = len(windows.train), 1.0 if windows.unit is None else windows.unit[windows.train]
     left = innovations[:n] / _sigma(excitation, windows)[:n], innovations[:n] * unit
     excitation.largest.copy_(torch.tensor([float(np.abs(values).max()) for values in left]))
-    if useless_from < math.inf and not math.prod(free_run_distance(loop, excitation, config.seed)) < useless_from:
-        return None
+    _, in_units = _likelihood_of(excitation, innovations, windows, loop)
     errors = settle_level(loop, excitation, config.seed)
     if config.volatility:
         fit_volatility(loop, excitation, config.seed)
-    likelihood = _likelihood_of(excitation, innovations, windows, loop)
+    settled, _ = _likelihood_of(excitation, innovations, windows, loop)
     distance = free_run_distance(loop, excitation, config.seed)
-    return FittedExcitation(excitation, distance, errors, tail_gain, likelihood)
+    return FittedExcitation(excitation, distance, errors, tail_gain, settled, in_units)
+
+
+def settle_gain(
+    width: int, largest: list[float], loop: ClosedLoop, config: TrainConfig, likelihood: float
+) -> FittedExcitation:
+    """Return what scales a network's innovations in the closed loop, σ near 1, and bounds them; no tails, no volatility.
+
+    Args:
+        largest: bounds of an innovation, in units of σ and in scaled acceleration.
+        likelihood: the network's [nat].
+    """
+    torch.manual_seed(config.seed)
+    excitation = Excitation(width).requires_grad_(False)
+    scaling = loop.blocks.scaling
+    excitation.mean.copy_(torch.tensor(scaling.mean[1:]))
+    excitation.sd.copy_(torch.tensor(scaling.sd[1:]))
+    for part in (excitation.hidden.weight, excitation.hidden.bias, excitation.out.weight, excitation.out.bias):
+        part.zero_()
+    excitation.power_law.weight.zero_()
+    excitation.largest.copy_(torch.tensor(largest))
+    errors = settle_level(loop, excitation, config.seed)
+    distance = free_run_distance(loop, excitation, config.seed)
+    return FittedExcitation(excitation, distance, errors, 0.0, likelihood)
 
 
 def _likelihood_of(
     excitation: Excitation, innovations: Array, windows: TrainingWindows, loop: ClosedLoop
-) -> float | None:
-    """Return the mean negative log-likelihood of the validation blocks [nat], as the judge counts it."""
+) -> tuple[float | None, float]:
+    """Return the mean negative log-likelihood of the validation blocks [nat]: as the judge counts it, and of innovations."""
     n = windows.validation
     unit = np.ones(len(n)) if windows.unit is None else windows.unit[n]
     condition = _conditions(windows)[len(windows.train) :].float()
@@ -92,7 +109,7 @@ def _likelihood_of(
         scale, tail = (part(condition).double().numpy() for part in (excitation, excitation.tails))
     _, nats = innovation_likelihood(innovations[len(windows.train) :] * unit, scale * unit, tail)
     counted = loop.blocks.moving().ravel()[n]
-    return float(nats[counted].mean()) if counted.any() else None
+    return float(nats[counted].mean()) if counted.any() else None, float((nats - np.log(unit)).mean())
 
 
 def _conditions(windows: TrainingWindows) -> Tensor:

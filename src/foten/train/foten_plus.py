@@ -1,10 +1,13 @@
-"""foten-plus: the linear part and its excitation first, which make a texture; then the network, where it gains."""
+"""foten-plus: the linear part and its excitation first, which make a texture; then its networks, where they gain."""
 
 from __future__ import annotations
 
+import copy
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,38 +17,41 @@ from foten.dsp.level import FRAME_MS, frame_levels, frame_means
 from foten.families.conditions import FADE_FORCE, FADE_SPEED
 from foten.families.foten_plus import FotenPlusSizes
 from foten.families.texture_file import Texture
-from foten.networks.foten_plus import Corrector
-from foten.reference.network import Network
+from foten.networks.innovation import InnovationNetwork
+from foten.reference.excitation import Scale as LevelOf
+from foten.reference.innovation import InnovationNetwork as Reference
 from foten.train.blocks import ScaledBlocks
 from foten.train.closed_loop import ClosedLoop
 from foten.train.config import TrainConfig
-from foten.train.epochs import Progress
-from foten.train.excitation import FittedExcitation, fit_excitation
-from foten.train.export import N_GOLDEN, Draft, Tensors, in_float64, tensors_of
-from foten.train.fit import TrainingWindows, pick_device, predict
-from foten.train.job import NetworkTask, Stage, TrainingJob
+from foten.train.epochs import Epoch, Progress
+from foten.train.excitation import FittedExcitation, fit_excitation, settle_gain
+from foten.train.export import N_GOLDEN, Draft, Tensors, tensors_of
+from foten.train.fit import TrainingWindows, pick_device
+from foten.train.innovations import Innovations, fit_innovations, innovations_of, validated
+from foten.train.job import Stage, Task, TrainingJob
 from foten.train.linear_part import LinearPart, fit_linear_parts
 
-NETWORK_IS_NEARER = 0.98  # times the free run's distance without it
-NETWORK_MAY_BE_NEARER = 1.25  # times that before its level is settled, which moved it by up to a fifth
-LEAST_GAIN = 0.002  # of the one-step error, for the network to be tried in the loop
+LEAST_GAIN_NAT = 0.005  # of an innovation's likelihood on the validation blocks, for a network to be in the loop
+LARGEST_BEYOND = 1.3  # times the largest recorded innovation is the largest that a network may draw
 TONES_MAY_DISTORT = 1.05  # times the log-spectral distance without them, on the validation blocks
 
 
 @dataclass(frozen=True)
 class Rendering:
-    """A linear part with an excitation: that of what the network leaves, where the part has it in the loop."""
+    """A linear part with an excitation, or one whose network is in the loop."""
 
     part: LinearPart
     fitted: FittedExcitation
 
 
 @dataclass(kw_only=True)
-class FotenPlusTask(NetworkTask):
-    """The network of a texture that is playable without it: as `plain` is, one of the linear parts that were tried."""
+class FotenPlusTask(Task):
+    """The networks of a texture that is playable without them: as `plain` is, one of the linear parts that were tried."""
 
-    linear_mae: float
-    network: Corrector
+    networks: dict[
+        str, InnovationNetwork
+    ]  # by what their tensors' names begin with: of the vibration, and of what tones leave
+    innovations: list[Innovations]  # of each
     draft: Draft
     plain: Rendering
     tried: dict[str, Any]
@@ -53,36 +59,56 @@ class FotenPlusTask(NetworkTask):
     def __post_init__(self) -> None:
         self.playable = self._texture(self.plain, self.linear_mae, {}, best_epoch=0, n_epochs=0, validation_loss=None)
 
+    def fit(self, on_epoch: Callable[[Epoch], None], checkpoint: Path | None, resume: bool) -> Progress:
+        """Fit the networks."""
+        warm_up, config = self.plain.part.sizes.window, self.job.config
+        networks = list(self.networks.values())
+        return fit_innovations(networks, self.innovations, self.blocks, warm_up, config, on_epoch, checkpoint, resume)
+
     def finish(self, progress: Progress, on_stage: Stage) -> Texture:
-        """Return the texture with the network that was fitted, in the loop where the free run is nearer so."""
+        """Return the texture with the networks that were fitted, one of them in the loop where its innovations are likelier."""
         best, chosen = progress.best, self.plain
-        renderings = {"without network": list(self.plain.fitted.distance)}
-        gained = 1 - best.validation_mae / self.linear_mae
-        if best.epoch and gained >= LEAST_GAIN and self.plain.part.phase is None:
-            on_stage("rendering with the network in the loop")
+        renderings: dict[str, Any] = {"without network": self.plain.fitted.metrics()}
+        name = list(self.networks)[-1]
+        likelihood, _ = self._validated(name)
+        before = self.plain.fitted.likelihood_in_units
+        if best.epoch and before - likelihood >= LEAST_GAIN_NAT:
+            on_stage("settling the level with the network in the loop")
             rendering = self._with_network()
-            if rendering is not None:
-                renderings["with network"] = list(rendering.fitted.distance)
-                if rendering.fitted.nearness < NETWORK_IS_NEARER * self.plain.fitted.nearness:
-                    chosen = rendering
+            renderings["with network"] = rendering.fitted.metrics()
+            chosen = rendering
         on_stage("proving the texture file")
         epochs = {"best_epoch": best.epoch, "n_epochs": progress.epochs[-1].epoch}
         return self._texture(chosen, best.validation_mae, renderings, validation_loss=best.validation_loss, **epochs)
 
-    def _with_network(self) -> Rendering | None:
-        """Return a rendering with the network in the loop, or None where it is far from any use."""
-        both = np.concatenate([self.windows.train, self.windows.validation])
-        left = self.windows.samples[both, 3] - predict(self.network, self.windows, both)
-        part = replace(self.plain.part, sizes=replace(self.plain.part.sizes, network_in_loop=True))
-        useless_from = NETWORK_MAY_BE_NEARER * self.plain.fitted.nearness
-        loop, width = _loop(part, self.draft, self.network), part.sizes.excitation_width
-        fitted = fit_excitation(width, left, self.windows, loop, self.job.config, useless_from)
-        return None if fitted is None else Rendering(part, fitted)
+    def _validated(self, name: str) -> tuple[float, float]:
+        """Return a network's likelihood [nat, of innovations] and error on the validation blocks."""
+        network, of = self.networks[name], self.innovations[list(self.networks).index(name)]
+        tensors = of.tensors(next(network.parameters()).device)
+        return validated(network, of, tensors, self.blocks.split.validation, self.plain.part.sizes.window)
 
-    def _texture(self, chosen: Rendering, mae: float, renderings: dict[str, Any], **epochs: float | None) -> Texture:
-        network = self.network
-        weights = tensors_of(network, "network.")
-        _check_twin(network, chosen.part.sizes, weights, self.windows)
+    def _with_network(self) -> Rendering:
+        """Return a rendering with the network in the loop, its level settled."""
+        part = replace(self.plain.part, sizes=replace(self.plain.part.sizes, network_in_loop=True))
+        loop, of = _loop(part, self.draft, self.networks), self.innovations[-1]
+        train = list(self.blocks.split.train)
+        known = (one[train, of.first + 1 :] for one in (of.innovation, of.innovation * of.unit))
+        largest = [LARGEST_BEYOND * float(np.abs(values).max()) for values in known]
+        likelihood, _ = self._validated(list(self.networks)[-1])
+        unit = of.unit[list(self.blocks.split.validation), of.first + 1 :]
+        nll = likelihood + float(np.log(unit[:, part.sizes.window :]).mean())
+        fitted = settle_gain(part.sizes.excitation_width, largest, loop, self.job.config, nll)
+        return Rendering(part, fitted)
+
+    def _texture(
+        self, chosen: Rendering, mae: float | None, renderings: dict[str, Any], **epochs: float | None
+    ) -> Texture:
+        sizes = chosen.part.sizes
+        weights: Tensors = {}
+        for name, network in self.networks.items():
+            if name == "network" or sizes.network_in_loop:
+                weights |= tensors_of(network, f"{name}.")
+        _check_twin(self.networks["network"], weights, self.innovations[0])
         metrics = {
             **epochs,
             **chosen.fitted.metrics(),
@@ -93,49 +119,59 @@ class FotenPlusTask(NetworkTask):
             "recorded_peak_sd": self.blocks.peak_sd,
         }
         tensors = {**chosen.part.tensors, **weights, **tensors_of(chosen.fitted.excitation, "excitation.")}
-        return self.draft.texture(chosen.part.sizes, tensors, metrics, N_GOLDEN).texture
+        return self.draft.texture(sizes, tensors, metrics, N_GOLDEN).texture
 
 
 def prepare_foten_plus(job: TrainingJob, on_stage: Stage) -> FotenPlusTask:
-    """Return the linear part with its excitation as a texture, and the windows that a network is to be fitted to."""
+    """Return the linear part with its excitation as a texture, and what its networks are to be fitted to."""
     assert isinstance(job.sizes, FotenPlusSizes)
-    blocks = job.blocks()
-    check_block(blocks, job.sizes.window)
-    _check_frame(blocks, job.sizes.window, job.config.max_order)
+    blocks, window = job.blocks(), job.sizes.window
+    check_block(blocks, window)
+    _check_frame(blocks, window, job.config.max_order)
     torch.manual_seed(job.config.seed)
     parts = fit_linear_parts(job.sizes, blocks, job.config, on_stage)
-    device, network = pick_device(), Corrector(job.sizes)
+    device = pick_device()
+    networks = {"network": InnovationNetwork(job.sizes)}
     card = {**job.card(blocks, device.type), "beyond_exponents": _beyond_exponents(blocks)}
     draft = Draft(job.model, blocks, card)
     on_stage("fitting the excitation and settling its level in the closed loop")
-    plain, tried = _chosen([_rendering(part, network, draft, job.config) for part in parts])
-    windows = _innovations(plain.part, blocks)
-    n, unit = windows.validation, windows.unit
-    assert unit is not None
+    plain, tried = _chosen([_rendering(part, networks, draft, job.config) for part in parts])
+    tonal, first = plain.part.phase is not None, plain.part.sizes.history - window
+    innovations = [_innovations(plain.part, blocks, first, not tonal)]
+    if tonal:
+        networks["residual_network"] = InnovationNetwork(job.sizes)
+        innovations.append(_innovations(plain.part, blocks, first, False, residual=True))
+    of, validation = innovations[0], list(blocks.split.validation)
+    scored = (slice(None), slice(first + 1 + window, None))
+    missed = (of.innovation * of.unit)[validation][scored]
     return FotenPlusTask(
         job=job,
         blocks=blocks,
-        linear_mae=float(np.abs(windows.samples[n, 3] * unit[n]).mean()),
-        network=network.to(device),
-        windows=windows,
+        linear_mae=float(np.abs(missed).mean()),
+        networks={name: network.to(device) for name, network in networks.items()},
+        innovations=innovations,
         draft=draft,
         plain=plain,
         tried=tried,
     )
 
 
-def _rendering(part: LinearPart, network: Corrector, draft: Draft, config: TrainConfig) -> Rendering:
+def _rendering(
+    part: LinearPart, networks: dict[str, InnovationNetwork], draft: Draft, config: TrainConfig
+) -> Rendering:
     """Return a linear part with an excitation."""
-    windows = _innovations(part, draft.blocks, residual=True)
+    windows = _windows(part, draft.blocks)
     innovations = windows.samples[np.concatenate([windows.train, windows.validation]), 3]
-    loop = _loop(part, draft, network)
-    fitted = fit_excitation(part.sizes.excitation_width, innovations, windows, loop, config)
-    assert fitted is not None
-    return Rendering(part, fitted)
+    loop = _loop(part, draft, networks)
+    return Rendering(part, fit_excitation(part.sizes.excitation_width, innovations, windows, loop, config))
 
 
-def _loop(part: LinearPart, draft: Draft, network: Corrector) -> ClosedLoop:
-    kernel = partial(draft.kernel, part.sizes, {**part.tensors, **tensors_of(network, "network.")})
+def _loop(part: LinearPart, draft: Draft, networks: dict[str, InnovationNetwork]) -> ClosedLoop:
+    weights: Tensors = {}
+    for name, network in networks.items():
+        if name == "network" or part.sizes.network_in_loop:
+            weights |= tensors_of(network, f"{name}.")
+    kernel = partial(draft.kernel, part.sizes, {**part.tensors, **weights})
     history, block = part.sizes.history, draft.blocks.trace.block
     return ClosedLoop(draft.blocks, history, kernel, part.power, part.response(block - history))
 
@@ -158,22 +194,31 @@ def _chosen(renderings: list[Rendering]) -> tuple[Rendering, dict[str, Any]]:
     return best, {**report(best), **({"rejected": rejected} if rejected else {})}
 
 
-def _innovations(part: LinearPart, blocks: ScaledBlocks, residual: bool = False) -> TrainingWindows:
-    """Return windows of x, speed, force and e, and as targets the lattice's innovations, or those of what the tones leave."""
-    x, e, unit = part.innovations(blocks, residual)
+def _windows(part: LinearPart, blocks: ScaledBlocks) -> TrainingWindows:
+    """Return windows of x, speed, force and e, and as targets the innovations of what a rendering excites."""
+    x, e, unit = part.innovations(blocks, residual=True)
     samples = np.concatenate([x[..., None], blocks.samples[..., 1:], e[..., None]], axis=2)
     indices = blocks.targets(part.sizes.history)
     return TrainingWindows(samples.reshape(-1, 4), *indices, part.sizes.window, e.ravel(), unit.ravel())
 
 
-def _check_twin(network: Corrector, sizes: FotenPlusSizes, weights: Tensors, windows: TrainingWindows) -> None:
-    """Check that the network in PyTorch and its reference give the same, in float64."""
-    n = windows.validation[:: max(1, len(windows.validation) // 8)]
-    some = windows.samples[n[:, None] + np.arange(-windows.window, 0)]
-    ours = in_float64(network)(some)
-    limit = sizes.correction_limit
-    reference = limit * np.tanh(Network(sizes, weights, "network.")(some) / limit)
-    assert np.abs(ours - reference).max() < 1e-9
+def _innovations(
+    part: LinearPart, blocks: ScaledBlocks, first: int, mirrored: bool, residual: bool = False
+) -> Innovations:
+    """Return what a network is fitted to."""
+    level = part.excited_lattice.level if residual else LevelOf(part.tensors, "lattice.level.")
+    return innovations_of(blocks, level, *part.innovations(blocks, residual), first, mirrored)
+
+
+def _check_twin(network: InnovationNetwork, weights: Tensors, of: Innovations) -> None:
+    """Check that the network in PyTorch and its reference expect the same, in float64."""
+    some = of.inputs[:2, of.first : of.first + 16]
+    reference, hidden = Reference(weights, "network."), np.zeros((len(some), network.recurrent.hidden_size))
+    for i in range(some.shape[1]):
+        hidden = reference.push(hidden, some[:, i])
+    with torch.no_grad():
+        ours = copy.deepcopy(network).cpu().double().expected(torch.from_numpy(some))[:, -1].numpy()
+    assert np.abs(ours - reference.mixture(hidden, some[:, -1]).expected()).max() < 1e-9
 
 
 def check_block(blocks: ScaledBlocks, m: int) -> None:
