@@ -2,8 +2,7 @@
 
     python examples/textures.py [KEY]…
 
-A minute each on one core. The network is a small one: no rendering of these uses it, and it would be most of a file. One comes
-a second time as the piecewise AR model has it, so that the page has two methods to compare.
+A minute each on one core. One comes a second time as the piecewise AR model has it, so that the page has two methods to compare.
 """
 
 from __future__ import annotations
@@ -16,8 +15,6 @@ from pathlib import Path
 import foten
 
 OUT = Path(foten.EXAMPLE).parent
-SIZES = ("d_model=8", "n_heads=2", "n_layers=1", "d_feedforward=16", "head=[32,16]", "spectral_width=8")
-SMALL = [word for size in SIZES for word in ("--set", size)]
 KEYS = ("artificial-grass", "jeans", "steel-mesh-1", "textured-rubber", "towel")
 COMPARED, OTHER = "steel-mesh-1", "ar"
 LARGEST = 500_000  # bytes
@@ -30,7 +27,7 @@ def main() -> None:
             command = [sys.executable, "-m", "foten.cli"]
             subprocess.run([*command, "simulate", key, "--seconds", "64", "--seed", "3", "-o", recording], check=True)
             run = ["--run", Path(folder) / "run", "--licence", "CC0-1.0"]
-            subprocess.run([*command, "train", recording, "-o", texture, *SMALL, *run], check=True)
+            subprocess.run([*command, "train", recording, "-o", texture, *run], check=True)
             if key == COMPARED:
                 other = OUT / f"{key}_{OTHER}.foten"
                 licence = ["--licence", "CC0-1.0"]

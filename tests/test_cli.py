@@ -21,7 +21,7 @@ from foten.cli.evaluate import network_summary
 from foten.families.texture_file import read_texture, write_texture
 
 FAST = ["--trim", "0", "--block", "500", "--epochs", "1", "--threads", "1", "--window", "12"]
-TINY = [f"--set={size}" for size in ("d_model=8", "n_heads=2", "n_layers=1", "d_feedforward=8", "head=[8,4]")]
+TINY = [f"--set={size}" for size in ("n_hidden=6", "head_width=5", "n_components=2")]
 
 
 @pytest.fixture(scope="module")
@@ -167,7 +167,7 @@ def test_ctrl_c_in_the_first_epoch_leaves_the_playable_file(
     def interrupted(*_: object) -> tuple[float, float]:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("foten.train.fit.validated", interrupted)
+    monkeypatch.setattr("foten.train.innovations.validated", interrupted)
     out = tmp_path / "p.foten"
     capsys.readouterr()
     assert _status(["train", str(recording), "-o", str(out), *FAST, *TINY]) == 130
@@ -208,10 +208,16 @@ def test_a_disk_that_fills_up_while_training_costs_no_more_than_the_run_folder(
 
 def test_settings_change_the_network(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "s.foten"
-    small = ["--set", "d_model=8", "--set", "n_layers=1", "--set", "head=[16,8]", "--set", "bins=half"]
+    small = ["--set", "n_hidden=7", "--set", "head_width=6"]
+    papers, its = tmp_path / "p.foten", ["--model", "foten", "--set", "d_model=8", "--set", "n_layers=1"]
+    its += ["--set", "head=[16,8]", "--set", "bins=half"]
+    assert _status(["train", str(recording), "-o", str(papers), *FAST, *its]) == 0
+    of_paper = read_texture(papers).card["sizes"]
+    assert (of_paper["d_model"], of_paper["head"], of_paper["bins"]) == (8, [16, 8], "half")
+    capsys.readouterr()
     assert _status(["train", str(recording), "-o", str(out), *FAST, *small]) == 0
     sizes = read_texture(out).card["sizes"]
-    assert (sizes["d_model"], sizes["n_layers"], sizes["head"], sizes["bins"]) == (8, 1, [16, 8], "half")
+    assert (sizes["n_hidden"], sizes["head_width"], sizes["n_components"]) == (7, 6, 4)
     printed = capsys.readouterr().out
     assert re.search(r"warm start recorded at \d+ mm/s and .* N, the nearest to the paper's 45 mm/s", printed)
     assert f"\nabove the trained range {read_texture(out).beyond_in_words()}\n" in printed
@@ -272,14 +278,18 @@ def test_info_shows_units(texture: Path, capsys: pytest.CaptureFixture[str]) -> 
     sizes = read_texture(texture).card["sizes"]
     history = sizes["window"] + max(sizes["order"], sizes["residual_order"]) + 1
     assert (
-        f"a prediction is made from the last {history} samples: the network is given {sizes['window']} of them" in out
+        f"a prediction is made from the last {history} samples: the network takes in {sizes['window']} of them" in out
     )
 
 
 @pytest.mark.parametrize(
     ("sizes", "metrics", "words"),
     [
-        ({}, {"validation_mae_scaled": 0.95}, "improves one-step predictions by 5.0 %, and is part of a rendering"),
+        (
+            {},
+            {"validation_mae_scaled": 0.95},
+            "improves one-step predictions by 5.0 %, and draws the innovations of a rendering",
+        ),
         (
             {"network_in_loop": False},
             {"validation_mae_scaled": 0.9999},
@@ -288,7 +298,7 @@ def test_info_shows_units(texture: Path, capsys: pytest.CaptureFixture[str]) -> 
         (
             {"n_tones": 3},
             {"validation_mae_scaled": 0.9},
-            "improves one-step predictions by 10.0 %; a rendering, which is made of tones, does without it",
+            "improves one-step predictions by 10.0 %; another draws what tones leave of a rendering",
         ),
         ({}, {"n_epochs": 0}, "not trained: the file was written before"),
     ],

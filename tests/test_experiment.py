@@ -96,7 +96,7 @@ def test_ours_of_table_1_are_the_best_of_the_recipes_on_validation(tmp_path: Pat
         (tmp_path / f"{texture}.h5").touch()
     for name in ("table-1-small", "table-1-real"):
         for run in read_experiment(experiment_path(name), tmp_path).runs():
-            if run.recipe == "ours":
+            if run.recipe == "ours" and run.model != "foten-plus":  # which has one of its own
                 method = run.method.removesuffix(" with excitation")  # as FoTEN
                 chosen = candidates[method, best[method]]
                 assert {k: v for k, v in run.train.items() if k not in own} == {

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import layer_norm, linear
 
-from conftest import PLUS, SMALL, untrained
-from foten.families import FotenPlusSizes, FotenSizes
+from conftest import SMALL, untrained
+from foten.families import FotenSizes
 from foten.networks import build
 from foten.reference.network import Network
 from foten.train.export import tensors_of
@@ -191,41 +191,12 @@ def test_only_the_last_speed_and_force_matter() -> None:
         assert (network(last) - network(given)).abs().min() > 0
 
 
-@pytest.mark.parametrize("model", ["foten", "foten-plus"])
 @pytest.mark.parametrize("fields", [{}, {"pre_norm": False}, {"spectral_width": 1}])
-def test_silence_has_finite_gradients(model: str, fields: dict[str, object]) -> None:
+def test_silence_has_finite_gradients(fields: dict[str, object]) -> None:
     """|Z| = 0 is where √ has no derivative and the angle none either."""
-    sizes = (FotenSizes if model == "foten" else FotenPlusSizes)(**fields)  # type: ignore[arg-type]
-    network = untrained(model, sizes).train()
-    network(torch.zeros(4, sizes.window, 3 if model == "foten" else 4)).sum().backward()
+    sizes = FotenSizes(**fields)  # type: ignore[arg-type]
+    network = untrained("foten", sizes).train()
+    network(torch.zeros(4, sizes.window, 3)).sum().backward()
     gradients = [p.grad for p in network.parameters() if p.requires_grad]
     assert all(gradient is not None and torch.isfinite(gradient).all() for gradient in gradients)
     assert any(gradient.abs().max() > 0 for gradient in gradients if gradient is not None)
-
-
-def test_the_network_of_foten_plus_adds_nothing_at_first_and_a_bounded_correction_later() -> None:
-    """Windows of x, speed, force and e, as well in NumPy."""
-    sizes = FotenPlusSizes(**PLUS)
-    given = torch.from_numpy(np.random.default_rng(0).standard_normal((200, sizes.window, 4)))
-    torch.manual_seed(0)
-    network = build("foten-plus", sizes).double().eval()
-    with torch.no_grad():
-        assert not network(given).any()
-        network.head_3.weight.normal_(std=100.0)
-        correction = network(given).numpy()
-    limit = sizes.correction_limit
-    assert np.abs(correction).max() <= limit
-    assert np.abs(correction).max() > 0.99 * limit
-    reference = Network(sizes, tensors_of(network))(given.numpy())
-    np.testing.assert_allclose(limit * np.tanh(reference / limit), correction, atol=1e-9)
-
-
-def test_the_tokens_of_foten_plus_hold_the_condition_where_they_are_said_to() -> None:
-    for in_tokens in (True, False):
-        sizes = FotenPlusSizes(**PLUS, condition_in_tokens=in_tokens)
-        network = untrained("foten-plus", sizes).double()
-        given = torch.from_numpy(np.random.default_rng(0).standard_normal((20, sizes.window, 4)))
-        before = given.clone()
-        before[:, :-1, 1:3] += 1.0
-        with torch.no_grad():
-            assert ((network(before) - network(given)).abs().max() > 1e-6) == in_tokens

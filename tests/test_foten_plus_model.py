@@ -50,33 +50,34 @@ def test_a_prediction_takes_no_more_than_its_history(before: bool) -> None:
 
 
 def test_it_starts_as_its_lattice() -> None:
-    """Oracle: the direct form of an AR(2); the network's last layer is zero."""
+    """Oracle: the direct form of an AR(2); the means of the network's mixture are zero."""
     sizes, tensors = made(order=2)
     for name in ("out.weight", "out.bias", "power_law.weight"):
         tensors[f"lattice.level.{name}"] = np.zeros_like(tensors[f"lattice.level.{name}"])
-    for name in ("weight", "bias"):
-        tensors[f"network.head_3.{name}"] = np.zeros_like(tensors[f"network.head_3.{name}"])
+    k = sizes.n_components
+    for name in ("weight", "bias"):  # of the means
+        tensors[f"network.out.{name}"][k : 2 * k] = 0.0
     tensors["lattice.reflections"] = reflections_of(np.array([-0.9, 1.6]))[None]
     given = windows(40, sizes.history)
     expected = given[:, -2:, 0] @ (np.array([-0.9, 1.6]) * LEAK ** np.array([2, 1]))
     np.testing.assert_allclose(model(sizes, tensors).predict(given), expected, atol=1e-12)
 
 
-def test_the_correction_is_bounded_in_innovations() -> None:
-    """In the unit that the excitation's σ has, whatever the network says."""
+@pytest.mark.parametrize("noise", [-5.6, None, 5.6])
+def test_what_the_network_draws_is_bounded(noise: float | None) -> None:
+    """In the unit that σ has, whatever the network says; without noise as well."""
     sizes, tensors = made(order=6)
-    tensors["excitation.volatility"] = np.zeros(2)  # which scales the excitation alone
+    tensors["excitation.largest"] = np.array([2.5, 1e6])
     given = windows(200, sizes.history)
-    silent = {**tensors, "network.head_3.weight": 0 * tensors["network.head_3.weight"]}
-    silent["network.head_3.bias"] = tensors["network.head_3.bias"] * 0
-    loud = {**silent, "network.head_3.weight": 1e3 * tensors["network.head_3.weight"]}
-    linear, corrected = (model(sizes, some).start(given).predict() for some in (silent, loud))
-    assert corrected.scale is not None
-    sigma = model(sizes, tensors).excitation.sigma(given[:, -1, 1:])
-    share = (corrected.sample - linear.sample) * sigma / corrected.scale
-    limit = sizes.correction_limit
-    assert np.abs(share).max() <= limit * (1 + 1e-9)  # tanh; rounding of the difference
-    assert np.abs(share).max() > 0.99 * limit
+    silent = {**tensors, "network.out.weight": 0 * tensors["network.out.weight"]}
+    silent["network.out.bias"] = tensors["network.out.bias"] * 0
+    loud = {**tensors, "network.out.weight": 1e3 * tensors["network.out.weight"]}
+    linear, drawn = (model(sizes, some).start(given).predict() for some in (silent, loud))
+    assert drawn.scale is not None
+    sample = drawn.sample if noise is None else drawn.excited(np.full(200, noise))
+    share = (sample - linear.sample) / drawn.scale
+    assert np.abs(share).max() <= 2.5 * (1 + 1e-9)  # rounding of the difference
+    assert np.abs(share).max() > 2.49
 
 
 @pytest.mark.parametrize("before", [False, True])

@@ -6,9 +6,10 @@ import pytest
 from scipy.signal import lfilter
 from scipy.special import polygamma
 
-from conftest import SCALING, resonance
+from conftest import PLUS, SCALING, exported, resonance
 from foten.evaluate.free_run import free_run, nearest_training_blocks, scored, synthesize, synthesize_linear
 from foten.evaluate.one_step import Linear, fit_linear
+from foten.families import FotenPlusSizes
 from foten.families.texture_file import ONE_STEP_TOLERANCE, Texture
 from foten.recording.scaling import Scaling
 from foten.recording.trace import Trace
@@ -169,7 +170,12 @@ def test_without_excitation_there_is_one_run(texture: Texture, plain_texture: Te
         assert out.shape == (1, 2, 300)
 
 
-def test_the_first_free_sample_is_the_one_step_prediction(texture: Texture) -> None:
+def test_the_first_free_sample_is_the_one_step_prediction() -> None:
+    """Where σ is 1, as it is before the level is settled."""
+    unscaled = ("excitation.out.weight", "excitation.out.bias", "excitation.power_law.weight")
+    sizes = FotenPlusSizes(**PLUS, order=6)
+    shapes = sizes.tensor_shapes()
+    texture = exported("foten-plus", sizes, {name: np.zeros(shapes[name]) for name in unscaled})
     recorded = trace(3)
     out, _ = synthesize(NativeTexture(texture.to_bytes()), recorded, (0, 1, 2), excitation=False)
     windows = texture.scaling.scale(recorded.stacked()).reshape(3, 300, 3)[:, : texture.window]

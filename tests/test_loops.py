@@ -24,6 +24,7 @@ from foten.reference.stream import Model, run
 from foten.runtime.loops import predict_blocks, run_loops
 from foten.runtime.native import NativeState, NativeTexture, PredictionPart
 from foten.train.export import in_float64
+from test_innovations import standardised
 from test_piecewise_ar import LOCAL
 from test_reference import CASES, sizes_for
 
@@ -132,7 +133,7 @@ def followed(
             for p, miss, unit in zip(predictions, missed, units, strict=True):
                 e = miss / unit + p.mixture.expected()
                 nll = np.log(unit) - p.mixture.log_density(e)
-                scores.append((unit * p.mixture.sd(), p.mixture.standardised(e), nll))
+                scores.append((unit * p.mixture.sd(), standardised(p.mixture, e), nll))
         return samples, *(np.stack(some, axis=1) for some in zip(*scores, strict=True))
     if isinstance(model, PiecewiseAr):
         local, local_predictions = model.start(blocks[:, :m]), []

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from conftest import sizes_with
+from conftest import PLUS, sizes_with
 from foten.datasets.simulate import simulate
 from foten.families import FAMILIES, FotenSizes
 from foten.families.texture_file import Texture, texture_from_bytes
@@ -22,15 +22,7 @@ from foten.train.epochs import Epoch
 from foten.train.job import Trained, TrainingJob
 from foten.train.pipeline import PREPARE, train
 
-SMALL = {
-    "d_model": 8,
-    "n_heads": 2,
-    "n_layers": 2,
-    "d_feedforward": 16,
-    "head": (16, 8),
-    "spectral_width": 8,
-    "window": 12,
-}
+SMALL = {"d_model": 8, "n_heads": 2, "n_layers": 2, "d_feedforward": 16, "head": (16, 8), "spectral_width": 8, **PLUS}
 # A lattice of one set of reflection coefficients is fitted in a fraction of the time that a table takes.
 QUICK = TrainConfig(epochs=2, batch=512, threads=1, max_order=20, table=False, tones=False)
 SHORT = PreprocessConfig(trim_ms=0, block_ms=500)
@@ -86,7 +78,8 @@ def test_a_texture_is_playable_before_the_network_is_fitted(recording: Recording
     assert isinstance(happened[0], Texture)
     assert happened[1:] == [0, 1, 2]
     playable = texture_from_bytes(happened[0].to_bytes())
-    assert not playable.tensors["network.head_3.weight"].any()
+    k = PLUS["n_components"]
+    assert not playable.tensors["network.out.weight"][k : 2 * k].any()  # the means of its mixture
     metrics = playable.card["metrics"]
     assert metrics["validation_mae_scaled"] == metrics["validation_mae_scaled_lattice"] == again.linear_mae
     assert len(metrics["level_errors_db"]) == 3
@@ -129,7 +122,7 @@ def test_a_training_interrupted_before_its_first_epoch_has_given_a_playable_text
     def interrupted(*_: object) -> tuple[float, float]:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("foten.train.fit.validated", interrupted)
+    monkeypatch.setattr("foten.train.innovations.validated", interrupted)
     given: list[Texture] = []
     with pytest.raises(KeyboardInterrupt):
         train(job_of(recording), on_playable=given.append)

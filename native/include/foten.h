@@ -51,7 +51,7 @@ extern "C" {
 #define FOTEN_VERSION "0.1.0"
 #define FOTEN_VERSION_MAJOR 0
 #define FOTEN_VERSION_MINOR 1
-#define FOTEN_ABI 4 /* of this header's structures and functions; foten_abi() has to be the same: compare them before anything else */
+#define FOTEN_ABI 5 /* of this header's structures and functions; foten_abi() has to be the same: compare them before anything else */
 
 typedef struct foten_model foten_model;
 typedef struct foten_state foten_state;

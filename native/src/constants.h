@@ -1,7 +1,7 @@
 /* Constants that the kernel shares with other languages, each defined once for C.
  *
  * A line is a name, a number, and in the comment the constant of the Python package that the number equals;
- * tests/test_kernel_constants.py compares them all. */
+ * tests/test_native.py compares them all. */
 #pragma once
 
 /* What C does not have. */
@@ -10,7 +10,7 @@
 static inline double clip(double x, double limit) { return x > limit ? limit : x < -limit ? -limit : x; }
 
 /* The texture file and its proof. */
-#define FOTEN_FORMAT_VERSION 2 /* foten.families.texture_file.FORMAT_VERSION */
+#define FOTEN_FORMAT_VERSION 3 /* foten.families.texture_file.FORMAT_VERSION */
 #define FOTEN_LEAST_GOLDEN 8 /* foten.families.texture_file.MIN_GOLDEN */
 #define FOTEN_ONE_STEP_TOLERANCE 1e-5 /* foten.families.texture_file.ONE_STEP_TOLERANCE */
 #define FOTEN_CLOSED_LOOP_TOLERANCE 1e-4 /* foten.families.texture_file.CLOSED_LOOP_TOLERANCE */

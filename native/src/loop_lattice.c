@@ -94,14 +94,13 @@ static double scale_of_noise(const foten_model *m, const loop *l) {
     return l->lattice.all_cosines * l->lattice.level * factor * l->excitation.sigma;
 }
 
-/* The next innovation, and what of it sigma does not scale: all but the largest of what the network draws, or expects without noise. */
+/* The next innovation over sigma: what the network draws or, without noise, expects, up to the largest. */
 static double drawn(const foten_model *m, loop *l, const double *noise) {
     const innovation_network *network = m->network_in_loop;
     const double *largest = m->excitation.largest;
-    double expected = innovation_mixture(network, &l->innovation);
-    if (!noise) return expected;
-    double most = largest[1] / scale_of_noise(m, l);
-    return clip(innovation_quantile(network, &l->innovation, *noise), most < largest[0] ? most : largest[0]);
+    double next = innovation_mixture(network, &l->innovation), most = largest[1] / scale_of_noise(m, l);
+    if (noise) next = innovation_quantile(network, &l->innovation, *noise);
+    return clip(next, most < largest[0] ? most : largest[0]);
 }
 
 static double step(const foten_model *m, loop *l, const condition *c, const double *noise, double limit) {

@@ -39,6 +39,18 @@ class InnovationNetwork(nn.Module):
         return (log_weight.exp() * mean).sum(dim=-1)
 
 
+class NextInnovation(nn.Module):
+    """The same for one sample after a window: u (b, m, 5) → (b, 3k), log w, μ and log s in turn."""
+
+    def __init__(self, network: InnovationNetwork) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, inputs: Tensor) -> Tensor:
+        """Return the distribution of the innovation after the last sample."""
+        return torch.cat([part[:, -1] for part in self.network(inputs)], dim=-1)
+
+
 def negative_log_likelihood(mixture: tuple[Tensor, Tensor, Tensor], innovation: Tensor) -> Tensor:
     """Return −log p of innovations [nat]: mixtures (…, k) each, innovations (…) → (…)."""
     log_weight, mean, log_scale = mixture

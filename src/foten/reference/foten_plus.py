@@ -17,7 +17,7 @@ from foten.families.foten_plus import FotenPlusSizes
 from foten.reference.excitation import Excitation, Scale
 from foten.reference.innovation import InnovationNetwork, innovation_inputs
 from foten.reference.network import Weights
-from foten.reference.stream import Prediction
+from foten.reference.stream import Prediction, largest_of
 
 
 class Lattice:
@@ -202,9 +202,12 @@ class FotenPlusStream:
         if self.network is None:
             return self.model.excitation.added_to(sample, unit * self.volatility.factor(), known)
         mixture = self.network.mixture(self.hidden, self.inputs)
-        expected = self.model.excitation.added_to(sample, unit, known)
-        scale = expected.scale if self.settled and expected.scale is not None else unit
-        return expected._replace(sample=sample + scale * mixture.expected(), scale=scale, mixture=mixture)
+        if not self.settled:
+            return Prediction(sample + unit * mixture.expected(), unit, mixture=mixture)
+        scale = unit * self.model.excitation.sigma(known)
+        limit = largest_of(self.model.excitation.largest, scale)
+        expected = sample + scale * np.clip(mixture.expected(), -limit, limit)
+        return Prediction(expected, scale, self.model.excitation.tail(known), self.model.excitation.largest, mixture)
 
     def analyse(self, sample: Array) -> Array:
         """Take a sample (s,) of what the lattice is of through it, and return its innovation."""

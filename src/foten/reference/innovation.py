@@ -14,6 +14,7 @@ gate after the product.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -25,6 +26,7 @@ from foten.dsp import Array
 from foten.families.foten_plus import LOG_SCALE_LIMIT
 from foten.reference.network import Weights
 
+_erfc = np.vectorize(math.erfc, otypes=[float])
 MOST_STEPS = 60  # of Newton's method, which takes about six
 _PRECISION = 1e-14
 
@@ -53,33 +55,20 @@ class Mixture:
         most = terms.max(axis=1)
         return most + np.log(np.exp(terms - most[:, None]).sum(axis=1)) - 0.5 * np.log(2 * np.pi)
 
-    def standardised(self, values: Array) -> Array:
-        """Return the z of which values are the quantiles at Φ(z), (s,): Gaussian where the mixture is true."""
-        from scipy.special import log_ndtr, ndtri_exp
-
-        logs = np.log(self.weight)
-        below, above = (
-            np.logaddexp.reduce(logs + log_ndtr(sign * (values[:, None] - self.mean) / self.scale), axis=1)
-            for sign in (1, -1)
-        )
-        return np.where(below < above, ndtri_exp(np.minimum(below, above)), -ndtri_exp(np.minimum(below, above)))
-
     def quantile(self, noise: Array) -> Array:
         """Return the values below which lies Φ(z), for standard normal numbers z (s,).
 
         Newton's method on log F, within the smallest and the largest of the components' own quantiles, from their mean; the
         upper half by the mirror image, since only small probabilities are known to many digits.
         """
-        from scipy.special import erfc
-
         sign = np.where(noise > 0, -1.0, 1.0)
         z, mean = -np.abs(noise), sign[:, None] * self.mean
-        log_p = np.log(0.5 * erfc(-z / np.sqrt(2)))
+        log_p = np.log(0.5 * _erfc(-z / np.sqrt(2)))
         own = mean + self.scale * z[:, None]
         low, high, x = own.min(axis=1), own.max(axis=1), (self.weight * own).sum(axis=1)
         for _ in range(MOST_STEPS):
             of = (x[:, None] - mean) / self.scale
-            below = (self.weight * 0.5 * erfc(-of / np.sqrt(2))).sum(axis=1)
+            below = (self.weight * 0.5 * _erfc(-of / np.sqrt(2))).sum(axis=1)
             density = (self.weight * np.exp(-0.5 * of * of) / self.scale).sum(axis=1) / np.sqrt(2 * np.pi)
             with np.errstate(all="ignore"):
                 missed = np.log(below) - log_p

@@ -28,11 +28,18 @@ class Prediction(NamedTuple):
             return self.sample
         if self.tail is None:
             return self.sample + self.scale * noise
-        limit = np.minimum(self.largest[0], self.largest[1] / self.scale)
+        limit = largest_of(self.largest, self.scale)
         if self.mixture is not None:
-            drawn = np.clip(self.mixture.quantile(noise), -limit, limit)
-            return self.sample + self.scale * (drawn - self.mixture.expected())
+            drawn, expected = (
+                np.clip(of, -limit, limit) for of in (self.mixture.quantile(noise), self.mixture.expected())
+            )
+            return self.sample + self.scale * (drawn - expected)
         return self.sample + self.scale * heavy_tailed(noise, self.tail, limit)
+
+
+def largest_of(largest: tuple[float, float], scale: Array) -> Array:
+    """Return the largest excitation in units of its scale, (s,), from that and that of scaled acceleration."""
+    return np.minimum(largest[0], largest[1] / scale)
 
 
 class Stream(Protocol):

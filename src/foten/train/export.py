@@ -17,10 +17,11 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from foten.dsp import Array
 from foten.dsp.noise import gaussian
-from foten.families.foten_plus import FotenPlusSizes
+from foten.families.foten_plus import N_INNOVATION_INPUTS, FotenPlusSizes
 from foten.families.sizes import Sizes
 from foten.families.texture_file import FORMAT_VERSION, MIN_GOLDEN, Texture, texture_from_bytes
 from foten.networks import NETWORKS, build
+from foten.networks.innovation import InnovationNetwork, NextInnovation
 from foten.recording.scaling import Scaling
 from foten.recording.windows import windows
 from foten.reference import model_of
@@ -94,17 +95,21 @@ def proved(
         ValueError: the kernel does not reproduce the reference.
     """
     golden = np.concatenate([golden, np.zeros_like(golden[:1]), 4 * golden[:1]])
+    # What they are predicted from is kept in half of the bytes, which are most of a file with a long history; exactly so.
+    stored, stored_start = golden.astype(np.float32), warm_start.astype(np.float32)
+    golden, warm_start = stored.astype(np.float64), stored_start.astype(np.float64)
     condition = np.repeat(warm_start[-1:, 1:], 64, axis=0)
     condition[32:] = golden[0, -1, 1:]
     if sizes.from_noise:  # without noise it is silent from the first sample on
         warm_start = warm_start * [0.0, 1.0, 1.0]
+        stored_start = warm_start.astype(np.float32)
     reference = model_of(sizes, tensors, network)
     speed = np.maximum(condition[:, :1] * scaling.sd[1] + scaling.mean[1], 0.0)
     noise = gaussian(0, 0, 0, 64)[None] if sizes.excited or sizes.from_noise else None
     stream = reference.start(warm_start[None])
     made = {
-        "warm_start": warm_start,
-        "golden.windows": golden,
+        "warm_start": stored_start,
+        "golden.windows": stored,
         "golden.one_step": reference.predict(golden),
         "golden.condition": condition,
         "golden.closed_loop": run(stream, np.concatenate([condition, speed], axis=1)[None], noise)[0],
@@ -176,7 +181,7 @@ def in_float64(network: nn.Module) -> Callable[[Array], Array]:
 
 
 def graph_of_texture(texture: Texture) -> bytes:
-    """Return a texture's one-step network as an ONNX graph, as `graph_of` makes it; that of foten-plus is its correction.
+    """Return a texture's one-step network as an ONNX graph, as `graph_of` makes it; that of foten-plus is `NextInnovation`.
 
     Raises:
         ValueError: the model has no network.
@@ -190,7 +195,9 @@ def graph_of_texture(texture: Texture) -> bytes:
     network.load_state_dict(
         {key: torch.from_numpy(np.array(tensors[f"{prefix}{key}"])) for key in network.state_dict()}
     )
-    return graph_of(network, sizes.window, 4 if prefix else 3).tobytes()
+    if isinstance(network, InnovationNetwork):
+        return graph_of(NextInnovation(network), sizes.window, N_INNOVATION_INPUTS).tobytes()
+    return graph_of(network, sizes.window).tobytes()
 
 
 def graph_of(network: nn.Module, m: int, n_channels: int = 3) -> NDArray[np.uint8]:

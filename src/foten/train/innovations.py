@@ -46,7 +46,7 @@ class Innovations:
     def tensors(self, device: torch.device) -> tuple[Tensor, Tensor]:
         """Return inputs and, beside each, the innovation that follows it, from the first sample on, in float32."""
         inputs, follows = self.inputs[:, self.first : -1], self.innovation[:, self.first + 1 :]
-        return tuple(torch.from_numpy(np.ascontiguousarray(one)).float().to(device) for one in (inputs, follows))  # type: ignore[return-value]
+        return tuple(torch.from_numpy(np.ascontiguousarray(one)).float().to(device) for one in (inputs, follows))
 
 
 def innovations_of(

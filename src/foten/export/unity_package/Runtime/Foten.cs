@@ -135,7 +135,7 @@ namespace Foten
             public int hop;
         }
 
-        internal const int Abi = 4; // FOTEN_ABI of the header that this follows
+        internal const int Abi = 5; // FOTEN_ABI of the header that this follows
 
         [DllImport(Library)] internal static extern int foten_abi();
         [DllImport(Library)] internal static extern int foten_model_load(byte[] bytes, UIntPtr n, out IntPtr model, byte[] why, UIntPtr whySize);

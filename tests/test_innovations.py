@@ -1,0 +1,186 @@
+"""The innovation network: mixtures by their definition, the unit as PyTorch's, and what training makes of known processes."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import quad
+from scipy.special import log_ndtr, ndtri_exp
+from scipy.stats import norm
+
+from conftest import PLUS, untrained
+from foten.families import FotenPlusSizes
+from foten.networks.innovation import InnovationNetwork, NextInnovation, negative_log_likelihood
+from foten.recording.split import Split
+from foten.recording.trace import Trace
+from foten.reference.innovation import InnovationNetwork as Reference
+from foten.reference.innovation import Mixture, innovation_inputs
+from foten.train.blocks import ScaledBlocks, scaled_blocks
+from foten.train.config import OWN_RECIPES, TrainConfig
+from foten.train.export import tensors_of
+from foten.train.innovations import Innovations, _chunks, asymmetry, fit_innovations
+
+SIZES = FotenPlusSizes(**PLUS)
+CONFIG = TrainConfig(**{**OWN_RECIPES["foten-plus"], "epochs": 2, "threads": 1, "batch": 32})
+
+
+def mixtures(n: int, k: int = 4, seed: int = 0) -> Mixture:
+    """Return n mixtures: near, far, sharp and wide components."""
+    rng = np.random.default_rng(seed)
+    weight = rng.dirichlet(np.full(k, 0.5), n) + 1e-9
+    scale = np.exp(rng.uniform(-5, 2, (n, k)))
+    return Mixture(weight / weight.sum(axis=1, keepdims=True), 3 * rng.standard_normal((n, k)), scale)
+
+
+def standardised(mixture: Mixture, values: np.ndarray) -> np.ndarray:
+    """Return the z of which values are the quantiles at Φ(z), by SciPy."""
+    logs = np.log(mixture.weight)
+    below, above = (
+        np.logaddexp.reduce(logs + log_ndtr(sign * (values[:, None] - mixture.mean) / mixture.scale), axis=1)
+        for sign in (1, -1)
+    )
+    return np.where(below < above, 1, -1) * ndtri_exp(np.minimum(below, above))
+
+
+def test_a_quantile_has_as_much_below_it_as_a_normal_number() -> None:
+    """By the definition of each: Σ w Φ((x − μ)/s) = Φ(z), and far in the upper tail by what is above."""
+    z = np.array([-5.6, -3.0, -1.0, 0.0, 0.3, 2.0, 5.6])
+    for row in range(40):
+        one = Mixture(*(np.repeat(part[row : row + 1], len(z), axis=0) for part in dataclasses.astuple(mixtures(40))))
+        x = one.quantile(z)
+        below, above = (
+            (one.weight * norm.cdf(sign * (x[:, None] - one.mean) / one.scale)).sum(axis=1) for sign in (1, -1)
+        )
+        np.testing.assert_allclose(np.where(z < 0, below, above), norm.cdf(-np.abs(z)), rtol=1e-9)
+        assert (np.diff(x) > 0).all()
+        np.testing.assert_allclose(standardised(one, x), z, atol=1e-7)
+
+
+def test_one_component_is_a_normal_distribution() -> None:
+    one = Mixture(np.ones((3, 1)), np.array([[0.0], [2.0], [-1.0]]), np.array([[1.0], [0.1], [30.0]]))
+    z = np.array([1.3, -2.0, 5.0])
+    np.testing.assert_allclose(one.quantile(z), one.mean[:, 0] + one.scale[:, 0] * z, rtol=1e-12)
+    np.testing.assert_allclose(one.log_density(one.quantile(z)), norm.logpdf(z) - np.log(one.scale[:, 0]))
+
+
+def test_mean_and_spread_are_those_of_the_density() -> None:
+    """Oracle: quadrature of exp(log_density)."""
+    one = Mixture(np.array([[0.7, 0.3]]), np.array([[-0.5, 2.0]]), np.array([[0.4, 1.5]]))
+
+    def moment(power: int, about: float = 0.0) -> float:
+        return quad(lambda x: (x - about) ** power * math.exp(one.log_density(np.array([x]))[0]), -20, 20, limit=400)[0]
+
+    assert moment(0) == pytest.approx(1.0)
+    assert one.expected()[0] == pytest.approx(moment(1))
+    assert one.sd()[0] == pytest.approx(math.sqrt(moment(2, moment(1))))
+
+
+def test_the_unit_and_its_head_are_pytorchs() -> None:
+    """Seam: PyTorch in float64 on the same tensors, sample by sample, and as a graph would be asked."""
+    network = untrained("foten-plus", SIZES).double()
+    rng = np.random.default_rng(0)
+    inputs = 2 * rng.standard_normal((3, 30, 5))
+    reference, hidden = Reference(tensors_of(network), ""), np.zeros((3, SIZES.n_hidden))
+    with torch.no_grad():
+        expected = [part.numpy() for part in network(torch.from_numpy(inputs))]
+        last = NextInnovation(network)(torch.from_numpy(inputs)).numpy()
+    innovation = rng.standard_normal((3, 30))
+    nll = negative_log_likelihood([torch.from_numpy(one) for one in expected], torch.from_numpy(innovation)).numpy()  # type: ignore[arg-type]
+    for i in range(30):
+        hidden = reference.push(hidden, inputs[:, i])
+        mixture = reference.mixture(hidden, inputs[:, i])
+        for ours, theirs in zip((np.log(mixture.weight), mixture.mean, np.log(mixture.scale)), expected, strict=True):
+            np.testing.assert_allclose(ours, theirs[:, i], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(-mixture.log_density(innovation[:, i]), nll[:, i], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(last, np.concatenate([part[:, -1] for part in expected], axis=1), atol=1e-12)
+
+
+def test_untrained_it_expects_nothing() -> None:
+    torch.manual_seed(0)
+    network = InnovationNetwork(SIZES)
+    assert not network.expected(torch.randn(4, 20, 5)).any()
+
+
+def process(kind: str, n_blocks: int = 24, block: int = 1000) -> tuple[ScaledBlocks, Innovations]:
+    """Return unit innovations of a known kind as what a network is fitted to, under a steady hand."""
+    rng = np.random.default_rng(0)
+    z = rng.standard_normal((n_blocks, block))
+    if kind == "bursts":  # of 20 samples, ten times as large as what is between
+        burst = np.repeat(rng.random((n_blocks, block // 20)) < 0.2, 20, axis=1)
+        z = z * np.where(burst, 1.0, 0.1) / math.sqrt(0.2 + 0.8 * 0.01)
+    elif kind == "skewed":
+        z = rng.exponential(size=z.shape) - 1
+    speed = np.linspace(20.0, 200.0, n_blocks * block)
+    trace = Trace(z.ravel(), speed, np.ones(z.size), 1000.0, block)
+    numbers = tuple(range(n_blocks))
+    blocks = scaled_blocks(trace, Split(numbers[:16], numbers[16:20], numbers[20:], n_blocks, block, "contiguous", 0))
+    inputs = innovation_inputs(z.ravel(), z.ravel(), np.zeros((z.size, 2))).reshape(n_blocks, block, 5)
+    mirrored = asymmetry(z[:16]) < 4.0
+    return blocks, Innovations(inputs, z, np.ones_like(z), speed.reshape(z.shape), 20, mirrored)
+
+
+def fitted(kind: str) -> tuple[float, InnovationNetwork]:
+    """Return the validation likelihood [nat] of a network that was fitted to such innovations, and the network."""
+    blocks, data = process(kind)
+    torch.manual_seed(0)
+    network = InnovationNetwork(FotenPlusSizes(n_hidden=16, head_width=16, window=20))
+    progress = fit_innovations([network], [data], blocks, 20, CONFIG)
+    return progress.best_loss, network
+
+
+def test_of_noise_nothing_is_learned_and_of_bursts_when_they_are() -> None:
+    """Gaussian noise has ½ log 2πe; bursts that are known have their own share of it, and 20 samples hide little."""
+    gaussian = 0.5 * math.log(2 * math.pi * math.e)
+    assert fitted("noise")[0] == pytest.approx(gaussian, abs=0.03)
+    known = gaussian + 0.8 * math.log(0.1) - 0.5 * math.log(0.2 + 0.8 * 0.01)
+    likelihood = fitted("bursts")[0]
+    assert known - 0.02 < likelihood < known + 0.25  # the first samples of each burst come unannounced
+    # Independent draws of the right kurtosis, all that an excitation without memory can be.
+    mixed = Mixture(np.array([[0.2, 0.8]]), np.zeros((1, 2)), np.array([[1.0, 0.1]]) / math.sqrt(0.208))
+    x = process("bursts")[1].innovation[16:20].ravel()
+    unaware = -float(Mixture(*(np.repeat(p, x.size, axis=0) for p in dataclasses.astuple(mixed))).log_density(x).mean())
+    assert likelihood < unaware - 0.15
+
+
+def test_only_what_has_no_sign_is_mirrored() -> None:
+    assert process("noise")[1].mirrored
+    assert process("bursts")[1].mirrored
+    assert not process("skewed")[1].mirrored
+
+
+def test_slow_chunks_are_drawn_more_often() -> None:
+    """By 1 / (speed + 25 mm/s): from 20 to 140 mm/s over the training blocks, 3.7 to 1."""
+    blocks, data = process("noise")
+    where = _chunks(data, blocks.split.train, 20)
+    block, sample = where.draw(20_000, np.random.default_rng(0))
+    assert sample.shape == (20_000, 148)
+    assert sample.max() < 1000 - 21  # rows of inputs and of what follows each
+    first, last = (np.mean(block[:, 0] == number) for number in (0, 15))
+    speed = data.speed.mean(axis=1)
+    assert first / last == pytest.approx((speed[15] + 25) / (speed[0] + 25), rel=0.1)
+
+
+def test_a_resumed_training_is_the_uninterrupted_one(tmp_path: object) -> None:
+    blocks, data = process("bursts")
+    runs = []
+    for stop in (False, True):
+        torch.manual_seed(0)
+        network = InnovationNetwork(SIZES)
+        checkpoint = tmp_path / f"{stop}.pt"  # type: ignore[operator]
+
+        def interrupt(line: object, stop: bool = stop) -> None:
+            if stop and line.epoch == 2:  # type: ignore[attr-defined]
+                raise KeyboardInterrupt
+
+        fit_innovations([network], [data], blocks, 20, CONFIG, interrupt, checkpoint)
+        if stop:
+            torch.manual_seed(1)
+            network = InnovationNetwork(SIZES)
+            fit_innovations([network], [data], blocks, 20, CONFIG, checkpoint=checkpoint, resume=True)
+        runs.append(network.state_dict())
+    for name, tensor in runs[0].items():
+        assert torch.equal(tensor, runs[1][name]), name
