@@ -94,8 +94,8 @@ MUTANTS = (
     Mutant(
         "a network in a bounded loop is given the cut sample",
         NATIVE + "loop_lattice.c",
-        "innovation, residual / level, l->lattice.logs);",
-        "innovation, clip(residual, limit) / level, l->lattice.logs);",
+        "innovation * entering, residual / level, l->lattice.logs);",
+        "innovation * entering, clip(residual, limit) / level, l->lattice.logs);",
     ),
     Mutant(
         "a scale is stated of another prediction than the rendering's",
@@ -178,7 +178,7 @@ MUTANTS = (
     Mutant(
         "the network is given innovations as sigma scales them",
         NATIVE + "loop_lattice.c",
-        "innovation_push(m->network_in_loop, &l->innovation, innovation, residual",
+        "innovation_push(m->network_in_loop, &l->innovation, innovation * entering, residual",
         "innovation_push(m->network_in_loop, &l->innovation, e, residual",
     ),
     Mutant(

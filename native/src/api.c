@@ -183,7 +183,7 @@ foten_status foten_start_scaled(foten_state *s, const double *windows) {
 void foten_run_scaled(foten_state *s, const double *conditions, const double *noise, double limit, size_t n, double *out) {
     if (!s || !conditions || !out) return;
     for (size_t i = 0; i < n; i++) {
-        condition c = {{conditions[3 * i], conditions[3 * i + 1]}, conditions[3 * i + 2]};
+        condition c = {{conditions[3 * i], conditions[3 * i + 1]}, conditions[3 * i + 2], 1};
         out[i] = s->model->kind->step(s->model, s->loop, &c, noise ? noise + i : NULL, limit);
     }
 }
@@ -231,8 +231,8 @@ static void condition_set(const foten_state *s, double out[2]) {
 static double sample_of(foten_state *s, const double speed_force[2]) {
     const foten_model *m = s->model;
     uint64_t n = counted(s, N);
-    condition c;
-    double factor = 1, kept[2];
+    condition c = {.fade = 1};
+    double growth = 1, kept[2];
     int below = 0;
     for (int i = 0; i < 2; i++) {
         double x = speed_force[i], clamped = x < m->low[i] ? m->low[i] : x > m->high[i] ? m->high[i] : x;
@@ -242,8 +242,8 @@ static double sample_of(foten_state *s, const double speed_force[2]) {
         count(s, SPEED_CLAMPED + i, x > FOTEN_FURTHEST * m->high[i]);
         kept[i] = x < FOTEN_FURTHEST * m->high[i] ? x : FOTEN_FURTHEST * m->high[i];
         c.scaled[i] = (clamped - m->mean[1 + i]) / m->sd[1 + i];
-        if (x < fade) factor *= x / fade;
-        if (kept[i] > m->high[i]) factor *= pow(kept[i] / m->high[i], m->exponents[i]);
+        if (x < fade) c.fade *= x / fade;
+        if (kept[i] > m->high[i]) growth *= pow(kept[i] / m->high[i], m->exponents[i]);
     }
     c.path_speed = kept[0];
     if (s->fresh) {
@@ -260,7 +260,7 @@ static double sample_of(foten_state *s, const double speed_force[2]) {
     count(s, BELOW, below);
     count(s, SATURATED, s->loop->cut);
     if ((n + 1) % QUIET_EVERY == 0) m->kind->quiet(m, s->loop);
-    return (vibration * m->sd[0] + m->mean[0]) * factor;
+    return (vibration * m->sd[0] + m->mean[0] * c.fade) * growth;
 }
 
 /* The next sample under the condition that is set or, where there is one, that of a stylus. */

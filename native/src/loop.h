@@ -37,7 +37,7 @@ struct loop_kind {
     /* By how much a unit of noise moves the next sample of a rendering; 0 without an excitation. */
     double (*scale)(const foten_model *model, const loop *l);
 
-    /* The next sample, with a number of noise or without (NULL), cut to +-limit, and the condition that goes with it. */
+    /* The next sample, with a number of noise or without (NULL), cut to +-limit and faded, and the condition that goes with it. */
     double (*step)(const foten_model *model, loop *l, const condition *c, const double *noise, double limit);
 
     /* Set numbers to zero that are too small to matter, before they become denormal and slow. */
@@ -58,6 +58,7 @@ static inline int loop_moved(const loop *l, const condition *c) {
     return c->scaled[0] != l->condition.scaled[0] || c->scaled[1] != l->condition.scaled[1];
 }
 
+/* Cut a sample; whatever the loop goes on from, what leaves it is the cut one, faded. */
 static inline double loop_cut(loop *l, double sample, double limit) {
     double played = clip(sample, limit);
     l->cut = played != sample;

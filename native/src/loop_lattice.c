@@ -103,19 +103,22 @@ static double drawn(const foten_model *m, loop *l, const double *noise) {
     return clip(next, most < largest[0] ? most : largest[0]);
 }
 
+/* With the gain before the filter near rest what enters fades, and what rang before rings out, as a tool does; else what leaves. */
 static double step(const foten_model *m, loop *l, const condition *c, const double *noise, double limit) {
     const lattice *of = m->excited_lattice;
+    double entering = of->gain_before_filter ? c->fade : 1, leaving = of->gain_before_filter ? 1 : c->fade;
     double sigma = l->excitation.sigma, level = l->lattice.level * sigma, innovation = 0, e = 0;
     if (m->network_in_loop) e = sigma * (innovation = drawn(m, l, noise));
     else if (noise) e = excitation_next(&m->excitation, &l->excitation, *noise, l->lattice.all_cosines * l->lattice.level);
+    e *= entering;
     double residual = gain_after(of, &l->lattice) * lattice_synthesise(&l->lattice, of->order, gain_before(of, &l->lattice) * e);
-    double sample = residual;
+    double sample = residual * leaving;
     if (m->tones.n) {
-        sample += l->tones.tone;
+        sample += l->tones.tone * c->fade;
         tones_push(&m->tones, &l->tones, e, c);
     }
     set_condition(m, l, c, 0);
-    if (m->network_in_loop) innovation_push(m->network_in_loop, &l->innovation, innovation, residual / level, l->lattice.logs);
+    if (m->network_in_loop) innovation_push(m->network_in_loop, &l->innovation, innovation * entering, residual / level, l->lattice.logs);
     return loop_cut(l, sample, limit);
 }
 
@@ -125,6 +128,7 @@ static void begin(const foten_model *m, loop *l, const condition *c, noise_sourc
     set_condition(m, l, c, 1);
     /* The mean square of z exp(h z^2 / 2) is (1 - 2h)^(-3/2). */
     double size = gain_before(of, &l->lattice) * l->excitation.sigma * excitation_rms(&l->excitation);
+    if (of->gain_before_filter) size *= c->fade;
     for (int i = 0; i < of->order; i++) l->lattice.states[i] = size * noise_next(&noise);
     excitation_draw(&m->excitation, &l->excitation, noise_next(&noise));
     if (m->tones.n) {

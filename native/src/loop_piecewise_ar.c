@@ -80,7 +80,7 @@ static double step(const foten_model *m, loop *l, const condition *c, const doub
     double sample = lattice_synthesise(&l->lattice, m->piecewise_ar->order, l->mixture.gain * (e + coloured(m, l)));
     remember(m, l, e);
     set_condition(m, l, c, 0);
-    return loop_cut(l, sample, limit);
+    return loop_cut(l, sample * c->fade, limit);
 }
 
 /* Draw states and innovations; with zeros, which colour what enters the lattice, run until it has settled. */

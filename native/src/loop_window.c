@@ -43,7 +43,7 @@ static double step(const foten_model *m, loop *l, const condition *c, const doub
     double fed_back = !m->of_noise ? played : noise ? *noise : 0;
     predictor_push(&m->predictor, &l->predictor, fed_back, c->scaled);
     set_condition(m, l, c, 0);
-    return played;
+    return played * c->fade;
 }
 
 void loop_take_noise(const foten_model *m, loop *l, const noise_source *noise) {

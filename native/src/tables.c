@@ -95,7 +95,7 @@ void scale_physical(const scale *s, const double scaled[2], double out[2]) {
 condition condition_of(const scale *level, const double scaled[2]) {
     double physical[2];
     scale_physical(level, scaled, physical);
-    return (condition){{scaled[0], scaled[1]}, physical[0]};
+    return (condition){{scaled[0], scaled[1]}, physical[0], 1};
 }
 
 void scale_powers(const double logs[2], double out[5]) {

@@ -4,8 +4,8 @@
 #include "file.h"
 
 /* Speed and force of a sample as a model is given them: scaled, within the trained range, and the speed [mm/s] that moves tones, which may lie
- * beyond it. */
-typedef struct { double scaled[2], path_speed; } condition;
+ * beyond it; and how much of the vibration is left of it near rest, from 0 to 1. */
+typedef struct { double scaled[2], path_speed, fade; } condition;
 
 /* Values at the vertices of a grid, bilinear in speed and log force between them, constant outside. */
 typedef struct {

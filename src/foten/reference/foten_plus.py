@@ -26,7 +26,7 @@ class Lattice:
     def __init__(self, tensors: Mapping[str, NDArray[Any]], prefix: str, gain_before_filter: bool) -> None:
         w = Weights(tensors, prefix)
         check_reflections(w["reflections"])
-        self.order, self._gain_before_filter = w["reflections"].shape[1], gain_before_filter
+        self.order, self.gain_before_filter = w["reflections"].shape[1], gain_before_filter
         self._table = SpeedForceTable(w["speed_knots"], w["force_knots"], w["reflections"])
         self.level = Scale(tensors, f"{prefix}level.")
 
@@ -37,7 +37,7 @@ class Lattice:
     def gains(self, level: Array) -> tuple[Array, Array]:
         """Return what multiplies the innovation before the filter, and what multiplies the sample after it."""
         ones = np.ones_like(level)
-        return (level, ones) if self._gain_before_filter else (ones, level)
+        return (level, ones) if self.gain_before_filter else (ones, level)
 
 
 class Tones:
@@ -169,7 +169,7 @@ class FotenPlusStream:
         warm_up = self.model.sizes.window if self.network else 0
         return len(self.states) + 1 + (2 if self.tones else 0) + warm_up
 
-    def begin(self, condition: Array, noise: Array) -> None:
+    def begin(self, condition: Array, noise: Array, fade: float = 1.0) -> None:
         """Draw the states, the volatility and where in its period a surface is touched; run the network for its window.
 
         Under a constant condition the states of a normalised lattice are uncorrelated and as large as what enters it, each a sum
@@ -182,6 +182,8 @@ class FotenPlusStream:
         p, excitation, known = len(self.states), self.model.excitation, condition[:, :2]
         before, _ = self.lattice.gains(self.level)
         size = before * excitation.sigma(known) * heavy_tailed_rms(excitation.tail(known))
+        if self.lattice.gain_before_filter:
+            size = fade * size
         self.states = size * noise[:, :p].T
         self.volatility.draw(noise[:, p])
         p += 1
@@ -192,7 +194,7 @@ class FotenPlusStream:
         zero = np.zeros(len(noise))
         self.hidden, self.inputs = np.zeros_like(self.hidden), innovation_inputs(zero, zero, self.logs)
         for z in noise[:, p:].T:
-            self.push(self.predict().excited(z), condition, z)
+            self.push(self.predict().faded(z, fade)[1], condition, z)
 
     def predict(self) -> Prediction:
         """Return what lattice, tones and network predict, with the excitation."""
@@ -200,14 +202,20 @@ class FotenPlusStream:
         unit, known = cosines * self.level, self.condition[:, :2]
         sample = x * self.lattice.gains(self.level)[1] + self.tone
         if self.network is None:
-            return self.model.excitation.added_to(sample, unit * self.volatility.factor(), known)
+            return self._fading(self.model.excitation.added_to(sample, unit * self.volatility.factor(), known), sample)
         mixture = self.network.mixture(self.hidden, self.inputs)
         if not self.settled:
             return Prediction(sample + unit * mixture.expected(), unit, mixture=mixture)
         scale = unit * self.model.excitation.sigma(known)
         limit = largest_of(self.model.excitation.largest, scale)
         expected = sample + scale * np.clip(mixture.expected(), -limit, limit)
-        return Prediction(expected, scale, self.model.excitation.tail(known), self.model.excitation.largest, mixture)
+        tail, largest = self.model.excitation.tail(known), self.model.excitation.largest
+        return self._fading(Prediction(expected, scale, tail, largest, mixture), sample)
+
+    def _fading(self, prediction: Prediction, linear: Array) -> Prediction:
+        """Return a prediction that says what of it fades near rest, from its sample without innovation (s,)."""
+        before = self.lattice.gain_before_filter
+        return prediction._replace(linear=linear - self.tone, tone=self.tone) if before else prediction
 
     def analyse(self, sample: Array) -> Array:
         """Take a sample (s,) of what the lattice is of through it, and return its innovation."""

@@ -90,7 +90,7 @@ class PiecewiseArStream:
         q = len(self._past)
         return len(self.states) + (q + SETTLED_AFTER if q else 0)
 
-    def begin(self, condition: Array, noise: Array) -> None:
+    def begin(self, condition: Array, noise: Array, fade: float = 1.0) -> None:
         """Draw states and innovations; with zeros, which colour what enters the lattice, run until it has settled."""
         p, q = len(self.states), len(self._past)
         self._set_condition(condition)

@@ -25,8 +25,10 @@ def render(
 ) -> Array:
     """Return the acceleration of a stroke from its beginning [m/s²], shape (n_streams, n).
 
-    The closed loop's output times a fade that falls linearly to zero, with speed below the trained range (at least below
-    5 mm/s) and with force likewise (at least below 0.1 N): a still pen does not buzz, whatever was recorded. Above the trained
+    The closed loop times a fade that falls linearly to zero, with speed below the trained range (at least below 5 mm/s) and with
+    force likewise (at least below 0.1 N): a still pen does not buzz, whatever was recorded. Where the gain comes before the
+    lattice it is what enters that fades, and what rang rings out, as a tool does: with its output faded, simulated linear-twin
+    was told apart at 0.70 by a listener, at 0.54 without a fade. Above the trained
     range the loop keeps to the range's end, tones go on with the path, and the level grows by a power law of the training
     blocks, up to twice the range, or is held where they gave none. It grows after the loop, so that a jump back is soft at
     once.
@@ -52,14 +54,14 @@ def render(
     warm_start = texture.tensors["warm_start"].astype(np.float64)
     stream = model.start(np.repeat(warm_start[None], n_streams, axis=0))
     random = excitation and texture.has_excitation
+    fade = np.minimum(physical / np.maximum(low, [FADE_SPEED, FADE_FORCE]), 1.0).prod(axis=1)
 
     def noise(first: int, n: int) -> Array:
         return np.stack([gaussian(seed, k, first, n) for k in range(n_streams)])
 
     if random and len(speed):
-        stream.begin(condition[:, 0], noise(FIRST_INITIAL, stream.n_initial))
+        stream.begin(condition[:, 0], noise(FIRST_INITIAL, stream.n_initial), float(fade[0]))
     drawn = noise(0, len(speed)) if random else None
-    vibration = run(stream, condition, drawn, float(texture.card["saturation"]))
-    fade = np.minimum(physical / np.maximum(low, [FADE_SPEED, FADE_FORCE]), 1.0).prod(axis=1)
+    vibration = run(stream, condition, drawn, float(texture.card["saturation"]), fade)
     growth = (np.maximum(kept / high, 1.0) ** exponents).prod(axis=1)
-    return scaling.unscale_acceleration(vibration) * fade * growth
+    return (vibration * scaling.sd[0] + scaling.mean[0] * fade) * growth

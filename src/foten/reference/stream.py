@@ -18,9 +18,10 @@ class Prediction(NamedTuple):
     scale: Array | None = None  # by how much a unit of excitation moves it; None for no excitation
     tail: Array | None = None  # h of z·exp(h z²/2); None for Gaussian noise
     largest: tuple[float, float] = (np.inf, np.inf)  # excitation, in units of the scale and of scaled acceleration
-    mixture: Mixture | None = (
-        None  # of the excitation, in units of the scale, whose mean is in the sample; None for noise
-    )
+    mixture: Mixture | None = None  # of the excitation, in units of the scale, its mean in the sample; None for noise
+    # Where near rest what enters a lattice fades, and not what leaves it: the sample without innovation, and the tones in it.
+    linear: Array | None = None
+    tone: Array | float = 0.0
 
     def excited(self, noise: Array) -> Array:
         """Return the sample with excitation from standard normal noise, shape (s,)."""
@@ -35,6 +36,14 @@ class Prediction(NamedTuple):
             )
             return self.sample + self.scale * (drawn - expected)
         return self.sample + self.scale * heavy_tailed(noise, self.tail, limit)
+
+    def faded(self, noise: Array | None, fade: Array | float) -> tuple[Array, Array]:
+        """Return what leaves with a fade near rest, and what the stream goes on from, (s,) each; noise None for no random part."""
+        sample = self.sample if noise is None else self.excited(noise)
+        if self.linear is None:
+            return fade * sample, sample
+        residual = self.linear + fade * (sample - self.tone - self.linear)
+        return residual + fade * self.tone, residual + self.tone
 
 
 def largest_of(largest: tuple[float, float], scale: Array) -> Array:
@@ -56,7 +65,7 @@ class Stream(Protocol):
     def n_initial(self) -> int:
         """Return how many numbers of noise a stream takes to `begin`."""
 
-    def begin(self, condition: Array, noise: Array) -> None:
+    def begin(self, condition: Array, noise: Array, fade: float = 1.0) -> None:
         """Take a state as after a long time under one condition (s, 3), whatever was before; standard normal (s, n_initial)."""
 
     def predict(self) -> Prediction:
@@ -76,7 +85,9 @@ class Model(Protocol):
         """Return streams that go on from scaled windows, shape (s, m, 3)."""
 
 
-def run(stream: Stream, condition: Array, noise: Array | None, limit: float = np.inf) -> Array:
+def run(
+    stream: Stream, condition: Array, noise: Array | None, limit: float = np.inf, fade: Array | None = None
+) -> Array:
     """Return n samples of each stream's closed loop, shape (s, n).
 
     A sample is predicted under the condition of the one before (Eq. 1). What the saturator cuts off is cut from what leaves; a
@@ -87,12 +98,18 @@ def run(stream: Stream, condition: Array, noise: Array | None, limit: float = np
         condition: of each sample, shape (s, n, 3).
         noise: standard normal, shape (s, n); None for the deterministic loop.
         limit: of the saturator.
+        fade: how much of the vibration is left near rest, shape (n,); None for all.
     """
     out = np.empty(condition.shape[:2])
     for i in range(condition.shape[1]):
         z = None if noise is None else noise[:, i]
-        expected = stream.predict()
-        sample = expected.sample if z is None else expected.excited(z)
-        out[:, i] = np.clip(sample, -limit, limit)
-        stream.push(sample if stream.bounded else out[:, i], condition[:, i], z)
+        left = 1.0 if fade is None else float(fade[i])
+        leaving, sample = stream.predict().faded(z, left)
+        if stream.bounded:
+            out[:, i] = np.clip(leaving, -limit, limit)
+            stream.push(sample, condition[:, i], z)
+        else:
+            played = np.clip(sample, -limit, limit)
+            out[:, i] = left * played
+            stream.push(played, condition[:, i], z)
     return out

@@ -59,7 +59,7 @@ class WindowStream:
         """Return, with an excitation, one number for the volatility and one for each sample of a window."""
         return 0 if self.volatility is None else 1 + self.windows.shape[1]
 
-    def begin(self, condition: Array, noise: Array) -> None:
+    def begin(self, condition: Array, noise: Array, fade: float = 1.0) -> None:
         """Run for a window's length under the condition; without an excitation change nothing: no window is known."""
         if self.volatility is None:
             return
@@ -102,7 +102,7 @@ class NoiseStream:
         """Return a number for each sample of a window."""
         return self.windows.shape[1]
 
-    def begin(self, condition: Array, noise: Array) -> None:
+    def begin(self, condition: Array, noise: Array, fade: float = 1.0) -> None:
         """Take noise of a window's length under the condition."""
         self.windows[..., 1:] = condition[:, None, :2]
         self.windows[..., 0] = noise
