@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conftest import PLUS, SCALING, SMALL, exported
+from foten.dsp.lattice import polynomial
 from foten.families import FotenPlusSizes, FotenSizes
 from foten.families.conditions import FADE_FORCE, FADE_SPEED, FURTHEST
 from foten.families.excitation import HEAVIEST_TAIL
@@ -110,6 +111,24 @@ def test_standing_still_or_lifted_off_it_is_silent(
         renderer = Renderer(used)
         assert np.abs(renderer.render(*steady(50))).max() > 0
         np.testing.assert_array_equal(renderer.render(*steady(50, speed, force)), 0.0)
+
+
+@pytest.mark.parametrize("in_loop", [False, True])
+def test_with_the_gain_before_the_filter_what_rang_rings_out(in_loop: bool) -> None:
+    """As a tool does that comes to rest: by the lattice alone, to nothing. Oracle: its direct form, of which no input is left."""
+    sizes = FotenPlusSizes(**PLUS, order=6, gain_before_filter=True, network_in_loop=in_loop)
+    texture = exported("foten-plus", sizes)
+    model = model_of(sizes, texture.tensors)
+    assert isinstance(model, FotenPlus)
+    renderer = Renderer(texture)
+    before = renderer.render(*steady(200)).astype(float)
+    out = renderer.render(*steady(600, 0.0)).astype(float)
+    k = model.lattice.reflections((np.array([[LOW[0], 1.0]]) - SCALING.mean[1:]) / SCALING.sd[1:])[:, 0]
+    left = np.convolve(out, polynomial(k))[7:600]
+    assert np.abs(out[7:60]).max() > 0.05 * before.std()
+    assert np.abs(left).max() < 1e-5 * before.std()  # float32 of what leaves
+    assert np.abs(out[-100:]).max() < 1e-6 * before.std()
+    assert not Renderer(texture).render(*steady(50, 0.0)).any()
 
 
 def test_the_texture_is_there_again_with_the_first_movement(texture: Texture) -> None:

@@ -33,7 +33,7 @@ from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Channel, Recording
 from foten.recording.trace import Trace
-from foten.train.config import RECIPES
+from foten.train.config import recipe_of
 from foten.train.job import TrainingJob
 from foten.train.pipeline import train
 
@@ -112,7 +112,7 @@ def figures(truth: np.ndarray, ours: np.ndarray, where: np.ndarray, rate_hz: flo
 
 def judge(key: str) -> dict[str, Any]:
     """Return the figures of one texture by region and policy."""
-    config = dataclasses.replace(RECIPES["default"], threads=1, epochs=0)
+    config = recipe_of("foten-plus", threads=1, epochs=0)
     half = recorded(key, halved(stroking(64.0, 100, RATE_HZ)), 1)
     texture = train(TrainingJob(half, "foten-plus", FotenPlusSizes(), config)).texture
     high = [texture.trained_range(channel)[1] for channel in ("speed", "force")]

@@ -29,7 +29,9 @@ from matplotlib.patches import FancyBboxPatch
 from PIL import Image
 from scipy.signal import spectrogram, welch
 
+from foten.datasets.contact import CONTACT
 from foten.datasets.hdf5 import load_recording
+from foten.datasets.linear_family import LINEAR_FAMILY
 from foten.datasets.simulate import TEXTURES, second_realisation, simulate
 from foten.datasets.simulated_capture import PLAN_HZ, simulate_capture
 from foten.datasets.simulated_capture import SOUND_HZ as CAPTURED_HZ
@@ -50,9 +52,9 @@ from foten.recording.scaling import fit_scaling
 from foten.recording.split import Split, split_blocks
 from foten.recording.windows import targets
 from foten.runtime.live.sinks import pcm_wav
-from foten.runtime.native import NativeTexture
+from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.stylus import PressureCalibration
-from foten.train.config import RECIPES
+from foten.train.config import recipe_of
 from foten.train.job import TrainingJob
 from foten.train.pipeline import train
 
@@ -85,7 +87,7 @@ def texture_of(key: str, model: str) -> Texture:
     path = BUILD / f"{key}-{model}-{SEED}.foten"
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        job = TrainingJob(simulate(key, 64.0, seed=SEED), model, FAMILIES[model](), RECIPES["default"], split_seed=SEED)
+        job = TrainingJob(simulate(key, 64.0, seed=SEED), model, FAMILIES[model](), recipe_of(model), split_seed=SEED)
         write_texture(train(job).texture, path)
     return read_texture(path)
 
@@ -182,10 +184,10 @@ def foten_plus_diagram(arguments: argparse.Namespace) -> None:
         "speed, force": (0.9, 3.9, 1.5, PLAIN),
         "level, tables\nover v and f": (3.4, 3.9, 1.9, SOFT),
         "noise": (0.9, 2.4, 1.2, PLAIN),
-        "excitation\nσ, tails, volatility": (3.4, 2.4, 2.1, WARM),
+        "distribution of\nthe innovation": (3.4, 2.4, 2.1, WARM),
         "lattice": (6.6, 2.4, 1.4, SOFT),
         "tones of the path": (6.6, 3.9, 1.9, SOFT),
-        "network (FoTEN),\nbounded": (6.6, 0.7, 2.0, COOL),
+        "network": (3.4, 0.7, 1.6, COOL),
         "+": (9.0, 2.4, 0.5, PLAIN),
         "fade, saturator": (10.9, 2.4, 1.6, PLAIN),
     }
@@ -198,8 +200,8 @@ def foten_plus_diagram(arguments: argparse.Namespace) -> None:
         ((4.5, 2.4), (5.85, 2.4), "e"),
         ((7.35, 2.4), (8.7, 2.4), "x"),
         ((7.6, 3.9), (8.9, 2.75), ""),
-        ((6.6, 2.0), (6.6, 1.1), "x, e"),
-        ((5.6, 0.75), (5.2, 2.35), ""),
+        ((6.6, 2.0), (4.2, 0.7), "x, e"),
+        ((3.4, 1.05), (3.4, 2.0), "w, μ, s"),
         ((9.3, 2.4), (10.05, 2.4), "a"),
         ((11.75, 2.4), (12.05, 2.4), ""),
     ]
@@ -433,6 +435,81 @@ def outside(arguments: argparse.Namespace) -> None:
     save(figure, "outside")
 
 
+def listener(arguments: argparse.Namespace) -> None:
+    """How often a listener is right, by texture: with the network, without it, and of two true vibrations."""
+    rows = rows_of("listener")
+    auc = {
+        (row["method"], row["texture"]): [
+            float(row[f"listener.{key}"]) for key in ("listener_auc", "listener_auc_control")
+        ]
+        for row in rows
+    }
+    kinds = (LINEAR_FAMILY, TEXTURES, CONTACT)
+    figure, panels = plt.subplots(1, 3, figsize=(9, 3.6), sharey=True, width_ratios=[len(kind) + 1 for kind in kinds])
+    for axes, kind, title in zip(panels, kinds, ("linear", "simulated", "contact mechanics"), strict=True):
+        known = [key for key in kind if ("foten-plus", key) in auc]
+        order = sorted(known, key=lambda key: auc["foten-plus", key][0])
+        for method, colour, label in (("no network", PAPER, "before: noise"), ("foten-plus", OURS, "foten-plus")):
+            shown = [(x, auc[method, key][0]) for x, key in enumerate(order) if (method, key) in auc]
+            if shown:
+                axes.plot(*zip(*shown, strict=True), "o", color=colour, label=label, ms=6)
+        axes.plot(
+            range(len(order)),
+            [auc["foten-plus", key][1] for key in order],
+            "_",
+            color=INK,
+            ms=11,
+            label="two true ones",
+        )
+        axes.axhline(0.5, color="#cccccc", lw=0.8, zorder=0)
+        axes.set_xticks(range(len(order)), order, rotation=60, ha="right", fontsize=8)
+        axes.set_title(title, loc="left", fontsize=10)
+        axes.set(xlim=(-0.6, len(order) - 0.4), ylim=(0.4, 1.02))
+        axes.spines[["top", "right"]].set_visible(False)
+    panels[0].set_ylabel("right about a pair")
+    panels[1].legend(frameon=False, fontsize=8, ncols=3, loc="upper center", bbox_to_anchor=(0.5, 1.2))
+    save(figure, "listener")
+
+
+def impact(arguments: argparse.Namespace) -> None:
+    """A slow stroke over sparse impacts, recorded and rendered: by noise of the right level, and by the network."""
+    key = "artificial-grass"
+    texture = texture_of(key, "foten-plus")
+    noise = noise_of(key)
+    hand = preprocess(simulate(key, 40.0, seed=SEED + 1), PreprocessConfig())
+    slow = (hand.speed > 8) & (hand.speed < 40)
+    length = 600  # samples
+    start = int(np.argmax(np.convolve(slow[2000:], np.ones(length), mode="valid"))) + 2000
+    shown = slice(start, start + length)
+    signals = {"recorded": hand.acceleration}
+    for name, of in (("noise of the right level", noise), ("foten-plus", texture)):
+        signals[name] = NativeState(NativeTexture(of.to_bytes()), seed=SEED).render_stroke(hand.speed, hand.force)
+    figure, panels = plt.subplots(3, 1, figsize=(8, 3.9), sharex=True, sharey=True)
+    for axes, (name, signal), colour in zip(panels, signals.items(), (INK, PAPER, OURS), strict=True):
+        axes.plot(np.arange(length) / hand.rate_hz, signal[shown], color=colour, lw=0.7)
+        axes.set_title(name, loc="left", fontsize=9)
+        axes.spines[["top", "right"]].set_visible(False)
+    panels[1].set_ylabel("acceleration [m/s²]")
+    panels[-1].set(xlabel="time [s]", xlim=(0, length / hand.rate_hz))
+    save(figure, "impact")
+
+
+def noise_of(key: str) -> Texture:
+    """Return the same texture without a network, kept."""
+    path = BUILD / f"{key}-noise-{SEED}.foten"
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        job = TrainingJob(
+            simulate(key, 64.0, seed=SEED),
+            "foten-plus",
+            FAMILIES["foten-plus"](),
+            recipe_of("foten-plus", epochs=0),
+            split_seed=SEED,
+        )
+        write_texture(train(job).texture, path)
+    return read_texture(path)
+
+
 def rates(arguments: argparse.Namespace) -> None:
     """What each rate carries of perceived power of the real four."""
     figure, axes = plt.subplots(figsize=(7, 3.0))
@@ -490,6 +567,8 @@ PICTURES: dict[str, Callable[[argparse.Namespace], None]] = {
     "limits": limits,
     "outside": outside,
     "rates": rates,
+    "listener": listener,
+    "impact": impact,
     "compared": compared,
     "capture": capture,
 }

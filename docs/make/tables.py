@@ -14,12 +14,14 @@ import csv
 import sys
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from foten.atomic_write import atomic_write
+from foten.datasets import contact, linear_family, simulate
 from foten.experiments.experiment import experiment_path
 from foten.experiments.results import chosen, read_records
 from foten.experiments.tables import findings, ratios, summary, with_error, written
@@ -234,16 +236,21 @@ def innovations() -> Cells:
 
 def listener() -> Cells:
     """Return areas under listeners' curves, means over the textures of each kind, beside those of two true vibrations."""
-    cells = [["mean of", "textures", "band energies", "worst", "control", "and waveform", "control"]]
-    for title, of in measured("listener").items():
+    path = RESULTS / "listener.csv"
+    records = read_records(path) if path.exists() else []
+    titles = (MAIN[LINEAR], MAIN[SIMULATED], MAIN[CONTACT])
+    kinds = dict(zip(titles, (linear_family.LINEAR_FAMILY, simulate.TEXTURES, contact.CONTACT), strict=True))
+    cells = [["mean of", "textures", "method", "band energies", "worst", "control", "and waveform", "control"]]
+    for (title, keys), method in product(kinds.items(), dict.fromkeys(one["method"] for one in records)):
+        of = [one for one in records if one["texture"] in keys and one["method"] == method]
 
         def mean(key: str, of: Records = of) -> str:
             return f"{np.mean([one[f'listener.{key}'] for one in of]):.2f}"
 
         worst = max(of, key=lambda one: one["listener.listener_auc"])
-        row = [title, str(len(of)), mean("listener_auc"), f"{worst['listener.listener_auc']:.2f} ({worst['texture']})"]
-        row += [mean(key) for key in ("listener_auc_control", "listener_auc_waveform", "listener_auc_waveform_control")]
-        cells.append(row)
+        row = [title, str(len(of)), method, mean("listener_auc")]
+        row += [f"{worst['listener.listener_auc']:.2f} ({worst['texture']})", mean("listener_auc_control")]
+        cells.append([*row, mean("listener_auc_waveform"), mean("listener_auc_waveform_control")])
     return cells
 
 
@@ -295,13 +302,13 @@ TABLES: dict[str, dict[str, Callable[[], Cells | str]]] = {
         "stability": stability,
         "onset": onset,
         "innovations": innovations,
-        "listener": listener,
         **{
             f"ingredients-{kind}": (lambda kind=kind: of_experiment(f"ingredients-{kind}", ratios))
-            for kind in ("simulated", "real", "network")
+            for kind in ("simulated", "real")
         },
-        "csv": lambda: listed(*MAIN, *(f"ingredients-{kind}" for kind in ("simulated", "real", "network"))),
+        "csv": lambda: listed(*MAIN, "listener", *(f"ingredients-{kind}" for kind in ("simulated", "real"))),
     },
+    "listener.md": {"listener": listener},
     "compared.md": {
         "table-1-small": lambda: of_experiment("table-1-small", compared),
         "findings": lambda: said("table-1-small"),

@@ -89,7 +89,7 @@ def train(
     from foten.families import FAMILIES, sizes_of
     from foten.families.texture_file import Texture, write_texture
     from foten.recording.preprocess import PreprocessConfig
-    from foten.train.config import OWN_RECIPES, RECIPES, check_used
+    from foten.train.config import RECIPES, check_used, recipe_of
     from foten.train.job import TrainingJob
     from foten.train.pipeline import train as train_texture
     from foten.train.run import RunFolder, TrainingDisplay
@@ -103,7 +103,7 @@ def train(
     check_folders([output, run_folder or output])
     asked = _given(epochs=epochs, loss=loss, delta=delta, batch=batch, learning_rate=learning_rate)
     asked |= _given(dropout=dropout, threads=threads)
-    config = dataclasses.replace(RECIPES[recipe], seed=seed, **OWN_RECIPES.get(model, {}) | asked)
+    config = recipe_of(model, recipe, seed=seed, **asked)
     # The paper trains with 25 Hz and renders with 20 Hz.
     lowpass_hz = 25.0 if recipe == "paper" else None
     cut = _given(rate_hz=rate, trim_ms=trim, block_ms=block, lowpass_hz=lowpass_hz)

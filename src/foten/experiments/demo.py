@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 from foten.atomic_write import atomic_write
@@ -19,7 +18,7 @@ from foten.recording.inspection import inspect_recording, write_pictures
 from foten.runtime.live.sinks import write_audible, write_rendered
 from foten.runtime.renderer import Renderer
 from foten.runtime.stroke import recorded_stroke
-from foten.train.config import RECIPES
+from foten.train.config import recipe_of
 from foten.train.epochs import Epoch
 from foten.train.job import TrainingJob
 from foten.train.pipeline import train
@@ -40,7 +39,7 @@ def run_demo(
     (directory / "inspect").mkdir(exist_ok=True)
     write_pictures(recording, inspect_recording(recording), directory / "inspect")
     say(f"3/5 training foten-plus, at most {epochs} epochs")
-    config = replace(RECIPES["default"], epochs=epochs, seed=seed, threads=threads)
+    config = recipe_of("foten-plus", epochs=epochs, seed=seed, threads=threads)
 
     def on_epoch(line: Epoch) -> None:
         say(f"    epoch {line.epoch}: one-step validation error {line.validation_mae:.4f} sd, {line.seconds:.1f} s")

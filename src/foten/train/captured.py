@@ -34,7 +34,7 @@ from foten.recording.inspection.values import counted
 from foten.recording.preprocess import SHORT_BLOCKS_MS, PreprocessConfig
 from foten.recording.recording import Recording
 from foten.runtime.stylus import PressureCalibration
-from foten.train.config import OWN_RECIPES, RECIPES
+from foten.train.config import recipe_of
 from foten.train.epochs import Epoch
 from foten.train.job import TrainingJob
 from foten.train.pipeline import train
@@ -91,7 +91,7 @@ def train_recording(recording: Recording, carried: Mapping[float, float], output
     rate_hz = min(HIGHEST_HZ, smallest_rate(carried)) if carried else PreprocessConfig().rate_hz
     usable_ms = 1000 * recording.duration_s
     block_ms = next((ms for ms in SHORT_BLOCKS_MS if usable_ms >= ENOUGH_BLOCKS * ms), SHORT_BLOCKS_MS[-1])
-    config = dataclasses.replace(RECIPES["default"], **OWN_RECIPES.get(MODEL, {}))
+    config = recipe_of(MODEL)
     # Nothing is to be trimmed: what lies before the first stroke and after the last was left out with the taps.
     job = TrainingJob(
         recording,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 WARM_START = (45.0, 0.8)  # mm/s, N: mean of early contacts; Sec. V-a
@@ -110,6 +110,11 @@ UNUSED: dict[str, tuple[str, ...]] = {
     ),
 }
 """Settings that are nothing to a model: foten-plus has a likelihood for a loss, the GAN what judges it."""
+
+
+def recipe_of(model: str, recipe: str = "default", **changed: Any) -> TrainConfig:
+    """Return a recipe with what a model changes of it, and what somebody asks for."""
+    return replace(RECIPES[recipe], **(OWN_RECIPES.get(model, {}) | changed))
 
 
 def check_used(model: str, given: Iterable[str]) -> None:

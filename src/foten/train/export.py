@@ -33,7 +33,7 @@ from foten.train.config import WARM_START
 
 Tensors = dict[str, NDArray[Any]]
 
-N_GOLDEN = 16  # windows of the validation blocks
+N_GOLDEN = 12  # windows of the validation blocks
 WARM_START_NEAR = 100  # of so many training windows one is near enough to begin from
 WARM_START_RINGS_MS = 20.0  # the end of a window, which rings on into what comes after
 

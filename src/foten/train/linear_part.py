@@ -156,8 +156,5 @@ def _counts(table: SpeedForceTable, *names: str) -> dict[str, Any]:
 
 
 def _table_tensors(prefix: str, table: SpeedForceTable, values: str) -> Tensors:
-    return {
-        f"{prefix}speed_knots": table.speed_knots,
-        f"{prefix}force_knots": table.force_knots,
-        f"{prefix}{values}": table.values,
-    }
+    tensors = {"speed_knots": table.speed_knots, "force_knots": table.force_knots, values: table.values}
+    return {f"{prefix}{name}": tensor.astype(np.float32) for name, tensor in tensors.items()}  # as networks are
