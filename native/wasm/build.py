@@ -16,8 +16,7 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 SOURCES = HERE.parent / "src"
-NAMES = [path.stem for path in sorted(SOURCES.glob("*.c")) if not path.stem.startswith("kernel_")]
-NAMES.append("kernel_simd128")
+NAMES = [path.stem for path in sorted(SOURCES.glob("*.c"))]
 FLAGS = [
     "-target",
     "wasm32-wasi",
@@ -28,7 +27,17 @@ FLAGS = [
     "-mbulk-memory",
     "-ffp-contract=off",
 ]
-FLAGS += ["-fno-sanitize=all", "-fvisibility=hidden", "-DFOTEN_BUILDING", "-Wall", "-Wextra", "-g0"]
+FLAGS += [
+    "-fno-sanitize=all",
+    "-fvisibility=hidden",
+    "-DFOTEN_BUILDING",
+    "-DKERNEL=simd128",
+    "-DLANES=4",
+    "-DROWS=5",
+    "-Wall",
+    "-Wextra",
+    "-g0",
+]
 LINKED = [
     "-Wl,--strip-all",
     "-Wl,--export-dynamic",

@@ -38,7 +38,7 @@ class Prediction(NamedTuple):
         return self.sample + self.scale * heavy_tailed(noise, self.tail, limit)
 
     def faded(self, noise: Array | None, fade: Array | float) -> tuple[Array, Array]:
-        """Return what leaves with a fade near rest, and what the stream goes on from, (s,) each; noise None for no random part."""
+        """Return what leaves with a fade near rest, and what the stream goes on from, (s,) each; of noise or None."""
         sample = self.sample if noise is None else self.excited(noise)
         if self.linear is None:
             return fade * sample, sample

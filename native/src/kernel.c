@@ -1,4 +1,5 @@
-/* The network for one instruction set: included by each kernel_*.c, which defines
+/* The network for one instruction set: compiled once for each, by definitions of
+ *   KERNEL its name,
  *   LANES  floats in a vector,
  *   ROWS   tokens whose sums stay in registers at once: 5, 8 or 11.
  * The vectors are the compiler's own, so that the same lines become AVX-512, AVX2, NEON, wasm's SIMD or plain C. */
@@ -241,3 +242,8 @@ static float predict(const network *net, const float *window, float *scratch) {
     for (int i = 0; i < net->second; i++) out += (double)second[i] * net->head_3[i];
     return (float)out;
 }
+
+#define NAMED(name) isa_##name
+#define QUOTED(name) #name
+#define ISA(name) const isa NAMED(name) = {QUOTED(name), LANES, predict};
+ISA(KERNEL)

@@ -1,5 +1,0 @@
-#define LANES 4
-#define ROWS 5
-#include "kernel.inc.h"
-
-const isa isa_portable = {"portable", LANES, predict};
