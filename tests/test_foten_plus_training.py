@@ -109,7 +109,7 @@ def test_with_the_network_in_the_loop_the_level_is_settled_from_one(prepared: Fo
     errors = texture.card["metrics"]["level_errors_db"]
     assert abs(errors[0]) > 0.1  # a network that nobody trained is too loud or too soft
     assert abs(errors[-1]) < 0.3 * abs(errors[0])
-    of, train = task.innovations[0], list(task.blocks.split.train)
+    of, train = task.innovations["network"], list(task.blocks.split.train)
     largest = 1.3 * np.abs(of.innovation[train, of.first + 1 :]).max()
     assert texture.tensors["excitation.largest"][0] == pytest.approx(largest)
     assert texture.tensors["excitation.volatility"][1] == 0

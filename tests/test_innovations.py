@@ -21,8 +21,9 @@ from foten.reference.innovation import InnovationNetwork as Reference
 from foten.reference.innovation import Mixture, innovation_inputs
 from foten.train.blocks import ScaledBlocks, scaled_blocks
 from foten.train.config import OWN_RECIPES, TrainConfig
+from foten.train.epochs import Epoch
 from foten.train.export import tensors_of
-from foten.train.innovations import Innovations, _chunks, asymmetry, fit_innovations
+from foten.train.innovations import Innovations, _chunks, asymmetry, fit_innovations, validated
 
 SIZES = FotenPlusSizes(**PLUS)
 CONFIG = TrainConfig(**{**OWN_RECIPES["foten-plus"], "epochs": 2, "threads": 1, "batch": 32})
@@ -144,6 +145,25 @@ def test_of_noise_nothing_is_learned_and_of_bursts_when_they_are() -> None:
     x = process("bursts")[1].innovation[16:20].ravel()
     unaware = -float(Mixture(*(np.repeat(p, x.size, axis=0) for p in dataclasses.astuple(mixed))).log_density(x).mean())
     assert likelihood < unaware - 0.15
+
+
+def test_each_of_two_networks_is_kept_at_its_own_best() -> None:
+    """Of noise, every step of which is one away from it, and of bursts, which take all of them."""
+    blocks, noise = process("noise")
+    _, bursts = process("bursts")
+    torch.manual_seed(0)
+    networks = [InnovationNetwork(FotenPlusSizes(n_hidden=16, head_width=16, window=20)) for _ in range(2)]
+    config = dataclasses.replace(CONFIG, epochs=3)
+    lines: list[Epoch] = []
+    progress = fit_innovations(networks, [noise, bursts], blocks, 20, config, lines.append)
+    scores = [
+        validated(network, of, of.tensors(torch.device("cpu")), blocks.split.validation, 20)
+        for network, of in zip(networks, (noise, bursts), strict=True)
+    ]
+    assert sum(loss for loss, _ in scores) == pytest.approx(progress.best_loss)
+    assert scores[0][1] == pytest.approx(progress.best.validation_mae)
+    losses = [line.validation_loss for line in lines]
+    assert losses == sorted(losses, reverse=True)
 
 
 def test_only_what_has_no_sign_is_mirrored() -> None:

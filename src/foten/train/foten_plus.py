@@ -48,10 +48,9 @@ class Rendering:
 class FotenPlusTask(Task):
     """The networks of a texture that is playable without them: as `plain` is, one of the linear parts that were tried."""
 
-    networks: dict[
-        str, InnovationNetwork
-    ]  # by what their tensors' names begin with: of the vibration, and of what tones leave
-    innovations: list[Innovations]  # of each
+    # By what their tensors' names begin with: of the vibration and, where there are tones, of what they leave.
+    networks: dict[str, InnovationNetwork]
+    innovations: dict[str, Innovations]  # of each
     draft: Draft
     plain: Rendering
     tried: dict[str, Any]
@@ -63,14 +62,14 @@ class FotenPlusTask(Task):
         """Fit the networks."""
         warm_up, config = self.plain.part.sizes.window, self.job.config
         networks = list(self.networks.values())
-        return fit_innovations(networks, self.innovations, self.blocks, warm_up, config, on_epoch, checkpoint, resume)
+        data = list(self.innovations.values())
+        return fit_innovations(networks, data, self.blocks, warm_up, config, on_epoch, checkpoint, resume)
 
     def finish(self, progress: Progress, on_stage: Stage) -> Texture:
         """Return the texture with the networks that were fitted, one of them in the loop where its innovations are likelier."""
         best, chosen = progress.best, self.plain
         renderings: dict[str, Any] = {"without network": self.plain.fitted.metrics()}
-        name = list(self.networks)[-1]
-        likelihood, _ = self._validated(name)
+        likelihood, _ = self._validated(self.drawing)
         before = self.plain.fitted.likelihood_in_units
         if best.epoch and before - likelihood >= LEAST_GAIN_NAT:
             on_stage("settling the level with the network in the loop")
@@ -81,20 +80,25 @@ class FotenPlusTask(Task):
         epochs = {"best_epoch": best.epoch, "n_epochs": progress.epochs[-1].epoch}
         return self._texture(chosen, best.validation_mae, renderings, validation_loss=best.validation_loss, **epochs)
 
+    @property
+    def drawing(self) -> str:
+        """Return the name of the network that a rendering may draw from."""
+        return "network" if self.plain.part.phase is None else "residual_network"
+
     def _validated(self, name: str) -> tuple[float, float]:
         """Return a network's likelihood [nat, of innovations] and error on the validation blocks."""
-        network, of = self.networks[name], self.innovations[list(self.networks).index(name)]
+        network, of = self.networks[name], self.innovations[name]
         tensors = of.tensors(next(network.parameters()).device)
         return validated(network, of, tensors, self.blocks.split.validation, self.plain.part.sizes.window)
 
     def _with_network(self) -> Rendering:
         """Return a rendering with the network in the loop, its level settled."""
         part = replace(self.plain.part, sizes=replace(self.plain.part.sizes, network_in_loop=True))
-        loop, of = _loop(part, self.draft, self.networks), self.innovations[-1]
+        loop, of = _loop(part, self.draft, self.networks), self.innovations[self.drawing]
         train = list(self.blocks.split.train)
         known = (one[train, of.first + 1 :] for one in (of.innovation, of.innovation * of.unit))
         largest = [LARGEST_BEYOND * float(np.abs(values).max()) for values in known]
-        likelihood, _ = self._validated(list(self.networks)[-1])
+        likelihood, _ = self._validated(self.drawing)
         unit = of.unit[list(self.blocks.split.validation), of.first + 1 :]
         nll = likelihood + float(np.log(unit[:, part.sizes.window :]).mean())
         fitted = settle_gain(part.sizes.excitation_width, largest, loop, self.job.config, nll)
@@ -103,12 +107,8 @@ class FotenPlusTask(Task):
     def _texture(
         self, chosen: Rendering, mae: float | None, renderings: dict[str, Any], **epochs: float | None
     ) -> Texture:
-        sizes = chosen.part.sizes
-        weights: Tensors = {}
-        for name, network in self.networks.items():
-            if name == "network" or sizes.network_in_loop:
-                weights |= tensors_of(network, f"{name}.")
-        _check_twin(self.networks["network"], weights, self.innovations[0])
+        sizes, weights = chosen.part.sizes, _weights(self.networks, chosen.part.sizes)
+        _check_twin(self.networks["network"], weights, self.innovations["network"])
         metrics = {
             **epochs,
             **chosen.fitted.metrics(),
@@ -137,11 +137,11 @@ def prepare_foten_plus(job: TrainingJob, on_stage: Stage) -> FotenPlusTask:
     on_stage("fitting the excitation and settling its level in the closed loop")
     plain, tried = _chosen([_rendering(part, networks, draft, job.config) for part in parts])
     tonal, first = plain.part.phase is not None, plain.part.sizes.history - window
-    innovations = [_innovations(plain.part, blocks, first, not tonal)]
+    innovations = {"network": _innovations(plain.part, blocks, first, not tonal)}
     if tonal:
         networks["residual_network"] = InnovationNetwork(job.sizes)
-        innovations.append(_innovations(plain.part, blocks, first, False, residual=True))
-    of, validation = innovations[0], list(blocks.split.validation)
+        innovations["residual_network"] = _innovations(plain.part, blocks, first, False, residual=True)
+    of, validation = innovations["network"], list(blocks.split.validation)
     scored = (slice(None), slice(first + 1 + window, None))
     missed = (of.innovation * of.unit)[validation][scored]
     return FotenPlusTask(
@@ -167,13 +167,15 @@ def _rendering(
 
 
 def _loop(part: LinearPart, draft: Draft, networks: dict[str, InnovationNetwork]) -> ClosedLoop:
-    weights: Tensors = {}
-    for name, network in networks.items():
-        if name == "network" or part.sizes.network_in_loop:
-            weights |= tensors_of(network, f"{name}.")
-    kernel = partial(draft.kernel, part.sizes, {**part.tensors, **weights})
+    kernel = partial(draft.kernel, part.sizes, {**part.tensors, **_weights(networks, part.sizes)})
     history, block = part.sizes.history, draft.blocks.trace.block
     return ClosedLoop(draft.blocks, history, kernel, part.power, part.response(block - history))
+
+
+def _weights(networks: dict[str, InnovationNetwork], sizes: FotenPlusSizes) -> Tensors:
+    """Return the tensors of the networks that a texture of some sizes has."""
+    names = ("network", "residual_network") if sizes.n_tones and sizes.network_in_loop else ("network",)
+    return {key: tensor for name in names for key, tensor in tensors_of(networks[name], f"{name}.").items()}
 
 
 def _chosen(renderings: list[Rendering]) -> tuple[Rendering, dict[str, Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -104,6 +105,27 @@ def _chunks(of: Innovations, train: tuple[int, ...], warm_up: int) -> _Chunks:
     return _Chunks(block, np.tile(start, len(train)), np.cumsum(probability / probability.sum()), length)
 
 
+class Kept(nn.Module):
+    """Networks at their lowest validation losses, each by its own, and the error of the first there."""
+
+    def __init__(self, networks: Sequence[InnovationNetwork]) -> None:
+        super().__init__()
+        self.networks = nn.ModuleList(networks)
+        self.register_buffer("losses", torch.full((len(networks),), torch.inf, dtype=torch.float64))
+        self.register_buffer("error", torch.full((), torch.inf, dtype=torch.float64))
+
+    def take(self, networks: nn.ModuleList, scores: Sequence[tuple[float, float]]) -> tuple[float, float]:
+        """Take those whose loss (of losses and errors) is lower than before; return the sum of the lowest, and the error."""
+        for k, (loss, error) in enumerate(scores):
+            # Of a loss that is not finite nothing is kept, and the sum says so.
+            if loss < self.losses[k] or not math.isfinite(loss):
+                self.losses[k] = loss
+                self.networks[k].load_state_dict(networks[k].state_dict())
+                if k == 0:
+                    self.error.fill_(error)
+        return float(self.losses.sum()), float(self.error)
+
+
 def fit_innovations(
     networks: Sequence[InnovationNetwork],
     data: Sequence[Innovations],
@@ -114,13 +136,14 @@ def fit_innovations(
     checkpoint: Path | None = None,
     resume: bool = False,
 ) -> Progress:
-    """Train networks in place, side by side, and leave them at their best validation loss, the sum of their own [nat].
+    """Train networks in place, side by side, and leave each at its lowest validation loss.
 
-    What is judged and kept are weights averaged over the last hundred steps or so. The error of the log is that of the first.
+    What is judged and kept are weights averaged over the last hundred steps or so. The loss of the log is the sum of the lowest
+    so far [nat], so that training goes on as long as one of them gains; the error is that of the first.
     """
-    averaged = nn.ModuleList(networks)
-    device = next(averaged.parameters()).device
-    live = copy.deepcopy(averaged)
+    kept = Kept(networks)
+    device = next(kept.parameters()).device
+    live, averaged = copy.deepcopy(kept.networks), copy.deepcopy(kept.networks)
     trained = list(live.parameters())
     optimiser = Optimiser(dict(live.named_parameters()), config)
     tensors = [one.tensors(device) for one in data]
@@ -163,22 +186,22 @@ def fit_innovations(
             optimiser.step(rate_of(config, STEPS_PER_EPOCH * config.batch, epoch, number))
             total += float(torch.stack(losses).sum())
             step = STEPS_PER_EPOCH * (epoch - 1) + number
-            kept = min(AVERAGED, (step + 1) / (step + 10))
+            share = min(AVERAGED, (step + 1) / (step + 10))
             with torch.no_grad():
                 for mean, now in zip(averaged.parameters(), trained, strict=True):
-                    mean.lerp_(now, 1 - kept)
+                    mean.lerp_(now, 1 - share)
         return total / STEPS_PER_EPOCH
 
     def validate() -> tuple[float, float]:
-        scored = [
+        scores = [
             validated(network, of, given, blocks.split.validation, warm_up)
-            for network, of, given in zip(networks, data, tensors, strict=True)
+            for network, of, given in zip(averaged, data, tensors, strict=True)
         ]
-        return sum(nll for nll, _ in scored), scored[0][1]
+        return kept.take(averaged, scores)
 
-    parts = {"network": averaged, "live": live, "optimiser": optimiser}
+    parts = {"kept": kept, "averaged": averaged, "live": live, "optimiser": optimiser}
     with ThreadPoolExecutor(n_threads) as pool:
-        return run_epochs(averaged, config, parts, one_epoch, validate, on_epoch, checkpoint, resume)
+        return run_epochs(kept, config, parts, one_epoch, validate, on_epoch, checkpoint, resume)
 
 
 def validated(
