@@ -47,8 +47,8 @@ MUTANTS = (
     Mutant(
         "smoothing begins from rest", NATIVE + "api.c", "= settled(&s->filter, speed_force[i]);", "= (memory){0, 0};"
     ),
-    Mutant("there is no fade", NATIVE + "api.c", "if (x < fade) factor *= x / fade;", ""),
-    Mutant("the level does not grow", NATIVE + "api.c", "factor *= pow(kept[i] / m->high[i], m->exponents[i]);", ";"),
+    Mutant("there is no fade", NATIVE + "api.c", "if (x < fade) c.fade *= x / fade;", ""),
+    Mutant("the level does not grow", NATIVE + "api.c", "growth *= pow(kept[i] / m->high[i], m->exponents[i]);", ";"),
     Mutant("the level grows without end", NATIVE + "constants.h", "FOTEN_FURTHEST 2.0", "FOTEN_FURTHEST 4.0"),
     Mutant("a slower device is louder", NATIVE + "resample.c", "return sum / r->stretch;", "return sum;"),
     Mutant("the resampler skips a carry", NATIVE + "resample.c", "r->integer + (r->fraction < before)", "r->integer"),

@@ -472,7 +472,7 @@ def listener(arguments: argparse.Namespace) -> None:
 
 
 def impact(arguments: argparse.Namespace) -> None:
-    """A slow stroke over sparse impacts, recorded and rendered: by noise of the right level, and by the network."""
+    """A slow stroke over sparse impacts, recorded and rendered by noise of the right level and by the network; all as sound."""
     key = "artificial-grass"
     texture = texture_of(key, "foten-plus")
     noise = noise_of(key)
@@ -492,6 +492,12 @@ def impact(arguments: argparse.Namespace) -> None:
     panels[1].set_ylabel("acceleration [m/s²]")
     panels[-1].set(xlabel="time [s]", xlim=(0, length / hand.rate_hz))
     save(figure, "impact")
+    played = slice(start, start + 2000)
+    loudest = max(float(np.abs(signal[played]).max()) for signal in signals.values())
+    pause = np.zeros(int(0.4 * hand.rate_hz))
+    row = np.concatenate([np.concatenate([0.9 / loudest * signal[played], pause]) for signal in signals.values()])
+    sound = interpolate(row, Fraction(SOUND_HZ, round(hand.rate_hz)))
+    (DOCS / "audio" / "listener.wav").write_bytes(pcm_wav(sound, SOUND_HZ))
 
 
 def noise_of(key: str) -> Texture:
