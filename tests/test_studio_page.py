@@ -268,7 +268,9 @@ def test_methods_are_compared_blind_and_equally_loud(browser: Any, link: str, sh
         renderers = {name: Renderer(shelf / name) for name in ("mesh.foten", "mesh2.foten")}
         scales = [1 / one.native_texture.info.acceleration_sd for one in renderers.values()]
         expected = dict(zip(renderers, gains_db(list(renderers.values()), scales), strict=True))
-        assert np.ptp(list(expected.values())) > 0.5  # dB: else this would say nothing
+        assert (
+            np.ptp(list(expected.values())) > 0.3
+        )  # dB, six times what they may differ by: else this would say nothing
         assert gains == pytest.approx(expected, abs=0.05)
         served = page.evaluate("fetch('gains?texture=mesh.foten&texture=mesh2.foten').then((answer) => answer.json())")
         assert served["gains_db"] == pytest.approx(list(expected.values()), abs=1e-9)
