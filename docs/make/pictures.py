@@ -449,7 +449,7 @@ def listener(arguments: argparse.Namespace) -> None:
     for axes, kind, title in zip(panels, kinds, ("linear", "simulated", "contact mechanics"), strict=True):
         known = [key for key in kind if ("foten-plus", key) in auc]
         order = sorted(known, key=lambda key: auc["foten-plus", key][0])
-        for method, colour, label in (("no network", PAPER, "before: noise"), ("foten-plus", OURS, "foten-plus")):
+        for method, colour, label in (("no network", PAPER, "noise in its place"), ("foten-plus", OURS, "foten-plus")):
             shown = [(x, auc[method, key][0]) for x, key in enumerate(order) if (method, key) in auc]
             if shown:
                 axes.plot(*zip(*shown, strict=True), "o", color=colour, label=label, ms=6)
@@ -467,7 +467,7 @@ def listener(arguments: argparse.Namespace) -> None:
         axes.set(xlim=(-0.6, len(order) - 0.4), ylim=(0.4, 1.02))
         axes.spines[["top", "right"]].set_visible(False)
     panels[0].set_ylabel("right about a pair")
-    panels[1].legend(frameon=False, fontsize=8, ncols=3, loc="upper center", bbox_to_anchor=(0.5, 1.2))
+    panels[2].legend(frameon=False, fontsize=8, loc="lower right", bbox_to_anchor=(1, 0.22))
     save(figure, "listener")
 
 

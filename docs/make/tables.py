@@ -243,6 +243,8 @@ def listener() -> Cells:
     cells = [["mean of", "textures", "method", "band energies", "worst", "control", "and waveform", "control"]]
     for (title, keys), method in product(kinds.items(), dict.fromkeys(one["method"] for one in records)):
         of = [one for one in records if one["texture"] in keys and one["method"] == method]
+        if not of:
+            continue
 
         def mean(key: str, of: Records = of) -> str:
             return f"{np.mean([one[f'listener.{key}'] for one in of]):.2f}"
