@@ -98,6 +98,11 @@ def test_the_network_is_in_the_loop_where_its_innovations_are_likelier(
         predict_blocks(kernel, recorded, part).sample
         for part in ("linear", "model", "rendering")  # type: ignore[arg-type]
     )
+    if in_loop:  # the card's likelihood is the judge's, of one sample less in each block
+        nats = predict_blocks(kernel, recorded, "rendering").nll[:, 1:]
+        moving = prepared.blocks.moving()[list(prepared.blocks.split.validation), texture.window + 1 :]
+        assert metrics["validation_nll"] == pytest.approx(nats[moving].mean(), rel=1e-4)  # float32 in training
+        assert not moving.all()
     assert np.abs(with_network - linear).max() > 1e-4
     assert np.array_equal(rendering, with_network if in_loop else linear)
 

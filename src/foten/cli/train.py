@@ -45,16 +45,18 @@ def train(
     split: Annotated[str, Option(help="regrouped by speed and force, or contiguous in time.")] = "regrouped",
     split_seed: Annotated[int, Option(min=0, help="Of the regrouped split.")] = 0,
     epochs: Annotated[int | None, Option(help="At most; the recipe's by default. (Of gan, of 50 steps each.)")] = None,
-    loss: Annotated[str | None, Option(help="huber, mse or mae.", show_default="huber")] = None,
+    loss: Annotated[
+        str | None, Option(help="huber, mse or mae; foten-plus has a likelihood.", show_default="huber")
+    ] = None,
     delta: Annotated[float | None, Option(help="Huber threshold, scaled.", show_default="1.6")] = None,
-    batch: Annotated[int | None, Option(help="Windows a step; the recipe's by default.")] = None,
+    batch: Annotated[int | None, Option(help="Windows a step, of foten-plus chunks; the recipe's by default.")] = None,
     learning_rate: Annotated[float | None, Option(help="Highest; the recipe's by default.")] = None,
     dropout: Annotated[float | None, Option(help="Share of hidden values.", show_default="0; paper 0.2")] = None,
     excitation: Annotated[
         bool,
         Option(
             "--excitation",
-            help="Give a network the random part of foten-plus, which always has it: without one its free run falls silent.",
+            help="Give a network a random part, as foten-plus always has one: without it its free run falls silent.",
         ),
     ] = False,
     settings: Annotated[
@@ -62,7 +64,8 @@ def train(
         Option(
             "--set",
             metavar="SIZE=VALUE",
-            help="Another size or reading of the network; repeatable: d_model, n_heads, n_layers, d_feedforward, head=[256,64], "
+            help="Another size or reading of the network; repeatable. foten-plus: n_hidden, head_width, n_components; foten: "
+            "d_model, n_heads, n_layers, d_feedforward, head=[256,64], "
             "spectral_width (1 is the literal reading), pre_norm=false, bins=half.",
         ),
     ] = None,

@@ -76,13 +76,13 @@ def fit_excitation(
 
 
 def settle_gain(
-    width: int, largest: list[float], loop: ClosedLoop, config: TrainConfig, likelihood: float
+    width: int, largest: list[float], loop: ClosedLoop, config: TrainConfig, likelihood: float | None
 ) -> FittedExcitation:
     """Return what scales a network's innovations in the closed loop, σ near 1, and bounds them; no tails, no volatility.
 
     Args:
         largest: bounds of an innovation, in units of σ and in scaled acceleration.
-        likelihood: the network's [nat].
+        likelihood: the network's of the validation blocks where a rendering does not fade [nat]; None where it always does.
     """
     torch.manual_seed(config.seed)
     excitation = Excitation(width).requires_grad_(False)

@@ -27,7 +27,7 @@ from foten.train.epochs import Epoch, Progress
 from foten.train.excitation import FittedExcitation, fit_excitation, settle_gain
 from foten.train.export import N_GOLDEN, Draft, Tensors, tensors_of
 from foten.train.fit import TrainingWindows, pick_device
-from foten.train.innovations import Innovations, fit_innovations, innovations_of, validated
+from foten.train.innovations import Innovations, fit_innovations, innovations_of, scored, validated
 from foten.train.job import Stage, Task, TrainingJob
 from foten.train.linear_part import LinearPart, fit_linear_parts
 
@@ -98,9 +98,11 @@ class FotenPlusTask(Task):
         train = list(self.blocks.split.train)
         known = (one[train, of.first + 1 :] for one in (of.innovation, of.innovation * of.unit))
         largest = [LARGEST_BEYOND * float(np.abs(values).max()) for values in known]
-        likelihood, _ = self._validated(self.drawing)
-        unit = of.unit[list(self.blocks.split.validation), of.first + 1 :]
-        nll = likelihood + float(np.log(unit[:, part.sizes.window :]).mean())
+        numbers, window, network = self.blocks.split.validation, part.sizes.window, self.networks[self.drawing]
+        tensors = of.tensors(next(network.parameters()).device)
+        nats, _, unit = scored(network, of, tensors, numbers, window)
+        counted = self.blocks.moving()[list(numbers), of.first + 1 + window :]  # as the judge counts them
+        nll = float((nats + np.log(unit))[counted].mean()) if counted.any() else None
         fitted = settle_gain(part.sizes.excitation_width, largest, loop, self.job.config, nll)
         return Rendering(part, fitted)
 

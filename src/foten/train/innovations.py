@@ -208,10 +208,20 @@ def validated(
     network: InnovationNetwork, of: Innovations, tensors: tuple[Tensor, Tensor], numbers: tuple[int, ...], warm_up: int
 ) -> tuple[float, float]:
     """Return the mean negative log-likelihood of innovations [nat] and the error in scaled acceleration, over whole blocks."""
+    nats, missed, unit = scored(network, of, tensors, numbers, warm_up)
+    return float(nats.mean()), float((missed * np.abs(unit)).mean())
+
+
+def scored(
+    network: InnovationNetwork, of: Innovations, tensors: tuple[Tensor, Tensor], numbers: tuple[int, ...], warm_up: int
+) -> tuple[Array, Array, Array]:
+    """Return of the samples of some blocks, from `first` + 1 + `warm_up` on, (k, n) each.
+
+    Negative log-likelihoods [nat] and absolute errors, both of innovations, and what one is worth in scaled acceleration.
+    """
     inputs, follows = (one[list(numbers)] for one in tensors)
     with torch.no_grad():
         mixture = network(inputs)
-        nll = negative_log_likelihood(mixture, follows)[:, warm_up:].mean()
+        nats = negative_log_likelihood(mixture, follows)[:, warm_up:].cpu().double().numpy()
         missed = (follows - (mixture[0].exp() * mixture[1]).sum(dim=-1))[:, warm_up:].abs().cpu().double().numpy()
-    unit = of.unit[list(numbers), of.first + 1 :][:, warm_up:]
-    return float(nll), float((missed * np.abs(unit)).mean())
+    return nats, missed, of.unit[list(numbers), of.first + 1 :][:, warm_up:]
