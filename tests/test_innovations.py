@@ -12,18 +12,19 @@ from scipy.integrate import quad
 from scipy.special import log_ndtr, ndtri_exp
 from scipy.stats import norm
 
-from conftest import PLUS, untrained
+from conftest import PLUS, exported, untrained
 from foten.families import FotenPlusSizes
 from foten.networks.innovation import InnovationNetwork, NextInnovation, negative_log_likelihood
 from foten.recording.split import Split
 from foten.recording.trace import Trace
+from foten.reference.excitation import Scale
 from foten.reference.innovation import InnovationNetwork as Reference
 from foten.reference.innovation import Mixture, innovation_inputs
 from foten.train.blocks import ScaledBlocks, scaled_blocks
 from foten.train.config import OWN_RECIPES, TrainConfig
 from foten.train.epochs import Epoch
 from foten.train.export import tensors_of
-from foten.train.innovations import Innovations, _chunks, asymmetry, fit_innovations, validated
+from foten.train.innovations import Innovations, _chunks, asymmetry, fit_innovations, innovations_of, validated
 
 SIZES = FotenPlusSizes(**PLUS)
 CONFIG = TrainConfig(**{**OWN_RECIPES["foten-plus"], "epochs": 2, "threads": 1, "batch": 32})
@@ -164,6 +165,31 @@ def test_each_of_two_networks_is_kept_at_its_own_best() -> None:
     assert scores[0][1] == pytest.approx(progress.best.validation_mae)
     losses = [line.validation_loss for line in lines]
     assert losses == sorted(losses, reverse=True)
+
+
+def test_only_the_training_blocks_are_learned_from() -> None:
+    """Those of validation are ten times as large here: whoever learned from them would have a loss of 3.7 nat."""
+    blocks, data = process("bursts")
+    louder = data.innovation.copy()
+    louder[16:20] *= 10
+    lines: list[Epoch] = []
+    torch.manual_seed(0)
+    network = InnovationNetwork(FotenPlusSizes(n_hidden=16, head_width=16, window=20))
+    fit_innovations([network], [dataclasses.replace(data, innovation=louder)], blocks, 20, CONFIG, lines.append)
+    assert lines[-1].train_loss < 1.5
+
+
+@pytest.mark.parametrize(("kind", "mirrored"), [("noise", True), ("skewed", False)])
+def test_what_a_network_is_fitted_to_is_mirrored_where_it_may_be(kind: str, mirrored: bool) -> None:
+    blocks, data = process(kind)
+    level = Scale(exported("foten-plus", SIZES).tensors, "lattice.level.")
+    given = blocks, level, data.innovation, data.innovation, data.unit, 20
+    assert innovations_of(*given, True).mirrored == mirrored
+    assert not innovations_of(*given, False).mirrored
+    made = innovations_of(*given, True)
+    np.testing.assert_allclose(made.inputs[..., :3], data.inputs[..., :3])
+    logs = level.logarithms(blocks.samples[..., 1:].reshape(-1, 2)).reshape(made.inputs[..., 3:].shape)
+    np.testing.assert_allclose(made.inputs[..., 3:], logs)
 
 
 def test_only_what_has_no_sign_is_mirrored() -> None:
