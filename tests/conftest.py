@@ -88,7 +88,11 @@ def untrained(model: str, sizes: Sizes | None = None, seed: int = 0) -> Any:
     from foten.networks import build
 
     torch.manual_seed(seed)
-    network = build(model, sizes or FAMILIES[model]())
+    return perturbed(build(model, sizes or FAMILIES[model]()))
+
+
+def perturbed(network: Any) -> Any:
+    """Return a network with seeded changes to every parameter."""
     with torch.no_grad():
         for parameter in network.parameters():
             parameter += 0.1 * torch.randn_like(parameter)
@@ -97,6 +101,7 @@ def untrained(model: str, sizes: Sizes | None = None, seed: int = 0) -> Any:
 
 def untrained_tensors(model: str, sizes: Sizes, network: Any, seed: int = 0) -> dict[str, np.ndarray]:
     """Return a network's tensors and seeded ones of all else; foten-plus resonates near 120 Hz through its lattice."""
+    from foten.networks.innovation import InnovationNetwork
     from foten.networks.scale import Excitation, Scale
     from foten.runtime.onnx_predictor import GRAPH
     from foten.train.export import graph_of, tensors_of
@@ -121,8 +126,10 @@ def untrained_tensors(model: str, sizes: Sizes, network: Any, seed: int = 0) -> 
         tensors = {GRAPH: graph_of(network, sizes.window)}
     else:
         tensors = tensors_of(network, "network." if model == "foten-plus" else "")
-        if isinstance(sizes, FotenPlusSizes) and sizes.n_tones and sizes.network_in_loop:
-            tensors |= tensors_of(untrained(model, sizes, seed + 2), "residual_network.")
+        if isinstance(sizes, FotenPlusSizes) and sizes.network_in_loop:
+            torch.manual_seed(seed + 2)
+            drawing = perturbed(InnovationNetwork(sizes, sizes.n_rendering_inputs))
+            tensors |= tensors_of(drawing, "rendering_network.")
     if sizes.excited:
         width = sizes.excitation_width
         tensors |= tensors_of(filled(Excitation(width), 0.0), "excitation.")

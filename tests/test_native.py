@@ -558,7 +558,7 @@ def test_what_is_wrong_in_a_file_is_named(texture: Texture) -> None:
     sizes = dict(texture.card["sizes"])
     cases = [
         (bytes_of({"format_version": 1}), "format version"),
-        (bytes_of({"format_version": 4}), "format version"),
+        (bytes_of({"format_version": 5}), "format version"),
         (bytes_of({"model": "gpt"}), "does not run"),
         (bytes_of({"rate_hz": 0}), "rate_hz"),
         (bytes_of({"window": 3}), "window"),

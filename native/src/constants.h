@@ -10,7 +10,7 @@
 static inline double clip(double x, double limit) { return x > limit ? limit : x < -limit ? -limit : x; }
 
 /* The texture file and its proof. */
-#define FOTEN_FORMAT_VERSION 3 /* foten.families.texture_file.FORMAT_VERSION */
+#define FOTEN_FORMAT_VERSION 4 /* foten.families.texture_file.FORMAT_VERSION */
 #define FOTEN_LEAST_GOLDEN 8 /* foten.families.texture_file.MIN_GOLDEN */
 #define FOTEN_ONE_STEP_TOLERANCE 1e-5 /* foten.families.texture_file.ONE_STEP_TOLERANCE */
 #define FOTEN_CLOSED_LOOP_TOLERANCE 1e-4 /* foten.families.texture_file.CLOSED_LOOP_TOLERANCE */
@@ -69,6 +69,7 @@ static inline double clip(double x, double limit) { return x > limit ? limit : x
 #define FOTEN_HEAVIEST_TAIL 0.25 /* foten.families.excitation.HEAVIEST_TAIL */
 #define FOTEN_LARGEST_SHOCK 4.0 /* foten.dsp.noise.LARGEST_SHOCK */
 #define FOTEN_N_INNOVATION_INPUTS 5 /* foten.families.foten_plus.N_INNOVATION_INPUTS */
+#define FOTEN_N_PHASE_INPUTS 4 /* foten.families.foten_plus.N_PHASE_INPUTS */
 #define FOTEN_LOG_SCALE_LIMIT 6.0 /* foten.families.foten_plus.LOG_SCALE_LIMIT */
 #define FOTEN_QUANTILE_STEPS 60 /* foten.reference.innovation.MOST_STEPS */
 #define FOTEN_QUANTILE_PRECISION 1e-14 /* foten.reference.innovation._PRECISION */

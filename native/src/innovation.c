@@ -16,9 +16,10 @@ static const double *columns_of(texture_file *file, arena *memory, const char *p
     return columns;
 }
 
-int innovation_read(texture_file *file, arena *memory, const char *prefix, int n_hidden, int head_width, int n_components, innovation_network *out) {
-    size_t h = (size_t)n_hidden, width = (size_t)head_width, k = (size_t)n_components, inputs = INNOVATION_INPUTS;
-    *out = (innovation_network){.n_hidden = n_hidden, .head_width = head_width, .n_components = n_components};
+int innovation_read(texture_file *file, arena *memory, const char *prefix, int n_inputs, int n_hidden, int head_width, int n_components,
+                    innovation_network *out) {
+    size_t h = (size_t)n_hidden, width = (size_t)head_width, k = (size_t)n_components, inputs = (size_t)n_inputs;
+    *out = (innovation_network){.n_inputs = n_inputs, .n_hidden = n_hidden, .head_width = head_width, .n_components = n_components};
     if (!(out->from_input = columns_of(file, memory, prefix, "recurrent.weight_ih_l0", 3 * h, inputs))) return 0;
     if (!(out->from_hidden = columns_of(file, memory, prefix, "recurrent.weight_hh_l0", 3 * h, h))) return 0;
     if (!(out->input_bias = file_take(file, memory, prefix, "recurrent.bias_ih_l0", (size_t[4]){3 * h}))) return 0;
@@ -38,17 +39,21 @@ void innovation_place(const innovation_network *n, innovation_state *s, block *f
     s->scratch = block_take(from, 6 * h > width + 3 * k ? 6 * h : width + 3 * k, sizeof *s->scratch);
 }
 
-static void set_inputs(innovation_state *s, double innovation, double x, const double logs[2]) {
+static void set_inputs(const innovation_network *n, innovation_state *s, double innovation, double x, const double logs[2], double phase) {
     s->inputs[0] = asinh(innovation);
     s->inputs[1] = asinh(3 * fabs(innovation)) - 1;
     s->inputs[2] = x / 2;
     s->inputs[3] = logs[0];
     s->inputs[4] = logs[1];
+    for (int i = INNOVATION_INPUTS, multiple = 1; i < n->n_inputs; i += 2, multiple++) {
+        s->inputs[i] = cos(multiple * phase);
+        s->inputs[i + 1] = sin(multiple * phase);
+    }
 }
 
-void innovation_clear(const innovation_network *n, innovation_state *s, const double logs[2]) {
+void innovation_clear(const innovation_network *n, innovation_state *s, const double logs[2], double phase) {
     for (int i = 0; i < n->n_hidden; i++) s->hidden[i] = 0;
-    set_inputs(s, 0, 0, logs);
+    set_inputs(n, s, 0, 0, logs, phase);
 }
 
 /* out += columns x, for as many numbers of x as there are. */
@@ -67,13 +72,13 @@ static void add_product(double *restrict out, size_t outputs, const double *rest
 
 static double logistic(double x) { return 1 / (1 + exp(-x)); }
 
-void innovation_push(const innovation_network *n, innovation_state *s, double innovation, double x, const double logs[2]) {
+void innovation_push(const innovation_network *n, innovation_state *s, double innovation, double x, const double logs[2], double phase) {
     size_t h = (size_t)n->n_hidden;
     double *given = s->scratch, *kept = s->scratch + 3 * h;
-    set_inputs(s, innovation, x, logs);
+    set_inputs(n, s, innovation, x, logs, phase);
     memcpy(given, n->input_bias, 3 * h * sizeof *given);
     memcpy(kept, n->hidden_bias, 3 * h * sizeof *kept);
-    add_product(given, 3 * h, n->from_input, s->inputs, INNOVATION_INPUTS);
+    add_product(given, 3 * h, n->from_input, s->inputs, (size_t)n->n_inputs);
     add_product(kept, 3 * h, n->from_hidden, s->hidden, h);
     for (size_t j = 0; j < h; j++) {
         double reset = logistic(given[j] + kept[j]), update = logistic(given[h + j] + kept[h + j]);
@@ -87,7 +92,7 @@ double innovation_mixture(const innovation_network *n, innovation_state *s) {
     double *head = s->scratch, *out = s->scratch + width, largest, sum = 0, expected = 0;
     memcpy(head, n->head_bias, width * sizeof *head);
     add_product(head, width, n->head, s->hidden, h);
-    add_product(head, width, n->head + h * width, s->inputs, INNOVATION_INPUTS);
+    add_product(head, width, n->head + h * width, s->inputs, (size_t)n->n_inputs);
     for (size_t i = 0; i < width; i++) head[i] = tanh(head[i]);
     memcpy(out, n->out_bias, 3 * k * sizeof *out);
     add_product(out, 3 * k, n->out, head, width);

@@ -7,11 +7,11 @@
 #include "constants.h"
 #include "tables.h"
 
-enum { INNOVATION_INPUTS = FOTEN_N_INNOVATION_INPUTS };
+enum { INNOVATION_INPUTS = FOTEN_N_INNOVATION_INPUTS, PHASE_INPUTS = FOTEN_N_PHASE_INPUTS };
 
 /* Matrices lie by columns: for each input in turn its weights. */
 typedef struct {
-    int n_hidden, head_width, n_components;
+    int n_inputs, n_hidden, head_width, n_components;
     const double *from_input, *input_bias; /* (inputs, 3 hidden) */
     const double *from_hidden, *hidden_bias;
     const double *head, *head_bias; /* (hidden + inputs, head_width) */
@@ -21,20 +21,21 @@ typedef struct {
 /* Of one stream: the recurrent layer after the last sample, what the network was given of that, and room for a step. */
 typedef struct {
     double *hidden, *scratch;
-    double inputs[INNOVATION_INPUTS];
+    double inputs[INNOVATION_INPUTS + PHASE_INPUTS];
     double *weight, *mean, *scale; /* of the mixture, once it is asked for */
 } innovation_state;
 
-int innovation_read(texture_file *file, arena *memory, const char *prefix, int n_hidden, int head_width, int n_components, innovation_network *out);
+int innovation_read(texture_file *file, arena *memory, const char *prefix, int n_inputs, int n_hidden, int head_width, int n_components, innovation_network *out);
 
 /* With a network of no hidden numbers there is none. */
 void innovation_place(const innovation_network *n, innovation_state *s, block *from);
 
-/* As if nothing had come before a sample under these logarithms of speed and force. */
-void innovation_clear(const innovation_network *n, innovation_state *s, const double logs[2]);
+/* As if nothing had come before a sample under these logarithms of speed and force; the phase of tones is of the sample after it, and used where
+ * the network is given one. */
+void innovation_clear(const innovation_network *n, innovation_state *s, const double logs[2], double phase);
 
 /* Take in a sample: its innovation, what it is over its level, and its logarithms of speed and force. */
-void innovation_push(const innovation_network *n, innovation_state *s, double innovation, double x, const double logs[2]);
+void innovation_push(const innovation_network *n, innovation_state *s, double innovation, double x, const double logs[2], double phase);
 
 /* Make ready the mixture of the next innovation; returns its mean. */
 double innovation_mixture(const innovation_network *n, innovation_state *s);

@@ -9,7 +9,7 @@ static int longer_order(const foten_model *m) { return m->lattice.order > m->exc
 static void place(const foten_model *m, loop *l, block *from) {
     lattice_place(&l->lattice, longer_order(m), from);
     l->tones.coefficients = block_take(from, 2 * (size_t)m->tones.n, sizeof *l->tones.coefficients);
-    innovation_place(&m->network, &l->innovation, from);
+    innovation_place(&m->network, &l->innovation, from); /* of the sizes of the rendering's */
 }
 
 /* Make ready, at the phase that there is, for the sample after one under a condition. */
@@ -24,12 +24,12 @@ static void set_condition(const foten_model *m, loop *l, const condition *c, int
 }
 
 /* Take in a recorded sample of what a lattice is of, which is made ready for it, and its condition; a network, or NULL for none, takes in its
- * innovation. */
-static void analyse(loop *l, const lattice *of, const innovation_network *network, double sample, const condition *c) {
+ * innovation, and the phase of tones at the next sample. */
+static void analyse(loop *l, const lattice *of, const innovation_network *network, double sample, const condition *c, double phase) {
     double e = lattice_analyse(&l->lattice, of->order, sample / gain_after(of, &l->lattice)) / gain_before(of, &l->lattice);
     double x = sample / l->lattice.level;
     lattice_set_condition(of, &l->lattice, c->scaled);
-    if (network) innovation_push(network, &l->innovation, e, x, l->lattice.logs);
+    if (network) innovation_push(network, &l->innovation, e, x, l->lattice.logs, phase);
 }
 
 static void start_with_tones(const foten_model *m, loop *l, const double *windows, int n) {
@@ -40,7 +40,7 @@ static void start_with_tones(const foten_model *m, loop *l, const double *window
     for (int t = 1; t < n; t++) {
         condition before = condition_of(level, windows + 3 * t - 2), now = condition_of(level, windows + 3 * t + 1);
         double tone = tones_follow(&m->tones, level, &l->tones, &before);
-        analyse(l, of, t >= n - m->warm_up ? m->network_in_loop : NULL, windows[3 * t] - tone, &now);
+        analyse(l, of, t >= n - m->warm_up ? m->network_in_loop : NULL, windows[3 * t] - tone, &now, tones_ahead(&m->tones, &l->tones, &now));
     }
     tones_begin_path(&m->tones, &l->tones, &last);
     set_condition(m, l, &last, 1);
@@ -51,7 +51,7 @@ static void start(const foten_model *m, loop *l, const double *windows, int n, i
     l->excitation.volatility = 0;
     lattice_clear(&l->lattice, longer_order(m));
     lattice_set_condition(of, &l->lattice, windows + 1);
-    innovation_clear(&m->network, &l->innovation, l->lattice.logs);
+    innovation_clear(&m->network, &l->innovation, l->lattice.logs, 0);
     if (m->tones.n && !as_prediction) {
         start_with_tones(m, l, windows, n);
         return;
@@ -59,7 +59,7 @@ static void start(const foten_model *m, loop *l, const double *windows, int n, i
     for (int t = 1; t < n; t++) {
         condition now = condition_of(&m->lattice.level, windows + 3 * t + 1);
         const innovation_network *network = as_prediction ? &m->network : m->network_in_loop;
-        analyse(l, of, t >= n - m->warm_up ? network : NULL, windows[3 * t], &now);
+        analyse(l, of, t >= n - m->warm_up ? network : NULL, windows[3 * t], &now, 0);
     }
     condition last = condition_of(&m->lattice.level, windows + 3 * n - 2);
     if (!as_prediction || !m->tones.n) set_condition(m, l, &last, 1);
@@ -85,7 +85,7 @@ static void predict(const foten_model *m, loop *l, foten_prediction_part part, d
 
 static void push(const foten_model *m, loop *l, const double *sample) {
     condition now = condition_of(&m->lattice.level, sample + 1);
-    analyse(l, &m->lattice, &m->network, sample[0], &now);
+    analyse(l, &m->lattice, &m->network, sample[0], &now, 0);
     excitation_set_condition(&m->excitation, &l->excitation, now.scaled);
 }
 
@@ -118,7 +118,7 @@ static double step(const foten_model *m, loop *l, const condition *c, const doub
         tones_push(&m->tones, &l->tones, e, c);
     }
     set_condition(m, l, c, 0);
-    if (m->network_in_loop) innovation_push(m->network_in_loop, &l->innovation, innovation * entering, residual / level, l->lattice.logs);
+    if (m->network_in_loop) innovation_push(m->network_in_loop, &l->innovation, innovation * entering, residual / level, l->lattice.logs, l->tones.phase);
     return loop_cut(l, sample, limit);
 }
 
@@ -137,7 +137,7 @@ static void begin(const foten_model *m, loop *l, const condition *c, noise_sourc
         set_condition(m, l, c, 1);
     }
     if (!m->network_in_loop) return;
-    innovation_clear(m->network_in_loop, &l->innovation, l->lattice.logs);
+    innovation_clear(m->network_in_loop, &l->innovation, l->lattice.logs, l->tones.phase);
     loop_run(m, l, c, &noise, m->warm_up, INFINITY);
 }
 

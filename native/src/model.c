@@ -10,16 +10,17 @@ static int read_plus(foten_model *m, texture_file *file, const card_sizes *s) {
     m->kind = &lattice_loop;
     m->warm_up = s->network.window;
     m->excited_lattice = s->n_tones ? &m->residual : &m->lattice;
-    m->network_in_loop = !s->network_in_loop ? NULL : s->n_tones ? &m->residual_network : &m->network;
+    m->network_in_loop = s->network_in_loop ? &m->rendering_network : NULL;
     if (!lattice_read(file, &m->memory, "lattice.", s->n_speed, s->n_force, s->order, width, s->gain_before_filter, &m->lattice)) return 0;
-    if (!innovation_read(file, &m->memory, "network.", s->n_hidden, s->head_width, s->n_components, &m->network)) return 0;
+    int inputs = INNOVATION_INPUTS, of_rendering = inputs + (s->n_tones ? PHASE_INPUTS : 0);
+    if (!innovation_read(file, &m->memory, "network.", inputs, s->n_hidden, s->head_width, s->n_components, &m->network)) return 0;
+    if (s->network_in_loop &&
+        !innovation_read(file, &m->memory, "rendering_network.", of_rendering, s->n_hidden, s->head_width, s->n_components, &m->rendering_network))
+        return 0;
     if (!excitation_read(file, &m->memory, width, &m->excitation)) return 0;
     m->excited = 1;
     if (!s->n_tones) return 1;
     if (!tones_read(file, &m->memory, s->n_tones, s->n_tone_speed, s->n_tone_force, &m->tones)) return 0;
-    if (s->network_in_loop &&
-        !innovation_read(file, &m->memory, "residual_network.", s->n_hidden, s->head_width, s->n_components, &m->residual_network))
-        return 0;
     return lattice_read(file, &m->memory, "residual.", s->n_residual_speed, s->n_residual_force, s->residual_order, width,
                         s->residual_gain_before_filter, &m->residual);
 }

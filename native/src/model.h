@@ -24,10 +24,10 @@ struct foten_model {
     predictor predictor;   /* of networks and graphs */
     excitation excitation; /* of foten-plus, and of a network that has one */
 
-    /* Of foten-plus: lattice and network of the vibration, those of what tones leave, and which of them a rendering goes by; its network is NULL
-     * where the excitation is noise. */
+    /* Of foten-plus: lattice and network that predict the vibration, the lattice of what tones leave, and what a rendering goes by; its network is
+     * NULL where the excitation is noise. */
     lattice lattice, residual;
-    innovation_network network, residual_network;
+    innovation_network network, rendering_network;
     const struct lattice *excited_lattice;
     const innovation_network *network_in_loop;
     tones tones;

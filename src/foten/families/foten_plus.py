@@ -38,6 +38,7 @@ from foten.families.excitation import excitation_shapes, scale_cost, scale_shape
 from foten.families.sizes import Shapes, Sizes
 
 N_INNOVATION_INPUTS = 5  # the innovation and its size, x, log speed and log force
+N_PHASE_INPUTS = 4  # cosine and sine of the phase of tones and of twice it, to the network of a rendering
 LOG_SCALE_LIMIT = 6.0  # of log s, in size
 
 
@@ -72,7 +73,9 @@ class FotenPlusSizes(Sizes):
     def tensor_shapes(self) -> Shapes:
         """Return the tensors of networks, lattices, tones and excitation."""
         width = self.excitation_width
-        shapes = self.network_shapes("network")
+        shapes = self.network_shapes("network", N_INNOVATION_INPUTS)
+        if self.network_in_loop:
+            shapes |= self.network_shapes("rendering_network", self.n_rendering_inputs)
         shapes |= excitation_shapes(width)
         shapes |= lattice_shapes("lattice", self.n_speed, self.n_force, self.order, width)
         if self.n_tones:
@@ -80,13 +83,16 @@ class FotenPlusSizes(Sizes):
             shapes["tones.motion"] = (3,)
             n_speed, n_force = self.n_residual_speed, self.n_residual_force
             shapes |= lattice_shapes("residual", n_speed, n_force, self.residual_order, width)
-            if self.network_in_loop:
-                shapes |= self.network_shapes("residual_network")
         return shapes
 
-    def network_shapes(self, name: str) -> Shapes:
+    @property
+    def n_rendering_inputs(self) -> int:
+        """Return how many numbers the network of a rendering is given of a sample."""
+        return N_INNOVATION_INPUTS + (N_PHASE_INPUTS if self.n_tones else 0)
+
+    def network_shapes(self, name: str, inputs: int) -> Shapes:
         """Return the tensors of a network of innovations."""
-        h, width, inputs = self.n_hidden, self.head_width, N_INNOVATION_INPUTS
+        h, width = self.n_hidden, self.head_width
         recurrent = {"weight_ih": (3 * h, inputs), "weight_hh": (3 * h, h), "bias_ih": (3 * h,), "bias_hh": (3 * h,)}
         shapes: Shapes = {f"{name}.recurrent.{part}_l0": shape for part, shape in recurrent.items()}
         shapes |= {f"{name}.head.weight": (width, h + inputs), f"{name}.head.bias": (width,)}
@@ -96,8 +102,8 @@ class FotenPlusSizes(Sizes):
         }
 
     def network_cost(self) -> int:
-        """Return the multiply-adds of a step of a network."""
-        h, width, inputs = self.n_hidden, self.head_width, N_INNOVATION_INPUTS
+        """Return the multiply-adds of a step of the network of a rendering."""
+        h, width, inputs = self.n_hidden, self.head_width, self.n_rendering_inputs
         return 3 * h * (inputs + h) + width * (h + inputs) + 3 * self.n_components * width
 
     def multiply_adds(self) -> int:

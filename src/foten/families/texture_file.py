@@ -36,7 +36,7 @@ from foten.recording.scaling import Scaling
 from foten.recording.split import Split
 from foten.untrusted import check_numbers, check_regular, parse_json
 
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 ONE_STEP_TOLERANCE = 1e-5  # scaled; float32 arithmetic of the network
 CLOSED_LOOP_TOLERANCE = 1e-4  # scaled, after 64 steps
 MIN_GOLDEN = 8  # windows

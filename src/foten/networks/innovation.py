@@ -14,11 +14,11 @@ class InnovationNetwork(nn.Module):
     Before training its means are zero: what it predicts is what the lattice does.
     """
 
-    def __init__(self, sizes: FotenPlusSizes) -> None:
+    def __init__(self, sizes: FotenPlusSizes, n_inputs: int = N_INNOVATION_INPUTS) -> None:
         super().__init__()
         k = self.n_components = sizes.n_components
-        self.recurrent = nn.GRU(N_INNOVATION_INPUTS, sizes.n_hidden, batch_first=True)
-        self.head = nn.Linear(sizes.n_hidden + N_INNOVATION_INPUTS, sizes.head_width)
+        self.recurrent = nn.GRU(n_inputs, sizes.n_hidden, batch_first=True)
+        self.head = nn.Linear(sizes.n_hidden + n_inputs, sizes.head_width)
         self.out = nn.Linear(sizes.head_width, 3 * k)
         with torch.no_grad():
             self.out.weight.mul_(0.1)
@@ -27,14 +27,14 @@ class InnovationNetwork(nn.Module):
             self.out.bias[2 * k :] = torch.linspace(-1.5, 1.0, k) if k > 1 else 0.0
 
     def forward(self, inputs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return log w, μ and log s after each sample: u (b, n, 5) → (b, n, k) each."""
+        """Return log w, μ and log s after each sample: u (b, n, n_inputs) → (b, n, k) each."""
         hidden, _ = self.recurrent(inputs)
         out = self.out(torch.tanh(self.head(torch.cat([hidden, inputs], dim=-1))))
         logit, mean, log_scale = out.split(self.n_components, dim=-1)
         return torch.log_softmax(logit, dim=-1), mean, LOG_SCALE_LIMIT * torch.tanh(log_scale / LOG_SCALE_LIMIT)
 
     def expected(self, inputs: Tensor) -> Tensor:
-        """Return the mean of the next innovation after each sample: (b, n, 5) → (b, n)."""
+        """Return the mean of the next innovation after each sample: (b, n, n_inputs) → (b, n)."""
         log_weight, mean, _ = self(inputs)
         return (log_weight.exp() * mean).sum(dim=-1)
 

@@ -15,7 +15,7 @@ from foten.dsp.speed_force_table import SpeedForceTable
 from foten.dsp.tones import LARGEST_JITTER, audible_share, fitted_phase, tone
 from foten.families.foten_plus import FotenPlusSizes
 from foten.reference.excitation import Excitation, Scale
-from foten.reference.innovation import InnovationNetwork, innovation_inputs
+from foten.reference.innovation import InnovationNetwork, innovation_inputs, phase_inputs
 from foten.reference.network import Weights
 from foten.reference.stream import Prediction, largest_of
 
@@ -68,13 +68,11 @@ class FotenPlus:
         self.excitation = Excitation(tensors)
         self.lattice = self.excited_lattice = Lattice(tensors, "lattice.", sizes.gain_before_filter)
         self.network = InnovationNetwork(tensors, "network.")
-        self.network_in_loop = self.network if sizes.network_in_loop else None
+        self.network_in_loop = InnovationNetwork(tensors, "rendering_network.") if sizes.network_in_loop else None
         self.tones: Tones | None = None
         if sizes.n_tones:
             self.excited_lattice = Lattice(tensors, "residual.", sizes.residual_gain_before_filter)
             self.tones = Tones(tensors, self.lattice.level)
-            if sizes.network_in_loop:
-                self.network_in_loop = InnovationNetwork(tensors, "residual_network.")
 
     def predict(self, windows: Array) -> Array:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled, by the lattice and the network."""
@@ -96,8 +94,11 @@ class FotenPlus:
         phase = fitted_phase(windows[:, 1:, 0] / level, coefficients, travelled)
         residual = windows.copy()
         residual[:, 1:, 0] -= level * tone(coefficients, travelled + phase[:, None])
-        stream = self._analysed(residual, self.excited_lattice, self.network_in_loop, tones=self.tones)
-        phase = travelled[:, -1] + phase + self.tones.increment(stream.condition)
+        follow = travelled + phase[:, None]
+        last = follow[:, -1:] + self.tones.increment(self.with_path(windows[:, -1:, 1:]))
+        follow = np.concatenate([follow, last], axis=1)  # of each sample the phase of the next
+        stream = self._analysed(residual, self.excited_lattice, self.network_in_loop, self.tones, follow)
+        phase = follow[:, -1]
         phase = np.remainder(phase + np.pi, 2 * np.pi) - np.pi  # within half a turn
         stream.begin_path(self.tones, phase, np.zeros_like(phase))
         return stream
@@ -112,14 +113,20 @@ class FotenPlus:
         lattice: Lattice,
         network: InnovationNetwork | None,
         tones: Tones | None = None,
+        phase: Array | None = None,
         settled: bool = True,
     ) -> FotenPlusStream:
-        """Return streams after windows of what a lattice is of; the network takes in the last samples."""
+        """Return streams after windows of what a lattice is of, with the phase of tones after each sample (s, n).
+
+        The network takes in the last samples.
+        """
         conditions = self.with_path(windows[:, :, 1:])
         stream = FotenPlusStream(self, lattice, network, conditions[:, 0], tones, settled)
         n = windows.shape[1]
         for i in range(1, n):
             e = stream.analyse(windows[:, i, 0])
+            if phase is not None:
+                stream.phase = phase[:, i]
             stream.follow(e, windows[:, i, 0] / stream.level, conditions[:, i], taken_in=i >= n - self.sizes.window)
         return stream
 
@@ -149,7 +156,7 @@ class FotenPlusStream:
         # Phase of the tones at the next sample [rad], the same without jitter, r of `dsp.tones`, and T; 0 without tones.
         self.phase = self.path = self.rate = self.tone = np.zeros(s)
         self.set_condition(condition)
-        self.inputs = innovation_inputs(np.zeros(s), np.zeros(s), self.logs)  # of the last sample
+        self.inputs = self._inputs(np.zeros(s), np.zeros(s))  # of the last sample
 
     def set_condition(self, condition: Array) -> None:
         """Make ready for the sample after one under a condition (s, 3)."""
@@ -157,6 +164,11 @@ class FotenPlusStream:
         self.level = self.lattice.level(condition[:, :2])
         self.logs = self.lattice.level.logarithms(condition[:, :2])
         self.reflections = self.lattice.reflections(condition[:, :2])
+
+    def _inputs(self, innovation: Array, x: Array) -> Array:
+        """Return what the network is given of a sample: its innovation and x, (s,) each, and the phase of the next."""
+        inputs = innovation_inputs(innovation, x, self.logs)
+        return inputs if self.tones is None else np.concatenate([inputs, phase_inputs(self.phase)], axis=1)
 
     def begin_path(self, tones: Tones, phase: Array, path: Array) -> None:
         """Begin the path of tones at a phase of the next sample, and that without jitter, (s,) each."""
@@ -192,7 +204,7 @@ class FotenPlusStream:
             self.begin_path(self.tones, phase, phase)
             p += 2
         zero = np.zeros(len(noise))
-        self.hidden, self.inputs = np.zeros_like(self.hidden), innovation_inputs(zero, zero, self.logs)
+        self.hidden, self.inputs = np.zeros_like(self.hidden), self._inputs(zero, zero)
         for z in noise[:, p:].T:
             self.push(self.predict().faded(z, fade)[1], condition, z)
 
@@ -227,7 +239,7 @@ class FotenPlusStream:
         """Go on to the condition (s, 3) of a sample; the network takes in its innovation and x, (s,) each."""
         self.set_condition(condition)
         if self.network is not None and taken_in:
-            self.inputs = innovation_inputs(innovation, x, self.logs)
+            self.inputs = self._inputs(innovation, x)
             self.hidden = self.network.push(self.hidden, self.inputs)
 
     def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
@@ -241,15 +253,15 @@ class FotenPlusStream:
         self.volatility.push(noise)
         before, tones, sigma = self.condition, self.tones, self.model.excitation.sigma(self.condition[:, :2])
         level = self.level * sigma
-        e = self.analyse(sample - self.tone)
-        self.follow(e / sigma, (sample - self.tone) / level, condition)
-        if tones is None:
-            return
-        increment = tones.increment(before)
-        kept = np.exp(-increment / np.pi)
-        jitter = tones.jitter * np.clip(e, -LARGEST_JITTER, LARGEST_JITTER)
-        self.rate = kept * self.rate + np.sqrt(1 - kept * kept) * jitter
-        self.phase = self.phase - tones.drawn_back * (self.phase - self.path) + increment * self.rate
-        self.phase = self.phase + tones.increment(condition)
-        self.path = self.path + tones.increment(condition)
-        self.tone = tone(tones.coefficients(condition), self.phase)
+        x = sample - self.tone
+        e = self.analyse(x)
+        if tones is not None:
+            increment = tones.increment(before)
+            kept = np.exp(-increment / np.pi)
+            jitter = tones.jitter * np.clip(e, -LARGEST_JITTER, LARGEST_JITTER)
+            self.rate = kept * self.rate + np.sqrt(1 - kept * kept) * jitter
+            self.phase = self.phase - tones.drawn_back * (self.phase - self.path) + increment * self.rate
+            self.phase = self.phase + tones.increment(condition)
+            self.path = self.path + tones.increment(condition)
+            self.tone = tone(tones.coefficients(condition), self.phase)
+        self.follow(e / sigma, x / level, condition)

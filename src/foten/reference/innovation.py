@@ -2,11 +2,12 @@
 
 A gated recurrent unit takes in what each sample was; a head gives a mixture of Gaussians for the next innovation:
 
-    u = (asinh e, asinh 3|e| − 1, x/2, log v/v̄, log f/f̄)      h ← GRU(u, h)
+    u = (asinh e, asinh 3|e| − 1, x/2, log v/v̄, log f/f̄ [, cos φ, sin φ, cos 2φ, sin 2φ])      h ← GRU(u, h)
     (log w, μ, log s) = W₂ tanh(W₁ [h, u] + b₁) + b₂           p(e) = Σ w_k N(e; μ_k, s_k),  log s = L tanh(· / L)
 
-Its mean is what of the next innovation can be predicted, the rest is chance. In a rendering the innovation is the mixture's
-quantile at Φ(z), z one Gaussian number: it moves smoothly with the weights, the state and the number.
+φ, where there are tones, is the phase of the sample to come. The mean is what of the next innovation can be predicted, the rest
+is chance. In a rendering the innovation is the mixture's quantile at Φ(z), z one Gaussian number: it moves smoothly with the
+weights, the state and the number.
 
 Source: ours; the unit is that of Cho et al., "Learning phrase representations using RNN encoder–decoder" (2014), with the reset
 gate after the product.
@@ -87,6 +88,11 @@ def innovation_inputs(innovation: Array, sample: Array, logs: Array) -> Array:
     return np.column_stack([np.arcsinh(innovation), size, sample / 2, logs])
 
 
+def phase_inputs(phase: Array) -> Array:
+    """Return what a network is given of the phase of the next sample [rad]: cosine and sine, and of twice it: (…,) → (…, 4)."""
+    return np.stack([np.cos(phase), np.sin(phase), np.cos(2 * phase), np.sin(2 * phase)], axis=-1)
+
+
 class InnovationNetwork:
     """The network of a texture's tensors."""
 
@@ -95,7 +101,7 @@ class InnovationNetwork:
         self.n_hidden = self._w["recurrent.weight_hh_l0"].shape[1]
 
     def push(self, hidden: Array, inputs: Array) -> Array:
-        """Return h after inputs (s, 5): (s, h) → (s, h)."""
+        """Return h after inputs (s, 5 or 9): (s, h) → (s, h)."""
         given = inputs @ self._w["recurrent.weight_ih_l0"].T + self._w["recurrent.bias_ih_l0"]
         kept = hidden @ self._w["recurrent.weight_hh_l0"].T + self._w["recurrent.bias_hh_l0"]
         (r, z, n), (kr, kz, kn) = (np.split(part, 3, axis=1) for part in (given, kept))
@@ -104,7 +110,7 @@ class InnovationNetwork:
         return (1 - update) * candidate + update * hidden
 
     def mixture(self, hidden: Array, inputs: Array) -> Mixture:
-        """Return the distributions after h (s, h) and the last inputs (s, 5)."""
+        """Return the distributions after h (s, h) and the last inputs (s, 5 or 9)."""
         out = self._w.linear("out", np.tanh(self._w.linear("head", np.concatenate([hidden, inputs], axis=1))))
         logit, mean, log_scale = np.split(out, 3, axis=1)
         weight = np.exp(logit - logit.max(axis=1, keepdims=True))

@@ -1,23 +1,28 @@
-"""foten-plus: the linear part and its excitation first, which make a texture; then its networks, where they gain."""
+"""foten-plus: the linear part and its excitation first, which make a texture; then its networks, where they gain.
+
+The network that predicts is fitted by likelihood. The network that a rendering draws from, where one is in the loop, begins as
+that, or as one that is given the phase of a surface that repeats, and is trained on its own output.
+"""
 
 from __future__ import annotations
 
 import copy
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
 from foten.families.conditions import FADE_FORCE, FADE_SPEED
 from foten.families.foten_plus import FotenPlusSizes
 from foten.families.texture_file import Texture
-from foten.networks.innovation import InnovationNetwork
+from foten.networks.innovation import InnovationNetwork, negative_log_likelihood
 from foten.reference.excitation import Scale as LevelOf
 from foten.reference.innovation import InnovationNetwork as Reference
 from foten.train.blocks import ScaledBlocks
@@ -27,9 +32,10 @@ from foten.train.epochs import Epoch, Progress
 from foten.train.excitation import FittedExcitation, fit_excitation, settle_gain
 from foten.train.export import N_GOLDEN, Draft, Tensors, tensors_of
 from foten.train.fit import TrainingWindows, pick_device
-from foten.train.innovations import Innovations, fit_innovations, innovations_of, scored, validated
+from foten.train.innovations import Batches, Innovations, fit_innovations, innovations_of, scored, validated
 from foten.train.job import Stage, Task, TrainingJob
-from foten.train.linear_part import LinearPart, fit_linear_parts
+from foten.train.linear_part import LinearPart, fit_linear_parts, phase_alone
+from foten.train.own_output import N_STEPS, OwnOutput, excerpts_of, fit_own_output
 
 LEAST_GAIN_NAT = 0.005  # of an innovation's likelihood on the validation blocks, for a network to be in the loop
 LARGEST_BEYOND = 1.3  # times the largest recorded innovation is the largest that a network may draw
@@ -48,15 +54,18 @@ class Rendering:
 class FotenPlusTask(Task):
     """The networks of a texture that is playable without them: as `plain` is, one of the linear parts that were tried."""
 
-    # By what their tensors' names begin with: of the vibration and, where there are tones, of what they leave.
+    # By what their tensors' names begin with: the one that predicts and, where a surface repeats, one that is given its phase.
     networks: dict[str, InnovationNetwork]
     innovations: dict[str, Innovations]  # of each
     draft: Draft
     plain: Rendering
+    phased: LinearPart | None  # what a rendering goes by whose network is given the phase
     tried: dict[str, Any]
 
     def __post_init__(self) -> None:
-        self.playable = self._texture(self.plain, self.linear_mae, {}, best_epoch=0, n_epochs=0, validation_loss=None)
+        weights = tensors_of(self.networks["network"], "network.")
+        epochs: dict[str, float | None] = {"best_epoch": 0, "n_epochs": 0, "validation_loss": None}
+        self.playable = self._texture(self.plain, weights, self.linear_mae, {}, **epochs)
 
     def fit(self, on_epoch: Callable[[Epoch], None], checkpoint: Path | None, resume: bool) -> Progress:
         """Fit the networks."""
@@ -69,21 +78,42 @@ class FotenPlusTask(Task):
         """Return the texture with the networks that were fitted, one of them in the loop where its innovations are likelier."""
         best, chosen = progress.best, self.plain
         renderings: dict[str, Any] = {"without network": self.plain.fitted.metrics()}
-        likelihood, _ = self._validated(self.drawing)
-        before = self.plain.fitted.likelihood_in_units
+        name, part, likelihood = self._drawing()
+        before, weights = self.plain.fitted.likelihood_in_units, tensors_of(self.networks["network"], "network.")
         if best.epoch and before - likelihood >= LEAST_GAIN_NAT:
+            drawing, of = copy.deepcopy(self.networks[name]), self.innovations[name]
+            part = replace(part, sizes=replace(part.sizes, network_in_loop=True))
+            nll, largest = self._nll(drawing, of), self._largest(of)
+            own = None
+            if self.job.config.own_output and not progress.interrupted:
+                own = self._on_own_output(drawing, of, part, largest[0], on_stage)
             on_stage("settling the level with the network in the loop")
-            rendering = self._with_network()
-            renderings["with network"] = rendering.fitted.metrics()
-            chosen = rendering
+            weights |= tensors_of(drawing, "rendering_network.")
+            loop = _loop(part, self.draft, weights)
+            fitted = settle_gain(part.sizes.excitation_width, largest, loop, self.job.config, nll)
+            chosen = Rendering(part, fitted)
+            renderings["with network"] = {**fitted.metrics(), "own_output": own and asdict(own)}
         on_stage("proving the texture file")
-        epochs = {"best_epoch": best.epoch, "n_epochs": progress.epochs[-1].epoch}
-        return self._texture(chosen, best.validation_mae, renderings, validation_loss=best.validation_loss, **epochs)
+        _check_twin(self.networks["network"], weights, self.innovations["network"])
+        epochs = {
+            "best_epoch": best.epoch,
+            "n_epochs": progress.epochs[-1].epoch,
+            "validation_loss": best.validation_loss,
+        }
+        return self._texture(chosen, weights, best.validation_mae, renderings, **epochs)
 
-    @property
-    def drawing(self) -> str:
-        """Return the name of the network that a rendering may draw from."""
-        return "network" if self.plain.part.phase is None else "residual_network"
+    def _drawing(self) -> tuple[str, LinearPart, float]:
+        """Return the network that a rendering may begin to draw from, what it goes by, and its likelihood [nat, of innovations].
+
+        Where tones are in the rendering anyway, that of what they leave; else the one that knows the phase where it is likelier.
+        """
+        plain, _ = self._validated("network")
+        if self.phased is None:
+            return "network", self.plain.part, plain
+        likelihood, _ = self._validated("rendering_network")
+        if self.plain.part.phase is None and plain - likelihood < LEAST_GAIN_NAT:
+            return "network", self.plain.part, plain
+        return "rendering_network", self.phased, likelihood
 
     def _validated(self, name: str) -> tuple[float, float]:
         """Return a network's likelihood [nat, of innovations] and error on the validation blocks."""
@@ -91,26 +121,43 @@ class FotenPlusTask(Task):
         tensors = of.tensors(next(network.parameters()).device)
         return validated(network, of, tensors, self.blocks.split.validation, self.plain.part.sizes.window)
 
-    def _with_network(self) -> Rendering:
-        """Return a rendering with the network in the loop, its level settled."""
-        part = replace(self.plain.part, sizes=replace(self.plain.part.sizes, network_in_loop=True))
-        loop, of = _loop(part, self.draft, self.networks), self.innovations[self.drawing]
+    def _largest(self, of: Innovations) -> list[float]:
+        """Return the largest innovations that a network may draw: in units of σ, and in scaled acceleration."""
         train = list(self.blocks.split.train)
         known = (one[train, of.first + 1 :] for one in (of.innovation, of.innovation * of.unit))
-        largest = [LARGEST_BEYOND * float(np.abs(values).max()) for values in known]
-        numbers, window, network = self.blocks.split.validation, part.sizes.window, self.networks[self.drawing]
+        return [LARGEST_BEYOND * float(np.abs(values).max()) for values in known]
+
+    def _nll(self, network: InnovationNetwork, of: Innovations) -> float | None:
+        """Return a network's negative log-likelihood of the validation blocks [nat], as the judge counts it."""
+        numbers, window = self.blocks.split.validation, self.plain.part.sizes.window
         tensors = of.tensors(next(network.parameters()).device)
         nats, _, unit = scored(network, of, tensors, numbers, window)
-        counted = self.blocks.moving()[list(numbers), of.first + 1 + window :]  # as the judge counts them
-        nll = float((nats + np.log(unit))[counted].mean()) if counted.any() else None
-        fitted = settle_gain(part.sizes.excitation_width, largest, loop, self.job.config, nll)
-        return Rendering(part, fitted)
+        counted = self.blocks.moving()[list(numbers), of.first + 1 + window :]
+        return float((nats + np.log(unit))[counted].mean()) if counted.any() else None
+
+    def _on_own_output(
+        self, network: InnovationNetwork, of: Innovations, part: LinearPart, largest: float, on_stage: Stage
+    ) -> OwnOutput | None:
+        """Train a network in place on its own output; None where blocks are too short for it."""
+        excerpts = excerpts_of(self.blocks, part, of, largest)
+        if excerpts is None:
+            return None
+        window, config = part.sizes.window, self.job.config
+        batches = Batches(of, self.blocks, window, config, next(network.parameters()).device)
+
+        def likelihood(one: InnovationNetwork, rng: np.random.Generator) -> Tensor:
+            inputs, follows = batches.draw(rng)
+            return negative_log_likelihood(one(inputs), follows)[:, window:].mean()
+
+        def on_step(step: int) -> None:
+            if step % (N_STEPS // 4) == 0:
+                on_stage(f"training the network on its own output: {100 * step // N_STEPS} %")
+
+        return fit_own_output(network, excerpts, likelihood, config.seed, on_step)
 
     def _texture(
-        self, chosen: Rendering, mae: float | None, renderings: dict[str, Any], **epochs: float | None
+        self, chosen: Rendering, weights: Tensors, mae: float | None, renderings: dict[str, Any], **epochs: float | None
     ) -> Texture:
-        sizes, weights = chosen.part.sizes, _weights(self.networks, chosen.part.sizes)
-        _check_twin(self.networks["network"], weights, self.innovations["network"])
         metrics = {
             **epochs,
             **chosen.fitted.metrics(),
@@ -121,7 +168,7 @@ class FotenPlusTask(Task):
             "recorded_peak_sd": self.blocks.peak_sd,
         }
         tensors = {**chosen.part.tensors, **weights, **tensors_of(chosen.fitted.excitation, "excitation.")}
-        return self.draft.texture(sizes, tensors, metrics, N_GOLDEN).texture
+        return self.draft.texture(chosen.part.sizes, tensors, metrics, N_GOLDEN).texture
 
 
 def prepare_foten_plus(job: TrainingJob, on_stage: Stage) -> FotenPlusTask:
@@ -137,12 +184,14 @@ def prepare_foten_plus(job: TrainingJob, on_stage: Stage) -> FotenPlusTask:
     card = {**job.card(blocks, device.type), "beyond_exponents": _beyond_exponents(blocks)}
     draft = Draft(job.model, blocks, card)
     on_stage("fitting the excitation and settling its level in the closed loop")
-    plain, tried = _chosen([_rendering(part, networks, draft, job.config) for part in parts])
-    tonal, first = plain.part.phase is not None, plain.part.sizes.history - window
-    innovations = {"network": _innovations(plain.part, blocks, first, not tonal)}
-    if tonal:
-        networks["residual_network"] = InnovationNetwork(job.sizes)
-        innovations["residual_network"] = _innovations(plain.part, blocks, first, False, residual=True)
+    weights = tensors_of(networks["network"], "network.")
+    plain, tried = _chosen([_rendering(part, weights, draft, job.config) for part in parts])
+    phased = plain.part if plain.part.phase is not None else None if len(parts) == 1 else phase_alone(*parts)
+    first = plain.part.sizes.history - window
+    innovations = {"network": _innovations(plain.part, blocks, first, plain.part.phase is None)}
+    if phased is not None:
+        networks["rendering_network"] = InnovationNetwork(job.sizes, phased.sizes.n_rendering_inputs)
+        innovations["rendering_network"] = _innovations(phased, blocks, first, False, residual=True)
     of, validation = innovations["network"], list(blocks.split.validation)
     scored = (slice(None), slice(first + 1 + window, None))
     missed = (of.innovation * of.unit)[validation][scored]
@@ -154,30 +203,23 @@ def prepare_foten_plus(job: TrainingJob, on_stage: Stage) -> FotenPlusTask:
         innovations=innovations,
         draft=draft,
         plain=plain,
+        phased=phased,
         tried=tried,
     )
 
 
-def _rendering(
-    part: LinearPart, networks: dict[str, InnovationNetwork], draft: Draft, config: TrainConfig
-) -> Rendering:
+def _rendering(part: LinearPart, weights: Tensors, draft: Draft, config: TrainConfig) -> Rendering:
     """Return a linear part with an excitation."""
     windows = _windows(part, draft.blocks)
     innovations = windows.samples[np.concatenate([windows.train, windows.validation]), 3]
-    loop = _loop(part, draft, networks)
+    loop = _loop(part, draft, weights)
     return Rendering(part, fit_excitation(part.sizes.excitation_width, innovations, windows, loop, config))
 
 
-def _loop(part: LinearPart, draft: Draft, networks: dict[str, InnovationNetwork]) -> ClosedLoop:
-    kernel = partial(draft.kernel, part.sizes, {**part.tensors, **_weights(networks, part.sizes)})
+def _loop(part: LinearPart, draft: Draft, weights: Tensors) -> ClosedLoop:
+    kernel = partial(draft.kernel, part.sizes, {**part.tensors, **weights})
     history, block = part.sizes.history, draft.blocks.trace.block
     return ClosedLoop(draft.blocks, history, kernel, part.power, part.response(block - history))
-
-
-def _weights(networks: dict[str, InnovationNetwork], sizes: FotenPlusSizes) -> Tensors:
-    """Return the tensors of the networks that a texture of some sizes has."""
-    names = ("network", "residual_network") if sizes.n_tones and sizes.network_in_loop else ("network",)
-    return {key: tensor for name in names for key, tensor in tensors_of(networks[name], f"{name}.").items()}
 
 
 def _chosen(renderings: list[Rendering]) -> tuple[Rendering, dict[str, Any]]:
@@ -211,7 +253,8 @@ def _innovations(
 ) -> Innovations:
     """Return what a network is fitted to."""
     level = part.excited_lattice.level if residual else LevelOf(part.tensors, "lattice.level.")
-    return innovations_of(blocks, level, *part.innovations(blocks, residual), first, mirrored)
+    phase = part.phase if residual else None
+    return innovations_of(blocks, level, *part.innovations(blocks, residual), first, mirrored, phase)
 
 
 def _check_twin(network: InnovationNetwork, weights: Tensors, of: Innovations) -> None:

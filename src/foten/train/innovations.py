@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from foten.dsp import Array
 from foten.networks.innovation import InnovationNetwork, negative_log_likelihood
 from foten.reference.excitation import Scale
-from foten.reference.innovation import innovation_inputs
+from foten.reference.innovation import innovation_inputs, phase_inputs
 from foten.train.blocks import ScaledBlocks
 from foten.train.config import TrainConfig
 from foten.train.epochs import Epoch, Progress, run_epochs
@@ -37,7 +37,7 @@ MIRRORED_BELOW = 4.0  # standard errors of the innovations' asymmetry, up to whi
 class Innovations:
     """What one network is fitted to: all (n_blocks, block); samples before `first` of a block are not known well."""
 
-    inputs: Array  # u of each sample, (n_blocks, block, 5): `reference.innovation`
+    inputs: Array  # u of each sample, (n_blocks, block, 5), with the phase of tones 9: `reference.innovation`
     innovation: Array  # of each sample, which is to be predicted from the inputs before it
     unit: Array  # what one is worth in scaled acceleration
     speed: Array  # of each sample [mm/s]
@@ -51,11 +51,24 @@ class Innovations:
 
 
 def innovations_of(
-    blocks: ScaledBlocks, level: Scale, x: Array, e: Array, unit: Array, first: int, mirrored: bool
+    blocks: ScaledBlocks,
+    level: Scale,
+    x: Array,
+    e: Array,
+    unit: Array,
+    first: int,
+    mirrored: bool,
+    phase: Array | None = None,
 ) -> Innovations:
-    """Return what a network is fitted to: x, innovations and units as `LinearPart.innovations` gives them."""
+    """Return what a network is fitted to: x, innovations and units as `LinearPart.innovations` gives them.
+
+    With the phase of tones at every sample [rad], (n_blocks, block), for one that is given it: that of the next.
+    """
     logs = level.logarithms(blocks.samples[..., 1:].reshape(-1, 2))
     inputs = innovation_inputs(e.ravel(), x.ravel(), logs).reshape(*e.shape, -1)
+    if phase is not None:
+        after = 2 * phase[:, -1:] - phase[:, -2:-1]  # the last one's is not predicted from
+        inputs = np.concatenate([inputs, phase_inputs(np.concatenate([phase[:, 1:], after], axis=1))], axis=2)
     known = e[list(blocks.split.train), first:]
     symmetric = mirrored and asymmetry(known) < MIRRORED_BELOW
     return Innovations(inputs, e, unit, blocks.trace.blocks(blocks.trace.speed), first, symmetric)
@@ -105,6 +118,30 @@ def _chunks(of: Innovations, train: tuple[int, ...], warm_up: int) -> _Chunks:
     return _Chunks(block, np.tile(start, len(train)), np.cumsum(probability / probability.sum()), length)
 
 
+class Batches:
+    """Chunks of what one network is fitted to, on a device."""
+
+    def __init__(
+        self, of: Innovations, blocks: ScaledBlocks, warm_up: int, config: TrainConfig, device: torch.device
+    ) -> None:
+        self._of, self._size, self._device = of, config.batch, device
+        self.tensors = of.tensors(device)
+        self._chunks = _chunks(of, blocks.split.train, warm_up)
+        # Of the inputs: the innovation and x change their sign, a phase does not.
+        self._mirror = torch.tensor([-1.0, 1.0, -1.0] + [1.0] * (of.inputs.shape[2] - 3), device=device)
+
+    def draw(self, generator: np.random.Generator) -> tuple[Tensor, Tensor]:
+        """Return inputs (b, n, n_inputs) and, beside each, the innovation that follows it (b, n)."""
+        inputs, follows = self.tensors
+        block, sample = self._chunks.draw(self._size, generator)
+        given, next_ones = inputs[block, sample], follows[block, sample]
+        if self._of.mirrored:
+            turned = torch.from_numpy(generator.random(self._size) < 0.5).to(self._device)[:, None]
+            given = torch.where(turned[..., None], given * self._mirror, given)
+            next_ones = torch.where(turned, -next_ones, next_ones)
+        return given, next_ones
+
+
 class Kept(nn.Module):
     """Networks at their lowest validation losses, each by its own, and the error of the first there."""
 
@@ -146,10 +183,8 @@ def fit_innovations(
     live, averaged = copy.deepcopy(kept.networks), copy.deepcopy(kept.networks)
     trained = list(live.parameters())
     optimiser = Optimiser(dict(live.named_parameters()), config)
-    tensors = [one.tensors(device) for one in data]
-    chunks = [_chunks(one, blocks.split.train, warm_up) for one in data]
+    batches = [Batches(one, blocks, warm_up, config, device) for one in data]
     n_threads = config.threads if device.type == "cpu" else 1
-    mirror = torch.tensor([-1.0, 1.0, -1.0, 1.0, 1.0], device=device)  # of the inputs
 
     def gradients(share: int, draws: list[tuple[Tensor, Tensor]]) -> tuple[Tensor, tuple[Tensor, ...]]:
         """Return the loss and gradients of one thread's share of a batch."""
@@ -160,23 +195,11 @@ def fit_innovations(
             loss = loss + nll.mean() * (len(inputs) / config.batch)
         return loss.detach(), torch.autograd.grad(loss, trained)
 
-    def drawn(generator: np.random.Generator) -> list[tuple[Tensor, Tensor]]:
-        draws = []
-        for of, (inputs, follows), where in zip(data, tensors, chunks, strict=True):
-            block, sample = where.draw(config.batch, generator)
-            given, next_ones = inputs[block, sample], follows[block, sample]
-            if of.mirrored:
-                turned = torch.from_numpy(generator.random(config.batch) < 0.5).to(device)[:, None]
-                given = torch.where(turned[..., None], given * mirror, given)
-                next_ones = torch.where(turned, -next_ones, next_ones)
-            draws.append((given, next_ones))
-        return draws
-
     def one_epoch(epoch: int) -> float:
         generator = np.random.default_rng(epoch_seed(config.seed, epoch))
         total = 0.0
         for number in range(STEPS_PER_EPOCH):
-            draws = drawn(generator)
+            draws = [one.draw(generator) for one in batches]
             losses, pieces = zip(*pool.map(gradients, range(n_threads), [draws] * n_threads), strict=True)
             # Added in the order of the shares, whichever thread was first.
             for parameter, first, *others in zip(trained, *pieces, strict=True):
@@ -195,7 +218,7 @@ def fit_innovations(
     def validate() -> tuple[float, float]:
         scores = [
             validated(network, of, given, blocks.split.validation, warm_up)
-            for network, of, given in zip(averaged, data, tensors, strict=True)
+            for network, of, given in zip(averaged, data, (one.tensors for one in batches), strict=True)
         ]
         return kept.take(averaged, scores)
 

@@ -132,6 +132,33 @@ def fit_linear_parts(
     return [plain, LinearPart(sizes, tensors, tones.phase, report)]
 
 
+def phase_alone(plain: LinearPart, tonal: LinearPart) -> LinearPart:
+    """Return the part without tones with the phase of those: silent tones, for a network that is given where it is.
+
+    Tones of one amplitude everywhere are none of a surface whose periods differ; where one begins and ends is known all the same.
+    """
+    residual = {
+        f"residual.{name.removeprefix('lattice.')}": tensor
+        for name, tensor in plain.tensors.items()
+        if name.startswith("lattice.")
+    }
+    speed, force = (plain.tensors[f"lattice.{name}"][:1] for name in ("speed_knots", "force_knots"))
+    silent = {"tones.speed_knots": speed, "tones.force_knots": force, "tones.values": np.zeros((1, 2), np.float32)}
+    tensors = {**plain.tensors, **residual, **silent, "tones.motion": tonal.tensors["tones.motion"]}
+    own = plain.sizes
+    sizes = replace(
+        own,
+        n_tones=1,
+        n_tone_speed=1,
+        n_tone_force=1,
+        residual_order=own.order,
+        n_residual_speed=own.n_speed,
+        n_residual_force=own.n_force,
+        residual_gain_before_filter=own.gain_before_filter,
+    )
+    return LinearPart(sizes, tensors, tonal.phase, tonal.tried)
+
+
 def _levelled_lattice(
     prefix: str, signal: Array, sizes: FotenPlusSizes, blocks: ScaledBlocks, config: TrainConfig
 ) -> tuple[FittedReflections, LatticeData, Tensors]:
