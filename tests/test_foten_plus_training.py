@@ -21,6 +21,7 @@ from foten.recording.trace import Trace
 from foten.reference import model_of
 from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeTexture
+from foten.runtime.renderer import Renderer
 from foten.train.blocks import scaled_blocks
 from foten.train.config import TrainConfig
 from foten.train.epochs import Epoch, Progress
@@ -28,7 +29,7 @@ from foten.train.excitation import FittedExcitation
 from foten.train.foten_plus import FotenPlusTask, Rendering, _beyond_exponents, _chosen, prepare_foten_plus
 from foten.train.job import TrainingJob
 from foten.train.linear_part import LinearPart
-from foten.train.pipeline import train
+from foten.train.pipeline import prepare, train
 
 QUICK = TrainConfig(epochs=0, batch=512, threads=1, max_order=20, table=False, tones=False)
 SHORT = PreprocessConfig(trim_ms=0, block_ms=500)
@@ -214,3 +215,40 @@ def test_a_process_with_its_gain_before_the_filter_is_trained_as_one(before: boo
     assert texture.sizes.gain_before_filter == before
     lines: list[dict[str, Any]] = texture.card["metrics"]["linear_part"]["lattices"]
     assert {line["gain_before_filter"] for line in lines} == {False, before}
+
+
+on_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU that PyTorch can use")
+
+
+def gpu_job(texture: str, epochs: int) -> TrainingJob:
+    preprocess = PreprocessConfig(block_ms=1000)
+    return TrainingJob(simulate(texture, 24.0), "foten-plus", FotenPlusSizes(), TrainConfig(epochs=epochs), preprocess)
+
+
+@pytest.mark.gpu
+@on_gpu
+def test_what_is_playable_before_leaves_the_network_on_the_gpu() -> None:
+    task = prepare(gpu_job("linear-twin", 0))
+    assert isinstance(task, FotenPlusTask)
+    assert task.playable is not None
+    assert next(task.networks["network"].parameters()).device.type == "cuda"
+
+
+@pytest.mark.gpu
+@on_gpu
+def test_a_gpu_gives_the_same_file_twice_and_the_kernel_proves_it() -> None:
+    files = [train(gpu_job("linear-twin", 2)).texture for _ in range(2)]
+    assert files[0].to_bytes() == files[1].to_bytes()
+    assert files[0].card["training"]["device"] == "cuda"
+    assert np.isfinite(Renderer(files[0]).render(100.0, 1.0, 500)).all()
+
+
+@pytest.mark.gpu
+@on_gpu
+def test_a_gpu_learns_what_a_cpu_learns(monkeypatch: pytest.MonkeyPatch) -> None:
+    errors = []
+    for available in (True, False):
+        monkeypatch.setattr(torch.cuda, "is_available", lambda known=available: known)
+        errors.append(train(gpu_job("towel", 3)).texture.card["metrics"]["validation_mae_scaled"])
+    # Sums in another order lead training along another path to much the same place.
+    assert np.ptp(errors) < 0.05 * errors[1]

@@ -1,4 +1,4 @@
-"""What a release holds: wheels that are what they say and need no compiler, and the package for npm."""
+"""What a release holds: one version everywhere, wheels that are what they say and need no compiler, and the package for npm."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 import tarfile
+import tomllib
 import venv
 import zipfile
 from collections.abc import Callable
@@ -20,10 +21,11 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+import foten
 from conftest import exported
 from corpus import write_corpus
 from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, read_texture
-from foten.runtime.binding import library
+from foten.runtime.binding import ABI, library
 from foten.runtime.renderer import EXAMPLE
 from test_kernel_build import CMAKE, WASM, accelerations, needs_node, ran, stroke_of
 
@@ -271,3 +273,32 @@ def test_the_tests_of_the_kernel_pass_on_arm(
         ran("qemu-aarch64", tmp_path / "fuzz_file", "3000", *corpus, FOTEN_ISA=isa)
         result = json.loads(ran("qemu-aarch64", tmp_path / "contacts", EXAMPLE, "0", "2", "10000", FOTEN_ISA=isa))
         assert result["isa"] == isa
+
+
+def found(path: str, pattern: str) -> str:
+    match = re.search(pattern, (ROOT / path).read_text(), re.MULTILINE)
+    assert match is not None, f"{path} has no {pattern}"
+    return match[1]
+
+
+def test_the_version_is_the_same_everywhere() -> None:
+    assert {
+        foten.__version__,
+        tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"],
+        json.loads((ROOT / "src/foten/export/unity_package/package.json").read_text())["version"],
+        found("native/include/foten.h", r'^#define FOTEN_VERSION "(.+)"'),
+        library().foten_version().decode(),
+        found("CMakeLists.txt", r"PROPERTIES VERSION (\S+) SOVERSION"),
+        found("CITATION.cff", r"^version: (\S+)"),
+    } == {foten.__version__}
+
+
+def test_the_binary_interface_is_the_same_everywhere() -> None:
+    assert {
+        found("native/include/foten.h", r"^#define FOTEN_ABI (\d+)"),
+        str(library().foten_abi()),
+        str(ABI),
+        found("CMakeLists.txt", r"SOVERSION (\d+)"),
+        found("native/wasm/foten.mjs", r"^const ABI = (\d+)"),
+        found("src/foten/export/unity_package/Runtime/Foten.cs", r"const int Abi = (\d+)"),
+    } == {str(ABI)}

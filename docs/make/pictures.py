@@ -64,7 +64,7 @@ REAL = ("copper", "fabric", "leather", "wood")
 SHOWN = "towel"  # the easiest of the simulated textures to predict, and the paper's network falls silent on it
 SEED = 1
 INK, OURS, PAPER, LINEAR, CEILING = "#333333", "#2b83cf", "#e08a1e", "#1a9c72", "#b77ab0"
-SOUND_HZ = 8000
+SOUND_HZ = 4000
 
 
 COLOURS = 64  # of a picture's palette
@@ -123,9 +123,10 @@ def stroke(arguments: argparse.Namespace) -> None:
     save(figure, "stroke")
     (DOCS / "audio").mkdir(exist_ok=True)
     scale = 0.5 / largest
-    for name, signal in both.items():
-        sound = interpolate(scale * signal.ravel(), Fraction(SOUND_HZ, round(trace.rate_hz)))
-        (DOCS / "audio" / f"{name}.wav").write_bytes(pcm_wav(sound[: 5 * SOUND_HZ], SOUND_HZ))
+    played, pause = slice(0, round(2.5 * trace.rate_hz)), np.zeros(round(0.4 * trace.rate_hz))
+    row = np.concatenate([np.concatenate([scale * signal.ravel()[played], pause]) for signal in both.values()])
+    sound = interpolate(row, Fraction(SOUND_HZ, round(trace.rate_hz)))
+    (DOCS / "audio" / "stroke.wav").write_bytes(pcm_wav(sound, SOUND_HZ))
 
 
 def boxes(name: str, placed: Mapping[str, tuple[float, float, float, str]], arrows: list[tuple[Any, ...]]) -> None:

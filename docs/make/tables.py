@@ -304,11 +304,8 @@ TABLES: dict[str, dict[str, Callable[[], Cells | str]]] = {
         "stability": stability,
         "onset": onset,
         "innovations": innovations,
-        **{
-            f"ingredients-{kind}": (lambda kind=kind: of_experiment(f"ingredients-{kind}", ratios))
-            for kind in ("simulated", "real")
-        },
-        "csv": lambda: listed(*MAIN, "listener", *(f"ingredients-{kind}" for kind in ("simulated", "real"))),
+        "ingredients": lambda: of_experiment("ingredients", ratios),
+        "csv": lambda: listed(*MAIN, "listener", "ingredients"),
     },
     "listener.md": {"listener": listener},
     "compared.md": {
