@@ -129,7 +129,8 @@ def untrained_tensors(model: str, sizes: Sizes, network: Any, seed: int = 0) -> 
         if isinstance(sizes, FotenPlusSizes) and sizes.network_in_loop:
             torch.manual_seed(seed + 2)
             drawing = perturbed(InnovationNetwork(sizes, sizes.n_rendering_inputs))
-            tensors |= tensors_of(drawing, "rendering_network.")
+            # Without tones as if it had not been trained further: it draws from what is predicted.
+            tensors |= tensors_of(drawing if sizes.n_tones else network, "rendering_network.")
     if sizes.excited:
         width = sizes.excitation_width
         tensors |= tensors_of(filled(Excitation(width), 0.0), "excitation.")

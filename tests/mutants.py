@@ -94,8 +94,8 @@ MUTANTS = (
     Mutant(
         "a network in a bounded loop is given the cut sample",
         NATIVE + "loop_lattice.c",
-        "innovation * entering, residual / level, l->lattice.logs);",
-        "innovation * entering, clip(residual, limit) / level, l->lattice.logs);",
+        "innovation * entering, residual / level, l->lattice.logs, l->tones.phase);",
+        "innovation * entering, clip(residual, limit) / level, l->lattice.logs, l->tones.phase);",
     ),
     Mutant(
         "a scale is stated of another prediction than the rendering's",
@@ -184,8 +184,8 @@ MUTANTS = (
     Mutant(
         "the network is in every loop",
         NATIVE + "model.c",
-        "m->network_in_loop = !s->network_in_loop ? NULL : ",
-        "m->network_in_loop = ",
+        "m->network_in_loop = s->network_in_loop ? &m->rendering_network : NULL;",
+        "m->network_in_loop = &m->network;",
     ),
     Mutant("a prediction leaves the network out", NATIVE + "loop_lattice.c", "part == FOTEN_PREDICT_MODEL ||", "0 ||"),
     Mutant(
@@ -445,8 +445,8 @@ MUTANTS = (
     Mutant(
         "an innovation network is fitted to the validation blocks",
         PACKAGE + "train/innovations.py",
-        "chunks = [_chunks(one, blocks.split.train, warm_up) for one in data]",
-        "chunks = [_chunks(one, blocks.split.validation, warm_up) for one in data]",
+        "self._chunks = _chunks(of, blocks.split.train, warm_up)",
+        "self._chunks = _chunks(of, blocks.split.validation, warm_up)",
         ("tests/test_innovations.py",),
     ),
     Mutant(

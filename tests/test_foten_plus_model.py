@@ -69,9 +69,9 @@ def test_what_the_network_draws_is_bounded(noise: float | None) -> None:
     sizes, tensors = made(order=6)
     tensors["excitation.largest"] = np.array([2.5, 1e6])
     given = windows(200, sizes.history)
-    silent = {**tensors, "network.out.weight": 0 * tensors["network.out.weight"]}
-    silent["network.out.bias"] = tensors["network.out.bias"] * 0
-    loud = {**tensors, "network.out.weight": 1e3 * tensors["network.out.weight"]}
+    silent = {**tensors, "rendering_network.out.weight": 0 * tensors["rendering_network.out.weight"]}
+    silent["rendering_network.out.bias"] = tensors["rendering_network.out.bias"] * 0
+    loud = {**tensors, "rendering_network.out.weight": 1e3 * tensors["rendering_network.out.weight"]}
     linear, drawn = (model(sizes, some).start(given).predict() for some in (silent, loud))
     assert drawn.scale is not None
     sample = drawn.sample if noise is None else drawn.excited(np.full(200, noise))

@@ -268,7 +268,7 @@ def test_a_network_in_the_loop_begins_with_samples_of_its_own(n_tones: int) -> N
     # With the gain after the filter, what leaves over the level is b₀; σ is a part of the level then.
     sigma = stream.model.excitation.sigma(condition[:, :2])
     assert stream.inputs[0, 2] == pytest.approx(float(stream.states[0, 0] / sigma[0]) / 2)
-    np.testing.assert_allclose(stream.inputs[0, 3:], stream.logs[0])
+    np.testing.assert_allclose(stream.inputs[0, 3:5], stream.logs[0])
 
 
 def test_a_prediction_may_be_taken_twice() -> None:

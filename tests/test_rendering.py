@@ -292,7 +292,9 @@ def test_a_stroke_of_a_network_in_the_loop_begins_settled(family: str) -> None:
         # Trained, its innovations are of unit size, as those of a recording are.
         sizes = FotenPlusSizes(**PLUS, order=6)
         weight, tail = exported("foten-plus", sizes).tensors["network.out.weight"], np.array([-40.0])
-        unit = {"network.out.weight": 0.1 * weight, "network.out.bias": np.zeros(9), "excitation.tail.bias": tail}
+        unit = {"excitation.tail.bias": tail}
+        for name in ("network", "rendering_network"):
+            unit |= {f"{name}.out.weight": 0.1 * weight, f"{name}.out.bias": np.zeros(9)}
         texture = exported("foten-plus", sizes, unit)
     out = streams(texture, 1000, *steady(120)) - SCALING.mean[0]
     out -= out[:, 60:].mean()

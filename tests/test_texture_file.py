@@ -171,8 +171,8 @@ def test_every_key_of_the_card_is_needed_and_has_its_type(texture: Texture) -> N
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"format_version": 4}, "format version 4, expected 3: update foten"),
-        ({"format_version": 2}, "format version 2, expected 3: train it again"),
+        ({"format_version": 5}, "format version 5, expected 4: update foten"),
+        ({"format_version": 3}, "format version 3, expected 4: train it again"),
         ({"format_version": None}, "format version None"),
         ({"model": "wavenet"}, "unknown model 'wavenet', expected one of foten-plus, foten, ten, ar"),
         ({"window": 21}, "window 21 and the network 19"),
