@@ -187,14 +187,14 @@ def _parsed(key: str, text: str) -> Any:
 
 
 def written_records(records: Records) -> list[list[str]]:
-    """Return records as the cells of `runs.csv`, its heading first: numbers with four digits, empty where there is none."""
+    """Return records as the cells of `runs.csv`, its heading first: numbers with six digits, empty where there is none."""
     keys = list(dict.fromkeys(key for one in records for key in one))
     keys = [key for key in keys if any(one.get(key) not in (None, "") for one in records)]
 
     def cell(value: Any) -> str:
         if isinstance(value, bool):
             return "yes" if value else "no"
-        return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+        return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
 
     return [keys, *([cell(one.get(key)) for key in keys] for one in records)]
 
