@@ -98,7 +98,7 @@ def test_listeners_are_asked_where_they_are_asked_for(
     for key in ("listener_auc", "listener_auc_waveform"):
         assert 0 <= scores[key] <= 1
         assert 0 <= scores[f"{key}_control"] <= 1
-    assert scores["listener_control_of"] == "a second realisation of the same stroke"
+    assert scores["listener_control_of"] == "other realisations of the same stroke"
     assert 40 < scores["listener_s"] < 46
     assert _status(["evaluate", str(texture), str(recording), "--listener"]) == 0
     assert "Listener: area under its curve over 4" in capsys.readouterr().out

@@ -148,14 +148,26 @@ def test_every_listener_has_a_rendering_of_its_own_and_the_control_a_true_one(mo
         asked.append(seed)
         return hiss(10 + seed)[None]
 
-    scores = listener_scores(recorded, rendered, stroke(hiss(2)), seed=4)
+    scores = listener_scores(recorded, rendered, [stroke(hiss(2))], seed=4)
     assert asked == [4, 5, 6, 4, 5, 6]
     assert len(set(scores["listener_auc_each"])) > 1
     assert scores["listener_auc"] == pytest.approx(np.mean(scores["listener_auc_each"]))
     assert 0 <= scores["listener_auc_control"] <= 1
     assert 0 <= scores["listener_auc_waveform_control"] <= 1
-    assert scores["listener_control_of"] == "a second realisation of the same stroke"
+    assert scores["listener_control_of"] == "other realisations of the same stroke"
     assert scores["listener_s"] == SECONDS
+
+
+def test_every_listener_s_control_is_another_true_vibration(monkeypatch: pytest.MonkeyPatch) -> None:
+    heard: list[float] = []
+    monkeypatch.setattr(
+        networks, "listener_auc", lambda first, second, seed: heard.append(float(second.frames.sum())) or 0.5
+    )
+    others = [stroke(k * hiss(2)) for k in (1, 2, 4)]
+    listener_scores(stroke(hiss(1)), lambda seed: hiss(1)[None], others, seed=4)
+    controls = heard[1:6:2]
+    assert len(set(controls)) == 3
+    assert heard[7::2] == controls  # with the waveform the same
 
 
 def test_a_recording_needs_enough_for_a_listener_and_twice_that_for_a_control(monkeypatch: pytest.MonkeyPatch) -> None:

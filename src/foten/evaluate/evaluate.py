@@ -43,7 +43,9 @@ class Truth:
     """What only a simulator knows; the caller asks it."""
 
     realisations: Sequence[Trace] = ()  # the same stroke over fresh roughness, preprocessed as the recording was
-    strokes: tuple[Trace, Trace] | None = None  # two realisations of a long stroke by another hand, for listeners
+    strokes: tuple[
+        Trace, ...
+    ] = ()  # realisations of a long stroke by another hand, for listeners: the first is the recorded one
     # Expected absolute one-step error [m/s²] from the infinite past and from a window of m, at each sample, shape (n,).
     bound: Array | None = None
     bound_window: Array | None = None
@@ -165,9 +167,7 @@ def _listener(
         return None
     from foten.evaluate.listener import listener_scores, long_stroke
 
-    recorded, second = long_stroke(trace, blocks), None
-    if truth.strokes is not None:
-        recorded, second = (long_stroke(one) for one in truth.strokes)
+    recorded, *others = [long_stroke(one) for one in truth.strokes] or [long_stroke(trace, blocks)]
 
     def rendered(number: int) -> Array:
         run = np.empty_like(recorded.acceleration)
@@ -180,7 +180,7 @@ def _listener(
         return run
 
     try:
-        return listener_scores(recorded, rendered, second, seed, on_stage)
+        return listener_scores(recorded, rendered, others, seed, on_stage)
     except ValueError as error:
         reasons["listener"] = str(error)
         return None

@@ -12,7 +12,7 @@ Moments at rest are hidden from it: a rendering is silent there by rule, and a s
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -70,7 +70,7 @@ def long_stroke(trace: Trace, blocks: tuple[int, ...] | None = None) -> LongStro
 def listener_scores(
     recorded: LongStroke,
     rendered: Callable[[int], Array],
-    second: LongStroke | None = None,
+    others: Sequence[LongStroke] = (),
     seed: int = 0,
     on_stage: Callable[[str], None] = lambda stage: None,
 ) -> dict[str, Any]:
@@ -79,8 +79,8 @@ def listener_scores(
     Args:
         recorded: at least `LEAST_S` of it.
         rendered: seed → a rendering under the recorded hand [m/s²], of the recorded shape.
-        second: another true vibration under the same hand, for the control; without one, every other piece of the recording
-            stands for it, where the two halves are long enough.
+        others: other true vibrations under the same hand, for the controls, one for each in turn; without any, every other
+            piece of the recording stands for them, where the two halves are long enough.
         seed: of the first listener and rendering; those of the others follow.
 
     Returns:
@@ -94,12 +94,12 @@ def listener_scores(
 
     if recorded.seconds < LEAST_S:
         raise ValueError(f"{recorded.seconds:.0f} s to listen to, expected at least {LEAST_S:g}")
-    pair: tuple[LongStroke, LongStroke] | None = None
+    pairs: list[tuple[LongStroke, LongStroke]] = []
     control_of = None
-    if second is not None:
-        pair, control_of = (recorded, second), "a second realisation of the same stroke"
+    if others:
+        pairs, control_of = [(recorded, other) for other in others], "other realisations of the same stroke"
     elif len(recorded.speed) > 1 and recorded.seconds >= 2 * LEAST_S:
-        pair = recorded.picked(slice(0, None, 2)), recorded.picked(slice(1, None, 2))
+        pairs = [(recorded.picked(slice(0, None, 2)), recorded.picked(slice(1, None, 2)))]
         control_of = "every other block of the recording"
     scores: dict[str, Any] = {}
     for name, waveform in (("listener_auc", False), ("listener_auc_waveform", True)):
@@ -108,8 +108,8 @@ def listener_scores(
             on_stage(f"listener {k - seed + 1} of {N_LISTENERS}{', with the waveform' if waveform else ''}")
             run = recorded.with_acceleration(rendered(k))
             each.append(listener_auc(*vibrations(recorded, run, waveform), seed=k))
-            if pair is not None:
-                control.append(listener_auc(*vibrations(*pair, waveform), seed=k))
+            if pairs:
+                control.append(listener_auc(*vibrations(*pairs[(k - seed) % len(pairs)], waveform), seed=k))
         scores[name], scores[f"{name}_each"] = float(np.mean(each)), each
         scores[f"{name}_control"] = float(np.mean(control)) if control else None
     return {**scores, "listener_s": recorded.seconds, "listener_control_of": control_of}

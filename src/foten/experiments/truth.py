@@ -12,6 +12,7 @@ from foten.dsp import Array
 from foten.dsp.filters import butterworth
 from foten.evaluate.evaluate import Truth, trace_for
 from foten.evaluate.free_run import N_SEEDS
+from foten.evaluate.listener import N_LISTENERS
 from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
@@ -29,7 +30,7 @@ def truth_for(
 ) -> Truth:
     """Return further realisations of a simulated stroke and, for the linear family, the bounds of any predictor.
 
-    For listeners two realisations of a long stroke by another hand too.
+    For listeners realisations of a long stroke by another hand too: one to be recorded, and one for the control of each.
 
     A recording that was not simulated, or by another version of the simulator, has no truth. The bounds hold at the simulated
     rate and with a causal high-pass of order 2 only.
@@ -46,7 +47,7 @@ def truth_for(
             realisations = list(pool.map(realisation, range(1, N_SEEDS + 1)))
     except (KeyError, TypeError, ValueError) as error:
         return Truth(why_no_bound=f"the simulator's parameters in the recording cannot be used ({error})")
-    strokes = long_strokes(recording, texture) if listener else None
+    strokes = long_strokes(recording, texture) if listener else ()
     config = PreprocessConfig(**texture.card["preprocess"])
     if recording.simulation["key"] not in LINEAR_FAMILY:
         return Truth(realisations, strokes)
@@ -58,20 +59,21 @@ def truth_for(
     return Truth(realisations, strokes, *linear_bounds(recording, trace, config.highpass_hz, texture.window))
 
 
-def long_strokes(recording: Recording, texture: Texture) -> tuple[Trace, Trace] | None:
-    """Return two realisations of a long stroke by another hand over a simulated texture; None of what was not simulated here."""
+def long_strokes(recording: Recording, texture: Texture) -> tuple[Trace, ...]:
+    """Return realisations of a long stroke by another hand over a simulated texture; none of what was not simulated here."""
     try:
         if recording.simulation is None:
-            return None
+            return ()
         used, hand = (int(recording.simulation[name]) for name in ("noise_seed", "stroke_seed"))
 
         def realisation(k: int) -> Trace:
             seeds = {"noise_seed": used + 1_000_003 * (100 + k), "stroke_seed": hand + 1_000_003}
             return trace_for(texture, second_realisation(recording, seconds=LONG_S, **seeds))
 
-        return realisation(0), realisation(1)
+        with ThreadPoolExecutor() as pool:
+            return tuple(pool.map(realisation, range(1 + N_LISTENERS)))
     except (KeyError, TypeError, ValueError):
-        return None
+        return ()
 
 
 def linear_bounds(recording: Recording, trace: Trace, highpass_hz: float, window: int) -> tuple[Array, Array]:

@@ -10,8 +10,8 @@ distribution of the next one, a mixture of Gaussians:
 
 The mean of the mixture is what is predicted; in the closed loop e is drawn, through the mixture's quantile function, from one
 Gaussian number. This is the gain after the filter. With the gain before the filter the lattice predicts a itself and ℓ e enters
-it, so that what rang before rings on as loud as it was. Training chooses. In a rendering ℓ is multiplied by σ(v, f), near 1,
-which settles the level of the closed loop.
+it, so that what rang before rings on as loud as it was. Training chooses. In a rendering ℓ is multiplied by σ(v, f): 1, or near
+it, to settle the level of the closed loop.
 
 What enters the lattice is at most E = σ · (largest innovation), times the largest ℓ where the gain comes before the filter,
 whatever the network says; the lattice's energy stays below E²/(1 − leak²), however speed and force move (`dsp.lattice`), and the
@@ -19,8 +19,9 @@ network's state within ±1 by its gates.
 
 Where validation says that the network brings nothing, e is σ(v, f) times heavy-tailed noise of a volatility.
 
-A surface that repeats is rendered otherwise: tones of the path (`dsp.tones`), plus a lattice, and a network, of the residual's
-own. Its next sample is still predicted as above.
+A rendering draws from a network of its own (`rendering_network.`), which begins as the other and is trained on its own output
+(`train.own_output`). A surface that repeats is rendered otherwise: tones of the path (`dsp.tones`), plus a lattice of the
+residual's own, and a network that is given the phase of the tones as well. Its next sample is still predicted as above.
 
 The network is given e because what a tool does after an impact depends on the impact, which is one large innovation that the
 acceleration hides under ringing.

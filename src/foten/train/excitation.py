@@ -76,11 +76,12 @@ def fit_excitation(
 
 
 def settle_gain(
-    width: int, largest: list[float], loop: ClosedLoop, config: TrainConfig, likelihood: float | None
+    width: int, largest: list[float], loop: ClosedLoop, config: TrainConfig, likelihood: float | None, settled: bool
 ) -> FittedExcitation:
     """Return what scales a network's innovations in the closed loop, σ near 1, and bounds them; no tails, no volatility.
 
     Args:
+        settled: the network has learned its level in the closed loop, and σ stays 1.
         largest: bounds of an innovation, in units of σ and in scaled acceleration.
         likelihood: the network's of the validation blocks where a rendering does not fade [nat]; None where it always does.
     """
@@ -93,7 +94,7 @@ def settle_gain(
         part.zero_()
     excitation.power_law.weight.zero_()
     excitation.largest.copy_(torch.tensor(largest))
-    errors = settle_level(loop, excitation, config.seed)
+    errors = [] if settled else settle_level(loop, excitation, config.seed)
     distance = free_run_distance(loop, excitation, config.seed)
     return FittedExcitation(excitation, distance, errors, 0.0, likelihood)
 

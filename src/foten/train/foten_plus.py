@@ -87,10 +87,12 @@ class FotenPlusTask(Task):
             own = None
             if self.job.config.own_output and not progress.interrupted:
                 own = self._on_own_output(drawing, of, part, largest[0], on_stage)
-            on_stage("settling the level with the network in the loop")
+            settled = own is not None and own.gained
+            if not settled:
+                on_stage("settling the level with the network in the loop")
             weights |= tensors_of(drawing, "rendering_network.")
             loop = _loop(part, self.draft, weights)
-            fitted = settle_gain(part.sizes.excitation_width, largest, loop, self.job.config, nll)
+            fitted = settle_gain(part.sizes.excitation_width, largest, loop, self.job.config, nll, settled)
             chosen = Rendering(part, fitted)
             renderings["with network"] = {**fitted.metrics(), "own_output": own and asdict(own)}
         on_stage("proving the texture file")

@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,7 +41,8 @@ RATE = 2e-3  # highest, of the learning
 LIKELIHOOD = 0.2  # weight of it beside the likeness, so that what was learned by it is not lost
 AVERAGED = 0.97  # of the weights, kept in a step by those that are used
 N_KNOWN = 400  # excerpts of the recording that say how much statistics vary
-N_JUDGED = 4  # draws of excerpts of the validation blocks that a network is judged by
+JUDGED_EVERY = 25  # steps
+N_JUDGED = 8  # draws of excerpts of the validation blocks that a network is judged by
 
 
 @dataclass(frozen=True)
@@ -131,7 +133,7 @@ def excerpts_of(blocks: ScaledBlocks, part: LinearPart, of: Innovations, largest
 
 @dataclass(frozen=True)
 class OwnOutput:
-    """What the training on own output came to: how unlike the recording the validation blocks were, before and after."""
+    """What the training on own output came to: how unlike the recording the validation blocks were, before and at the best."""
 
     before: float
     after: float
@@ -149,9 +151,9 @@ def fit_own_output(
     seed: int,
     on_step: Callable[[int], None] = lambda step: None,
 ) -> OwnOutput:
-    """Train a network in place on its own output, and leave it as it was where the validation blocks are not nearer for it.
+    """Train a network in place on its own output, and leave it where the validation blocks are nearest, or as it was.
 
-    On Ctrl-C the weights up to there are judged; a second one stops it.
+    On Ctrl-C what is best so far is kept.
 
     Args:
         likelihood: the negative log-likelihood of a batch of recorded samples, with a gradient.
@@ -167,13 +169,13 @@ def fit_own_output(
             losses.append(float(_loss(likeness, excerpts, one, block, start, rng)[0].detach()))
         return float(np.mean(losses))
 
-    before, averaged = judged(network), copy.deepcopy(network)
-    trained = dict(network.named_parameters())
+    averaged, trained = copy.deepcopy(network), dict(network.named_parameters())
     device = next(network.parameters()).device
-    began = {name: parameter.detach().clone() for name, parameter in trained.items()}
+    before = after = judged(network)
+    best = copy.deepcopy(network.state_dict())
     optimiser = torch.optim.Adam(trained.values(), RATE, betas=(0.9, 0.99))
     rng = np.random.default_rng(seed + 2)
-    try:
+    with suppress(KeyboardInterrupt):
         for step in range(N_STEPS):
             on_step(step)
             block, start = excerpts.draw(split.train, N_EXCERPTS, rng)
@@ -194,13 +196,10 @@ def fit_own_output(
             with torch.no_grad():
                 for mean, now in zip(averaged.parameters(), network.parameters(), strict=True):
                     mean.lerp_(now, 1 - share)
-    except KeyboardInterrupt:
-        pass
-    result = OwnOutput(before, judged(averaged))
-    with torch.no_grad():
-        for name, kept in averaged.named_parameters():
-            trained[name].copy_(kept if result.gained else began[name])
-    return result
+            if (step + 1) % JUDGED_EVERY == 0 and (loss_there := judged(averaged)) < after:
+                after, best = loss_there, copy.deepcopy(averaged.state_dict())
+    network.load_state_dict(best)
+    return OwnOutput(before, after)
 
 
 def _loss(
