@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from foten.families import FAMILIES, FotenPlusSizes, PiecewiseArSizes
+from foten.families.excitation import WithInnovations
 from foten.families.sizes import Sizes
 from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
@@ -134,6 +135,10 @@ def untrained_tensors(model: str, sizes: Sizes, network: Any, seed: int = 0) -> 
     if sizes.excited:
         width = sizes.excitation_width
         tensors |= tensors_of(filled(Excitation(width), 0.0), "excitation.")
+    if isinstance(sizes, WithInnovations) and sizes.network_in_loop:
+        torch.manual_seed(seed + 3)
+        tensors |= tensors_of(perturbed(InnovationNetwork(sizes)), "rendering_network.")
+        tensors |= tensors_of(filled(Scale(width), float(np.log(0.3))), "level.")
     if isinstance(sizes, FotenPlusSizes):
         rng = np.random.default_rng(seed)
         prefixes = ["lattice.", *(["residual."] if sizes.n_tones else [])]

@@ -31,6 +31,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "half-of-the-bins": {**SMALL, "bins": "half"},
     "half-of-odd-bins": {**SMALL, "bins": "half", "window": 9},
     "excited": {**SMALL, "excitation": True},
+    "innovations": {**SMALL, **PLUS, "window": 20, "excitation": True, "network_in_loop": True},
 }
 """Of every network."""
 PLUS_VARIANTS: dict[str, dict[str, Any]] = {

@@ -42,6 +42,7 @@ from foten.dsp.perception import RATES_HZ, carried
 from foten.dsp.resample import interpolate
 from foten.evaluate.free_run import scored, synthesize, synthesize_linear
 from foten.evaluate.one_step import ORDERS, first_scored, fit_linear, predict
+from foten.experiments.experiment import experiment_path, read_experiment
 from foten.experiments.figures import waveforms
 from foten.experiments.results import chosen_results, read_records, read_results
 from foten.experiments.truth import linear_bounds
@@ -438,7 +439,8 @@ def outside(arguments: argparse.Namespace) -> None:
 
 def listener(arguments: argparse.Namespace) -> None:
     """How often a listener is right, by texture: with the network, without it, and of two true vibrations."""
-    rows = rows_of("listener")
+    title = read_experiment(experiment_path("listener")).title
+    rows = [row for row in rows_of("listener") if row["experiment"] == title]
     auc = {
         (row["method"], row["texture"]): [
             float(row[f"listener.{key}"]) for key in ("listener_auc", "listener_auc_control")

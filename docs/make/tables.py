@@ -22,7 +22,7 @@ import numpy as np
 
 from foten.atomic_write import atomic_write
 from foten.datasets import contact, linear_family, simulate
-from foten.experiments.experiment import experiment_path
+from foten.experiments.experiment import experiment_path, read_experiment
 from foten.experiments.results import chosen, read_records
 from foten.experiments.tables import findings, ratios, summary, with_error, written
 
@@ -234,25 +234,49 @@ def innovations() -> Cells:
     return cells
 
 
-def listener() -> Cells:
-    """Return areas under listeners' curves, means over the textures of each kind, beside those of two true vibrations."""
-    path = RESULTS / "listener.csv"
-    records = read_records(path) if path.exists() else []
+def listened(name: str) -> dict[tuple[str, str], Records]:
+    """Return the runs of an experiment with listeners, by what the textures are and method."""
+    path, title = RESULTS / "listener.csv", read_experiment(experiment_path(name)).title
+    records = [one for one in read_records(path) if one["experiment"] == title] if path.exists() else []
     titles = (MAIN[LINEAR], MAIN[SIMULATED], MAIN[CONTACT])
     kinds = dict(zip(titles, (linear_family.LINEAR_FAMILY, simulate.TEXTURES, contact.CONTACT), strict=True))
+    found = {
+        (title, method): [one for one in records if one["texture"] in keys and one["method"] == method]
+        for (title, keys), method in product(kinds.items(), dict.fromkeys(one["method"] for one in records))
+    }
+    return {key: of for key, of in found.items() if of}
+
+
+def mean_of(records: Records, key: str) -> str:
+    """Return a mean over textures."""
+    return f"{np.mean([one[f'listener.{key}'] for one in records]):.2f}"
+
+
+def listener() -> Cells:
+    """Return areas under listeners' curves, means over the textures of each kind, beside those of two true vibrations."""
     cells = [["mean of", "textures", "method", "band energies", "worst", "control", "and waveform", "control"]]
-    for (title, keys), method in product(kinds.items(), dict.fromkeys(one["method"] for one in records)):
-        of = [one for one in records if one["texture"] in keys and one["method"] == method]
-        if not of:
-            continue
-
-        def mean(key: str, of: Records = of) -> str:
-            return f"{np.mean([one[f'listener.{key}'] for one in of]):.2f}"
-
+    for (title, method), of in listened("listener").items():
         worst = max(of, key=lambda one: one["listener.listener_auc"])
-        row = [title, str(len(of)), method, mean("listener_auc")]
-        row += [f"{worst['listener.listener_auc']:.2f} ({worst['texture']})", mean("listener_auc_control")]
-        cells.append([*row, mean("listener_auc_waveform"), mean("listener_auc_waveform_control")])
+        row = [title, str(len(of)), method, mean_of(of, "listener_auc")]
+        row += [f"{worst['listener.listener_auc']:.2f} ({worst['texture']})", mean_of(of, "listener_auc_control")]
+        cells.append([*row, mean_of(of, "listener_auc_waveform"), mean_of(of, "listener_auc_waveform_control")])
+    return cells
+
+
+def recorded_longer() -> Cells:
+    """Return the same of foten-plus for recordings of two lengths, of the textures that both have."""
+    cells = [["mean of", "textures", "recorded", "band energies", "worst", "control", "and waveform"]]
+    short = listened("listener")
+    for (title, method), long in listened("listener-256s").items():
+        keys = {one["texture"] for one in long}
+        for seconds, records in (("64 s", short.get((title, method), [])), ("256 s", long)):
+            of = [one for one in records if one["texture"] in keys]
+            if not of:
+                continue
+            worst = max(of, key=lambda one: one["listener.listener_auc"])
+            row = [title, str(len(of)), seconds, mean_of(of, "listener_auc")]
+            row += [f"{worst['listener.listener_auc']:.2f} ({worst['texture']})", mean_of(of, "listener_auc_control")]
+            cells.append([*row, mean_of(of, "listener_auc_waveform")])
     return cells
 
 
@@ -307,7 +331,7 @@ TABLES: dict[str, dict[str, Callable[[], Cells | str]]] = {
         "ingredients": lambda: of_experiment("ingredients", ratios),
         "csv": lambda: listed(*MAIN, "listener", "ingredients"),
     },
-    "listener.md": {"listener": listener},
+    "listener.md": {"listener": listener, "recorded-longer": recorded_longer},
     "compared.md": {
         "table-1-small": lambda: of_experiment("table-1-small", compared),
         "findings": lambda: said("table-1-small"),

@@ -31,9 +31,9 @@ static const struct {
     {"n_layers", CARD_NETWORKS, offsetof(card_sizes, network.n_layers), FOTEN_USUAL_N_LAYERS, 1},
     {"d_feedforward", CARD_NETWORKS, offsetof(card_sizes, network.d_feedforward), FOTEN_USUAL_D_FEEDFORWARD, 1},
     {"spectral_width", CARD_FOTEN, offsetof(card_sizes, network.spectral_width), FOTEN_USUAL_SPECTRAL_WIDTH, 1},
-    {"n_hidden", CARD_PLUS, offsetof(card_sizes, n_hidden), FOTEN_USUAL_N_HIDDEN, 1},
-    {"head_width", CARD_PLUS, offsetof(card_sizes, head_width), FOTEN_USUAL_HEAD_WIDTH, 1},
-    {"n_components", CARD_PLUS, offsetof(card_sizes, n_components), FOTEN_USUAL_N_COMPONENTS, 1},
+    {"n_hidden", CARD_NETWORKS | CARD_PLUS, offsetof(card_sizes, n_hidden), FOTEN_USUAL_N_HIDDEN, 1},
+    {"head_width", CARD_NETWORKS | CARD_PLUS, offsetof(card_sizes, head_width), FOTEN_USUAL_HEAD_WIDTH, 1},
+    {"n_components", CARD_NETWORKS | CARD_PLUS, offsetof(card_sizes, n_components), FOTEN_USUAL_N_COMPONENTS, 1},
     {"excitation_width", CARD_NETWORKS | CARD_PLUS | CARD_GRAPH, offsetof(card_sizes, excitation_width), FOTEN_USUAL_EXCITATION_WIDTH, 1},
     {"order", CARD_PLUS, offsetof(card_sizes, order), FOTEN_USUAL_ORDER, 1},
     {"order", CARD_AR, offsetof(card_sizes, order), FOTEN_USUAL_AR_ORDER, 1},
@@ -51,6 +51,7 @@ static const struct {
     {"pre_norm", CARD_NETWORKS, offsetof(card_sizes, network.pre_norm), 1, SWITCH},
     {"excitation", CARD_TEN | CARD_FOTEN | CARD_GRAPH, offsetof(card_sizes, excitation), 0, SWITCH},
     {"network_in_loop", CARD_PLUS, offsetof(card_sizes, network_in_loop), 1, SWITCH},
+    {"network_in_loop", CARD_NETWORKS, offsetof(card_sizes, network_in_loop), 0, SWITCH},
     {"gain_before_filter", CARD_PLUS, offsetof(card_sizes, gain_before_filter), 0, SWITCH},
     {"residual_gain_before_filter", CARD_PLUS, offsetof(card_sizes, residual_gain_before_filter), 0, SWITCH},
 };
@@ -115,6 +116,7 @@ static int check_sizes(texture_file *file, card_sizes *s) {
         return n->window > s->order || wrong_size(file, "window");
     }
     if (s->model == CARD_PLUS) return 1;
+    if (s->network_in_loop && !s->excitation) return wrong_size(file, "network_in_loop");
     if (n->n_layers > MOST_LAYERS) return wrong_size(file, "n_layers");
     if (n->d_model % n->n_heads || (n->spectral_width > 1 && n->spectral_width % n->n_heads)) return wrong_size(file, "n_heads");
     n->fourier = s->model != CARD_TEN;

@@ -68,7 +68,7 @@ static inline double clip(double x, double limit) { return x > limit ? limit : x
 #define FOTEN_SIZE_SD 0.6028102749890869 /* foten.dsp.noise._SIZE_SD */
 #define FOTEN_HEAVIEST_TAIL 0.25 /* foten.families.excitation.HEAVIEST_TAIL */
 #define FOTEN_LARGEST_SHOCK 4.0 /* foten.dsp.noise.LARGEST_SHOCK */
-#define FOTEN_N_INNOVATION_INPUTS 5 /* foten.families.foten_plus.N_INNOVATION_INPUTS */
+#define FOTEN_N_INNOVATION_INPUTS 5 /* foten.families.excitation.N_INNOVATION_INPUTS */
 #define FOTEN_N_PHASE_INPUTS 4 /* foten.families.foten_plus.N_PHASE_INPUTS */
 #define FOTEN_LOG_SCALE_LIMIT 6.0 /* foten.families.foten_plus.LOG_SCALE_LIMIT */
 #define FOTEN_QUANTILE_STEPS 60 /* foten.reference.innovation.MOST_STEPS */

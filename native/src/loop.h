@@ -1,15 +1,17 @@
 /* A stream of a model at its own rate: its state, and a sample more. All scaled. */
 #pragma once
 
+#include <math.h>
+
 #include "model.h"
 
 /* All that must survive a sample: this, and the arrays that it points to, which follow it in one block. Each kind of loop uses its part. */
 struct loop {
     condition condition;         /* of the last sample, which the next one goes by */
-    lattice_state lattice;       /* foten-plus, piecewise AR */
+    lattice_state lattice;       /* foten-plus, piecewise AR; of networks with a network of innovations the level */
     excitation_state excitation; /* foten-plus, networks */
     tones_state tones;           /* foten-plus */
-    innovation_state innovation; /* foten-plus */
+    innovation_state innovation; /* foten-plus, networks */
     predictor_state predictor;   /* networks, graphs */
     mixture mixture;             /* piecewise AR */
     double *innovations;         /* piecewise AR: the last ones, the youngest first */
@@ -63,6 +65,22 @@ static inline double loop_cut(loop *l, double sample, double limit) {
     double played = clip(sample, limit);
     l->cut = played != sample;
     return played;
+}
+
+/* The next innovation over sigma, where a unit of it moves the sample by `unit`: what the network in the loop draws or, without noise, expects,
+ * up to the largest. */
+static inline double loop_drawn(const foten_model *m, loop *l, const double *noise, double unit) {
+    const double *largest = m->excitation.largest;
+    double next = innovation_mixture(m->network_in_loop, &l->innovation), most = largest[1] / unit;
+    if (noise) next = innovation_quantile(m->network_in_loop, &l->innovation, *noise);
+    return clip(next, most < largest[0] ? most : largest[0]);
+}
+
+/* How likely an error of what is predicted without innovation is, of a mixture that was asked for, into the prediction. */
+static inline void loop_score(const innovation_network *n, const innovation_state *s, double missed, double unit, foten_prediction *out) {
+    out->scale = unit * innovation_sd(n, s);
+    out->standardised = innovation_standardised(n, s, missed / unit);
+    out->nll = innovation_nll(n, s, missed / unit) + log(unit);
 }
 
 /* Run for n samples under a condition. */

@@ -75,12 +75,8 @@ static void predict(const foten_model *m, loop *l, foten_prediction_part part, d
     *out = (foten_prediction){.sample = linear};
     if (with_network) out->sample += unit * innovation_mixture(&m->network, &l->innovation);
     if (m->tones.n || with_network != (in_loop != NULL)) return;
-    if (with_network) {
-        double e = (recorded - linear) / unit;
-        out->scale = unit * innovation_sd(&m->network, &l->innovation);
-        out->standardised = innovation_standardised(&m->network, &l->innovation, e);
-        out->nll = innovation_nll(&m->network, &l->innovation, e) + log(unit);
-    } else excitation_score(&l->excitation, recorded - linear, unit * l->excitation.sigma, out);
+    if (with_network) loop_score(&m->network, &l->innovation, recorded - linear, unit, out);
+    else excitation_score(&l->excitation, recorded - linear, unit * l->excitation.sigma, out);
 }
 
 static void push(const foten_model *m, loop *l, const double *sample) {
@@ -94,21 +90,12 @@ static double scale_of_noise(const foten_model *m, const loop *l) {
     return l->lattice.all_cosines * l->lattice.level * factor * l->excitation.sigma;
 }
 
-/* The next innovation over sigma: what the network draws or, without noise, expects, up to the largest. */
-static double drawn(const foten_model *m, loop *l, const double *noise) {
-    const innovation_network *network = m->network_in_loop;
-    const double *largest = m->excitation.largest;
-    double next = innovation_mixture(network, &l->innovation), most = largest[1] / scale_of_noise(m, l);
-    if (noise) next = innovation_quantile(network, &l->innovation, *noise);
-    return clip(next, most < largest[0] ? most : largest[0]);
-}
-
 /* With the gain before the filter near rest what enters fades, and what rang before rings out, as a tool does; else what leaves. */
 static double step(const foten_model *m, loop *l, const condition *c, const double *noise, double limit) {
     const lattice *of = m->excited_lattice;
     double entering = of->gain_before_filter ? c->fade : 1, leaving = of->gain_before_filter ? 1 : c->fade;
     double sigma = l->excitation.sigma, level = l->lattice.level * sigma, innovation = 0, e = 0;
-    if (m->network_in_loop) e = sigma * (innovation = drawn(m, l, noise));
+    if (m->network_in_loop) e = sigma * (innovation = loop_drawn(m, l, noise, scale_of_noise(m, l)));
     else if (noise) e = excitation_next(&m->excitation, &l->excitation, *noise, l->lattice.all_cosines * l->lattice.level);
     e *= entering;
     double residual = gain_after(of, &l->lattice) * lattice_synthesise(&l->lattice, of->order, gain_before(of, &l->lattice) * e);

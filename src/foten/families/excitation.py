@@ -1,4 +1,4 @@
-"""The excitation's part of a family: a scale over speed and force, heavy tails, volatility.
+"""The random part of a family: a scale over speed and force, heavy tails, volatility; or a network of innovations.
 
 Source: `docs/fidelity.md`; the paper has none.
 """
@@ -10,6 +10,7 @@ from typing import Any
 
 from foten.families.sizes import Shapes, Sizes
 
+N_INNOVATION_INPUTS = 5  # of a network of innovations: one and its size, the sample, log speed and log force
 HEAVIEST_TAIL = 0.25  # of h in z·exp(h z²/2); beyond it there is no fourth moment
 
 
@@ -33,6 +34,55 @@ class WithExcitation(Sizes):
         """Return the sizes as plain JSON values; nothing of an excitation where there is none."""
         kept = super().to_card().items()
         return {name: size for name, size in kept if self.excitation or not name.startswith("excitation")}
+
+
+@dataclass(frozen=True)
+class WithInnovations(WithExcitation):
+    """One that may have the network of innovations of foten-plus as well: over its own errors, in units of their scale.
+
+    What it expects is added to the prediction.
+    """
+
+    network_in_loop: bool = False  # whether it has; with an excitation alone, which settles its level
+    n_hidden: int = 48  # of that network's recurrent layer
+    head_width: int = 48  # of the layer that makes a distribution of it
+    n_components: int = 4  # of that distribution
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.network_in_loop and not self.excitation:
+            raise ValueError("network_in_loop is true without excitation, expected excitation=true as well")
+
+    def tensor_shapes(self) -> Shapes:
+        """Return those of the excitation, and of network and level, where there are such."""
+        shapes = super().tensor_shapes()
+        if self.network_in_loop:
+            network = N_INNOVATION_INPUTS, self.n_hidden, self.head_width, self.n_components
+            shapes |= scale_shapes("level", self.excitation_width) | innovation_shapes("rendering_network", *network)
+        return shapes
+
+    def to_card(self) -> dict[str, Any]:
+        """Return the sizes as plain JSON values; nothing of a network where there is none."""
+        of_network = ("network_in_loop", "n_hidden", "head_width", "n_components")
+        kept = super().to_card().items()
+        return {name: size for name, size in kept if self.network_in_loop or name not in of_network}
+
+
+def innovation_shapes(name: str, inputs: int, n_hidden: int, head_width: int, n_components: int) -> Shapes:
+    """Return the tensors of a network of innovations."""
+    h, width = n_hidden, head_width
+    recurrent = {"weight_ih": (3 * h, inputs), "weight_hh": (3 * h, h), "bias_ih": (3 * h,), "bias_hh": (3 * h,)}
+    shapes: Shapes = {f"{name}.recurrent.{part}_l0": shape for part, shape in recurrent.items()}
+    return (
+        shapes
+        | linear_shapes(f"{name}.head", width, h + inputs)
+        | linear_shapes(f"{name}.out", 3 * n_components, width)
+    )
+
+
+def innovation_cost(inputs: int, n_hidden: int, head_width: int, n_components: int) -> int:
+    """Return the multiply-adds of a step of a network of innovations."""
+    return 3 * n_hidden * (inputs + n_hidden) + head_width * (n_hidden + inputs) + 3 * n_components * head_width
 
 
 def excitation_shapes(width: int) -> Shapes:

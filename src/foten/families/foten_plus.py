@@ -35,10 +35,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from foten.families.excitation import excitation_shapes, scale_cost, scale_shapes
+from foten.families.excitation import (
+    N_INNOVATION_INPUTS,
+    excitation_shapes,
+    innovation_cost,
+    innovation_shapes,
+    scale_cost,
+    scale_shapes,
+)
 from foten.families.sizes import Shapes, Sizes
 
-N_INNOVATION_INPUTS = 5  # the innovation and its size, x, log speed and log force
 N_PHASE_INPUTS = 4  # cosine and sine of the phase of tones and of twice it, to the network of a rendering
 LOG_SCALE_LIMIT = 6.0  # of log s, in size
 
@@ -93,19 +99,11 @@ class FotenPlusSizes(Sizes):
 
     def network_shapes(self, name: str, inputs: int) -> Shapes:
         """Return the tensors of a network of innovations."""
-        h, width = self.n_hidden, self.head_width
-        recurrent = {"weight_ih": (3 * h, inputs), "weight_hh": (3 * h, h), "bias_ih": (3 * h,), "bias_hh": (3 * h,)}
-        shapes: Shapes = {f"{name}.recurrent.{part}_l0": shape for part, shape in recurrent.items()}
-        shapes |= {f"{name}.head.weight": (width, h + inputs), f"{name}.head.bias": (width,)}
-        return shapes | {
-            f"{name}.out.weight": (3 * self.n_components, width),
-            f"{name}.out.bias": (3 * self.n_components,),
-        }
+        return innovation_shapes(name, inputs, self.n_hidden, self.head_width, self.n_components)
 
     def network_cost(self) -> int:
         """Return the multiply-adds of a step of the network of a rendering."""
-        h, width, inputs = self.n_hidden, self.head_width, self.n_rendering_inputs
-        return 3 * h * (inputs + h) + width * (h + inputs) + 3 * self.n_components * width
+        return innovation_cost(self.n_rendering_inputs, self.n_hidden, self.head_width, self.n_components)
 
     def multiply_adds(self) -> int:
         """Return what a rendered sample costs: predicted and taken in, four vertices mixed for each coefficient."""

@@ -1,11 +1,12 @@
-"""The network of foten-plus: how the next innovation is distributed. Lattice and tones are not trained by gradient."""
+"""The network of innovations: how the next one is distributed. Lattice and tones of foten-plus are not trained by gradient."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
 
-from foten.families.foten_plus import LOG_SCALE_LIMIT, N_INNOVATION_INPUTS, FotenPlusSizes
+from foten.families.excitation import N_INNOVATION_INPUTS, WithInnovations
+from foten.families.foten_plus import LOG_SCALE_LIMIT, FotenPlusSizes
 
 
 class InnovationNetwork(nn.Module):
@@ -14,7 +15,7 @@ class InnovationNetwork(nn.Module):
     Before training its means are zero: what it predicts is what the lattice does.
     """
 
-    def __init__(self, sizes: FotenPlusSizes, n_inputs: int = N_INNOVATION_INPUTS) -> None:
+    def __init__(self, sizes: FotenPlusSizes | WithInnovations, n_inputs: int = N_INNOVATION_INPUTS) -> None:
         super().__init__()
         k = self.n_components = sizes.n_components
         self.recurrent = nn.GRU(n_inputs, sizes.n_hidden, batch_first=True)

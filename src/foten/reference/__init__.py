@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 from foten.dsp import Array
 from foten.families import FotenPlusSizes, FotenSizes, PiecewiseArSizes, Sizes, TenSizes
-from foten.reference.excitation import Excitation
+from foten.families.excitation import WithInnovations
+from foten.reference.excitation import Excitation, Scale
 from foten.reference.foten_plus import FotenPlus
+from foten.reference.innovation import InnovationNetwork
 from foten.reference.network import Network
 from foten.reference.piecewise_ar import PiecewiseAr
 from foten.reference.stream import Model
-from foten.reference.window import WindowModel
+from foten.reference.window import Innovations, WindowModel
 
 
 def model_of(
@@ -29,4 +31,8 @@ def model_of(
     if network is None:
         assert isinstance(sizes, FotenSizes | TenSizes)
         network = Network(sizes, tensors)
-    return WindowModel(network, sizes.window, Excitation(tensors) if sizes.excited else None, sizes.from_noise)
+    innovations = None
+    if isinstance(sizes, WithInnovations) and sizes.network_in_loop:
+        innovations = Innovations(Scale(tensors, "level."), InnovationNetwork(tensors, "rendering_network."))
+    excitation = Excitation(tensors) if sizes.excited else None
+    return WindowModel(network, sizes.window, excitation, sizes.from_noise, innovations)

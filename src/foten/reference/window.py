@@ -1,4 +1,4 @@
-"""Models that are given the last m samples: networks, with an excitation or without, and models of noise."""
+"""Models that are given the last m samples: networks, with a random part or without, and models of noise."""
 
 from __future__ import annotations
 
@@ -10,10 +10,19 @@ import numpy as np
 
 from foten.dsp import Array
 from foten.dsp.noise import Volatility
-from foten.reference.excitation import Excitation
-from foten.reference.stream import Prediction, Stream
+from foten.reference.excitation import Excitation, Scale
+from foten.reference.innovation import InnovationNetwork, innovation_inputs
+from foten.reference.stream import Prediction, Stream, largest_of
 
 LOUDEST_BEGINNING = 50.0  # standard deviations, of the samples that a stream begins with
+
+
+@dataclass(frozen=True)
+class Innovations:
+    """A network of innovations over the errors of another one: u(v, f), what one is worth, and how the next is distributed."""
+
+    level: Scale
+    network: InnovationNetwork
 
 
 @dataclass(frozen=True)
@@ -27,6 +36,7 @@ class WindowModel:
     window: int
     excitation: Excitation | None = None
     from_noise: bool = False
+    innovations: Innovations | None = None
 
     def ahead(self, windows: Array) -> Array:
         """Return the samples to come: windows (b, m, 3) scaled → (b, n_ahead) scaled."""
@@ -34,14 +44,25 @@ class WindowModel:
 
     def predict(self, windows: Array) -> Array:
         """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
+        if self.innovations is not None:
+            return self._drawing(windows, settled=False).predict().sample
         return self.ahead(windows)[:, 0]
 
     def start(self, windows: Array) -> Stream:
         """Return streams that go on from scaled windows, shape (s, m, 3)."""
         if self.from_noise:
             return NoiseStream(self, windows.copy())
+        if self.innovations is not None:
+            return self._drawing(windows)
         volatility = None if self.excitation is None else self.excitation.volatility(len(windows))
         return WindowStream(self, windows.copy(), volatility, np.empty((len(windows), 0)))
+
+    def _drawing(self, windows: Array, settled: bool = True) -> DrawingStream:
+        assert self.innovations is not None
+        hidden = np.zeros((len(windows), self.innovations.network.n_hidden))
+        stream = DrawingStream(self, self.innovations, windows.copy(), hidden, settled)
+        stream.clear()
+        return stream
 
 
 @dataclass
@@ -87,6 +108,69 @@ class WindowStream:
         self.windows[:, :-1] = self.windows[:, 1:]
         self.windows[:, -1, 0] = sample
         self.windows[:, -1, 1:] = condition[:, :2]
+
+
+@dataclass
+class DrawingStream:
+    """Streams of a network with a network of innovations: the last m samples (s, m, 3), and the state of the latter.
+
+    Where they are not `settled`, σ does not scale what is drawn: as in a recording, which the network was trained on.
+    """
+
+    model: WindowModel
+    innovations: Innovations
+    windows: Array
+    hidden: Array
+    settled: bool = True
+    bounded: ClassVar[bool] = False
+
+    @property
+    def n_initial(self) -> int:
+        """Return one number that an excitation's volatility would take, and one for each sample of a window."""
+        return 1 + self.windows.shape[1]
+
+    def clear(self) -> None:
+        """Know nothing of what came before."""
+        zero = np.zeros(len(self.windows))
+        self.hidden, self.inputs = np.zeros_like(self.hidden), self._inputs(zero, zero)
+
+    def _inputs(self, innovation: Array, sample: Array) -> Array:
+        """Return what the network of innovations is given of the last sample: its innovation, and it over what one is worth."""
+        logs = self.innovations.level.logarithms(self.windows[:, -1, 1:])
+        return innovation_inputs(innovation, np.arcsinh(sample), logs)
+
+    def _unit(self) -> Array:
+        """Return what an innovation of the next sample is worth, (s,)."""
+        known, excitation = self.windows[:, -1, 1:], self.model.excitation
+        sigma = excitation.sigma(known) if self.settled and excitation is not None else 1.0
+        return self.innovations.level(known) * sigma
+
+    def begin(self, condition: Array, noise: Array, fade: float = 1.0) -> None:
+        """Run for a window's length under the condition."""
+        self.windows[:, -1, 1:] = condition[:, :2]
+        self.clear()
+        for z in noise[:, 1:].T:
+            sample = np.clip(self.predict().excited(z), -LOUDEST_BEGINNING, LOUDEST_BEGINNING)
+            self.push(sample, condition, z)
+
+    def predict(self) -> Prediction:
+        """Return what both expect."""
+        sample, unit = self.model.ahead(self.windows)[:, 0], self._unit()
+        mixture = self.innovations.network.mixture(self.hidden, self.inputs)
+        if not self.settled or self.model.excitation is None:
+            return Prediction(sample + unit * mixture.expected(), unit, mixture=mixture)
+        largest, tail = self.model.excitation.largest, self.model.excitation.tail(self.windows[:, -1, 1:])
+        limit = largest_of(largest, unit)
+        return Prediction(sample + unit * np.clip(mixture.expected(), -limit, limit), unit, tail, largest, mixture)
+
+    def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
+        """Take in the next samples, and their innovations."""
+        unit, missed = self._unit(), sample - self.model.ahead(self.windows)[:, 0]
+        self.windows[:, :-1] = self.windows[:, 1:]
+        self.windows[:, -1, 0] = sample
+        self.windows[:, -1, 1:] = condition[:, :2]
+        self.inputs = self._inputs(missed / unit, sample / unit)
+        self.hidden = self.innovations.network.push(self.hidden, self.inputs)
 
 
 @dataclass

@@ -14,24 +14,30 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import nn
 
-from foten.families.excitation import WithExcitation
+from foten.dsp import Array
+from foten.families.excitation import WithExcitation, WithInnovations
+from foten.families.foten_plus import FotenPlusSizes
 from foten.families.graphs import HapinfSizes
+from foten.families.sizes import Sizes
 from foten.families.texture_file import Texture
 from foten.networks import build
+from foten.networks.innovation import InnovationNetwork
 from foten.networks.noise_filter import log_magnitudes
+from foten.networks.scale import Scale
+from foten.reference.excitation import Scale as LevelOf
 from foten.runtime.onnx_predictor import GRAPH
 from foten.train.adversarial import fit_adversarial
 from foten.train.blocks import ScaledBlocks
 from foten.train.closed_loop import ClosedLoop
-from foten.train.config import TrainConfig
+from foten.train.config import TrainConfig, recipe_of
 from foten.train.epochs import Epoch, Progress
-from foten.train.excitation import fit_excitation
+from foten.train.excitation import FittedExcitation, fit_excitation, fit_scale, settle_gain
 from foten.train.export import N_GOLDEN, Draft, Tensors, graph_of, in_float64, multiply_adds, tensors_of
 from foten.train.fit import TrainingWindows, fit, pick_device, predict
-from foten.train.foten_plus import check_block
+from foten.train.foten_plus import LARGEST_BEYOND, LEAST_GAIN_NAT, check_block
+from foten.train.innovations import fit_innovations, innovations_of, scored
 from foten.train.job import NetworkTask, Stage, TrainingJob
 
 _AT_ONCE = 65536  # frames
@@ -69,27 +75,80 @@ class EndToEndTask(NetworkTask):
             metrics |= {"validation_mae_scaled": first, "validation_mae_scaled_hop": best.validation_mae}
         if sizes.excited:
             on_stage("fitting the excitation and settling its level in the closed loop")
-            tensors |= self._excitation(draft, tensors, windows, metrics)
+            sizes, random = self._random_part(draft, tensors, windows, metrics, on_stage)
+            tensors |= random
         on_stage("proving the texture file")
         return draft.texture(sizes, tensors, metrics, N_GOLDEN).texture
 
-    def _excitation(self, draft: Draft, tensors: Tensors, windows: TrainingWindows, metrics: dict[str, Any]) -> Tensors:
-        """Return the tensors of an excitation, that of foten-plus, and add to the metrics what came of it."""
+    def _random_part(
+        self, draft: Draft, tensors: Tensors, windows: TrainingWindows, metrics: dict[str, Any], on_stage: Stage
+    ) -> tuple[Sizes, Tensors]:
+        """Return the sizes and the tensors of a random part as foten-plus has it, and add to the metrics what came of it.
+
+        An excitation; or, where one is asked for and likelier by as much as there, a network of innovations.
+        """
         sizes, config = self.job.sizes, self.job.config
         assert isinstance(sizes, WithExcitation)
-
-        def power(condition: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-            # What the network makes of the excitation is not known; where it is a filter, it is as loud in the same measure.
-            return np.ones(len(condition)), np.zeros(len(condition))
-
-        kernel = partial(draft.kernel, sizes, tensors)
-        loop = ClosedLoop(self.blocks, sizes.history, kernel, power, limit=self.blocks.saturation)
+        plain = replace(sizes, network_in_loop=False) if isinstance(sizes, WithInnovations) else sizes
         both = np.concatenate([windows.train, windows.validation])
         missed = windows.samples[both, 0] - predict(self.network, windows, both)
-        fitted = fit_excitation(sizes.excitation_width, missed, windows, loop, config)
-        assert fitted is not None
-        metrics |= fitted.metrics()
-        return tensors_of(fitted.excitation, "excitation.")
+        loop = self._loop(draft, plain, tensors, lambda condition: np.ones(len(condition)))
+        fitted, weights = fit_excitation(sizes.excitation_width, missed, windows, loop, config), Tensors()
+        renderings = {"without network": fitted.metrics()}
+        chosen: Sizes = plain
+        if isinstance(sizes, WithInnovations) and sizes.network_in_loop:
+            on_stage("training the network of innovations")
+            drawing = self._drawing(draft, sizes, tensors, windows, missed, fitted)
+            if drawing is not None:
+                chosen, (fitted, weights) = sizes, drawing
+                renderings["with network"] = fitted.metrics()
+        metrics |= {**fitted.metrics(), "renderings": renderings}
+        return chosen, {**weights, **tensors_of(fitted.excitation, "excitation.")}
+
+    def _loop(self, draft: Draft, sizes: Sizes, tensors: Tensors, unit: Callable[[Array], Array]) -> ClosedLoop:
+        def power(condition: Array) -> tuple[Array, Array]:
+            # What the network makes of the excitation is not known; where it is a filter, it is as loud in the same measure.
+            return np.square(unit(condition)), np.zeros(len(condition))
+
+        kernel = partial(draft.kernel, sizes, tensors)
+        return ClosedLoop(self.blocks, sizes.history, kernel, power, limit=self.blocks.saturation)
+
+    def _drawing(
+        self,
+        draft: Draft,
+        sizes: WithInnovations,
+        tensors: Tensors,
+        windows: TrainingWindows,
+        missed: Array,
+        plain: FittedExcitation,
+    ) -> tuple[FittedExcitation, Tensors] | None:
+        """Return what settles the level of a network of innovations, and its tensors with those of its unit; None without a gain.
+
+        By foten-plus's recipe, over what this network missed at the training, then the validation indices; by likelihood alone.
+        """
+        blocks, config = self.blocks, self.job.config
+        of_plus = recipe_of("foten-plus", seed=config.seed, threads=config.threads, epochs=min(12, config.epochs))
+        scale = Scale(sizes.excitation_width).requires_grad_(False)
+        fit_scale(scale, windows, blocks.scaling, missed, config.seed)
+        level = LevelOf(tensors_of(scale, "level."), "level.")
+        errors, shape = np.zeros(len(windows.samples)), blocks.samples.shape[:2]
+        errors[np.concatenate([windows.train, windows.validation])] = missed
+        unit = level(blocks.condition_before()[2]).reshape(shape)
+        e, x = errors.reshape(shape) / unit, np.arcsinh(blocks.samples[..., 0] / unit)
+        of = innovations_of(blocks, level, x, e, unit, sizes.window, False)
+        network, warm_up = InnovationNetwork(sizes).to(pick_device()), FotenPlusSizes().window
+        if fit_innovations([network], [of], blocks, warm_up, of_plus).interrupted:
+            raise KeyboardInterrupt  # of a random part half trained nothing is kept
+        given = of.tensors(next(network.parameters()).device)
+        nats, _, of_unit = scored(network, of, given, blocks.split.validation, warm_up)
+        likelihood = float((nats + np.log(of_unit)).mean())
+        if plain.likelihood_in_units - likelihood < LEAST_GAIN_NAT:
+            return None
+        weights = {**tensors_of(scale, "level."), **tensors_of(network, "rendering_network.")}
+        train = list(blocks.split.train)
+        largest = [LARGEST_BEYOND * float(np.abs(one[train]).max()) for one in (e, e * unit)]
+        loop = self._loop(draft, sizes, {**tensors, **weights}, level)
+        return settle_gain(sizes.excitation_width, largest, loop, of_plus, likelihood, settled=False), weights
 
 
 class AdversarialTask(EndToEndTask):

@@ -17,7 +17,8 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from foten.dsp import Array
 from foten.dsp.noise import gaussian
-from foten.families.foten_plus import N_INNOVATION_INPUTS, FotenPlusSizes
+from foten.families.excitation import N_INNOVATION_INPUTS
+from foten.families.foten_plus import FotenPlusSizes
 from foten.families.sizes import Sizes
 from foten.families.texture_file import FORMAT_VERSION, MIN_GOLDEN, Texture, texture_from_bytes
 from foten.networks import NETWORKS, build
