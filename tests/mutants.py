@@ -106,8 +106,8 @@ MUTANTS = (
     Mutant(
         "a sample goes by its own condition",
         NATIVE + "loop_window.c",
-        "double sample = predictor_predict(&m->predictor, &l->predictor);",
-        "set_condition(m, l, c, 0);\n    double sample = predictor_predict(&m->predictor, &l->predictor);",
+        "double predicted = predictor_predict(&m->predictor, &l->predictor), sample = predicted",
+        "set_condition(m, l, c, 0);\n    double predicted = predictor_predict(&m->predictor, &l->predictor), sample = predicted",
     ),
     Mutant(
         "the force of a pressure has no exponent",
