@@ -164,7 +164,7 @@ MUTANTS = (
     Mutant("tails are Gaussian", NATIVE + "excitation.c", "z * exp(0.5 * s->tail * z * z)", "z"),
     Mutant(
         "what the network draws has no bound",
-        NATIVE + "loop_lattice.c",
+        NATIVE + "loop.h",
         "return clip(next, most < largest[0] ? most : largest[0]);",
         "return next;",
     ),

@@ -71,7 +71,7 @@ def test_listeners_have_true_vibrations_under_another_and_longer_hand(monkeypatc
     assert len(others) == N_LISTENERS
     for one, other in combinations((first, *others), 2):
         np.testing.assert_array_equal(one.speed, other.speed)
-        assert abs(np.corrcoef(one.acceleration, other.acceleration)[0, 1]) < 0.1
+        assert abs(np.corrcoef(one.acceleration, other.acceleration)[0, 1]) < 0.15
     assert len(first.speed) > 1.4 * 8 * 1000 * 0.5
     own = preprocess(recording, PreprocessConfig())
     n = min(len(own.speed), len(first.speed))
