@@ -163,6 +163,19 @@ MUTANTS = (
     ),
     Mutant("tails are Gaussian", NATIVE + "excitation.c", "z * exp(0.5 * s->tail * z * z)", "z"),
     Mutant(
+        "gradients of a chaotic stream grow without end",
+        PACKAGE + "train/roll_out.py",
+        "held = np.minimum(1, most / np.maximum(size, np.finfo(np.float32).tiny))",
+        "held = np.ones_like(size)",
+        ("tests/test_own_output.py",),
+    ),
+    Mutant(
+        "what a network missed is over its unit without the settled level",
+        NATIVE + "loop_window.c",
+        "follow(m, l, fed_back, predicted, unit, c);",
+        "follow(m, l, fed_back, predicted, l->lattice.level, c);",
+    ),
+    Mutant(
         "what the network draws has no bound",
         NATIVE + "loop.h",
         "return clip(next, most < largest[0] ? most : largest[0]);",
