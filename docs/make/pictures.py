@@ -68,7 +68,7 @@ INK, OURS, PAPER, LINEAR, CEILING = "#333333", "#2b83cf", "#e08a1e", "#1a9c72", 
 SOUND_HZ = 4000
 
 
-COLOURS = 64  # of a picture's palette
+COLOURS = 128  # of a picture's palette
 
 
 def save(figure: Any, name: str, tight: bool = True) -> None:
