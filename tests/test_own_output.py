@@ -20,6 +20,7 @@ from foten.reference import model_of
 from foten.reference.innovation import Mixture
 from foten.train import own_output
 from foten.train.config import TrainConfig
+from foten.train.epochs import Epoch, Progress
 from foten.train.export import tensors_of
 from foten.train.foten_plus import FotenPlusTask, prepare_foten_plus
 from foten.train.job import TrainingJob
@@ -244,6 +245,19 @@ def test_what_does_not_gain_is_left_as_it_was(task: FotenPlusTask, monkeypatch: 
     again, _ = fitted(2e-2)
     for ours, theirs in zip(better.parameters(), again.parameters(), strict=True):
         assert torch.equal(ours, theirs)
+
+
+@pytest.mark.parametrize("gained", [True, False])
+def test_the_level_is_settled_only_where_own_output_gained_nothing(
+    task: FotenPlusTask, monkeypatch: pytest.MonkeyPatch, gained: bool
+) -> None:
+    """Settled once more, ribbed plastic was told apart in 0.91 and not 0.87."""
+    monkeypatch.setattr("foten.train.foten_plus.LEAST_GAIN_NAT", -1e3)
+    result = own_output.OwnOutput(1.0, 0.5 if gained else 1.0)
+    monkeypatch.setattr(FotenPlusTask, "_on_own_output", lambda self, *given: result)
+    texture = task.finish(Progress([Epoch(1, 1.0, 1.0, 1.0, 1.0, True)]), lambda stage: None)
+    errors = texture.card["metrics"]["renderings"]["with network"]["level_errors_db"]
+    assert len(errors) == (0 if gained else 3)
 
 
 def test_interrupted_what_is_best_so_far_is_kept(task: FotenPlusTask, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,7 +25,8 @@ struct foten_model {
     excitation excitation; /* of foten-plus, and of a network that has one */
 
     /* Of foten-plus: lattice and network that predict the vibration, the lattice of what tones leave, and what a rendering goes by; its network is
-     * NULL where the excitation is noise. Of other networks the level of a lattice of none, and what a rendering goes by. */
+     * NULL where the excitation is noise. Of a network with a network of innovations:
+     * `lattice.level`, what one is worth, `rendering_network` and `network_in_loop`. */
     lattice lattice, residual;
     innovation_network network, rendering_network;
     const struct lattice *excited_lattice;

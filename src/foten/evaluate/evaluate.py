@@ -43,9 +43,7 @@ class Truth:
     """What only a simulator knows; the caller asks it."""
 
     realisations: Sequence[Trace] = ()  # the same stroke over fresh roughness, preprocessed as the recording was
-    strokes: tuple[
-        Trace, ...
-    ] = ()  # realisations of a long stroke by another hand, for listeners: the first is the recorded one
+    strokes: tuple[Trace, ...] = ()  # of one long stroke by another hand, for listeners: the recorded one, then others
     # Expected absolute one-step error [m/s²] from the infinite past and from a window of m, at each sample, shape (n,).
     bound: Array | None = None
     bound_window: Array | None = None

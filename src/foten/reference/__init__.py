@@ -17,7 +17,7 @@ from foten.reference.innovation import InnovationNetwork
 from foten.reference.network import Network
 from foten.reference.piecewise_ar import PiecewiseAr
 from foten.reference.stream import Model
-from foten.reference.window import Innovations, WindowModel
+from foten.reference.window import InnovationModel, WindowModel
 
 
 def model_of(
@@ -33,6 +33,6 @@ def model_of(
         network = Network(sizes, tensors)
     innovations = None
     if isinstance(sizes, WithInnovations) and sizes.network_in_loop:
-        innovations = Innovations(Scale(tensors, "level."), InnovationNetwork(tensors, "rendering_network."))
+        innovations = InnovationModel(Scale(tensors, "level."), InnovationNetwork(tensors, "rendering_network."))
     excitation = Excitation(tensors) if sizes.excited else None
     return WindowModel(network, sizes.window, excitation, sizes.from_noise, innovations)

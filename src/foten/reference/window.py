@@ -18,8 +18,13 @@ LOUDEST_BEGINNING = 50.0  # standard deviations, of the samples that a stream be
 
 
 @dataclass(frozen=True)
-class Innovations:
-    """A network of innovations over the errors of another one: u(v, f), what one is worth, and how the next is distributed."""
+class InnovationModel:
+    """A network of innovations over the errors of another one.
+
+    Attributes:
+        level: what an innovation is worth in scaled acceleration, over speed and force.
+        network: how the next one is distributed.
+    """
 
     level: Scale
     network: InnovationNetwork
@@ -36,7 +41,7 @@ class WindowModel:
     window: int
     excitation: Excitation | None = None
     from_noise: bool = False
-    innovations: Innovations | None = None
+    innovations: InnovationModel | None = None
 
     def ahead(self, windows: Array) -> Array:
         """Return the samples to come: windows (b, m, 3) scaled → (b, n_ahead) scaled."""
@@ -118,7 +123,7 @@ class DrawingStream:
     """
 
     model: WindowModel
-    innovations: Innovations
+    innovations: InnovationModel
     windows: Array
     hidden: Array
     settled: bool = True

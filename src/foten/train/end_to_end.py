@@ -141,9 +141,11 @@ class EndToEndTask(NetworkTask):
             raise KeyboardInterrupt  # of a random part half trained nothing is kept
         given = of.tensors(next(network.parameters()).device)
         nats, _, of_unit = scored(network, of, given, blocks.split.validation, warm_up)
-        likelihood = float((nats + np.log(of_unit)).mean())
-        if plain.likelihood_in_units - likelihood < LEAST_GAIN_NAT:
+        nats = nats + np.log(of_unit)
+        if plain.likelihood_in_units - float(nats.mean()) < LEAST_GAIN_NAT:
             return None
+        counted = blocks.moving()[list(blocks.split.validation), sizes.window + 1 + warm_up :]
+        likelihood = float(nats[counted].mean()) if counted.any() else None
         weights = {**tensors_of(scale, "level."), **tensors_of(network, "rendering_network.")}
         train = list(blocks.split.train)
         largest = [LARGEST_BEYOND * float(np.abs(one[train]).max()) for one in (e, e * unit)]
