@@ -56,7 +56,8 @@ def train(
         bool,
         Option(
             "--excitation",
-            help="Give a network a random part, as foten-plus always has one: without it its free run falls silent.",
+            help="Give a network a random part, as foten-plus always has one: without it its free run falls silent. Noise; with "
+            "--set network_in_loop=true, for foten and ten, what a network of innovations draws.",
         ),
     ] = False,
     settings: Annotated[
