@@ -213,14 +213,40 @@ def bursts(rng: np.random.Generator, n: int, deep: float) -> np.ndarray:
 def test_the_score_is_lowest_for_the_distribution_that_was_recorded(wrong: float) -> None:
     rng = np.random.default_rng(7)
     recorded = bursts(rng, 300, 0.6)
-    likeness = Likeness(recorded, RATE)
+    moving = np.ones((300, 96), dtype=bool)
+    likeness = Likeness(recorded, moving, RATE)
 
     def score(deep: float) -> float:
         first, second, prefix = bursts(rng, 300, deep), bursts(rng, 300, deep), np.zeros((300, 0))
         drawn, truth, before = (torch.from_numpy(one).float() for one in (np.stack([first, second]), recorded, prefix))
-        return float(likeness(drawn, truth, before))
+        return float(likeness(drawn, truth, before, torch.from_numpy(moving)))
 
     assert score(0.6) < score(wrong) - 0.01
+
+
+def test_what_is_at_rest_does_not_count() -> None:
+    """A sensor's noise at rest moves the score of nothing, and an excerpt at rest adds nothing to it.
+
+    Changed are the last 30 frames, of which the last 24 rest: what a band-pass rings is after what it is given.
+    """
+    rng = np.random.default_rng(8)
+    recorded = bursts(rng, 60, 0.6)
+    moving = np.ones((60, 96), dtype=bool)
+    moving[:, 72:] = False
+    moving[50:] = False
+    likeness = Likeness(recorded, moving, RATE)
+    drawn, noisy = (torch.from_numpy(bursts(rng, 120, 0.6)).float().unflatten(0, (2, 60)) for _ in range(2))
+    truth, before = torch.from_numpy(recorded).float(), torch.zeros(60, 0)
+    at_rest = drawn.clone()
+    at_rest[:, :, 72 * 8 :] = 10 * noisy[:, :, 72 * 8 :]
+    at_rest[:, 50:] = 10 * noisy[:, 50:]
+    rests = torch.from_numpy(moving)
+    # Of the transform that comes round a thousandth of the power is left, a hundred times as much here.
+    assert float(likeness(at_rest, truth, before, rests)) == pytest.approx(
+        float(likeness(drawn, truth, before, rests)), rel=2e-2
+    )
+    everywhere = torch.ones_like(rests)
+    assert float(likeness(at_rest, truth, before, everywhere)) > 1.2 * float(likeness(drawn, truth, before, everywhere))
 
 
 def test_what_does_not_gain_is_left_as_it_was(task: FotenPlusTask, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,8 @@ recorded and x, x' two renderings under its hand,
     E |x − y| − ½ E |x − x'|
 
 is smallest where x is distributed as y is, given the hand, and for no other distribution. Of each statistic by itself (which is
-the continuous ranked probability score), and of short stretches of all bands at once.
+the continuous ranked probability score), and of short stretches of all bands at once. Frames at rest do not count: a rendering is
+silent there by rule, and a sensor is not.
 
 Source: McDermott & Simoncelli, "Sound texture perception via statistics of the auditory periphery" (Neuron 2011), for the
 statistics; Gneiting & Raftery, "Strictly proper scoring rules" (JASA 2007), for the score.
@@ -24,6 +25,7 @@ from itertools import pairwise
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from foten.dsp import Array
@@ -33,6 +35,7 @@ LAGS = (1, 2, 3, 4, 6, 8, 12)  # frames over which a band may go on
 POOLED = (1, 2, 4, 8, 16, 32)  # frames of a stretch of all bands
 STRETCHES = 0.3  # weight of these beside the statistics
 FLOOR = 1e-4  # of the mean energy of a band, as a listener's
+LEAST_FRAMES = 8  # of a stroke in an excerpt, for its statistics to be any
 _LEAST_VARIANCE, _LEAST_SQUARE = 1e-3, 1e-4
 
 
@@ -61,51 +64,76 @@ def energies(signals: Tensor, rate_hz: float) -> Tensor:
 class Likeness:
     """A loss of renderings against what was recorded, in units of how much recorded excerpts vary."""
 
-    def __init__(self, recorded: Array, rate_hz: float) -> None:
-        """Make one for a recording of excerpts (k, n), scaled, many enough that each statistic varies."""
+    def __init__(self, recorded: Array, moving: NDArray[np.bool_], rate_hz: float) -> None:
+        """Make one for recorded excerpts (k, n), scaled, many enough for statistics to vary, whose frames move or rest (k, f)."""
         self._rate_hz = rate_hz
-        known = energies(torch.from_numpy(recorded).float(), rate_hz)
-        self._floor = FLOOR * known.mean(dim=(0, 2))[:, None] + torch.finfo(torch.float32).tiny
-        logs = torch.log(known + self._floor).transpose(0, 1).flatten(1)
+        known, counted = energies(torch.from_numpy(recorded).float(), rate_hz), torch.from_numpy(moving)
+        of_strokes = known.transpose(1, 2)[counted] if counted.any() else known.transpose(1, 2).flatten(0, 1)
+        self._floor = FLOOR * of_strokes.mean(dim=0)[:, None] + torch.finfo(torch.float32).tiny
+        logs = torch.log(of_strokes.T + self._floor)
         self._mean, self._sd = logs.mean(dim=1)[:, None], logs.std(dim=1)[:, None].clamp_min(1e-6)
-        self._unit = self._statistics(known).std(dim=0).clamp_min(1e-6)
+        self._unit = self._statistics(known, counted).std(dim=0).clamp_min(1e-6)
 
-    def __call__(self, drawn: Tensor, recorded: Tensor, prefix: Tensor) -> Tensor:
-        """Return the loss of two renderings each (2, k, n) of excerpts (k, n), both after what was recorded before (k, m)."""
+    def __call__(self, drawn: Tensor, recorded: Tensor, prefix: Tensor, moving: Tensor) -> Tensor:
+        """Return the loss of two renderings each (2, k, n) of excerpts (k, n), both after what was recorded before (k, m).
+
+        Args:
+            moving: the frames of the excerpts that are of a stroke, (k, f).
+        """
         n_before = prefix.shape[-1] // round(BAND_FRAME_MS * self._rate_hz / 1000)
         first, second, truth = (
             energies(torch.cat([prefix, one], dim=-1), self._rate_hz)[..., n_before:] for one in (*drawn, recorded)
         )
-        of_statistics = [self._statistics(one) / self._unit for one in (first, second, truth)]
+        of_statistics = [self._statistics(one, moving) / self._unit for one in (first, second, truth)]
         loss = _energy_distance(*(one[..., None] for one in of_statistics))
-        stretches = zip(*(self._stretches(one) for one in (first, second, truth)), strict=True)
+        stretches = zip(*(self._stretches(one, moving) for one in (first, second, truth)), strict=True)
         return loss + STRETCHES * torch.stack([_energy_distance(*one) for one in stretches]).mean()
 
-    def _statistics(self, energy: Tensor) -> Tensor:
-        """Return what describes excerpts (k, N_BANDS, n_frames): (k, n_statistics)."""
-        logs = (torch.log(energy + self._floor) - self._mean) / self._sd
-        mean = logs.mean(dim=-1)
-        off = logs - mean[..., None]
-        variance = off.square().mean(dim=-1) + _LEAST_VARIANCE
-        sd = variance.sqrt()
-        goes_on = [(off[..., lag:] * off[..., :-lag]).mean(dim=-1) / variance for lag in LAGS if lag < off.shape[-1]]
-        unit = off / sd[..., None]
-        n, (row, column) = unit.shape[-1], np.triu_indices(N_BANDS, 1)
-        alike = unit @ unit.transpose(-1, -2) / n
-        later = unit[..., 1:] @ unit[..., :-1].transpose(-1, -2) / n
-        leads = later - later.transpose(-1, -2)
-        asymmetry = unit.pow(3).mean(dim=-1)
-        return torch.cat([mean, sd, *goes_on, asymmetry, alike[..., row, column], leads[..., row, column]], dim=-1)
+    def _statistics(self, energy: Tensor, moving: Tensor) -> Tensor:
+        """Return what describes excerpts (k, N_BANDS, f) whose frames move or rest (k, f): (k, n_statistics).
 
-    def _stretches(self, energy: Tensor) -> list[Tensor]:
-        """Return log energies of all bands over two stretches in a row, for stretches of several lengths: (k, any, 2 N_BANDS)."""
+        All zero where an excerpt is too short.
+        """
+        counts = moving[:, None].float()
+        logs = counts * (torch.log(energy + self._floor) - self._mean) / self._sd
+        n = counts.sum(dim=-1).clamp_min(1)
+        mean = logs.sum(dim=-1) / n
+        off = counts * (logs - mean[..., None])
+        variance = off.square().sum(dim=-1) / n + _LEAST_VARIANCE
+        sd = variance.sqrt()
+
+        def pairs(lag: int) -> Tensor:
+            return (counts[..., lag:] * counts[..., :-lag]).sum(dim=-1).clamp_min(1)
+
+        goes_on = [
+            (off[..., lag:] * off[..., :-lag]).sum(dim=-1) / pairs(lag) / variance
+            for lag in LAGS
+            if lag < off.shape[-1]
+        ]
+        unit = off / sd[..., None]
+        row, column = np.triu_indices(N_BANDS, 1)
+        alike = unit @ unit.transpose(-1, -2) / n[..., None]
+        later = unit[..., 1:] @ unit[..., :-1].transpose(-1, -2) / pairs(1)[..., None]
+        leads = later - later.transpose(-1, -2)
+        asymmetry = unit.pow(3).sum(dim=-1) / n
+        described = torch.cat([mean, sd, *goes_on, asymmetry, alike[..., row, column], leads[..., row, column]], dim=-1)
+        return described * (n >= LEAST_FRAMES)
+
+    def _stretches(self, energy: Tensor, moving: Tensor) -> list[Tensor]:
+        """Return log energies of all bands over two stretches in a row, for stretches of several lengths: (k, any, 2 N_BANDS).
+
+        Zero where all of a stretch is at rest.
+        """
         parts = []
+        counts = moving[:, None].float()
         for length in POOLED:
             n = energy.shape[-1] // length
             if n < 2:
                 break
-            pooled = energy[..., : n * length].reshape(*energy.shape[:-1], n, length).mean(dim=-1)
-            logs = torch.log(pooled + self._floor) / self._sd
+            pooled, counted = (
+                one[..., : n * length].unflatten(-1, (n, length)).sum(dim=-1) for one in (counts * energy, counts)
+            )
+            logs = torch.log(pooled / counted.clamp_min(1) + self._floor) / self._sd * (counted > 0)
             parts.append(torch.cat([logs[..., :-1], logs[..., 1:]], dim=-2).transpose(-1, -2))
         return parts
 

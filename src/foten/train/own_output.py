@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from foten.dsp import Array
 from foten.dsp.bands import BAND_FRAME_MS
 from foten.dsp.lattice import analyse
+from foten.dsp.level import framed
 from foten.dsp.tones import tone
 from foten.networks.innovation import InnovationNetwork
 from foten.reference.excitation import Scale as LevelOf
@@ -77,6 +78,11 @@ class Excerpts:
         """Return excerpts (k, n) and what was recorded before each (k, n_before), scaled."""
         around = self.blocks.samples[block[:, None], start[:, None] + np.arange(-self.n_before, self.n), 0]
         return around[:, self.n_before :], around[:, : self.n_before]
+
+    def moving(self, block: NDArray[np.int64], start: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return in which frames of excerpts a rendering does not fade, (k, n_frames)."""
+        samples = self.blocks.moving()[block[:, None], start[:, None] + np.arange(self.n)]
+        return framed(samples, BAND_FRAME_MS, self.blocks.trace.rate_hz).all(axis=-1)
 
     def rolled_out(
         self, network: InnovationNetwork, block: NDArray[np.int64], start: NDArray[np.int64], rng: np.random.Generator
@@ -159,7 +165,8 @@ def fit_own_output(
         likelihood: the negative log-likelihood of a batch of recorded samples, with a gradient.
     """
     split, rate = excerpts.blocks.split, excerpts.blocks.trace.rate_hz
-    likeness = Likeness(excerpts.recorded(*excerpts.draw(split.train, N_KNOWN, np.random.default_rng(seed)))[0], rate)
+    known = excerpts.draw(split.train, N_KNOWN, np.random.default_rng(seed))
+    likeness = Likeness(excerpts.recorded(*known)[0], excerpts.moving(*known), rate)
 
     def judged(one: InnovationNetwork) -> float:
         rng = np.random.default_rng(seed + 1)  # the same excerpts and noise for both
@@ -214,4 +221,5 @@ def _loss(
     run, vibration = excerpts.rolled_out(network, np.tile(block, 2), np.tile(start, 2), rng)
     drawn = torch.from_numpy(vibration.astype(np.float32)).requires_grad_()
     recorded, prefix = (torch.from_numpy(one).float() for one in excerpts.recorded(block, start))
-    return likeness(drawn.unflatten(0, (2, len(block))), recorded, prefix), drawn, run
+    moving = torch.from_numpy(excerpts.moving(block, start))
+    return likeness(drawn.unflatten(0, (2, len(block))), recorded, prefix, moving), drawn, run
