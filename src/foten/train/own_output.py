@@ -82,7 +82,7 @@ class Excerpts:
     def moving(self, block: NDArray[np.int64], start: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return in which frames of excerpts a rendering does not fade, (k, n_frames)."""
         samples = self.blocks.moving()[block[:, None], start[:, None] + np.arange(self.n)]
-        return framed(samples, BAND_FRAME_MS, self.blocks.trace.rate_hz).all(axis=-1)
+        return np.asarray(framed(samples, BAND_FRAME_MS, self.blocks.trace.rate_hz).all(axis=-1))
 
     def rolled_out(
         self, network: InnovationNetwork, block: NDArray[np.int64], start: NDArray[np.int64], rng: np.random.Generator
