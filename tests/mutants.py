@@ -456,6 +456,20 @@ MUTANTS = (
         ("tests/test_innovations.py",),
     ),
     Mutant(
+        "the hand is given with noise as well",
+        PACKAGE + "train/innovations.py",
+        "given[..., :3] += torch",
+        "given[..., 1:4] += torch",
+        ("tests/test_innovations.py",),
+    ),
+    Mutant(
+        "what is at rest counts for the likeness",
+        PACKAGE + "train/likeness.py",
+        "counts = moving[:, None].float()\n        logs",
+        "counts = torch.ones_like(moving[:, None].float())\n        logs",
+        ("tests/test_own_output.py",),
+    ),
+    Mutant(
         "an innovation network is fitted to the validation blocks",
         PACKAGE + "train/innovations.py",
         "self._chunks = _chunks(of, blocks.split.train, warm_up)",
