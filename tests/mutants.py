@@ -456,6 +456,13 @@ MUTANTS = (
         ("tests/test_innovations.py",),
     ),
     Mutant(
+        "what is chosen by is what is reported",
+        PACKAGE + "experiments/validation_listener.py",
+        "HAND_NUMBER = 2",
+        "HAND_NUMBER = 1",
+        ("tests/test_validation_listener.py",),
+    ),
+    Mutant(
         "the hand is given with noise as well",
         PACKAGE + "train/innovations.py",
         "given[..., :3] += torch",

@@ -67,12 +67,12 @@ def test_recipes_are_runs_of_their_own_and_may_name_a_recipe(tmp_path: Path) -> 
 
 def test_a_method_may_have_fewer_splits_and_measures_of_the_first(tmp_path: Path) -> None:
     text = TINY.replace("[train]", "split_seeds = [2, 3]\n[train]").replace(
-        '"FNN [13]"}', '"FNN [13]", split_seeds = [3]}, {model = "foten-plus", measures = ["stability"]}'
+        '"FNN [13]"}', '"FNN [13]", split_seeds = [3]}, {model = "foten-plus", measures = ["stability", "listener"]}'
     )
     runs = read_experiment(experiment(tmp_path, text)).runs()
     assert {run.split_seed for run in runs if run.method == "FNN [13]"} == {3}
     measured = {(run.split_seed, run.measures) for run in runs if run.model == "foten-plus"}
-    assert measured == {(2, ("stability",)), (3, ())}
+    assert measured == {(2, ("stability", "listener")), (3, ("listener",))}
 
 
 def test_recordings_are_where_it_is_said(tmp_path: Path) -> None:

@@ -84,7 +84,7 @@ def test_every_measure_that_a_file_may_name_is_there(texture: Texture, monkeypat
     own = [name for name in MEASURES if name != "listener"]  # which the evaluation asks
     for name in own:
         monkeypatch.setattr(f"foten.experiments.run.{name}", lambda *_, name=name: {"named": name})
-    assert _measures(MEASURES, texture, None) == {name: {"named": name} for name in own}  # type: ignore[arg-type]
+    assert _measures(MEASURES, texture, None, None) == {name: {"named": name} for name in own}  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("measures", [(), ("stability", "listener")])

@@ -251,11 +251,36 @@ def test_ratios_are_of_the_same_texture_and_split(swept: Path) -> None:
         one["beside"] = "FNN [13]" if one["method"] == "excited" else ""
     for k, factor in ((1, 2.0), (3, 4.0)):
         records[k]["one_step.mae_scaled"] = factor * records[k - 1]["one_step.mae_scaled"]
+    for k, one in enumerate(records):
+        one["validation_listener.area"] = 0.9 - 0.1 * (k % 2) * (1 + k // 2)
     heading, row = ratios(records)
     line = dict(zip(heading, row, strict=True))
     assert (line[""], line["beside"], line["pairs"]) == ("excited", "FNN [13]", "2")
     assert line["test: one step"] == "3.000 ± 1.000"  # sd of 2 and 4 over √2
+    assert line["validation: listener"] == "-0.150 ± 0.050"  # of 0.1 and 0.2
     assert line["test: LSD"] == "–"  # one has no excitation
+
+
+def test_parts_of_a_sweep_are_one(swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert _status(["tables", str(swept), "-o", str(tmp_path / "whole")]) == 0
+    rows = (tmp_path / "whole/runs.csv").read_text().splitlines(keepends=True)
+    for name, some in (("first", rows[:3]), ("second", [rows[0], *rows[2:]])):  # the second run is in both
+        (tmp_path / f"{name}.csv").write_text("".join(some))
+    parts = [str(tmp_path / f"{name}.csv") for name in ("first", "second")]
+    assert _status(["tables", *parts, "-o", str(tmp_path / "joined")]) == 0
+    figures, joined = (  # columns stand in another order where a run has others
+        [
+            {key: value for key, value in one.items() if value is not None}
+            for one in read_records(tmp_path / name / "runs.csv")
+        ]
+        for name in ("whole", "joined")
+    )
+    assert joined == figures
+    assert (tmp_path / "joined/summary.md").read_text() == (tmp_path / "whole/summary.md").read_text()
+    (tmp_path / "other.csv").write_text("".join(rows).replace(rows[1].split(",")[0], "Another"))
+    capsys.readouterr()
+    assert _status(["tables", parts[0], str(tmp_path / "other.csv")]) == 2
+    assert "'Another', expected those of one experiment" in capsys.readouterr().err
 
 
 def test_figures_are_drawn_from_the_results(swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -85,7 +85,11 @@ def sweep(
 
 def tables(
     results: Annotated[
-        Path, Argument(metavar="DIR|runs.csv", help="Results of foten sweep, or what this wrote of them.")
+        list[Path],
+        Argument(
+            metavar="DIR|runs.csv...",
+            help="Results of foten sweep, or what this wrote of them; of several parts of one sweep.",
+        ),
     ],
     output: Annotated[
         Path | None, folder_option("Write each table as .md, .csv and .tex, and every figure of every run as runs.csv.")
@@ -93,10 +97,10 @@ def tables(
     as_json: JsonOption = False,
 ) -> None:
     """Set the results of a sweep beside references and beside the paper's figures."""
-    from foten.experiments.results import chosen, read_records, title_of, written_records
+    from foten.experiments.results import chosen, joined, read_records, title_of, written_records
     from foten.experiments.tables import FIGURES, FORMATS, caveats, findings, ratios, summary, table, written
 
-    records = read_records(results)
+    records = joined([read_records(one) for one in results])
     check_folder(output)
     shown = chosen(records)
     cells = {"summary": summary(shown)} | {name: table(shown, name) for name in FIGURES}

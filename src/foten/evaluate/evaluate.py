@@ -18,8 +18,7 @@ from foten.recording.recording import RELATIVE, Recording
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.recording.windows import targets
-from foten.runtime.loops import on_all_cores
-from foten.runtime.native import NativeState, NativeTexture
+from foten.runtime.native import NativeTexture
 
 ONE_STEP_KEYS = ("mae_scaled", "mae_m_s2", "gfc")
 REFERENCES = ("zero", "persistence", "ar", "ar_scheduled", "ar_best", "lattice", "bound", "bound_window")
@@ -28,7 +27,6 @@ FREE_RUN_KEYS = (
     *("lsd_db", "lsd_long_db", "gfc_raw", "gfc_welch", "level_bias_db", "level_error_db", "level_corr"),
     *("kurtosis", "max_sd"),
 )
-LISTENER_STREAM = 2**35  # of noise, the first that listeners are played
 ANCHOR_ORDER = 20  # of the linear predictor that every model is held against
 _WHY_UNKNOWN = {
     "level_bias_db": "blocks hold no frame of 40 ms after their first fifth",
@@ -163,22 +161,11 @@ def _listener(
     if not texture.has_excitation:
         reasons["listener"] = f"{texture.card['model']} carries no excitation"
         return None
-    from foten.evaluate.listener import listener_scores, long_stroke
+    from foten.evaluate.listener import listener_scores, long_stroke, renderings
 
     recorded, *others = [long_stroke(one) for one in truth.strokes] or [long_stroke(trace, blocks)]
-
-    def rendered(number: int) -> Array:
-        run = np.empty_like(recorded.acceleration)
-
-        def render(piece: int) -> None:
-            state = NativeState(kernel, seed=number, stream=LISTENER_STREAM + piece)
-            run[piece] = state.render_stroke(recorded.speed[piece], recorded.force[piece])
-
-        on_all_cores(render, len(run))
-        return run
-
     try:
-        return listener_scores(recorded, rendered, others, seed, on_stage)
+        return listener_scores(recorded, renderings(kernel, recorded), others, seed, on_stage)
     except ValueError as error:
         reasons["listener"] = str(error)
         return None

@@ -24,12 +24,15 @@ from foten.dsp.bands import BAND_FRAME_MS, band_energies
 from foten.dsp.level import framed
 from foten.families.conditions import FADE_FORCE, FADE_SPEED
 from foten.recording.trace import Trace
+from foten.runtime.loops import on_all_cores
+from foten.runtime.native import NativeState, NativeTexture
 
 if TYPE_CHECKING:
     from foten.networks.listener import Vibration
 
 N_LISTENERS = 3  # each with a seed of its own, and another rendering
 TRAIN_SHARE, TEST_SHARE = 0.6, 0.3  # the first and the last part of a stroke; what lies between keeps them apart
+STREAM = 2**35  # of noise, the first that listeners are played
 LEAST_S = (
     40.0  # of a stroke: 24 s to learn from, and 12 s, 100 excerpts that overlap by three quarters, to be scored on
 )
@@ -65,6 +68,22 @@ def long_stroke(trace: Trace, blocks: tuple[int, ...] | None = None) -> LongStro
     if blocks is None:
         return LongStroke(trace.acceleration[None], trace.speed[None], trace.force[None], trace.rate_hz)
     return LongStroke(*trace.picked(blocks), trace.rate_hz)
+
+
+def renderings(kernel: NativeTexture, recorded: LongStroke) -> Callable[[int], Array]:
+    """Return what renders a texture under a recorded hand: seed → vibration [m/s²], of the recorded shape."""
+
+    def rendered(seed: int) -> Array:
+        run = np.empty_like(recorded.acceleration)
+
+        def render(piece: int) -> None:
+            state = NativeState(kernel, seed=seed, stream=STREAM + piece)
+            run[piece] = state.render_stroke(recorded.speed[piece], recorded.force[piece])
+
+        on_all_cores(render, len(run))
+        return run
+
+    return rendered
 
 
 def listener_scores(

@@ -20,8 +20,12 @@ from foten.recording.recording import Recording
 from foten.train.config import OWN_RECIPES, RECIPES, TrainConfig, check_used
 
 RECORDED = (".h5", ".hdf5")
-MEASURES = ("stability", "onset", "innovations", "listener")
-"""What may be measured of a texture file beside its evaluation, each a module of this package."""
+OF_FIRST_SPLIT = ("stability", "onset", "innovations")
+MEASURES = (*OF_FIRST_SPLIT, "listener", "validation_listener")
+"""What may be measured of a texture file beside its evaluation, each a module of this package or the evaluation's.
+
+Of the first split of each texture, those of `OF_FIRST_SPLIT`; of every split what listeners can tell.
+"""
 OF_TRAINING = {one.name for one in fields(TrainConfig)} - {"recipe"}
 
 
@@ -81,7 +85,7 @@ class Method:
     recipes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     beside: str = ""  # the name of the method that this one is a change of: their ratios are a table
     split_seeds: tuple[int, ...] | None = None  # None for the experiment's
-    measures: tuple[str, ...] = ()  # of `MEASURES`, beside the evaluation, on the first split of each texture
+    measures: tuple[str, ...] = ()  # of `MEASURES`, beside the evaluation
 
 
 @dataclass(frozen=True)
@@ -142,7 +146,8 @@ class Experiment:
         except (TypeError, ValueError) as error:
             raise ValueError(f"method {name!r}: {error}") from error
         seconds = None if texture.endswith(RECORDED) else self.seconds
-        measures = method.measures if split_seed == self.split_seeds[0] else ()
+        first = split_seed == self.split_seeds[0]
+        measures = tuple(name for name in method.measures if first or name not in OF_FIRST_SPLIT)
         return Run(
             name, texture, seconds, model, sizes, train, preprocess, split_seed, cell, recipe, method.beside, measures
         )

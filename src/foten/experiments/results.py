@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -154,6 +155,22 @@ def _flat(scores: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
             yield from _flat(value, f"{prefix}{key}.")
         elif value is None or isinstance(value, int | float):
             yield f"{prefix}{key}", value
+
+
+def joined(parts: Sequence[Records]) -> list[dict[str, Any]]:
+    """Return the runs of several sweeps as one, in order; of a run that several have, the first.
+
+    Raises:
+        ValueError: they are of several experiments.
+    """
+    titles = list(dict.fromkeys(one["experiment"] for part in parts for one in part))
+    if len(titles) > 1:
+        raise ValueError(f"results of {' and of '.join(map(repr, titles))}, expected those of one experiment")
+    names = ("method", "recipe", "texture", "split", "recording_sha256")
+    runs: dict[tuple[Any, ...], dict[str, Any]] = {}
+    for one in itertools.chain.from_iterable(parts):
+        runs.setdefault(tuple(one[name] for name in names), dict(one))
+    return list(runs.values())
 
 
 def read_records(path: Path) -> list[dict[str, Any]]:

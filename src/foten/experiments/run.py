@@ -15,6 +15,7 @@ from foten.experiments.innovations import innovations
 from foten.experiments.onset import onset
 from foten.experiments.stability import stability
 from foten.experiments.truth import truth_for
+from foten.experiments.validation_listener import validation_listener
 from foten.families import FotenPlusSizes, sizes_of
 from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
@@ -80,18 +81,19 @@ def _judged(run: Run, recording: Recording, texture: Texture, seconds: float, n_
         "validation_mae_scaled": metrics["validation_mae_scaled"],
         "file_bytes": len(texture.to_bytes()),
         "network_in_loop": texture.sizes.network_in_loop if isinstance(texture.sizes, FotenPlusSizes) else None,
-        "measures": _measures(run.measures, texture, judgement.trace),
+        "measures": _measures(run.measures, texture, recording, judgement.trace),
         "evaluation": document,
         "signals": _signals(judgement),
     }
 
 
-def _measures(names: Sequence[str], texture: Texture, trace: Trace) -> dict[str, Any]:
+def _measures(names: Sequence[str], texture: Texture, recording: Recording, trace: Trace) -> dict[str, Any]:
     """Return what a texture file is measured for beside its evaluation, by measure."""
     measures: dict[str, Callable[[], dict[str, Any]]] = {
         "stability": lambda: stability(texture),
         "onset": lambda: onset(texture),
         "innovations": lambda: innovations(texture, trace),
+        "validation_listener": lambda: validation_listener(texture, recording),
     }
     return {name: measures[name]() for name in names if name in measures}  # the listener is the evaluation's
 

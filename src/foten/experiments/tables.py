@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from operator import sub, truediv
 from typing import Any
 
 import numpy as np
@@ -26,13 +27,14 @@ from foten.experiments.results import (
     rows_of,
 )
 
-RATIOS = (
-    ("validation: one step", "validation.mae_scaled"),
-    ("validation: LSD", "validation.lsd_db"),
-    ("test: one step", "one_step.mae_scaled"),
-    ("test: LSD", "free_run.lsd_db"),
-    ("test: level error", "free_run.level_error_db"),
+CHANGES: tuple[tuple[str, str, Callable[[float, float], float]], ...] = (
+    ("validation: one step", "validation.mae_scaled", truediv),
+    ("validation: listener", "validation_listener.area", sub),
+    ("test: one step", "one_step.mae_scaled", truediv),
+    ("test: LSD", "free_run.lsd_db", truediv),
+    ("test: level error", "free_run.level_error_db", truediv),
 )
+"""Of what a method is compared with the one that it stands beside, where that is in a record, and how."""
 FORMATS = ("md", "csv", "tex")
 PAPERS = "paper's MAE, unit not stated"
 _LATEX = str.maketrans(
@@ -96,28 +98,30 @@ def table(records: Records, figure: str) -> list[list[str]]:
 def ratios(records: Records) -> list[list[str]]:
     """Return the figures of each method that stands beside another, over the other's on the same textures and splits.
 
-    Ratios of the validation blocks and of the test blocks: choose by the former. Means over textures ± their standard error;
-    where neither rendering uses its network, free runs are the same and are left out.
+    Ratios, of areas under a listener's curve differences; of validation and of test: choose by the former. Means over textures ±
+    their standard error; a dash where there is no such figure.
     """
-    cells = [["", "beside", "pairs", *(title for title, _ in RATIOS)]]
+    cells = [["", "beside", "pairs", *(title for title, *_ in CHANGES)]]
     for name, beside in dict.fromkeys((one["method"], one["beside"]) for one in records if one["beside"]):
         others = {(one["texture"], one["split"]): one for one in records if one["method"] == beside}
         own = [one for one in records if one["method"] == name]
         pairs = [(one, others[key]) for one in own if (key := (one["texture"], one["split"])) in others]
-        cells.append([name, beside, str(len(pairs)), *(_ratio(pairs, path) for _, path in RATIOS)])
+        cells.append([name, beside, str(len(pairs)), *(_change(pairs, path, change) for _, path, change in CHANGES)])
     return cells
 
 
-def _ratio(pairs: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]], path: str) -> str:
+def _change(
+    pairs: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]], path: str, change: Callable[[float, float], float]
+) -> str:
     by_texture: dict[str, list[float]] = {}
     for one, other in pairs:
         if one.get(path) is not None and other.get(path):
-            by_texture.setdefault(one["texture"], []).append(one[path] / other[path])
+            by_texture.setdefault(one["texture"], []).append(change(one[path], other[path]))
     if not by_texture:
         return "–"
     values = np.array([np.mean(of) for of in by_texture.values()])
     error = f" ± {values.std(ddof=1) / np.sqrt(values.size):.3f}" if values.size > 1 else ""
-    return f"{values.mean():.3f}{error}"
+    return f"{values.mean():{'+' if change is sub else ''}.3f}{error}"
 
 
 def caveats(records: Records, name: str = "summary") -> list[str]:

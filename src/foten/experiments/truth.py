@@ -59,19 +59,27 @@ def truth_for(
     return Truth(realisations, strokes, *linear_bounds(recording, trace, config.highpass_hz, texture.window))
 
 
-def long_strokes(recording: Recording, texture: Texture) -> tuple[Trace, ...]:
-    """Return realisations of a long stroke by another hand over a simulated texture; none of what was not simulated here."""
+def long_strokes(
+    recording: Recording, texture: Texture, n: int = 1 + N_LISTENERS, hand_number: int = 1
+) -> tuple[Trace, ...]:
+    """Return n realisations of a long stroke by another hand over a simulated texture; none of what was not simulated here.
+
+    Each hand has a stroke and places of its own.
+    """
     try:
         if recording.simulation is None:
             return ()
         used, hand = (int(recording.simulation[name]) for name in ("noise_seed", "stroke_seed"))
 
         def realisation(k: int) -> Trace:
-            seeds = {"noise_seed": used + 1_000_003 * (100 + k), "stroke_seed": hand + 1_000_003}
+            seeds = {
+                "noise_seed": used + 1_000_003 * (100 * hand_number + k),
+                "stroke_seed": hand + 1_000_003 * hand_number,
+            }
             return trace_for(texture, second_realisation(recording, seconds=LONG_S, **seeds))
 
         with ThreadPoolExecutor() as pool:
-            return tuple(pool.map(realisation, range(1 + N_LISTENERS)))
+            return tuple(pool.map(realisation, range(n)))
     except (KeyError, TypeError, ValueError):
         return ()
 
