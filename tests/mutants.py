@@ -457,17 +457,10 @@ MUTANTS = (
     ),
     Mutant(
         "what is chosen by is what is reported",
-        PACKAGE + "experiments/validation_listener.py",
-        "HAND_NUMBER = 2",
-        "HAND_NUMBER = 1",
-        ("tests/test_validation_listener.py",),
-    ),
-    Mutant(
-        "the hand is given with noise as well",
-        PACKAGE + "train/innovations.py",
-        "given[..., :3] += torch",
-        "given[..., 1:4] += torch",
-        ("tests/test_innovations.py",),
+        PACKAGE + "experiments/truth.py",
+        "VALIDATION_HAND = 2",
+        "VALIDATION_HAND = 1",
+        ("tests/test_truth.py",),
     ),
     Mutant(
         "what is at rest counts for the likeness",

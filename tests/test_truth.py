@@ -12,11 +12,12 @@ from conftest import PLUS, exported
 from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.listener import N_LISTENERS
-from foten.experiments.truth import truth_for
-from foten.families import FotenPlusSizes
+from foten.experiments.truth import VALIDATION_HAND, long_strokes, truth_for, validation_listener
+from foten.families import FotenPlusSizes, sizes_of
+from foten.families.texture_file import texture_from_bytes
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
-from foten.train.config import TrainConfig
+from foten.train.config import TrainConfig, recipe_of
 from foten.train.job import Trained, TrainingJob
 from foten.train.pipeline import train
 
@@ -78,3 +79,40 @@ def test_listeners_have_true_vibrations_under_another_and_longer_hand(monkeypatc
     assert abs(np.corrcoef(own.speed[:n], first.speed[:n])[0, 1]) < 0.5
     assert not truth_for(recording, texture).strokes
     assert not truth_for(dataclasses.replace(recording, simulation=None), texture, listener=True).strokes
+
+
+@pytest.fixture
+def short_listener(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("foten.experiments.truth.LONG_S", 60.0)
+    monkeypatch.setattr("foten.networks.listener.N_STEPS", 150)
+
+
+@pytest.mark.usefixtures("short_listener")
+def test_what_is_chosen_by_is_another_hand_and_another_place_than_what_is_reported() -> None:
+    recording, texture = simulate("linear-hum", 8, seed=3), exported("foten", preprocess={"block_ms": 500.0})
+    (chosen_by,), reported = long_strokes(recording, texture, 1, VALIDATION_HAND), long_strokes(recording, texture)
+    assert len(reported) == 1 + N_LISTENERS
+    for one in reported:
+        n = min(len(one.speed), len(chosen_by.speed))
+        assert abs(np.corrcoef(one.speed[:n], chosen_by.speed[:n])[0, 1]) < 0.5
+        assert abs(np.corrcoef(one.acceleration[:n], chosen_by.acceleration[:n])[0, 1]) < 0.15
+
+
+@pytest.mark.usefixtures("short_listener")
+def test_the_area_of_a_linear_process_is_near_chance_and_of_a_louder_one_certainty() -> None:
+    """Of 60 s the area scatters by 0.07, as in `test_listener`; twice as loud is plain."""
+    recording = simulate("linear-cloth", 30, seed=1)
+    config = recipe_of("foten-plus", threads=1, epochs=0, volatility=False, tails=False)
+    texture = train(TrainingJob(recording, "foten-plus", sizes_of("foten-plus", {}), config)).texture
+    assert validation_listener(texture, recording)["area"] < 0.75
+    scaling = texture.card["scaling"]["sd"]
+    louder = dataclasses.replace(
+        texture, card={**texture.card, "scaling": {**texture.card["scaling"], "sd": [2 * scaling[0], *scaling[1:]]}}
+    )
+    assert validation_listener(texture_from_bytes(louder.to_bytes()), recording)["area"] > 0.95
+
+
+@pytest.mark.usefixtures("short_listener")
+def test_of_a_recording_no_listener_is_asked_to_choose() -> None:
+    recording = dataclasses.replace(simulate("linear-hum", 8), simulation=None)
+    assert validation_listener(exported("foten", preprocess={"block_ms": 500.0}), recording) == {}

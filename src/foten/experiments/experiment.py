@@ -22,7 +22,7 @@ from foten.train.config import OWN_RECIPES, RECIPES, TrainConfig, check_used
 RECORDED = (".h5", ".hdf5")
 OF_FIRST_SPLIT = ("stability", "onset", "innovations")
 MEASURES = (*OF_FIRST_SPLIT, "listener", "validation_listener")
-"""What may be measured of a texture file beside its evaluation, each a module of this package or the evaluation's.
+"""What may be measured of a texture file beside its evaluation, each a function of this package or the evaluation's.
 
 Of the first split of each texture, those of `OF_FIRST_SPLIT`; of every split what listeners can tell.
 """

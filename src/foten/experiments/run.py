@@ -14,8 +14,7 @@ from foten.experiments.experiment import Run
 from foten.experiments.innovations import innovations
 from foten.experiments.onset import onset
 from foten.experiments.stability import stability
-from foten.experiments.truth import truth_for
-from foten.experiments.validation_listener import validation_listener
+from foten.experiments.truth import truth_for, validation_listener
 from foten.families import FotenPlusSizes, sizes_of
 from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig

@@ -1,8 +1,9 @@
-"""The simulator's truth of a recording, for the evaluation: further realisations, bounds of any predictor."""
+"""The simulator's truth of a recording: further realisations and bounds of any predictor to judge by, and what to choose by."""
 
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 
@@ -12,13 +13,15 @@ from foten.dsp import Array
 from foten.dsp.filters import butterworth
 from foten.evaluate.evaluate import Truth, trace_for
 from foten.evaluate.free_run import N_SEEDS
-from foten.evaluate.listener import N_LISTENERS
+from foten.evaluate.listener import N_LISTENERS, long_stroke, renderings, vibrations
 from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.recording.trace import Trace
+from foten.runtime.native import NativeTexture
 
 LONG_S = 240.0  # of a stroke for listeners
+VALIDATION_HAND = 2  # the number of the hand that nothing is reported of
 
 
 def truth_for(
@@ -82,6 +85,24 @@ def long_strokes(
             return tuple(pool.map(realisation, range(n)))
     except (KeyError, TypeError, ValueError):
         return ()
+
+
+def validation_listener(texture: Texture, recording: Recording) -> dict[str, Any]:
+    """Return `area`, the mean area under three listeners' curves; nothing of what was not simulated, or has no excitation.
+
+    As the evaluation's, of band energies, but under a third hand: neither the one that was learned from nor that of the reported
+    figures, so that it can be chosen by.
+    """
+    strokes = long_strokes(recording, texture, 1, VALIDATION_HAND) if texture.has_excitation else ()
+    if not strokes:
+        return {}
+    from foten.networks.listener import listener_auc
+
+    recorded = long_stroke(strokes[0])
+    rendered = renderings(NativeTexture(texture.to_bytes()), recorded)
+    runs = [recorded.with_acceleration(rendered(seed)) for seed in range(N_LISTENERS)]
+    areas = [listener_auc(*vibrations(recorded, run, waveform=False), seed=seed) for seed, run in enumerate(runs)]
+    return {"area": float(np.mean(areas))}
 
 
 def linear_bounds(recording: Recording, trace: Trace, highpass_hz: float, window: int) -> tuple[Array, Array]:

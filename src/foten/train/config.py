@@ -93,7 +93,7 @@ There dense layers begin with Glorot's uniform weights and zero biases, here wit
 OWN_RECIPES: dict[str, dict[str, Any]] = {
     # Epochs of 100 steps, of chunks; what is left to learn of a linear process ends them by patience.
     "foten-plus": {
-        **{"optimiser": "adamw", "learning_rate": 4e-3, "weight_decay": 0.1, "batch": 32},
+        **{"optimiser": "adamw", "learning_rate": 4e-3, "weight_decay": 0.1, "batch": 64},
         **{"patience": 4, "probation": 10_000},
     },
     "ten": {"delta": 2.0},
