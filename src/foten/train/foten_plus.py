@@ -32,7 +32,7 @@ from foten.train.epochs import Epoch, Progress
 from foten.train.excitation import FittedExcitation, fit_excitation, settle_gain
 from foten.train.export import N_GOLDEN, Draft, Tensors, tensors_of
 from foten.train.fit import TrainingWindows, pick_device
-from foten.train.innovations import Batches, Innovations, fit_innovations, innovations_of, scored, validated
+from foten.train.innovations import Batches, Innovations, fit_innovations, innovations_of, mixtures, scored, validated
 from foten.train.job import Stage, Task, TrainingJob
 from foten.train.linear_part import LinearPart, fit_linear_parts, phase_alone
 from foten.train.own_output import N_STEPS, OwnOutput, excerpts_of, fit_own_output
@@ -149,7 +149,7 @@ class FotenPlusTask(Task):
 
         def likelihood(one: InnovationNetwork, rng: np.random.Generator) -> Tensor:
             inputs, follows = batches.draw(rng)
-            return negative_log_likelihood(one(inputs), follows)[:, window:].mean()
+            return negative_log_likelihood(mixtures(one, inputs), follows)[:, window:].mean()
 
         def on_step(step: int) -> None:
             if step % (N_STEPS // 4) == 0:

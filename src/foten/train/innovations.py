@@ -22,6 +22,7 @@ from foten.train.blocks import ScaledBlocks
 from foten.train.config import TrainConfig
 from foten.train.epochs import Epoch, Progress, run_epochs
 from foten.train.fit import epoch_seed, rate_of
+from foten.train.kernel import hidden_states
 from foten.train.optimiser import Optimiser
 
 STEPS_PER_EPOCH = 100
@@ -191,7 +192,7 @@ def fit_innovations(
         loss = torch.zeros((), device=device)
         for network, (inputs, follows) in zip(live, draws, strict=True):
             inputs, follows = (one.chunk(n_threads)[share] for one in (inputs, follows))
-            nll = negative_log_likelihood(network(inputs), follows)[:, warm_up:]
+            nll = negative_log_likelihood(mixtures(network, inputs), follows)[:, warm_up:]
             loss = loss + nll.mean() * (len(inputs) / config.batch)
         return loss.detach(), torch.autograd.grad(loss, trained)
 
@@ -227,6 +228,11 @@ def fit_innovations(
         return run_epochs(kept, config, parts, one_epoch, validate, on_epoch, checkpoint, resume)
 
 
+def mixtures(network: InnovationNetwork, inputs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return what a network says after each sample, as the network itself, in less time: (b, n, n_inputs) → (b, n, k) each."""
+    return network.mixture(hidden_states(network.recurrent, inputs), inputs)
+
+
 def validated(
     network: InnovationNetwork, of: Innovations, tensors: tuple[Tensor, Tensor], numbers: tuple[int, ...], warm_up: int
 ) -> tuple[float, float]:
@@ -244,7 +250,7 @@ def scored(
     """
     inputs, follows = (one[list(numbers)] for one in tensors)
     with torch.no_grad():
-        mixture = network(inputs)
+        mixture = mixtures(network, inputs)
         nats = negative_log_likelihood(mixture, follows)[:, warm_up:].cpu().double().numpy()
         missed = (follows - (mixture[0].exp() * mixture[1]).sum(dim=-1))[:, warm_up:].abs().cpu().double().numpy()
     return nats, missed, of.unit[list(numbers), of.first + 1 :][:, warm_up:]

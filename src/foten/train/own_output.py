@@ -28,9 +28,10 @@ from foten.reference.excitation import Scale as LevelOf
 from foten.reference.foten_plus import Tones
 from foten.train.blocks import ScaledBlocks
 from foten.train.innovations import Innovations
+from foten.train.kernel import hidden_states
 from foten.train.likeness import Likeness
 from foten.train.linear_part import LinearPart
-from foten.train.roll_out import PARTS, Beginning, RollOut, Surroundings
+from foten.train.roll_out import PARTS, Beginning, RollOut, Surroundings, repeated
 
 N_STEPS = 200
 N_EXCERPTS = 32  # of a step, each rendered twice
@@ -85,10 +86,18 @@ class Excerpts:
         return np.asarray(framed(samples, BAND_FRAME_MS, self.blocks.trace.rate_hz).all(axis=-1))
 
     def rolled_out(
-        self, network: InnovationNetwork, block: NDArray[np.int64], start: NDArray[np.int64], rng: np.random.Generator
+        self,
+        network: InnovationNetwork,
+        block: NDArray[np.int64],
+        start: NDArray[np.int64],
+        rng: np.random.Generator,
+        times: int = 1,
     ) -> tuple[RollOut, Array]:
-        """Return the network's roll-outs of excerpts, and the whole vibration (k, n), scaled."""
+        """Return the network's roll-outs of k excerpts, and the whole vibration (times · k, n), scaled: all in turn, `times`."""
         around, begin, coefficients = self._surroundings(network, block, start)
+        if times > 1:
+            around, begin = repeated(around, times), repeated(begin, times)
+            coefficients = None if coefficients is None else np.tile(coefficients, (times, 1, 1))
         weights = {name: dict(network.named_parameters())[name].detach().cpu().numpy() for name in PARTS}
         run = RollOut(weights, around, begin, rng)
         tones = 0.0 if coefficients is None else tone(coefficients, run.phase)
@@ -119,7 +128,7 @@ class Excerpts:
         inputs = self.of.inputs[rows, start[:, None] + np.arange(-WARM_UP, 0)]
         device = next(network.parameters()).device
         with torch.no_grad():
-            hidden, _ = network.recurrent(torch.from_numpy(inputs).float().to(device))
+            hidden = hidden_states(network.recurrent, torch.from_numpy(inputs).float().to(device))
         logs = lattice.level.logarithms(whole[rows, at[:, p:], :2].reshape(-1, 2)).reshape(len(block), self.n, 2)
         arrays = (reflections[:, p:], level[:, p:], logs, states, hidden[:, -1].cpu().numpy(), inputs[:, -1])
         k, of_level, of_hand, of_lattice, of_network, last = (
@@ -218,7 +227,7 @@ def _loss(
     rng: np.random.Generator,
 ) -> tuple[Tensor, Tensor, RollOut]:
     """Return the loss of two roll-outs of each excerpt, what was drawn (2k, n), which has a gradient of it, and the roll-outs."""
-    run, vibration = excerpts.rolled_out(network, np.tile(block, 2), np.tile(start, 2), rng)
+    run, vibration = excerpts.rolled_out(network, block, start, rng, 2)
     drawn = torch.from_numpy(vibration.astype(np.float32)).requires_grad_()
     recorded, prefix = (torch.from_numpy(one).float() for one in excerpts.recorded(block, start))
     moving = torch.from_numpy(excerpts.moving(block, start))

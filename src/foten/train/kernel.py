@@ -1,0 +1,173 @@
+"""Training's part of the kernel in C, bound with ctypes: a recurrent unit over chunks, and roll-outs. `native/training`.
+
+Both are loops of small matrices over hundreds of samples, in which PyTorch spends most of its time between operations: a batch of
+64 chunks of 168 samples, forward and back, takes 76 ms there and 20 ms here on one core, and roll-outs written out in NumPy took
+ten times as long as these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from ctypes import Structure, byref, c_double, c_float, c_int, c_void_p
+from functools import cache
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from foten.runtime.binding import isa, library
+
+Floats = NDArray[np.float32]
+PADDED = 16  # numbers that rows are padded to a multiple of
+GATES = 3
+
+_ARRAY = c_void_p
+
+
+def _fields(**groups: tuple[str, Any]) -> list[tuple[str, Any]]:
+    return [(name, kind) for names, kind in groups.values() for name in names.split()]
+
+
+class Unit(Structure):
+    """recurrent_unit."""
+
+    _fields_ = _fields(counts=("n s n_hidden", c_int), arrays=("weight bias of_input hidden gates kept", _ARRAY))
+
+
+class Roll(Structure):
+    """roll_out."""
+
+    _fields_ = _fields(
+        counts=("n s p n_inputs n_hidden head_width n_components n_out gain_before_filter with_phase", c_int),
+        numbers=("largest leak", c_float),
+        weights=("from_input input_bias from_hidden hidden_bias head head_bias out out_bias", _ARRAY),
+        given=("reflections cosines level logs chosen normal", _ARRAY),
+        path=("turned", _ARRAY),
+        motion=("jitter drawn_back largest_jitter", c_double),
+        states=("states", _ARRAY),
+        phase=("phase", _ARRAY),
+        made=("network head_made out_made gates kept innovation played", _ARRAY),
+    )
+
+
+class RollGradients(Structure):
+    """roll_out_gradients."""
+
+    _fields_ = _fields(
+        given=("of_played drawn", _ARRAY), most=("most", c_float), made=("by_input by_kept by_head by_out", _ARRAY)
+    )
+
+
+def filled(kind: type[Structure], **values: Any) -> Any:
+    """Return a structure of numbers and arrays, which it keeps alive."""
+    made: Any = kind()
+    made.arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+    for name, value in values.items():
+        setattr(made, name, _at(value) if name in made.arrays else value)
+    return made
+
+
+def _at(array: NDArray[Any]) -> int:
+    assert array.flags.c_contiguous
+    return array.ctypes.data
+
+
+def call(name: str, *arguments: Any) -> None:
+    """Run a function of the instruction set that is used here.
+
+    Raises:
+        MemoryError: there is too little.
+    """
+    if _function(name)(*arguments):
+        raise MemoryError(f"{name}: no memory for the scratch of a batch")
+
+
+@cache
+def _function(name: str) -> Callable[..., int]:
+    function: Callable[..., int] = getattr(library(), f"{name}_{isa()}")
+    return function
+
+
+def padded(n: int) -> int:
+    """Return how many numbers a row of n lies in."""
+    return -(-n // PADDED) * PADDED
+
+
+def widened(array: NDArray[Any], *shape: int) -> Floats:
+    """Return an array with zeros at the ends of its axes, in float32."""
+    out = np.zeros(shape, np.float32)
+    out[tuple(slice(n) for n in array.shape)] = array
+    return out
+
+
+def recurrent_weights(weights: Mapping[str, NDArray[Any]]) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return weights and biases of a unit's gates, from inputs and from hidden numbers, padded gate by gate and row by row."""
+    of_input, of_hidden, input_bias, hidden_bias = (
+        weights[name] for name in ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
+    )
+    h, n_inputs = of_hidden.shape[1], of_input.shape[1]
+    wide = padded(h)
+
+    def laid(one: NDArray[Any], *row: int) -> Floats:
+        return widened(one.reshape(GATES, h, *one.shape[1:]), GATES, wide, *row).reshape(GATES * wide, *row)
+
+    return laid(of_input, padded(n_inputs)), laid(of_hidden, wide), laid(input_bias), laid(hidden_bias)
+
+
+def of_gates(by_gates: Floats, h: int) -> Floats:
+    """Return gradients by the weights of gates without their padding: (3 · padded h, …) → (3h, …)."""
+    return np.ascontiguousarray(by_gates.reshape(GATES, -1, *by_gates.shape[1:])[:, :h]).reshape(
+        -1, *by_gates.shape[1:]
+    )
+
+
+def hidden_states(unit: nn.GRU, inputs: Tensor) -> Tensor:
+    """Return what a unit's hidden numbers are after each sample, from zeros: (b, n, n_inputs) → (b, n, h), with a gradient.
+
+    Of its weights, not of the inputs. On another device than the CPU, and in another precision, it is PyTorch's.
+    """
+    if inputs.device.type != "cpu" or inputs.dtype != torch.float32 or inputs.requires_grad:
+        out: Tensor = unit(inputs)[0]
+        return out
+    out = _Hidden.apply(inputs, unit.weight_ih_l0, unit.weight_hh_l0, unit.bias_ih_l0, unit.bias_hh_l0)
+    return out
+
+
+class _Hidden(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, inputs: Tensor, *weights: Tensor) -> Tensor:
+        names = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
+        of_input, of_hidden, input_bias, hidden_bias = recurrent_weights(
+            {name: one.detach().numpy() for name, one in zip(names, weights, strict=True)}
+        )
+        s, n, n_inputs = inputs.shape
+        h, wide = weights[1].shape[1], of_hidden.shape[1]
+        given = widened(inputs.detach().numpy().transpose(1, 0, 2), n, s, of_input.shape[1])
+        gates = given.reshape(n * s, -1) @ of_input.T
+        gates += input_bias
+        hidden = np.zeros((n + 1, s, wide), np.float32)
+        arrays = {"of_input": gates, "hidden": hidden, "kept": np.empty((n, s, wide), np.float32)}
+        arrays["gates"] = np.empty((n, s, GATES * wide), np.float32)
+        ctx.unit = filled(Unit, n=n, s=s, n_hidden=wide, weight=of_hidden, bias=hidden_bias, **arrays)
+        call("foten_train_unit", byref(ctx.unit))
+        ctx.given, ctx.n_inputs = given, n_inputs
+        return torch.from_numpy(np.ascontiguousarray(hidden[1:, :, :h].transpose(1, 0, 2)))
+
+    @staticmethod
+    def backward(ctx: Any, *of_outputs: Tensor) -> tuple[Tensor | None, ...]:
+        given, hidden, gates = ctx.given, ctx.unit.arrays["hidden"], ctx.unit.arrays["gates"]
+        n, s, wide = hidden.shape[0] - 1, hidden.shape[1], hidden.shape[2]
+        h = of_outputs[0].shape[2]
+        by_hidden = widened(of_outputs[0].numpy().transpose(1, 0, 2), n, s, wide)
+        by_input, by_kept = np.empty_like(gates), np.empty_like(gates)
+        call("foten_train_unit_back", byref(ctx.unit), *(c_void_p(_at(one)) for one in (by_hidden, by_input, by_kept)))
+        of_gates_input, of_gates_kept = by_input.reshape(n * s, -1), by_kept.reshape(n * s, -1)
+        sums = (
+            of_gates(of_gates_input.T @ given.reshape(n * s, -1), h)[:, : ctx.n_inputs],
+            of_gates(of_gates_kept.T @ hidden[:-1].reshape(n * s, -1), h)[:, :h],
+            of_gates(of_gates_input.sum(axis=0), h),
+            of_gates(of_gates_kept.sum(axis=0), h),
+        )
+        return None, *(torch.from_numpy(np.ascontiguousarray(one)) for one in sums)
