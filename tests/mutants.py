@@ -164,9 +164,30 @@ MUTANTS = (
     Mutant("tails are Gaussian", NATIVE + "excitation.c", "z * exp(0.5 * s->tail * z * z)", "z"),
     Mutant(
         "gradients of a chaotic stream grow without end",
-        PACKAGE + "train/roll_out.py",
-        "held = np.minimum(1, most / np.maximum(size, np.finfo(np.float32).tiny))",
-        "held = np.ones_like(size)",
+        "native/training/innovations.c",
+        "if (size <= most) continue;",
+        "continue;",
+        ("tests/test_own_output.py",),
+    ),
+    Mutant(
+        "what is reset counts for what resets it in full",
+        "native/training/innovations.c",
+        "store(by_kept + 2 * h + i, of_new * reset);",
+        "store(by_kept + 2 * h + i, of_new);",
+        ("tests/test_innovations.py",),
+    ),
+    Mutant(
+        "a lattice's states are not led back",
+        "native/training/innovations.c",
+        "r->leak * (c[j] * of_up - k[j] * f[j]);",
+        "r->leak * (c[j] * of_up);",
+        ("tests/test_own_output.py",),
+    ),
+    Mutant(
+        "a section's own reflection is not led back",
+        "native/training/innovations.c",
+        "f[j] = k[j] * of_up + c[j] * f[j];",
+        "f[j] = c[j] * f[j];",
         ("tests/test_own_output.py",),
     ),
     Mutant(

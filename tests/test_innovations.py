@@ -20,6 +20,8 @@ from foten.recording.trace import Trace
 from foten.reference.excitation import Scale
 from foten.reference.innovation import InnovationNetwork as Reference
 from foten.reference.innovation import Mixture, innovation_inputs
+from foten.runtime.binding import library
+from foten.train import kernel
 from foten.train.blocks import ScaledBlocks, scaled_blocks
 from foten.train.config import OWN_RECIPES, TrainConfig
 from foten.train.epochs import Epoch
@@ -46,6 +48,29 @@ def standardised(mixture: Mixture, values: np.ndarray) -> np.ndarray:
         for sign in (1, -1)
     )
     return np.where(below < above, 1, -1) * ndtri_exp(np.minimum(below, above))
+
+
+@pytest.mark.parametrize("of", ["portable", kernel.isa()])
+@pytest.mark.parametrize(("n_inputs", "n_hidden", "s"), [(5, 48, 7), (9, 6, 1), (5, 17, 64)])
+def test_hidden_states_and_gradients_are_pytorch_s(
+    n_inputs: int, n_hidden: int, s: int, of: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of its own unit, in every instruction set, whatever rows are padded to: to what float32 leaves of 40 samples."""
+    monkeypatch.setattr(kernel, "_function", lambda name: getattr(library(), f"{name}_{of}"))
+    torch.manual_seed(3)
+    unit = torch.nn.GRU(n_inputs, n_hidden, batch_first=True)
+    inputs, weight = 2 * torch.randn(s, 40, n_inputs), torch.randn(s, 40, n_hidden)
+    (theirs, _), ours = unit(inputs), kernel.hidden_states(unit, inputs)
+    torch.testing.assert_close(ours, theirs, atol=1e-5, rtol=0)
+    expected, gradients = (torch.autograd.grad((one * weight).sum(), list(unit.parameters())) for one in (theirs, ours))
+    for one, other in zip(gradients, expected, strict=True):
+        torch.testing.assert_close(one, other, atol=1e-4 * float(other.abs().max()), rtol=0)
+
+
+def test_hidden_states_in_double_are_pytorch_s_own() -> None:
+    unit = torch.nn.GRU(5, 6, batch_first=True).double()
+    inputs = torch.randn(2, 9, 5, dtype=torch.float64)
+    assert torch.equal(kernel.hidden_states(unit, inputs), unit(inputs)[0])
 
 
 def test_a_quantile_has_as_much_below_it_as_a_normal_number() -> None:

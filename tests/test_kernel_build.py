@@ -90,13 +90,16 @@ def accelerations(table: str) -> np.ndarray:
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+@pytest.mark.parametrize("source", ["src/kernel.c", "training/innovations.c"])
 @pytest.mark.parametrize(("kernel", "rows"), [("neon", 8), ("simd128", 5)])
-def test_kernels_for_other_processors_compile_without_a_warning(tmp_path: Path, kernel: str, rows: int) -> None:
+def test_kernels_for_other_processors_compile_without_a_warning(
+    tmp_path: Path, kernel: str, rows: int, source: str
+) -> None:
     """The vectors are the compiler's own, so that it knows them whatever the processor."""
     ran(
         *("cc", "-std=c11", "-O3", "-Wall", "-Wextra", "-Wno-psabi", "-Werror", "-I", ROOT / "native" / "include"),
-        *(f"-DKERNEL={kernel}", "-DLANES=4", f"-DROWS={rows}"),
-        *("-c", ROOT / "native" / "src" / "kernel.c", "-o", tmp_path / "kernel.o"),
+        *(f"-DKERNEL={kernel}", "-DLANES=4", f"-DROWS={rows}", "-I", ROOT / "native" / "src"),
+        *("-c", ROOT / "native" / source, "-o", tmp_path / "kernel.o"),
     )
 
 

@@ -28,7 +28,9 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
         source = ROOT / name
         ignored = shutil.ignore_patterns("__pycache__", "kernel")
         shutil.copytree(source, folder / name, ignore=ignored) if source.is_dir() else shutil.copy(source, folder)
-    subprocess.run(["cmake", "-S", folder, "-B", folder / "build"], check=True, capture_output=True)
+    subprocess.run(
+        ["cmake", "-S", folder, "-B", folder / "build", "-D", "FOTEN_TRAINING=ON"], check=True, capture_output=True
+    )
     built(folder)
     return folder
 

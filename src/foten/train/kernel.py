@@ -1,8 +1,7 @@
 """Training's part of the kernel in C, bound with ctypes: a recurrent unit over chunks, and roll-outs. `native/training`.
 
-Both are loops of small matrices over hundreds of samples, in which PyTorch spends most of its time between operations: a batch of
-64 chunks of 168 samples, forward and back, takes 76 ms there and 20 ms here on one core, and roll-outs written out in NumPy took
-ten times as long as these.
+Both are loops of small matrices over hundreds of samples, in which PyTorch spends most of its time between operations. A step of
+likelihood, its head included, takes a third of the time that it takes there (`benchmarks/random_part.py`).
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ Floats = NDArray[np.float32]
 PADDED = 16  # numbers that rows are padded to a multiple of
 GATES = 3
 
-_ARRAY = c_void_p
+_ARRAY, _DOUBLES = c_void_p, ("turned", "phase")
 
 
 def _fields(**groups: tuple[str, Any]) -> list[tuple[str, Any]]:
@@ -65,12 +64,13 @@ def filled(kind: type[Structure], **values: Any) -> Any:
     made: Any = kind()
     made.arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
     for name, value in values.items():
-        setattr(made, name, _at(value) if name in made.arrays else value)
+        setattr(made, name, _at(value, name) if name in made.arrays else value)
     return made
 
 
-def _at(array: NDArray[Any]) -> int:
+def _at(array: NDArray[Any], name: str = "") -> int:
     assert array.flags.c_contiguous
+    assert array.dtype == (np.float64 if name in _DOUBLES else np.float32)
     return array.ctypes.data
 
 

@@ -8,7 +8,7 @@ function F, held at one probability, it is
     ∂e/∂θ = −(∂F/∂θ) / p(e)
 
 A loop of 500 samples is 500 steps of small matrices, so it is written out in C, forward and backward (`train.kernel`): in NumPy
-it took ten times as long, and recorded by PyTorch one operation at a time fifty times.
+it took five times as long, and recorded by PyTorch one operation at a time twenty-five times.
 
 Speed, force and the phase of tones are given, the latter drawn as a rendering draws it; neither has a gradient.
 
@@ -80,16 +80,13 @@ class Beginning:
     phase: Array | None = None  # of tones at the first sample [rad], (s,)
 
 
-Streams = TypeVar("Streams", Surroundings, Beginning)
+Streams = TypeVar("Streams", bound="Surroundings | Beginning")
 
 
 def repeated(streams: Streams, times: int) -> Streams:
     """Return the same streams several times, one after another."""
-    several: dict[str, Any] = {
-        name: np.tile(array, (times, *[1] * (array.ndim - 1)))
-        for name, array in vars(streams).items()
-        if isinstance(array, np.ndarray)
-    }
+    arrays = {name: value for name, value in vars(streams).items() if isinstance(value, np.ndarray)}
+    several: dict[str, Any] = {name: np.tile(array, (times, *[1] * (array.ndim - 1))) for name, array in arrays.items()}
     return replace(streams, **several)
 
 
