@@ -389,12 +389,12 @@ def test_one_panel_a_channel_with_its_unit_and_its_marks():
     recording = _recording(force=Channel(force, 1000.0))
     figure = overview(recording, inspect_recording(recording))
     labels = [axes.get_ylabel() for axes in figure.axes]
-    assert labels == ["acceleration x\n[m/s²]", "acceleration z\n[m/s²]", "speed\n[mm/s]", "force\n[N_PICTURED]"]
+    assert labels == ["acceleration x\n[m/s²]", "acceleration z\n[m/s²]", "speed\n[mm/s]", "force\n[N]"]
     panel = figure.axes[3]
     (marks,) = [line for line in panel.lines if line.get_label() == "spikes"]
     assert marks.get_xdata() == pytest.approx([5.0])
     assert panel.get_ylim()[1] < 10  # the spike does not hide the signal, and the picture says so
-    assert any("to 800 N_PICTURED" in text.get_text() for text in panel.texts)
+    assert any("to 800 N" in text.get_text() for text in panel.texts)
 
 
 def test_an_envelope_loses_no_extreme():
