@@ -4,6 +4,9 @@
 
 Each is trained on the same simulated recording and split; times are wall times of the whole training, the median sample called
 one by one from Python under a hand that moves, and the median sample of blocks of 10 ms. Ratios are to noise.
+
+A second table has what a step of training takes on one thread, medians of 20 in turn: of likelihood, the network's recurrent unit
+being PyTorch's or the kernel's, and of a roll-out on own output, forward and back.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ import os
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -20,18 +24,26 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("MKL_NUM_THREADS", "1")
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from foten.datasets.simulate import simulate
 from foten.families import sizes_of
+from foten.families.foten_plus import FotenPlusSizes
+from foten.networks.innovation import InnovationNetwork, negative_log_likelihood
 from foten.runtime.bench import time_steps
 from foten.runtime.native import NativeState, NativeTexture
 from foten.train.config import recipe_of
+from foten.train.innovations import CHUNK, mixtures
 from foten.train.job import TrainingJob
+from foten.train.own_output import EXCERPT_S, N_EXCERPTS
 from foten.train.pipeline import train
+from foten.train.roll_out import PARTS, Beginning, RollOut, Surroundings
 from report import add_csv, report
 
 METHODS = {"noise": {"epochs": 0}, "network": {"own_output": False}, "on its own output": {}}
 N_STEPS, N_BLOCKS, BLOCK_S = 20_000, 1000, 0.01
+N_TIMED = 20
 HEADING = (
     "texture",
     "random part",
@@ -56,6 +68,40 @@ def block_us(path: Path) -> float:
         state.render(out)
         times.append((time.perf_counter_ns() - begin) / 1000 / out.size)
     return float(np.median(times))
+
+
+def step_ms() -> list[tuple[str, ...]]:
+    """Return a table of what steps of training take [ms]: batches as `train.innovations` and `train.own_output` have them."""
+    torch.set_num_threads(1)
+    sizes, batch = sizes_of("foten-plus", {}), recipe_of("foten-plus").batch
+    assert isinstance(sizes, FotenPlusSizes)
+    network = InnovationNetwork(sizes)
+    inputs, follows = torch.randn(batch, sizes.window + CHUNK, 5), torch.randn(batch, sizes.window + CHUNK)
+
+    def likelihood(said: Callable[[], tuple[Tensor, Tensor, Tensor]]) -> None:
+        torch.autograd.grad(negative_log_likelihood(said(), follows).mean(), list(network.parameters()))
+
+    rng, s, n, p = np.random.default_rng(0), 2 * N_EXCERPTS, round(1000 * EXCERPT_S), 40
+    given = (rng.uniform(-0.5, 0.5, (s, n, p)), np.ones((s, n)), np.zeros((s, n, 2)))
+    around = Surroundings(*(one.astype(np.float32) for one in given), False, 20.0)
+    begin = Beginning(*(np.zeros((s, k), np.float32) for k in (p, sizes.n_hidden, 5)))
+    weights = {name: dict(network.named_parameters())[name].detach().numpy() for name in PARTS}
+    loss = np.ones((s, n), np.float32)
+    steps: dict[str, Callable[[], object]] = {
+        "likelihood, PyTorch's unit": lambda: likelihood(lambda: network(inputs)),
+        "likelihood, the kernel's": lambda: likelihood(lambda: mixtures(network, inputs)),
+        "roll-outs": lambda: RollOut(weights, around, begin, rng).gradients(loss),
+    }
+    times: dict[str, list[float]] = {name: [] for name in steps}
+    for _ in range(N_TIMED):
+        for name, step in steps.items():
+            began = time.perf_counter()
+            step()
+            times[name].append(1000 * (time.perf_counter() - began))
+    peer = float(np.median(times["likelihood, PyTorch's unit"]))
+    middle = {name: float(np.median(values)) for name, values in times.items()}
+    rows = [(name, f"{one:.0f}", f"{one / peer:.2f}") for name, one in middle.items()]
+    return [("step of training", "ms", "÷ PyTorch's unit"), *rows]
 
 
 def main() -> None:
@@ -91,6 +137,8 @@ def main() -> None:
                     )
                 )
     report(rows, asked.csv)
+    print()
+    report(step_ms(), None)
 
 
 if __name__ == "__main__":

@@ -2,8 +2,8 @@
  * all streams of a batch side by side. `train.kernel` binds it; it is no part of foten.h, nor of a library that is built without Python.
  *
  * Arrays lie sample by sample, then stream by stream: (n, s, ...). Rows of hidden numbers and the like are padded to a multiple of PADDED, those
- * of weights with zeros, so that what is computed there stays zero. Matrices are (outputs, inputs), their rows padded too. Functions return 0, or 1 where
- * there is no memory. Compiled once for each instruction set, as src/kernel.c is. */
+ * of weights with zeros, so that what is computed there stays zero. Matrices are (outputs, inputs), their rows padded too. Functions return 0, or
+ * 1 where there is no memory. Compiled once for each instruction set, as src/kernel.c is. */
 #include <math.h>
 #include <stddef.h>
 #include <stdlib.h>
@@ -51,7 +51,6 @@ typedef struct {
     const float *of_played;         /* (n, s) */
     const float *drawn;             /* of each innovation by what the network said, (n, s, n_out) */
     float most;                     /* that the gradient of a stream's state may be */
-    float *by_input, *by_kept;      /* (n, s, 3 n_hidden) */
     float *by_head, *by_out;        /* (n, s, head_width), (n, s, n_out) */
 } roll_out_gradients;
 
@@ -87,13 +86,15 @@ static float *taken(float **block, size_t n) {
 static linear map_of(const float *matrix, const float *bias, int outputs, int inputs, int stride, int transposed, float *room) {
     for (int o = 0; o < outputs; o++) {
         int first = o / (2 * LANES) * (2 * LANES), wide = outputs - first > LANES ? 2 * LANES : LANES;
-        for (int i = 0; i < inputs; i++) room[(size_t)first * (size_t)inputs + (size_t)(i * wide + o - first)] = transposed ? matrix[i * stride + o] : matrix[o * stride + i];
+        float *to = room + (size_t)first * (size_t)inputs + (o - first);
+        for (int i = 0; i < inputs; i++) to[i * wide] = transposed ? matrix[i * stride + o] : matrix[o * stride + i];
     }
     return (linear){inputs, outputs, room, bias};
 }
 
 /* A sample of the unit: hidden numbers lie `stride` apart. */
-static void unit(const linear *map, int s, int h, const float *of_input, const float *now, float *next, int stride, float *gates, float *kept, float *of_hidden) {
+static void unit(const linear *map, int s, int h, const float *of_input, const float *now, float *next, int stride, float *gates, float *kept,
+                 float *of_hidden) {
     apply(map, s, now, stride, of_hidden, GATES * h, 0);
     for (int k = 0; k < s; k++, of_input += GATES * h, of_hidden += GATES * h, gates += GATES * h, kept += h, now += stride, next += stride)
         for (int i = 0; i < h; i += LANES) {
@@ -107,25 +108,27 @@ static void unit(const linear *map, int s, int h, const float *of_input, const f
         }
 }
 
-/* And back: `d` is the gradient by the next hidden numbers, and becomes that by those before them. */
-static void unit_back(const linear *map, int s, int h, float *d, const float *now, int stride, const float *gates, const float *kept, float *by_input, float *by_kept, float *room) {
-    const float *all_by_kept = by_kept;
-    for (int k = 0; k < s; k++, now += stride, gates += GATES * h, kept += h, by_input += GATES * h, by_kept += GATES * h)
+/* And back: `d` is the gradient by the next hidden numbers, and becomes that by those before them; `gates` becomes that by what of the inputs goes
+ * into them, and `kept` that by what it is itself. Room is for 4 n_hidden numbers a stream. */
+static void unit_back(const linear *map, int s, int h, float *d, const float *now, int stride, float *gates, float *kept, float *room) {
+    float *by_kept = room, *added = room + (size_t)(GATES * h) * (size_t)s;
+    for (int k = 0; k < s; k++, now += stride, gates += GATES * h, kept += h, by_kept += GATES * h)
         for (int i = 0; i < h; i += LANES) {
             vec of_next = load(d + k * h + i), reset = load(gates + i), update = load(gates + h + i), new = load(gates + 2 * h + i);
             vec of_new = of_next * (1.0f - update) * (1.0f - new * new);
             vec of_update = of_next * (load(now + i) - new) * update * (1.0f - update);
             vec of_reset = of_new * load(kept + i) * reset * (1.0f - reset);
-            store(by_input + i, of_reset);
+            store(gates + i, of_reset);
             store(by_kept + i, of_reset);
-            store(by_input + h + i, of_update);
+            store(gates + h + i, of_update);
             store(by_kept + h + i, of_update);
-            store(by_input + 2 * h + i, of_new);
+            store(gates + 2 * h + i, of_new);
             store(by_kept + 2 * h + i, of_new * reset);
+            store(kept + i, of_new * reset);
             store(d + k * h + i, of_next * update);
         }
-    apply(map, s, all_by_kept, GATES * h, room, h, 0);
-    for (int i = 0; i < s * h; i += LANES) store(d + i, load(d + i) + load(room + i));
+    apply(map, s, room, GATES * h, added, h, 0);
+    for (int i = 0; i < s * h; i += LANES) store(d + i, load(d + i) + load(added + i));
 }
 
 EXPORTED(foten_train_unit)(const recurrent_unit *u) {
@@ -142,19 +145,18 @@ EXPORTED(foten_train_unit)(const recurrent_unit *u) {
     return 0;
 }
 
-/* From the gradient by each of the hidden numbers but the first, (n, s, n_hidden): by what of the inputs, and by what of the hidden numbers, goes
- * into the gates, (n, s, 3 n_hidden) each. */
-EXPORTED(foten_train_unit_back)(const recurrent_unit *u, const float *by_hidden, float *by_input, float *by_kept) {
+/* From the gradient by each of the hidden numbers but the first, (n, s, n_hidden), that by what goes into the gates, in place of `gates` and `kept`. */
+EXPORTED(foten_train_unit_back)(const recurrent_unit *u, const float *by_hidden) {
     int s = u->s, h = u->n_hidden;
     size_t row = (size_t)(s * h);
-    float *memory = calloc((size_t)(GATES * h * h) + (size_t)h + 2 * row, sizeof(float)), *block = memory;
+    float *memory = calloc((size_t)(GATES * h * h) + (size_t)h + (2 + GATES) * row, sizeof(float)), *block = memory;
     if (!memory) return 1;
-    float *zero = taken(&block, (size_t)h), *d = taken(&block, row), *room = taken(&block, row);
+    float *zero = taken(&block, (size_t)h), *d = taken(&block, row), *room = taken(&block, (1 + GATES) * row);
     linear map = map_of(u->weight, zero, h, GATES * h, h, 1, block);
     for (int t = u->n - 1; t >= 0; t--) {
         size_t at = (size_t)t * row;
         for (size_t i = 0; i < row; i += LANES) store(d + i, load(d + i) + load(by_hidden + at + i));
-        unit_back(&map, s, h, d, u->hidden + at, h, u->gates + GATES * at, u->kept + at, by_input + GATES * at, by_kept + GATES * at, room);
+        unit_back(&map, s, h, d, u->hidden + at, h, u->gates + GATES * at, u->kept + at, room);
     }
     free(memory);
     return 0;
@@ -243,7 +245,8 @@ EXPORTED(foten_train_roll_out)(const roll_out *r) {
     if (r->with_phase) memcpy(path, r->phase, sizeof(double) * (size_t)s);
     for (int t = 0; t < r->n; t++) {
         size_t at = (size_t)t * (size_t)s;
-        float *now = r->network + at * (size_t)row, *next = now + s * row, *made = r->head_made + at * (size_t)w, *said = r->out_made + at * (size_t)o;
+        float *now = r->network + at * (size_t)row, *next = now + s * row;
+        float *made = r->head_made + at * (size_t)w, *said = r->out_made + at * (size_t)o;
         apply(&head, s, now, row, made, w, 0);
         for (int i = 0; i < s * w; i += LANES) store(made + i, tanh_of(load(made + i)));
         apply(&out, s, made, w, said, o, 0);
@@ -281,9 +284,10 @@ static void hold(const roll_out *r, float most, float *d_hidden, float *d_inputs
     }
 }
 
+/* `gates` and `kept` of the roll-out become gradients, as above. */
 EXPORTED(foten_train_roll_out_back)(const roll_out *r, const roll_out_gradients *g) {
     int s = r->s, h = r->n_hidden, m = r->n_inputs, w = r->head_width, o = r->n_out, row = h + m, gates = GATES * h;
-    size_t weights = (size_t)gates * (size_t)row + (size_t)w * (size_t)(row + o), numbers = (size_t)(2 * h + 2 * m + row + r->p + 2);
+    size_t weights = (size_t)gates * (size_t)row + (size_t)w * (size_t)(row + o), numbers = (size_t)((2 + GATES) * h + 2 * m + row + r->p + 2);
     float *memory = calloc(weights + (size_t)row + (size_t)w + (size_t)s * numbers, sizeof(float)), *block = memory;
     if (!memory) return 1;
     float *zero = taken(&block, (size_t)(row + w));
@@ -291,14 +295,13 @@ EXPORTED(foten_train_roll_out_back)(const roll_out *r, const roll_out_gradients 
     linear to_hidden = map_of(r->from_hidden, zero, h, gates, h, 1, taken(&block, (size_t)(gates * h)));
     linear to_both = map_of(r->head, zero, row, w, row, 1, taken(&block, (size_t)(w * row)));
     linear to_head = map_of(r->out, zero, w, o, w, 1, taken(&block, (size_t)(w * o)));
-    float *d_hidden = taken(&block, (size_t)(s * h)), *hidden_room = taken(&block, (size_t)(s * h));
+    float *d_hidden = taken(&block, (size_t)(s * h)), *hidden_room = taken(&block, (size_t)(s * (1 + GATES) * h));
     float *d_inputs = taken(&block, (size_t)(s * m)), *inputs_room = taken(&block, (size_t)(s * m));
     float *d_states = taken(&block, (size_t)(s * (r->p + 1))), *f = taken(&block, (size_t)s), *both = block;
     for (int t = r->n - 1; t >= 0; t--) {
         size_t at = (size_t)t * (size_t)s;
-        float *by_input = g->by_input + at * (size_t)gates, *by_kept = g->by_kept + at * (size_t)gates;
-        const float *now = r->network + at * (size_t)row;
-        unit_back(&to_hidden, s, h, d_hidden, now, row, r->gates + at * (size_t)gates, r->kept + at * (size_t)h, by_input, by_kept, hidden_room);
+        float *by_input = r->gates + at * (size_t)gates;
+        unit_back(&to_hidden, s, h, d_hidden, r->network + at * (size_t)row, row, by_input, r->kept + at * (size_t)h, hidden_room);
         apply(&to_inputs, s, by_input, gates, inputs_room, m, 0);
         for (int i = 0; i < s * m; i += LANES) store(d_inputs + i, load(d_inputs + i) + load(inputs_room + i));
         for (int k = 0; k < s; k++) {

@@ -54,9 +54,7 @@ class Roll(Structure):
 class RollGradients(Structure):
     """roll_out_gradients."""
 
-    _fields_ = _fields(
-        given=("of_played drawn", _ARRAY), most=("most", c_float), made=("by_input by_kept by_head by_out", _ARRAY)
-    )
+    _fields_ = _fields(given=("of_played drawn", _ARRAY), most=("most", c_float), made=("by_head by_out", _ARRAY))
 
 
 def filled(kind: type[Structure], **values: Any) -> Any:
@@ -123,6 +121,19 @@ def of_gates(by_gates: Floats, h: int) -> Floats:
     )
 
 
+def of_recurrent(by_input: Floats, by_kept: Floats, inputs: Floats, hidden: Floats) -> tuple[Floats, ...]:
+    """Return gradients by weights from inputs and from hidden numbers, and by both biases, padded.
+
+    From those by what goes into the gates, (n, s, 3h), and by what the reset multiplies, (n, s, h), and from inputs and hidden
+    numbers that were given, (n · s, …).
+    """
+    gates, kept = (one.reshape(len(inputs), -1) for one in (by_input, by_kept))
+    two = 2 * kept.shape[1]
+    of_hidden = np.concatenate([gates[:, :two].T @ hidden, kept.T @ hidden])
+    sums = gates.sum(axis=0)
+    return gates.T @ inputs, of_hidden, sums, np.concatenate([sums[:two], kept.sum(axis=0)])
+
+
 def hidden_states(unit: nn.GRU, inputs: Tensor) -> Tensor:
     """Return what a unit's hidden numbers are after each sample, from zeros: (b, n, n_inputs) → (b, n, h), with a gradient.
 
@@ -157,17 +168,16 @@ class _Hidden(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *of_outputs: Tensor) -> tuple[Tensor | None, ...]:
-        given, hidden, gates = ctx.given, ctx.unit.arrays["hidden"], ctx.unit.arrays["gates"]
+        given, hidden, gates, kept = ctx.given, *(ctx.unit.arrays[name] for name in ("hidden", "gates", "kept"))
         n, s, wide = hidden.shape[0] - 1, hidden.shape[1], hidden.shape[2]
         h = of_outputs[0].shape[2]
         by_hidden = widened(of_outputs[0].numpy().transpose(1, 0, 2), n, s, wide)
-        by_input, by_kept = np.empty_like(gates), np.empty_like(gates)
-        call("foten_train_unit_back", byref(ctx.unit), *(c_void_p(_at(one)) for one in (by_hidden, by_input, by_kept)))
-        of_gates_input, of_gates_kept = by_input.reshape(n * s, -1), by_kept.reshape(n * s, -1)
+        call("foten_train_unit_back", byref(ctx.unit), c_void_p(_at(by_hidden)))
+        ctx.unit = None  # its gates are gradients now
+        weights = of_recurrent(gates, kept, given.reshape(n * s, -1), hidden[:-1].reshape(n * s, -1))
         sums = (
-            of_gates(of_gates_input.T @ given.reshape(n * s, -1), h)[:, : ctx.n_inputs],
-            of_gates(of_gates_kept.T @ hidden[:-1].reshape(n * s, -1), h)[:, :h],
-            of_gates(of_gates_input.sum(axis=0), h),
-            of_gates(of_gates_kept.sum(axis=0), h),
+            of_gates(weights[0], h)[:, : ctx.n_inputs],
+            of_gates(weights[1], h)[:, :h],
+            *(of_gates(one, h) for one in weights[2:]),
         )
         return None, *(torch.from_numpy(np.ascontiguousarray(one)) for one in sums)

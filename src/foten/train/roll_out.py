@@ -38,6 +38,7 @@ from foten.train.kernel import (
     call,
     filled,
     of_gates,
+    of_recurrent,
     padded,
     recurrent_weights,
     widened,
@@ -161,33 +162,39 @@ class RollOut:
         self.phase = phase.T
 
     def gradients(self, of_residual: Floats, largest: float = LARGEST_ADJOINT) -> dict[str, Floats]:
-        """Return the gradient of a loss by each of the weights, from that by the residual (s, n); `largest` is as above."""
-        made = self._run.arrays
+        """Return the gradient of a loss by each of the weights, from that by the residual (s, n); `largest` is as above.
+
+        Once, since what a step made is overwritten on the way back.
+        """
+        assert self._run is not None
+        run, self._run = self._run, None
+        made = run.arrays
         n, s, h = made["kept"].shape
         of_played = np.ascontiguousarray(of_residual.T * self._scale, dtype=np.float32)
         most = largest * float(np.sqrt(np.square(of_played).mean()))
-        drawn = widened(self._of_draws(), *made["out_made"].shape)
-        by = {"by_input": "gates", "by_kept": "gates", "by_head": "head_made", "by_out": "out_made"}
         back = filled(
             RollGradients,
-            **{name: np.empty_like(made[like]) for name, like in by.items()},
-            **{"of_played": of_played, "drawn": drawn, "most": most},
+            of_played=of_played,
+            drawn=widened(self._of_draws(), *made["out_made"].shape),
+            most=most,
+            by_head=np.empty_like(made["head_made"]),
+            by_out=np.empty_like(made["out_made"]),
         )
-        call("foten_train_roll_out_back", byref(self._run), byref(back))
-        of_given, of_kept, of_head, of_out = (back.arrays[name].reshape(n * s, -1) for name in by)
+        call("foten_train_roll_out_back", byref(run), byref(back))
         network = made["network"].reshape((n + 1) * s, -1)
-        before, inputs = network[:-s], network[s:, h:]
-        n_hidden, width = self._n_hidden, self._head_width
+        before = network[:-s]
+        recurrent = of_recurrent(made["gates"], made["kept"], network[s:, h:], before[:, :h])
+        of_head, of_out = (back.arrays[name].reshape(n * s, -1) for name in ("by_head", "by_out"))
+        n_hidden, n_inputs, width, n_out = self._n_hidden, self._n_inputs, self._head_width, 3 * self._n_components
         by_both = (of_head.T @ before)[:width]
         sums = (
-            of_gates(of_given.T @ inputs, n_hidden)[:, : self._n_inputs],
-            of_gates(of_kept.T @ before[:, :h], n_hidden)[:, :n_hidden],
-            of_gates(of_given.sum(axis=0), n_hidden),
-            of_gates(of_kept.sum(axis=0), n_hidden),
-            np.concatenate([by_both[:, :n_hidden], by_both[:, h : h + self._n_inputs]], axis=1),
+            of_gates(recurrent[0], n_hidden)[:, :n_inputs],
+            of_gates(recurrent[1], n_hidden)[:, :n_hidden],
+            *(of_gates(one, n_hidden) for one in recurrent[2:]),
+            np.concatenate([by_both[:, :n_hidden], by_both[:, h : h + n_inputs]], axis=1),
             of_head.sum(axis=0)[:width],
-            (of_out.T @ made["head_made"].reshape(n * s, -1))[: 3 * self._n_components, :width],
-            of_out.sum(axis=0)[: 3 * self._n_components],
+            (of_out.T @ made["head_made"].reshape(n * s, -1))[:n_out, :width],
+            of_out.sum(axis=0)[:n_out],
         )
         return {name: np.ascontiguousarray(one) for name, one in zip(PARTS, sums, strict=True)}
 
