@@ -43,6 +43,19 @@ def test_a_linear_process_is_predicted_at_its_bound_and_synthesized_at_its_ceili
     assert abs(document["ceiling"]["level_bias_db"]) < 1.0
 
 
+def test_realisations_are_simulated_once_for_all_methods_and_anew_for_another_recording() -> None:
+    config = TrainConfig(epochs=0, threads=1, max_order=20, table=False)
+    recording, another = simulate("linear-hum", 24.0), simulate("linear-hum", 24.0, seed=2)
+    texture = trained_on(recording, config).texture
+    first, again = truth_for(recording, texture).realisations, truth_for(recording, texture).realisations
+    assert all(one is other for one, other in zip(first, again, strict=True))
+    of_another = truth_for(another, trained_on(another, config).texture).realisations
+    for one, other in combinations([*first, *of_another], 2):
+        assert not np.array_equal(one.acceleration, other.acceleration)
+    (cut, *_) = truth_for(another, texture, trim_ms=1000).realisations
+    assert len(cut.acceleration) < len(of_another[0].acceleration)
+
+
 def test_a_recording_that_was_not_simulated_has_no_truth() -> None:
     recording = dataclasses.replace(simulate("linear-hum", 24.0), simulation=None)
     trained = trained_on(recording, TrainConfig(epochs=0, threads=1, max_order=20, table=False))
