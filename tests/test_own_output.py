@@ -18,7 +18,8 @@ from foten.families import FotenPlusSizes
 from foten.recording.preprocess import PreprocessConfig
 from foten.reference import model_of
 from foten.reference.innovation import Mixture
-from foten.train import own_output
+from foten.runtime.binding import library
+from foten.train import kernel, own_output
 from foten.train.config import TrainConfig
 from foten.train.epochs import Epoch, Progress
 from foten.train.export import tensors_of
@@ -135,11 +136,15 @@ def weights(k: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("gain_before", [False, True])
 @pytest.mark.parametrize("p", [1, 2, 9])
-def test_gradients_are_those_of_finite_differences(p: int, gain_before: bool) -> None:
+@pytest.mark.parametrize("of_isa", ["portable", kernel.isa()])
+def test_gradients_are_those_of_finite_differences(
+    of_isa: str, p: int, gain_before: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of one Gaussian, whose draw μ + s z moves with the weights; of a mixture the draw's own derivative is below.
 
     In float32 a central difference of 1e-2 is good to a per cent of the largest.
     """
+    monkeypatch.setattr(kernel, "_function", lambda name: getattr(library(), f"{name}_{of_isa}"))
     rng = np.random.default_rng(3)
     given, begin = around(3, 12, p, rng, gain_before)
     at, of = weights(1, rng), rng.standard_normal((3, 12)).astype(np.float32)
