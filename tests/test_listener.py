@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from foten.evaluate.listener import LongStroke, listener_scores, long_stroke, vibrations
+from foten.evaluate.listener import LongStroke, level_biases, listener_scores, long_stroke, vibrations
 from foten.recording.trace import Trace
 
 pytest.importorskip("torch")
@@ -181,6 +181,24 @@ def test_a_recording_needs_enough_for_a_listener_and_twice_that_for_a_control(mo
     halves = listener_scores(blocks, lambda seed: hiss(20 + seed).reshape(30, -1))
     assert halves["listener_control_of"] == "every other block of the recording"
     assert halves["listener_auc_control"] is not None
+
+
+def test_a_level_that_is_off_where_a_hand_is_fast_is_off_there_alone() -> None:
+    """Twice as loud in the fastest quarter, 6 dB; at rest nothing counts; of nothing there is no level."""
+    speed = hand()[0]
+    recorded, fastest = stroke(hiss(1)), speed >= np.quantile(speed, 0.75)
+    louder = level_biases(recorded, (recorded.acceleration[0] * np.where(fastest, 2, 1))[None])
+    assert louder is not None
+    assert list(louder.values()) == pytest.approx([0, 0, 0, 20 * np.log10(2)], abs=1e-3)
+    resting = LongStroke(recorded.acceleration, recorded.speed, np.where(fastest, 0, recorded.force), RATE_HZ)
+    of_strokes = level_biases(resting, recorded.acceleration * np.where(fastest, 2, 1))
+    assert of_strokes is not None
+    assert list(of_strokes.values()) == pytest.approx([0, 0, 0, 0], abs=1e-9)
+    assert level_biases(recorded, 0 * recorded.acceleration) is None
+    assert (
+        level_biases(LongStroke(recorded.acceleration, 0 * recorded.speed, recorded.force, RATE_HZ), hiss(2)[None])
+        is None
+    )
 
 
 def test_a_hand_at_rest_says_nothing() -> None:

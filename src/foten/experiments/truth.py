@@ -17,7 +17,7 @@ from foten.dsp import Array
 from foten.dsp.filters import butterworth
 from foten.evaluate.evaluate import Truth, trace_for
 from foten.evaluate.free_run import N_SEEDS
-from foten.evaluate.listener import N_LISTENERS, long_stroke, renderings, vibrations
+from foten.evaluate.listener import N_LISTENERS, level_biases, long_stroke, renderings, vibrations
 from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
@@ -125,7 +125,7 @@ def long_strokes(
 
 
 def validation_listener(texture: Texture, recording: Recording) -> dict[str, Any]:
-    """Return `area`, that under a listener's curve; nothing of what was not simulated, or has no excitation.
+    """Return `area`, that under a listener's curve, and `level_bias_db`; nothing of what was not simulated, or is silent.
 
     As the evaluation's, of band energies, but under a third hand: neither the one that was learned from nor that of the reported
     figures, so that it can be chosen by. One listener, since what is chosen by is a mean over many textures, and two fits of one
@@ -137,8 +137,10 @@ def validation_listener(texture: Texture, recording: Recording) -> dict[str, Any
     from foten.networks.listener import listener_auc
 
     recorded = long_stroke(strokes[0])
-    run = recorded.with_acceleration(renderings(NativeTexture(texture.to_bytes()), recorded)(0))
-    return {"area": listener_auc(*vibrations(recorded, run, waveform=False), seed=0)}
+    rendered = renderings(NativeTexture(texture.to_bytes()), recorded)(0)
+    run = recorded.with_acceleration(rendered)
+    area = listener_auc(*vibrations(recorded, run, waveform=False), seed=0)
+    return {"area": area, "level_bias_db": level_biases(recorded, rendered)}
 
 
 def linear_bounds(recording: Recording, trace: Trace, highpass_hz: float, window: int) -> tuple[Array, Array]:

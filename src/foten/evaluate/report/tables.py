@@ -239,7 +239,13 @@ def _listener_lines(scores: Mapping[str, Any]) -> list[str]:
         values = (scores[key], scores[f"{key}_control"])
         cells.append([name, *("–" if value is None else f"{value:.3f}" for value in values)])
     about = f"area under its curve over {scores['listener_s']:.0f} s, 0.5 is chance, 1 certainty{beside}"
-    return [f"Listener: {about}", *_aligned(cells)]
+    lines = [f"Listener: {about}", *_aligned(cells)]
+    if biases := scores.get("level_bias_db"):
+        by_speed = ", ".join(f"{value:+.2f}" for value in biases.values())
+        lines += [
+            f"Level beside the recorded one, from the slowest quarter of that stroke to the fastest: {by_speed} dB"
+        ]
+    return lines
 
 
 def _errors(document: Mapping[str, Any]) -> list[list[str]]:
