@@ -32,6 +32,7 @@ Records = Sequence[Mapping[str, Any]]
 Cells = list[list[str]]
 REAL_10, REAL_2_5, LINEAR, SIMULATED = "main-real-10khz", "main-real-2500hz", "main-linear", "main-simulated"
 CONTACT = "main-contact"
+OURS = "foten-plus"
 MAIN = {
     REAL_10: "real, 10 kHz",
     REAL_2_5: "real, 2.5 kHz",
@@ -252,10 +253,21 @@ def mean_of(records: Records, key: str) -> str:
     return f"{np.mean([one[f'listener.{key}'] for one in records]):.2f}"
 
 
+def on_the_same(listened: dict[tuple[str, str], Records]) -> list[tuple[str, str, Records]]:
+    """Return what to compare: after a method that was asked about some of the textures alone, foten-plus on the same ones."""
+    rows = []
+    for (title, method), of in listened.items():
+        rows.append((title, method, of))
+        keys, ours = {one["texture"] for one in of}, listened.get((title, OURS), [])
+        if len(of) < len(ours):
+            rows.append((title, OURS, [one for one in ours if one["texture"] in keys]))
+    return rows
+
+
 def listener() -> Cells:
     """Return areas under listeners' curves, means over the textures of each kind, beside those of two true vibrations."""
     cells = [["mean of", "textures", "method", "band energies", "worst", "control", "and waveform", "control"]]
-    for (title, method), of in listened("listener").items():
+    for title, method, of in on_the_same(listened("listener")):
         worst = max(of, key=lambda one: one["listener.listener_auc"])
         row = [title, str(len(of)), method, mean_of(of, "listener_auc")]
         row += [f"{worst['listener.listener_auc']:.2f} ({worst['texture']})", mean_of(of, "listener_auc_control")]
@@ -332,6 +344,7 @@ TABLES: dict[str, dict[str, Callable[[], Cells | str]]] = {
         "csv": lambda: listed(*MAIN, "listener", "ingredients"),
     },
     "listener.md": {"listener": listener, "recorded-longer": recorded_longer},
+    "model.md": {"random-part": lambda: kept("random-part")},
     "compared.md": {
         "table-1-small": lambda: of_experiment("table-1-small", compared),
         "findings": lambda: said("table-1-small"),
