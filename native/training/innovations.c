@@ -1,7 +1,7 @@
 /* What training a network of innovations spends its time on: its recurrent unit over chunks, and roll-outs in the closed loop, forward and back,
  * all streams of a batch side by side. `train.kernel` binds it; it is no part of foten.h, nor of a library that is built without Python.
  *
- * Arrays lie sample by sample, then stream by stream: (n, s, ...). Rows of hidden numbers and the like are padded to a multiple of PADDED, those
+ * Arrays lie sample by sample, then stream by stream: (n, s, ...). Rows of hidden numbers and the like are padded to a multiple of 16, those
  * of weights with zeros, so that what is computed there stays zero. Matrices are (outputs, inputs), their rows padded too. Functions return 0, or
  * 1 where there is no memory. Compiled once for each instruction set, as src/kernel.c is. */
 #include <math.h>
@@ -11,7 +11,7 @@
 #include "constants.h"
 #include "vectors.h"
 
-enum { PADDED = 16, GATES = 3 }; /* gates: reset, update, new */
+enum { GATES = 3 }; /* reset, update, new */
 
 /* A gated recurrent unit (Cho et al. 2014, as PyTorch has it) of n samples and s streams. */
 typedef struct {

@@ -8,7 +8,7 @@ function F, held at one probability, it is
     ∂e/∂θ = −(∂F/∂θ) / p(e)
 
 A loop of 500 samples is 500 steps of small matrices, so it is written out in C, forward and backward (`train.kernel`): in NumPy
-it took five times as long, and recorded by PyTorch one operation at a time twenty-five times.
+it took four times as long.
 
 Speed, force and the phase of tones are given, the latter drawn as a rendering draws it; neither has a gradient.
 
