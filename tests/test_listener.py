@@ -156,6 +156,8 @@ def test_every_listener_has_a_rendering_of_its_own_and_the_control_a_true_one(mo
     assert 0 <= scores["listener_auc_waveform_control"] <= 1
     assert scores["listener_control_of"] == "other realisations of the same stroke"
     assert scores["listener_s"] == SECONDS
+    assert scores["level_bias_db"] == level_biases(recorded, hiss(14)[None])  # of the first rendering
+    assert scores["level_bias_db_control"] == level_biases(recorded, hiss(2)[None])
 
 
 def test_every_listener_s_control_is_another_true_vibration(monkeypatch: pytest.MonkeyPatch) -> None:
