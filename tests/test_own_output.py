@@ -256,7 +256,6 @@ def test_what_is_at_rest_does_not_count() -> None:
 
 
 def test_what_does_not_gain_is_left_as_it_was(task: FotenPlusTask, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(own_output, "N_STEPS", 3)
     monkeypatch.setattr(own_output, "JUDGED_EVERY", 3)
     monkeypatch.setattr(own_output, "N_JUDGED", 1)
     of, network = excerpts_of(task.blocks, (task.phased or task.plain.part), excerpts(task, 0).of, 5.0), drawing(task)
@@ -265,7 +264,7 @@ def test_what_does_not_gain_is_left_as_it_was(task: FotenPlusTask, monkeypatch: 
     def fitted(rate: float) -> tuple[Any, Any]:
         monkeypatch.setattr(own_output, "RATE", rate)
         changed = copy.deepcopy(network)
-        return changed, fit_own_output(changed, of, lambda one, rng: sum(p.sum() * 0 for p in one.parameters()), 0)
+        return changed, fit_own_output(changed, of, lambda one, rng: sum(p.sum() * 0 for p in one.parameters()), 3, 0)
 
     worse, result = fitted(30.0)  # which leaves the network anywhere
     assert not result.gained
@@ -277,6 +276,18 @@ def test_what_does_not_gain_is_left_as_it_was(task: FotenPlusTask, monkeypatch: 
     again, _ = fitted(2e-2)
     for ours, theirs in zip(better.parameters(), again.parameters(), strict=True):
         assert torch.equal(ours, theirs)
+
+
+@pytest.mark.parametrize(("epochs", "steps"), [(1, 25), (2, 50), (12, 200)])
+def test_a_short_training_is_short_on_own_output_too(
+    task: FotenPlusTask, monkeypatch: pytest.MonkeyPatch, epochs: int, steps: int
+) -> None:
+    asked: list[int] = []
+    monkeypatch.setattr("foten.train.foten_plus.fit_own_output", lambda *given: asked.append(given[3]))
+    job = dataclasses.replace(task.job, config=dataclasses.replace(task.job.config, epochs=epochs))
+    of = excerpts(task, 0)
+    dataclasses.replace(task, job=job)._on_own_output(drawing(task), of.of, of.part, 5.0, lambda stage: None)
+    assert asked == [steps]
 
 
 @pytest.mark.parametrize("gained", [True, False])
@@ -305,7 +316,7 @@ def test_interrupted_what_is_best_so_far_is_kept(task: FotenPlusTask, monkeypatc
 
     likelihood = lambda one, rng: sum(p.sum() * 0 for p in one.parameters())  # noqa: E731
     changed = copy.deepcopy(network)
-    result = fit_own_output(changed, of, likelihood, 0, stopped)
+    result = fit_own_output(changed, of, likelihood, 200, 0, stopped)
     assert result.gained
     assert not torch.equal(changed.out.weight, network.out.weight)
 

@@ -35,7 +35,7 @@ from foten.train.fit import TrainingWindows, pick_device
 from foten.train.innovations import Batches, Innovations, fit_innovations, innovations_of, mixtures, scored, validated
 from foten.train.job import Stage, Task, TrainingJob
 from foten.train.linear_part import LinearPart, fit_linear_parts, phase_alone
-from foten.train.own_output import N_STEPS, OwnOutput, excerpts_of, fit_own_output
+from foten.train.own_output import JUDGED_EVERY, N_STEPS, OwnOutput, excerpts_of, fit_own_output
 
 LEAST_GAIN_NAT = 0.005  # of an innovation's likelihood on the validation blocks, for a network to be in the loop
 LARGEST_BEYOND = 1.3  # times the largest recorded innovation is the largest that a network may draw
@@ -151,11 +151,13 @@ class FotenPlusTask(Task):
             inputs, follows = batches.draw(rng)
             return negative_log_likelihood(mixtures(one, inputs), follows)[:, window:].mean()
 
-        def on_step(step: int) -> None:
-            if step % (N_STEPS // 4) == 0:
-                on_stage(f"training the network on its own output: {100 * step // N_STEPS} %")
+        n_steps = min(N_STEPS, JUDGED_EVERY * config.epochs)
 
-        return fit_own_output(network, excerpts, likelihood, config.seed, on_step)
+        def on_step(step: int) -> None:
+            if step % (n_steps // 4) == 0:
+                on_stage(f"training the network on its own output: {100 * step // n_steps} %")
+
+        return fit_own_output(network, excerpts, likelihood, n_steps, config.seed, on_step)
 
     def _texture(
         self, chosen: Rendering, weights: Tensors, mae: float | None, renderings: dict[str, Any], **epochs: float | None

@@ -33,7 +33,7 @@ from foten.train.likeness import Likeness
 from foten.train.linear_part import LinearPart
 from foten.train.roll_out import PARTS, Beginning, RollOut, Surroundings, repeated
 
-N_STEPS = 200
+N_STEPS = 200  # at most
 N_EXCERPTS = 32  # of a step, each rendered twice
 EXCERPT_S, PREFIX_S = 0.512, 0.256  # what is rendered, and what was recorded before it, so that filters have settled
 LEAST_S = 0.3  # of an excerpt, for its statistics to be any
@@ -43,7 +43,7 @@ RATE = 2e-3  # highest, of the learning
 LIKELIHOOD = 0.2  # weight of it beside the likeness, so that what was learned by it is not lost
 AVERAGED = 0.97  # of the weights, kept in a step by those that are used
 N_KNOWN = 400  # excerpts of the recording that say how much statistics vary
-JUDGED_EVERY = 25  # steps
+JUDGED_EVERY = 25  # steps, and so many for each epoch that is asked for: in a short training this part is short too
 N_JUDGED = 8  # draws of excerpts of the validation blocks that a network is judged by
 
 
@@ -163,6 +163,7 @@ def fit_own_output(
     network: InnovationNetwork,
     excerpts: Excerpts,
     likelihood: Callable[[InnovationNetwork, np.random.Generator], Tensor],
+    n_steps: int,
     seed: int,
     on_step: Callable[[int], None] = lambda step: None,
 ) -> OwnOutput:
@@ -192,7 +193,7 @@ def fit_own_output(
     optimiser = torch.optim.Adam(trained.values(), RATE, betas=(0.9, 0.99))
     rng = np.random.default_rng(seed + 2)
     with suppress(KeyboardInterrupt):
-        for step in range(N_STEPS):
+        for step in range(n_steps):
             on_step(step)
             block, start = excerpts.draw(split.train, N_EXCERPTS, rng)
             loss, drawn, run = _loss(likeness, excerpts, network, block, start, rng)
@@ -206,7 +207,7 @@ def fit_own_output(
                 parameter.grad += torch.from_numpy(gradients[name]).to(device)
             nn.utils.clip_grad_norm_(trained.values(), 1.0)
             for group in optimiser.param_groups:
-                group["lr"] = RATE * min(1.0, (step + 1) / 10) * 0.5 * (1 + math.cos(math.pi * step / N_STEPS))
+                group["lr"] = RATE * min(1.0, (step + 1) / 10) * 0.5 * (1 + math.cos(math.pi * step / n_steps))
             optimiser.step()
             share = min(AVERAGED, (step + 1) / (step + 10))
             with torch.no_grad():
