@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from foten.families.texture_file import Texture, texture_from_bytes
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.runtime.renderer import Renderer
+from foten.train import foten_plus, own_output
 from foten.train.blocks import ScaledBlocks
 from foten.train.config import TrainConfig
 from foten.train.epochs import Epoch
@@ -24,8 +26,18 @@ from foten.train.pipeline import PREPARE, train
 
 SMALL = {"d_model": 8, "n_heads": 2, "n_layers": 2, "d_feedforward": 16, "head": (16, 8), "spectral_width": 8, **PLUS}
 # A lattice of one set of reflection coefficients is fitted in a fraction of the time that a table takes.
-QUICK = TrainConfig(epochs=2, batch=512, threads=1, max_order=20, table=False, tones=False)
+QUICK = TrainConfig(epochs=2, batch=32, threads=1, max_order=20, table=False, tones=False)
 SHORT = PreprocessConfig(trim_ms=0, block_ms=500)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def brief() -> Iterator[None]:
+    """Train on own output for a few steps."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (own_output, foten_plus):
+            patch.setattr(module, "JUDGED_EVERY", 4)
+        patch.setattr(own_output, "N_JUDGED", 2)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +117,7 @@ def test_a_network_of_innovations_draws_where_it_is_likelier_than_noise(key: str
 
     What is likelier is in the file, and a rendering by it is not the one without it.
     """
-    job = job_of(simulate(key, 34.0), "foten", epochs=2)
+    job = job_of(simulate(key, 34.0), "foten", epochs=2, batch=256)
     asked = dataclasses.replace(job.sizes, excitation=True, network_in_loop=True)  # type: ignore[type-var]
     texture = train(dataclasses.replace(job, sizes=asked)).texture
     metrics = texture.card["metrics"]
