@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import dataclasses
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,6 +32,7 @@ from foten.train.export import tensors_of
 from foten.train.innovations import CHUNK, Innovations, _chunks, asymmetry, fit_innovations, innovations_of, validated
 
 SIZES = FotenPlusSizes(**PLUS)
+C_SOURCE = Path(__file__).parents[1] / "native/training/innovations.c"
 CONFIG = TrainConfig(**{**OWN_RECIPES["foten-plus"], "epochs": 2, "threads": 1, "batch": 32})
 
 
@@ -71,6 +75,31 @@ def test_hidden_states_in_double_are_pytorch_s_own() -> None:
     unit = torch.nn.GRU(5, 6, batch_first=True).double()
     inputs = torch.randn(2, 9, 5, dtype=torch.float64)
     assert torch.equal(kernel.hidden_states(unit, inputs), unit(inputs)[0])
+
+
+@pytest.mark.parametrize(
+    ("name", "structure"),
+    [
+        ("recurrent_unit", kernel.RecurrentUnit),
+        ("roll_out", kernel.RollOutOfBatch),
+        ("roll_out_gradients", kernel.RollGradients),
+    ],
+)
+def test_structures_are_laid_out_as_in_c(name: str, structure: type[ctypes.Structure]) -> None:
+    """By their source: each member by name, in its place, as number or as array."""
+    source = re.sub(r"/\*.*?\*/", "", C_SOURCE.read_text(encoding="utf-8"), flags=re.S)
+    (body,) = re.findall(r"typedef struct \{([^}]*)\} " + name + ";", source)
+    kinds = {"int": ctypes.c_int, "float": ctypes.c_float, "double": ctypes.c_double}
+    members, doubles = [], []
+    for declared in filter(None, (line.strip() for line in body.split(";"))):
+        kind, names = re.fullmatch(r"(?:const )?(int|float|double) (.*)", declared, re.S).groups()  # type: ignore[union-attr]
+        for member in (one.strip() for one in names.split(",")):
+            members.append((member.lstrip("*"), ctypes.c_void_p if member[0] == "*" else kinds[kind]))
+            doubles += [member[1:]] if kind == "double" and member[0] == "*" else []
+    assert structure._fields_ == members
+    assert set(doubles) <= set(kernel._DOUBLES)
+    assert not {array for array, of in members if of is ctypes.c_void_p and array not in doubles} & set(kernel._DOUBLES)
+    assert f"GATES = {kernel.GATES} " in source
 
 
 def test_a_quantile_has_as_much_below_it_as_a_normal_number() -> None:

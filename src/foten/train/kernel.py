@@ -29,13 +29,13 @@ def _fields(**groups: tuple[str, Any]) -> list[tuple[str, Any]]:
     return [(name, kind) for names, kind in groups.values() for name in names.split()]
 
 
-class Unit(Structure):
+class RecurrentUnit(Structure):
     """recurrent_unit."""
 
     _fields_ = _fields(counts=("n s n_hidden", c_int), arrays=("weight bias of_input hidden gates kept", _ARRAY))
 
 
-class Roll(Structure):
+class RollOutOfBatch(Structure):
     """roll_out."""
 
     _fields_ = _fields(
@@ -57,7 +57,7 @@ class RollGradients(Structure):
     _fields_ = _fields(given=("of_played drawn", _ARRAY), most=("most", c_float), made=("by_head by_out", _ARRAY))
 
 
-def filled(kind: type[Structure], **values: Any) -> Any:
+def structure_of(kind: type[Structure], **values: Any) -> Any:
     """Return a structure of numbers and arrays, which it keeps alive."""
     made: Any = kind()
     made.arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
@@ -72,7 +72,7 @@ def _at(array: NDArray[Any], name: str = "") -> int:
     return array.ctypes.data
 
 
-def call(name: str, *arguments: Any) -> None:
+def run_in_c(name: str, *arguments: Any) -> None:
     """Run a function of the instruction set that is used here.
 
     Raises:
@@ -161,8 +161,8 @@ class _Hidden(torch.autograd.Function):
         hidden = np.zeros((n + 1, s, wide), np.float32)
         arrays = {"of_input": gates, "hidden": hidden, "kept": np.empty((n, s, wide), np.float32)}
         arrays["gates"] = np.empty((n, s, GATES * wide), np.float32)
-        ctx.unit = filled(Unit, n=n, s=s, n_hidden=wide, weight=of_hidden, bias=hidden_bias, **arrays)
-        call("foten_train_unit", byref(ctx.unit))
+        ctx.unit = structure_of(RecurrentUnit, n=n, s=s, n_hidden=wide, weight=of_hidden, bias=hidden_bias, **arrays)
+        run_in_c("foten_train_unit", byref(ctx.unit))
         ctx.given, ctx.n_inputs = given, n_inputs
         return torch.from_numpy(np.ascontiguousarray(hidden[1:, :, :h].transpose(1, 0, 2)))
 
@@ -172,7 +172,7 @@ class _Hidden(torch.autograd.Function):
         n, s, wide = hidden.shape[0] - 1, hidden.shape[1], hidden.shape[2]
         h = of_outputs[0].shape[2]
         by_hidden = widened(of_outputs[0].numpy().transpose(1, 0, 2), n, s, wide)
-        call("foten_train_unit_back", byref(ctx.unit), c_void_p(_at(by_hidden)))
+        run_in_c("foten_train_unit_back", byref(ctx.unit), c_void_p(_at(by_hidden)))
         ctx.unit = None  # its gates are gradients now
         weights = of_recurrent(gates, kept, given.reshape(n * s, -1), hidden[:-1].reshape(n * s, -1))
         sums = (

@@ -33,14 +33,14 @@ from foten.reference.foten_plus import Tones
 from foten.train.kernel import (
     GATES,
     Floats,
-    Roll,
     RollGradients,
-    call,
-    filled,
+    RollOutOfBatch,
     of_gates,
     of_recurrent,
     padded,
     recurrent_weights,
+    run_in_c,
+    structure_of,
     widened,
 )
 
@@ -144,8 +144,8 @@ class RollOut:
             "innovation": (),
             "played": (),
         }
-        self._run = filled(
-            Roll,
+        self._run = structure_of(
+            RollOutOfBatch,
             gain_before_filter=around.gain_before_filter,
             with_phase=bool(tones),
             phase=phase,
@@ -155,7 +155,7 @@ class RollOut:
             **(counts | recurrent | said | lattice | hand | tones),
             **{name: np.empty((n, s, *row), np.float32) for name, row in made.items()},
         )
-        call("foten_train_roll_out", byref(self._run))
+        run_in_c("foten_train_roll_out", byref(self._run))
         self.innovation: Floats = self._run.arrays["innovation"]
         self._out: Floats = self._run.arrays["out_made"][..., : 3 * k]
         self.residual: Floats = (self._run.arrays["played"] * self._scale).T
@@ -172,7 +172,7 @@ class RollOut:
         n, s, h = made["kept"].shape
         of_played = np.ascontiguousarray(of_residual.T * self._scale, dtype=np.float32)
         most = largest * float(np.sqrt(np.square(of_played).mean()))
-        back = filled(
+        back = structure_of(
             RollGradients,
             of_played=of_played,
             drawn=widened(self._of_draws(), *made["out_made"].shape),
@@ -180,7 +180,7 @@ class RollOut:
             by_head=np.empty_like(made["head_made"]),
             by_out=np.empty_like(made["out_made"]),
         )
-        call("foten_train_roll_out_back", byref(run), byref(back))
+        run_in_c("foten_train_roll_out_back", byref(run), byref(back))
         network = made["network"].reshape((n + 1) * s, -1)
         before = network[:-s]
         recurrent = of_recurrent(made["gates"], made["kept"], network[s:, h:], before[:, :h])
