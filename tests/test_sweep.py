@@ -245,6 +245,32 @@ def test_the_recipe_that_is_best_on_validation_is_shown(swept: Path) -> None:
     assert {one["recipe"] for one in chosen(both)} == {"published", ""}
 
 
+def test_brief_runs_give_the_same_ratios_and_no_references(swept: Path, tmp_path: Path) -> None:
+    records = copy.deepcopy(read_records(swept))
+    for one in records:
+        one["beside"] = "FNN [13]" if one["method"] == "excited" else ""
+    (tmp_path / "whole.csv").write_text(written(written_records(records), "csv"))
+    assert _status(["tables", str(tmp_path / "whole.csv"), "-o", str(tmp_path / "out"), "--brief"]) == 0
+    heading = (tmp_path / "out" / "runs.csv").read_text().splitlines()[0].split(",")
+    assert not [key for key in heading if key.startswith(("references", "free_run_ar", "ceiling"))]
+    again = read_records(tmp_path / "out" / "runs.csv")
+    assert ratios(again) == ratios(read_records(tmp_path / "whole.csv"))
+    assert _status(["tables", str(tmp_path / "out" / "runs.csv"), "-o", str(tmp_path / "again")]) == 0
+
+
+def test_what_runs_share_is_written_once(swept: Path, tmp_path: Path) -> None:
+    """The title, in the first row; notes that differ stand in each."""
+    notes = ["a", "b", "b", "a"]
+    records = [one | {"note": note} for one, note in zip(read_records(swept), notes, strict=True)]
+    heading, *rows = written_records(records)
+    assert [row[heading.index("experiment")] for row in rows] == ["Two methods", "", "", ""]
+    assert [row[heading.index("note")] for row in rows] == notes
+    (tmp_path / "runs.csv").write_text(written([heading, *reversed(rows)], "csv"))  # sorted by somebody
+    again = read_records(tmp_path / "runs.csv")
+    assert [one["note"] for one in again] == notes[::-1]
+    assert [one["experiment"] for one in again] == ["Two methods"] * 4
+
+
 def test_ratios_are_of_the_same_texture_and_split(swept: Path) -> None:
     records = copy.deepcopy(read_records(swept))
     for one in records:
@@ -263,9 +289,10 @@ def test_ratios_are_of_the_same_texture_and_split(swept: Path) -> None:
 
 def test_parts_of_a_sweep_are_one(swept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert _status(["tables", str(swept), "-o", str(tmp_path / "whole")]) == 0
-    rows = (tmp_path / "whole/runs.csv").read_text().splitlines(keepends=True)
-    for name, some in (("first", rows[:3]), ("second", [rows[0], *rows[2:]])):  # the second run is in both
-        (tmp_path / f"{name}.csv").write_text("".join(some))
+    records = read_records(swept)
+    other = [one | {"experiment": "Another"} for one in records]
+    for name, some in (("first", records[:2]), ("second", records[1:]), ("other", other)):  # the second run is in both
+        (tmp_path / f"{name}.csv").write_text(written(written_records(some), "csv"))
     parts = [str(tmp_path / f"{name}.csv") for name in ("first", "second")]
     assert _status(["tables", *parts, "-o", str(tmp_path / "joined")]) == 0
     figures, joined = (  # columns stand in another order where a run has others
@@ -277,7 +304,6 @@ def test_parts_of_a_sweep_are_one(swept: Path, tmp_path: Path, capsys: pytest.Ca
     )
     assert joined == figures
     assert (tmp_path / "joined/summary.md").read_text() == (tmp_path / "whole/summary.md").read_text()
-    (tmp_path / "other.csv").write_text("".join(rows).replace(rows[1].split(",")[0], "Another"))
     capsys.readouterr()
     assert _status(["tables", parts[0], str(tmp_path / "other.csv")]) == 2
     assert "'Another', expected those of one experiment" in capsys.readouterr().err

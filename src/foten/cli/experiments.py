@@ -94,11 +94,15 @@ def tables(
     output: Annotated[
         Path | None, folder_option("Write each table as .md, .csv and .tex, and every figure of every run as runs.csv.")
     ] = None,
+    short: Annotated[
+        bool,
+        Option("--brief", help="Of runs.csv only the figures that methods are compared by, not those of references."),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Set the results of a sweep beside references and beside the paper's figures."""
     from foten.experiments.results import chosen, joined, read_records, title_of, written_records
-    from foten.experiments.tables import FIGURES, FORMATS, caveats, findings, ratios, summary, table, written
+    from foten.experiments.tables import FIGURES, FORMATS, brief, caveats, findings, ratios, summary, table, written
 
     records = joined([read_records(one) for one in results])
     check_folder(output)
@@ -112,7 +116,7 @@ def tables(
         for name, rows in cells.items()
         for form in FORMATS
     }
-    texts["runs.csv"] = written(written_records(records), "csv")
+    texts["runs.csv"] = written(written_records(brief(records) if short else records), "csv")
     texts["findings.md"] = "\n\n".join([f"# {title}", *sentences]) + "\n"
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)

@@ -187,13 +187,19 @@ def read_records(path: Path) -> list[dict[str, Any]]:
         rows = list(csv.DictReader(file))
     if not rows or not {"method", "texture", "split", *(figure.path for figure in FIGURES.values())} <= set(rows[0]):
         raise ValueError(f"{path.name} is no runs.csv of foten tables")
+    for key in _SHARED:
+        texts = {row[key] for row in rows if row.get(key)}
+        shared = texts.pop() if len(texts) == 1 else ""
+        for row in rows:
+            row[key] = row.get(key) or shared
     try:
         return [dict.fromkeys(_TEXTS, "") | {key: _parsed(key, text) for key, text in row.items()} for row in rows]
     except ValueError as error:
         raise ValueError(f"{path.name} is no runs.csv of foten tables: {error}") from error
 
 
-_TEXTS = ("experiment", "note", "method", "recipe", "beside", "model", "texture", "excitation")
+_SHARED = ("experiment", "note")
+_TEXTS = (*_SHARED, "method", "recipe", "beside", "model", "texture", "excitation")
 
 
 def _parsed(key: str, text: str) -> Any:
@@ -204,16 +210,22 @@ def _parsed(key: str, text: str) -> Any:
 
 
 def written_records(records: Records) -> list[list[str]]:
-    """Return records as the cells of `runs.csv`, its heading first: numbers with six digits, empty where there is none."""
+    """Return records as the cells of `runs.csv`, its heading first: numbers with six digits, empty where there is none.
+
+    A title or a note that all have stands in the first row alone, and one that is alone in a file is that of all its rows.
+    """
     keys = list(dict.fromkeys(key for one in records for key in one))
     keys = [key for key in keys if any(one.get(key) not in (None, "") for one in records)]
+    shared = [key for key in _SHARED if len({one.get(key) for one in records}) == 1]
 
-    def cell(value: Any) -> str:
+    def cell(key: str, value: Any, first: bool) -> str:
+        if key in shared and not first:
+            return ""
         if isinstance(value, bool):
             return "yes" if value else "no"
         return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
 
-    return [keys, *([cell(one.get(key)) for key in keys] for one in records)]
+    return [keys, *([cell(key, one.get(key), not k) for key in keys] for k, one in enumerate(records))]
 
 
 def chosen(records: Records) -> list[Mapping[str, Any]]:

@@ -35,6 +35,10 @@ CHANGES: tuple[tuple[str, str, Callable[[float, float], float]], ...] = (
     ("test: level error", "free_run.level_error_db", truediv),
 )
 """Of what a method is compared with the one that it stands beside, where that is in a record, and how."""
+_NAMED = (
+    *("experiment", "note", "method", "recipe", "beside", "model", "texture", "rate_hz", "split"),
+    *("excitation", "network_in_loop", "recording_sha256", "split_sha256", "training_s"),
+)
 FORMATS = ("md", "csv", "tex")
 PAPERS = "paper's MAE, unit not stated"
 _LATEX = str.maketrans(
@@ -93,6 +97,14 @@ def table(records: Records, figure: str) -> list[list[str]]:
         values = [row.values.get(texture) for row in rows]
         cells.append([texture, *("–" if of is None else with_error([of], 3) for of in values)])
     return [*cells, ["mean", *(mean_cell(row, textures, 3) or "–" for row in rows)]]
+
+
+def brief(records: Records) -> list[dict[str, Any]]:
+    """Return of each run what says which it was, and the figures that methods are compared by: a seventh of all figures."""
+    paths = {figure.path for figure in FIGURES.values()} | {path for _, path, _ in CHANGES}
+    listening = {key for one in records for key in one if key.startswith("validation_listener.")}
+    kept = {*_NAMED, *paths, *listening}
+    return [{key: value for key, value in one.items() if key in kept} for one in records]
 
 
 def ratios(records: Records) -> list[list[str]]:
