@@ -30,7 +30,7 @@ def trained_on(recording: Recording, config: TrainConfig) -> Trained:
 
 def test_a_linear_process_is_predicted_at_its_bound_and_synthesized_at_its_ceiling() -> None:
     recording = simulate("linear-hum", 24.0)
-    trained = trained_on(recording, TrainConfig(epochs=1, batch=512, threads=1))
+    trained = trained_on(recording, TrainConfig(epochs=1, batch=64, threads=1))
     truth = truth_for(recording, trained.texture)
     assert len(truth.realisations) == 5
     document = evaluate(trained.texture, recording, truth).document
