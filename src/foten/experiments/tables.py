@@ -100,7 +100,7 @@ def table(records: Records, figure: str) -> list[list[str]]:
 
 
 def brief(records: Records) -> list[dict[str, Any]]:
-    """Return of each run what says which it was, and the figures that methods are compared by: a seventh of all figures."""
+    """Return of each run what says which it was, and the figures that methods are compared by."""
     paths = {figure.path for figure in FIGURES.values()} | {path for _, path, _ in CHANGES}
     listening = {key for one in records for key in one if key.startswith("validation_listener.")}
     kept = {*_NAMED, *paths, *listening}
