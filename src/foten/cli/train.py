@@ -44,7 +44,13 @@ def train(
     seed: Annotated[int, Option(min=0, max=2**32 - 1, help="Of initial weights, order and dropout.")] = 0,
     split: Annotated[str, Option(help="regrouped by speed and force, or contiguous in time.")] = "regrouped",
     split_seed: Annotated[int, Option(min=0, help="Of the regrouped split.")] = 0,
-    epochs: Annotated[int | None, Option(help="At most; the recipe's by default. (Of gan, of 50 steps each.)")] = None,
+    epochs: Annotated[
+        int | None,
+        Option(
+            help="At most; the recipe's by default. Below 8, foten-plus is trained for less on its own output too."
+            " (Of gan, of 50 steps each.)"
+        ),
+    ] = None,
     loss: Annotated[
         str | None, Option(help="huber, mse or mae; foten-plus has a likelihood.", show_default="huber")
     ] = None,
