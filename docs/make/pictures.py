@@ -440,9 +440,9 @@ def outside(arguments: argparse.Namespace) -> None:
 
 
 def listener(arguments: argparse.Namespace) -> None:
-    """How often a listener is right, by texture: with the network, without it, and of two true vibrations."""
+    """The area under a listener's curve, by texture: with the network, without it, and of the control."""
     title = read_experiment(experiment_path("listener")).title
-    rows = [row for row in rows_of("listener") if row["experiment"] == title]
+    rows = [row for row in read_records(RESULTS / "listener.csv") if row["experiment"] == title]
     auc = {
         (row["method"], row["texture"]): [
             float(row[f"listener.{key}"]) for key in ("listener_auc", "listener_auc_control")
@@ -454,7 +454,7 @@ def listener(arguments: argparse.Namespace) -> None:
     for axes, kind, title in zip(panels, kinds, ("linear", "simulated", "contact mechanics"), strict=True):
         known = [key for key in kind if ("foten-plus", key) in auc]
         order = sorted(known, key=lambda key: auc["foten-plus", key][0])
-        for method, colour, label in (("no network", PAPER, "noise in its place"), ("foten-plus", OURS, "foten-plus")):
+        for method, colour, label in (("no network", PAPER, "no network"), ("foten-plus", OURS, "foten-plus")):
             shown = [(x, auc[method, key][0]) for x, key in enumerate(order) if (method, key) in auc]
             if shown:
                 axes.plot(*zip(*shown, strict=True), "o", color=colour, label=label, ms=6)
@@ -464,20 +464,20 @@ def listener(arguments: argparse.Namespace) -> None:
             "_",
             color=INK,
             ms=11,
-            label="two true ones",
+            label="control",
         )
         axes.axhline(0.5, color="#cccccc", lw=0.8, zorder=0)
         axes.set_xticks(range(len(order)), order, rotation=60, ha="right", fontsize=8)
         axes.set_title(title, loc="left", fontsize=10)
         axes.set(xlim=(-0.6, len(order) - 0.4), ylim=(0.4, 1.02))
         axes.spines[["top", "right"]].set_visible(False)
-    panels[0].set_ylabel("right about a pair")
+    panels[0].set_ylabel("AUC of the listener")
     panels[2].legend(frameon=False, fontsize=8, loc="lower right", bbox_to_anchor=(1, 0.22))
     save(figure, "listener")
 
 
 def impact(arguments: argparse.Namespace) -> None:
-    """A slow stroke over sparse impacts, recorded and rendered by noise of the right level and by the network; all as sound."""
+    """A slow stroke over sparse impacts, recorded, and rendered without a network and with it; all as sound."""
     key = "artificial-grass"
     texture = texture_of(key, "foten-plus")
     noise = noise_of(key)
@@ -487,7 +487,7 @@ def impact(arguments: argparse.Namespace) -> None:
     start = int(np.argmax(np.convolve(slow[2000:], np.ones(length), mode="valid"))) + 2000
     shown = slice(start, start + length)
     signals = {"recorded": hand.acceleration}
-    for name, of in (("noise of the right level", noise), ("foten-plus", texture)):
+    for name, of in (("no network", noise), ("foten-plus", texture)):
         signals[name] = NativeState(NativeTexture(of.to_bytes()), seed=SEED).render_stroke(hand.speed, hand.force)
     figure, panels = plt.subplots(3, 1, figsize=(8, 3.9), sharex=True, sharey=True)
     for axes, (name, signal), colour in zip(panels, signals.items(), (INK, PAPER, OURS), strict=True):
