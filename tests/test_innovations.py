@@ -221,6 +221,18 @@ def test_each_of_two_networks_is_kept_at_its_own_best() -> None:
     assert losses == sorted(losses, reverse=True)
 
 
+def test_more_threads_than_a_batch_has_shares_for_learn_the_same() -> None:
+    """Ten chunks for eight threads are five shares of two; sums of other shares differ by rounding, which 100 steps amplify."""
+    blocks, data = process("bursts")
+    losses = []
+    for n_threads in (1, 8):
+        torch.manual_seed(0)
+        network = InnovationNetwork(FotenPlusSizes(n_hidden=16, head_width=16, window=20))
+        config = dataclasses.replace(CONFIG, epochs=1, batch=10, threads=n_threads)
+        losses.append(fit_innovations([network], [data], blocks, 20, config).epochs[1].train_loss)
+    assert losses[1] == pytest.approx(losses[0], rel=1e-3)
+
+
 def test_only_the_training_blocks_are_learned_from() -> None:
     """Those of validation are ten times as large here: whoever learned from them would have a loss of 3.7 nat."""
     blocks, data = process("bursts")

@@ -163,13 +163,27 @@ def test_every_listener_has_a_rendering_of_its_own_and_the_control_a_true_one(mo
 def test_every_listener_s_control_is_another_true_vibration(monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[float] = []
     monkeypatch.setattr(
-        networks, "listener_auc", lambda first, second, seed: heard.append(float(second.frames.sum())) or 0.5
+        networks, "listener_auc", lambda first, second, **given: heard.append(float(second.frames.sum())) or 0.5
     )
     others = [stroke(k * hiss(2)) for k in (1, 2, 4)]
     listener_scores(stroke(hiss(1)), lambda seed: hiss(1)[None], others, seed=4)
     controls = heard[1:6:2]
     assert len(set(controls)) == 3
     assert heard[7::2] == controls  # with the waveform the same
+
+
+def test_two_halves_of_a_recording_are_not_paired_by_moment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are two strokes, also where they are as long as one another; a rendering is under the recorded one."""
+    monkeypatch.setattr("foten.evaluate.listener.LEAST_S", 20.0)
+    paired: list[bool] = []
+    monkeypatch.setattr(
+        networks, "listener_auc", lambda *two, seed, same_stroke=True: paired.append(same_stroke) or 0.5
+    )
+    listener_scores(stroke(hiss(1), 30), lambda seed: hiss(20 + seed).reshape(30, -1))
+    assert paired == [True, False] * 6
+    paired.clear()
+    listener_scores(stroke(hiss(1)), lambda seed: hiss(20 + seed)[None], [stroke(hiss(2))])
+    assert paired == [True, True] * 6
 
 
 def test_a_recording_needs_enough_for_a_listener_and_twice_that_for_a_control(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -459,12 +459,7 @@ def listener(arguments: argparse.Namespace) -> None:
             if shown:
                 axes.plot(*zip(*shown, strict=True), "o", color=colour, label=label, ms=6)
         axes.plot(
-            range(len(order)),
-            [auc["foten-plus", key][1] for key in order],
-            "_",
-            color=INK,
-            ms=11,
-            label="control",
+            range(len(order)), [auc["foten-plus", key][1] for key in order], "_", color=INK, ms=11, label="control"
         )
         axes.axhline(0.5, color="#cccccc", lw=0.8, zorder=0)
         axes.set_xticks(range(len(order)), order, rotation=60, ha="right", fontsize=8)

@@ -65,8 +65,8 @@ static void start(const foten_model *m, loop *l, const double *windows, int n, i
     if (!as_prediction || !m->tones.n) set_condition(m, l, &last, 1);
 }
 
-/* The lattice of the vibration and its network predict, with tones as well: the phase of a recording is not known. How likely a sample is, is that
- * of a rendering, and so known only where that predicts the same. */
+/* The lattice of the vibration and its network predict, with tones as well: the phase of a recording is not known. How likely a sample is, is said
+ * by the network that predicts, from which that of a rendering began, or by the excitation; not where a rendering has tones. */
 static void predict(const foten_model *m, loop *l, foten_prediction_part part, double recorded, foten_prediction *out) {
     const innovation_network *in_loop = m->tones.n ? NULL : m->network_in_loop;
     int with_network = part == FOTEN_PREDICT_MODEL || (part == FOTEN_PREDICT_RENDERING && in_loop);

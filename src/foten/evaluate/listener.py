@@ -133,7 +133,8 @@ def listener_scores(
                 biases = level_biases(recorded, run.acceleration)
             each.append(listener_auc(*vibrations(recorded, run, waveform), seed=k))
             if pairs:
-                control.append(listener_auc(*vibrations(*pairs[(k - seed) % len(pairs)], waveform), seed=k))
+                two = vibrations(*pairs[(k - seed) % len(pairs)], waveform)
+                control.append(listener_auc(*two, seed=k, same_stroke=bool(others)))
         scores[name], scores[f"{name}_each"] = float(np.mean(each)), each
         scores[f"{name}_control"] = float(np.mean(control)) if control else None
     scores["level_bias_db"] = biases

@@ -61,6 +61,7 @@ def excitation_scores(
 
     Settling an excitation's level in the closed loop (`train.excitation`) trades likelihood for level. The error is that of the
     prediction which a rendering uses, with the network or without. It is not known where a rendering has tones (`dsp.tones`).
+    Of two networks the distribution is that of the one which predicts.
 
     Args:
         samples, n: scaled, shape (t, 3), and the indices to score, rows of consecutive ones, shape (n_blocks, k).

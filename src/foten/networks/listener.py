@@ -66,19 +66,22 @@ class Listener(nn.Module):
         return self.out(torch.cat([over_time.mean(dim=2), over_time.amax(dim=2)], dim=1))[:, 0]
 
 
-def listener_auc(first: Vibration, second: Vibration, seed: int) -> float:
-    """Return the area under the curve of a listener that was trained on these two for a fixed budget, on one core."""
+def listener_auc(first: Vibration, second: Vibration, seed: int, same_stroke: bool = True) -> float:
+    """Return the area under the curve of a listener that was trained on these two for a fixed budget, on one core.
+
+    Of two under the same stroke it is shown the same moments, so that the hand says nothing.
+    """
     n_threads = torch.get_num_threads()
     torch.set_num_threads(1)  # the layers are too small for more, and the sums are the same on every machine
     try:
         with torch.random.fork_rng():
             torch.manual_seed(seed)
-            return _listener_auc((first, second), np.random.default_rng(seed))
+            return _listener_auc((first, second), np.random.default_rng(seed), same_stroke)
     finally:
         torch.set_num_threads(n_threads)
 
 
-def _listener_auc(both: tuple[Vibration, Vibration], rng: np.random.Generator) -> float:
+def _listener_auc(both: tuple[Vibration, Vibration], rng: np.random.Generator, same_stroke: bool) -> float:
     frames = [torch.from_numpy(one.frames).float() for one in both]
     waveforms = [None if one.waveform is None else torch.from_numpy(one.waveform).float() for one in both]
     frame = None if waveforms[0] is None else waveforms[0].shape[1]
@@ -94,10 +97,9 @@ def _listener_auc(both: tuple[Vibration, Vibration], rng: np.random.Generator) -
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=N_STEPS)
     half = BATCH // 2
     known = torch.arange(2).repeat_interleave(half).float()
-    same_hand = len(both[0].train) == len(both[1].train)
     for _ in range(N_STEPS):
         starts = [rng.choice(one.train, half) for one in both]
-        if same_hand:  # of both the same moments, so that the hand says nothing
+        if same_stroke:
             starts[1] = both[1].train[np.searchsorted(both[0].train, starts[0])]
         (x, w), (y, u) = (excerpts(k, one) for k, one in enumerate(starts))
         odds = listener(torch.cat([x, y]), None if w is None or u is None else torch.cat([w, u]))

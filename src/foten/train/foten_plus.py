@@ -87,6 +87,7 @@ class FotenPlusTask(Task):
             own = None
             if self.job.config.own_output and not progress.interrupted:
                 own = self._on_own_output(drawing, of, part, largest[0], on_stage)
+                progress.interrupted = own is not None and own.interrupted
             settled = own is not None and own.gained
             if not settled:
                 on_stage("settling the level with the network in the loop")

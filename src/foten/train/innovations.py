@@ -186,6 +186,7 @@ def fit_innovations(
     optimiser = Optimiser(dict(live.named_parameters()), config)
     batches = [Batches(one, blocks, warm_up, config, device) for one in data]
     n_threads = config.threads if device.type == "cpu" else 1
+    n_shares = len(torch.empty(config.batch).chunk(n_threads))  # of 64 for 12 threads 11, of six each
 
     def gradients(share: int, draws: list[tuple[Tensor, Tensor]]) -> tuple[Tensor, tuple[Tensor, ...]]:
         """Return the loss and gradients of one thread's share of a batch."""
@@ -201,7 +202,7 @@ def fit_innovations(
         total = 0.0
         for number in range(STEPS_PER_EPOCH):
             draws = [one.draw(generator) for one in batches]
-            losses, pieces = zip(*pool.map(gradients, range(n_threads), [draws] * n_threads), strict=True)
+            losses, pieces = zip(*pool.map(gradients, range(n_shares), [draws] * n_shares), strict=True)
             # Added in the order of the shares, whichever thread was first.
             for parameter, first, *others in zip(trained, *pieces, strict=True):
                 parameter.grad = sum(others, start=first)

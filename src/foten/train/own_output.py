@@ -10,7 +10,6 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -152,6 +151,7 @@ class OwnOutput:
 
     before: float
     after: float
+    interrupted: bool = False
 
     @property
     def gained(self) -> bool:
@@ -192,7 +192,8 @@ def fit_own_output(
     best = copy.deepcopy(network.state_dict())
     optimiser = torch.optim.Adam(trained.values(), RATE, betas=(0.9, 0.99))
     rng = np.random.default_rng(seed + 2)
-    with suppress(KeyboardInterrupt):
+    interrupted = False
+    try:
         for step in range(n_steps):
             on_step(step)
             block, start = excerpts.draw(split.train, N_EXCERPTS, rng)
@@ -215,8 +216,10 @@ def fit_own_output(
                     mean.lerp_(now, 1 - share)
             if (step + 1) % JUDGED_EVERY == 0 and (loss_there := judged(averaged)) < after:
                 after, best = loss_there, copy.deepcopy(averaged.state_dict())
+    except KeyboardInterrupt:
+        interrupted = True
     network.load_state_dict(best)
-    return OwnOutput(before, after)
+    return OwnOutput(before, after, interrupted)
 
 
 def _loss(
