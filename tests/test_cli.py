@@ -142,9 +142,27 @@ def test_ctrl_c_keeps_the_best_and_resume_goes_on(
     assert _status(command) == 130
     assert read_texture(out).card["metrics"]["n_epochs"] == 1
     monkeypatch.setattr(RunFolder, "log", log)
-    capsys.readouterr()
+    assert "--resume" not in capsys.readouterr().out
     assert _status([*command, "--resume"]) == 2  # one epoch was all there was, and its checkpoint not yet written
     assert "nothing to resume" in one_line(capsys)
+
+
+def test_ctrl_c_after_the_last_epoch_is_one_too_and_says_how_to_go_on(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """While the network is trained on its own output, here in name only: the blocks are too short for it."""
+    from foten.train.foten_plus import FotenPlusTask
+    from foten.train.own_output import OwnOutput
+
+    monkeypatch.setattr("foten.train.foten_plus.LEAST_GAIN_NAT", -1e3)
+    monkeypatch.setattr(FotenPlusTask, "_on_own_output", lambda *_: OwnOutput(1.0, 1.0, interrupted=True))
+    out = tmp_path / "o.foten"
+    command = ["train", str(recording), "-o", str(out), *FAST, *TINY]
+    assert _status(command) == 130
+    assert "next: the same command with --resume" in capsys.readouterr().out
+    monkeypatch.setattr(FotenPlusTask, "_on_own_output", lambda *_: OwnOutput(1.0, 1.0))
+    assert _status([*command, "--resume"]) == 0
+    assert "next: foten evaluate" in capsys.readouterr().out
 
 
 def test_ctrl_c_is_a_line_and_status_130(

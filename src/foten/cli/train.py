@@ -171,7 +171,10 @@ def train(
     if model != "ar":
         folder.close(trained)
         outputs += f" and {folder.path}"
-    text = f"{_summary(trained)}\nwrote {outputs}; next: foten evaluate {output} {recording_file}"
+    following = f"foten evaluate {output} {recording_file}"
+    if trained.progress.interrupted and folder.checkpoint.exists():
+        following = "the same command with --resume, which goes on from here"
+    text = f"{_summary(trained)}\nwrote {outputs}; next: {following}"
     print_result({"output": str(output), **_document(trained)}, text, as_json)
     if trained.progress.interrupted:
         raise Exit(130)
