@@ -44,21 +44,21 @@ def ran(*command: str | Path, cwd: Path | None = None, **env: str) -> str:
     return done.stdout
 
 
-def built(folder: Path, *options: str) -> Path:
+def built(folder: Path, targets: tuple[str, ...], *options: str) -> Path:
     assert CMAKE is not None
     ran(CMAKE, "-S", ROOT, "-B", folder, "-DFOTEN_TESTS=ON", *options)
-    ran(CMAKE, "--build", folder, "--parallel", "2")
+    ran(CMAKE, "--build", folder, "--parallel", "2", "--target", *targets)
     return folder
 
 
 @pytest.fixture(scope="module")
 def build(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return built(tmp_path_factory.mktemp("build"))
+    return built(tmp_path_factory.mktemp("build"), ("foten", "hot_path"))
 
 
 @pytest.fixture(scope="module")
 def sanitized(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return built(tmp_path_factory.mktemp("sanitized"), "-DFOTEN_SANITIZE=address,undefined")
+    return built(tmp_path_factory.mktemp("sanitized"), ("contacts", "fuzz_file"), "-DFOTEN_SANITIZE=address,undefined")
 
 
 @pytest.fixture(scope="module")

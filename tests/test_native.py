@@ -325,13 +325,16 @@ def test_the_condition_may_come_from_any_thread(native: NativeTexture) -> None:
     setter = threading.Thread(target=set_in_turn)
     setter.start()
     out = np.empty(20_000, dtype=np.float32)
-    state.render(out)
+    for _ in range(1000):  # on a busy machine the other thread may not have its turn within one block
+        state.render(out)
+        assert np.isfinite(out).all()
+        if 0 < state.statistics.n_speed_beyond < state.statistics.n:
+            break
     stop.set()
     setter.join()
-    assert np.isfinite(out).all()
     assert state.statistics.n_refused == 0
     assert state.statistics.n_speed_beyond == state.statistics.n_force_beyond
-    assert 0 < state.statistics.n_speed_beyond < 20_000
+    assert 0 < state.statistics.n_speed_beyond < state.statistics.n
 
 
 @pytest.mark.parametrize("rate", [2000.0, 8000.0, 48_000.0, 44_100.0])

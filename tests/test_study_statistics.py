@@ -120,7 +120,7 @@ def test_adjusted_p_values_are_those_of_statsmodels() -> None:
     statsmodels = pytest.importorskip("statsmodels.stats.multitest")
     rng = np.random.default_rng(0)
     for m in (1, 3, 6, 12):
-        p = rng.uniform(0, 0.2, (20, m))
+        p = rng.uniform(0, 0.2, (3, m))  # few: theirs collects all garbage at each call
         for row, ours, theirs in ((p, holm, "holm"), (p, bonferroni, "bonferroni")):
             expected = [statsmodels.multipletests(one, method=theirs)[1] for one in row]
             np.testing.assert_allclose(ours(row), expected, rtol=1e-12)
