@@ -192,10 +192,16 @@ def test_tables_are_written_in_three_forms(swept: Path, tmp_path: Path, capsys: 
     latex = (tmp_path / "tables" / "summary.tex").read_text()
     assert r"GFC [\%]" in latex
     assert latex.count(r"\\") == len((tmp_path / "tables" / "summary.csv").read_text().splitlines())
-    # What was written of the runs is what the same tables are made of.
+    # What was written of the runs is what the same tables are made of; with fewer digits it is smaller, and whole numbers whole.
     assert _status(["tables", str(tmp_path / "tables" / "runs.csv"), "-o", str(tmp_path / "again")]) == 0
     for path in (tmp_path / "tables").glob("*.md"):
         assert (tmp_path / "again" / path.name).read_text() == path.read_text()
+    assert _status(["tables", str(swept), "-o", str(tmp_path / "short"), "--digits", "3"]) == 0
+    whole, short = read_records(swept), read_records(tmp_path / "short" / "runs.csv")
+    numbers = [(one.get(key), value) for one, other in zip(whole, short, strict=True) for key, value in other.items()]
+    numbers = [(one, value) for one, value in numbers if type(one) is float and one]
+    assert all(value == (one if one.is_integer() else float(f"{one:.3g}")) for one, value in numbers)
+    assert any(value != one for one, value in numbers)
     (tmp_path / "other.csv").write_text("a,b\n1,2\n")
     assert _status(["tables", str(tmp_path / "other.csv")]) == 2
     assert "other.csv is no runs.csv of foten tables" in capsys.readouterr().err

@@ -189,17 +189,19 @@ def _has(record: Mapping[str, Any], measure: str) -> bool:
 
 def stability() -> Cells:
     """Return the worst of each kind of texture."""
-    head = ["worst of", "textures", "largest sample", "recorded", "saturated", "after attack ÷ bound"]
+    head = ["worst of", "largest sample", "recorded", "saturated", "under attack", "÷ bound"]
     cells = [[*head, "level off by [dB]", "forgets in [s]"]]
     for title, of in measured("stability").items():
         own = [{key.removeprefix("stability."): value for key, value in one.items()} for one in of]
         worst = max(own, key=lambda one: one["max_sd"])
-        row = [title, str(len(own)), f"{worst['max_sd']:.1f}", f"{worst['recorded_max_sd']:.1f}"]
+        row = [f"{title}: {len(own)}", f"{worst['max_sd']:.1f}", f"{worst['recorded_max_sd']:.1f}"]
         row.append(f"{sum(one['n_saturated'] for one in own):.0f} of {sum(one['n_samples'] for one in own):,.0f}")
+        row.append(f"{max(one['attack_later_max_sd'] for one in own):.0f}")
         row.append(f"{max(one['attack_later_max_sd'] / one['attack_bound_sd'] for one in own):.2f}")
         row.append(f"{max(one['attack_after_db'] for one in own):.2f}")
         forgets = [one.get("forgets_s") for one in own]
-        cells.append([*row, "never" if None in forgets else f"{max(forgets):.1f}"])
+        met = [one for one in forgets if one is not None]
+        cells.append([*row, f"{max(met):.1f}" + (f", {len(own) - len(met)} never" if len(met) < len(own) else "")])
     return cells
 
 

@@ -98,6 +98,12 @@ def tables(
         bool,
         Option("--brief", help="Of runs.csv only the figures that methods are compared by, not those of references."),
     ] = False,
+    digits: Annotated[
+        int,
+        Option(
+            min=1, max=9, help="Digits of figures in runs.csv: of fewer than 6, tables made of it again may differ."
+        ),
+    ] = 6,
     as_json: JsonOption = False,
 ) -> None:
     """Set the results of a sweep beside references and beside the paper's figures."""
@@ -116,7 +122,7 @@ def tables(
         for name, rows in cells.items()
         for form in FORMATS
     }
-    texts["runs.csv"] = written(written_records(brief(records) if short else records), "csv")
+    texts["runs.csv"] = written(written_records(brief(records) if short else records, digits), "csv")
     texts["findings.md"] = "\n\n".join([f"# {title}", *sentences]) + "\n"
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)

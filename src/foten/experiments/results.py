@@ -209,8 +209,8 @@ def _parsed(key: str, text: str) -> Any:
     return {"": None, "yes": True, "no": False}[text] if text in ("", "yes", "no") else float(text)
 
 
-def written_records(records: Records) -> list[list[str]]:
-    """Return records as the cells of `runs.csv`, its heading first: numbers with six digits, empty where there is none.
+def written_records(records: Records, digits: int = 6) -> list[list[str]]:
+    """Return records as the cells of `runs.csv`, its heading first: figures with some digits, empty where there is none.
 
     A title or a note that all have stands in the first row alone, and one that is alone in a file is that of all its rows.
     """
@@ -223,7 +223,9 @@ def written_records(records: Records) -> list[list[str]]:
             return ""
         if isinstance(value, bool):
             return "yes" if value else "no"
-        return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+        if isinstance(value, float):
+            return f"{value:.0f}" if value.is_integer() else f"{value:.{digits}g}"
+        return "" if value is None else str(value)
 
     return [keys, *([cell(key, one.get(key), not k) for key in keys] for k, one in enumerate(records))]
 
