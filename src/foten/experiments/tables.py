@@ -102,7 +102,7 @@ def table(records: Records, figure: str) -> list[list[str]]:
 def brief(records: Records) -> list[dict[str, Any]]:
     """Return of each run what says which it was, and the figures that methods are compared by."""
     paths = {figure.path for figure in FIGURES.values()} | {path for _, path, _ in CHANGES}
-    listening = {key for one in records for key in one if key.startswith("validation_listener.")}
+    listening = {key for one in records for key in one if key.startswith(("listener.", "validation_listener."))}
     kept = {*_NAMED, *paths, *listening}
     return [{key: value for key, value in one.items() if key in kept} for one in records]
 
