@@ -282,18 +282,20 @@ def _integrate(
     spring, shaft = mass * (2 * np.pi * p.shaft_hz) ** 2, 2 * p.shaft_damping * mass * 2 * np.pi * p.shaft_hz
     k, n = place.shape
     outputs = np.empty((2, n, k))
-    heights, presses = _substeps(surface, place, force)  # (n, SUBSTEPS, k)
-    rates = np.diff(heights.reshape(-1, k), axis=0, prepend=heights[:1, 0]) / dt
-    rates = rates.reshape(heights.shape)
+    places, forces = np.ascontiguousarray(place.T), np.ascontiguousarray(force.T)
+    height = _height(surface, _substeps(places, 0))[0]
     towards = np.ascontiguousarray(speed.T) * 1e-3
-    z, w = heights[0, 0] - (force[:, 0] / stiffness) ** (2 / 3), np.zeros(k)
+    z, w = height - (force[:, 0] / stiffness) ** (2 / 3), np.zeros(k)
     q, u, sliding = np.zeros(k), np.zeros(k), towards[0]
     for i in range(n):
         total, held = np.zeros(k), np.zeros(k)
+        heights, presses = _height(surface, _substeps(places, i)), _substeps(forces, i)
+        rates = np.diff(heights, axis=0, prepend=height[None]) / dt
+        height = heights[-1]
         for j in range(SUBSTEPS):
-            depth = np.maximum(heights[i, j] - z, 0.0)
-            contact = np.maximum(stiffness * depth * np.sqrt(depth) * (1 + p.damping_s_m * (rates[i, j] - w)), 0.0)
-            w = w + dt / mass * (contact - presses[i, j] - p.hand_n_s_m * w)
+            depth = np.maximum(heights[j] - z, 0.0)
+            contact = np.maximum(stiffness * depth * np.sqrt(depth) * (1 + p.damping_s_m * (rates[j] - w)), 0.0)
+            w = w + dt / mass * (contact - presses[j] - p.hand_n_s_m * w)
             z = z + dt * w
             # Along the stroke the tip slides over the surface at v + q̇, and friction is against that.
             if p.friction:
@@ -312,16 +314,17 @@ def _integrate(
     return force_of, friction_of
 
 
-def _substeps(surface: Array, place: Array, force: Array) -> tuple[Array, Array]:
-    """Return the surface's height [m] and the hand's force [N] in every step, (n, SUBSTEPS, k): from (k, n) in each sample."""
+def _substeps(samples: Array, i: int) -> Array:
+    """Return what the steps up to a sample take, on straight lines from the one before: (SUBSTEPS, k) of (n, k)."""
     share = (np.arange(SUBSTEPS) + 1.0) / SUBSTEPS
+    before = samples[max(i - 1, 0)]
+    return np.asarray(before + share[:, None] * (samples[i] - before))
 
-    def between(samples: Array) -> Array:
-        before = np.concatenate([samples[:, :1], samples[:, :-1]], axis=1)
-        return (before + share[:, None, None] * (samples - before)).transpose(2, 0, 1)
 
-    at = between(place) / GRID_MM
+def _height(surface: Array, place: Array) -> Array:
+    """Return how high a surface is [m] at some places [mm]."""
+    at = place / GRID_MM
     point = np.floor(at)
     first = point.astype(np.int64) % surface.size
     here, there = surface[first], surface[(first + 1) % surface.size]
-    return 1e-3 * (here + (at - point) * (there - here)), between(force)
+    return np.asarray(1e-3 * (here + (at - point) * (there - here)))
