@@ -34,6 +34,8 @@ from foten.train.closed_loop import (
     free_run_distance,
     settle_level,
 )
+from foten.train.config import TrainConfig
+from foten.train.excitation import settle_gain
 from foten.train.export import Tensors, proved, tensors_of
 from foten.train.linear_part import LinearPart
 
@@ -129,6 +131,18 @@ def test_the_scale_stays_within_that_of_the_trained_range() -> None:
         free = excitation.highest.clone()
         excitation.highest.fill_(1e6)
         assert float(free) == pytest.approx(float(torch.quantile(excitation(within), 0.97)), rel=1e-5)
+
+
+@pytest.mark.parametrize("settled", [False, True])
+def test_a_network_s_innovations_are_bounded_by_no_more_than_they_need(settled: bool) -> None:
+    """σ of a network that settled its own level had a limit of 10⁶, and so had the bound that is proven of its file."""
+    loop, _ = loop_of()
+    fitted = settle_gain(16, [5.0, 3.0], loop, TrainConfig(), None, settled).excitation
+    n, _ = loop.blocks.targets(loop.history)
+    with torch.no_grad():
+        sigma = fitted(torch.from_numpy(loop.blocks.flat[n - 1, 1:]).float())
+    assert float(fitted.highest) < 1.5 * float(sigma.max())
+    assert not settled or set(sigma.tolist()) == {1.0}
 
 
 def test_a_free_run_is_as_far_as_it_is_too_loud() -> None:

@@ -94,6 +94,7 @@ def settle_gain(
         part.zero_()
     excitation.power_law.weight.zero_()
     excitation.largest.copy_(torch.tensor(largest))
+    excitation.highest.fill_(1.0)  # which is what σ is everywhere, and part of the bound that is proven of a file
     errors = [] if settled else settle_level(loop, excitation, config.seed)
     distance = free_run_distance(loop, excitation, config.seed)
     return FittedExcitation(excitation, distance, errors, 0.0, likelihood)
