@@ -89,7 +89,8 @@ def readme() -> Cells:
                 cell(records, LSD, CEILING, 2),
             ]
             cells.append([title, *figures, meaning(name, records)])
-    every = [one for name in MAIN for one in runs(name)]
+    # A recording at two rates is two textures.
+    every = [{**one, "texture": f"{name}/{one['texture']}"} for name in MAIN for one in runs(name)]
     if every:
         used = [one for one in every if one["network_in_loop"]]
         shares = [cell(used, over, under, 2) for over, under in ((ONE_STEP, BEST_AR), (LSD, AR_LSD), (LSD, CEILING))]

@@ -101,7 +101,9 @@ def tables(
     digits: Annotated[
         int,
         Option(
-            min=1, max=9, help="Digits of figures in runs.csv: of fewer than 6, tables made of it again may differ."
+            min=1,
+            max=9,
+            help="Significant digits in runs.csv; of fewer than 6, tables made of it again differ in the last.",
         ),
     ] = 6,
     as_json: JsonOption = False,
