@@ -440,34 +440,42 @@ def outside(arguments: argparse.Namespace) -> None:
 
 
 def listener(arguments: argparse.Namespace) -> None:
-    """The area under a listener's curve, by texture: with the network, without it, and of the control."""
-    title = read_experiment(experiment_path("listener")).title
-    rows = [row for row in read_records(RESULTS / "listener.csv") if row["experiment"] == title]
+    """The area under a listener's curve, by texture: without a network, with it, of longer recordings, and of the control."""
+    longer = "foten-plus, recorded 256 s"
+    methods = {read_experiment(experiment_path("listener")).title: None}
+    methods[read_experiment(experiment_path("listener-256s")).title] = longer
     auc = {
-        (row["method"], row["texture"]): [
+        (methods[row["experiment"]] or row["method"], row["texture"]): [
             float(row[f"listener.{key}"]) for key in ("listener_auc", "listener_auc_control")
         ]
-        for row in rows
+        for row in read_records(RESULTS / "listener.csv")
     }
     kinds = (LINEAR_FAMILY, TEXTURES, CONTACT)
     figure, panels = plt.subplots(1, 3, figsize=(9, 3.6), sharey=True, width_ratios=[len(kind) + 1 for kind in kinds])
     for axes, kind, title in zip(panels, kinds, ("linear", "simulated", "contact mechanics"), strict=True):
         known = [key for key in kind if ("foten-plus", key) in auc]
         order = sorted(known, key=lambda key: auc["foten-plus", key][0])
-        for method, colour, label in (("no network", PAPER, "no network"), ("foten-plus", OURS, "foten-plus")):
+        for method, colour, inside in (
+            ("no network", PAPER, PAPER),
+            ("foten-plus", OURS, OURS),
+            (longer, OURS, "white"),
+        ):
             shown = [(x, auc[method, key][0]) for x, key in enumerate(order) if (method, key) in auc]
             if shown:
-                axes.plot(*zip(*shown, strict=True), "o", color=colour, label=label, ms=6)
+                axes.plot(*zip(*shown, strict=True), "o", color=colour, mfc=inside, label=method, ms=6)
         axes.plot(
             range(len(order)), [auc["foten-plus", key][1] for key in order], "_", color=INK, ms=11, label="control"
         )
         axes.axhline(0.5, color="#cccccc", lw=0.8, zorder=0)
         axes.set_xticks(range(len(order)), order, rotation=60, ha="right", fontsize=8)
-        axes.set_title(title, loc="left", fontsize=10)
+        axes.set_title(f"\n{title}", loc="left", fontsize=10)  # below the legend
         axes.set(xlim=(-0.6, len(order) - 0.4), ylim=(0.4, 1.02))
         axes.spines[["top", "right"]].set_visible(False)
     panels[0].set_ylabel("AUC of the listener")
-    panels[2].legend(frameon=False, fontsize=8, loc="lower right", bbox_to_anchor=(1, 0.22))
+    legend = figure.legend(
+        *panels[2].get_legend_handles_labels(), ncols=4, frameon=False, fontsize=8, loc="upper right", borderaxespad=0.2
+    )
+    legend.set_in_layout(False)
     save(figure, "listener")
 
 
