@@ -45,6 +45,18 @@ def wave(amplitude_um: float, wavelength_mm: float) -> np.ndarray:
     return 1e-3 * amplitude_um * np.sin(2 * np.pi * np.arange(n) * GRID_MM / wavelength_mm)
 
 
+def test_a_ramp_rises_evenly_from_step_to_step() -> None:
+    """Two pieces at 100 and 50 mm/s over a slope of 0.2: the steps of a sample lie between it and the one before."""
+    surface = 0.2 * GRID_MM * np.arange(20_000)
+    places = 1.0 + np.arange(50)[:, None] * np.array([0.1, 0.05])  # mm, at 1 kHz
+    passed = list(contact._passed(surface, places, 1e-3 / contact.SUBSTEPS))
+    heights, rates = (np.concatenate(part) for part in zip(*passed, strict=True))
+    rising = np.broadcast_to([0.02, 0.01], rates[contact.SUBSTEPS :].shape)  # m/s: slope times speed
+    np.testing.assert_allclose(rates[contact.SUBSTEPS :], rising, atol=1e-9)  # of heights near 1e-3 m, over 0.25 ms
+    np.testing.assert_allclose(heights[contact.SUBSTEPS - 1 :: contact.SUBSTEPS], 0.2e-3 * places, atol=1e-12)
+    assert not rates[: contact.SUBSTEPS].any()  # nothing is known before the first
+
+
 def test_on_a_flat_nothing_moves() -> None:
     """From equilibrium on: Hertz's K δ^1.5 is the hand's force."""
     force, friction = forces(FLAT, np.zeros(4000), 100.0, 0.7)

@@ -130,8 +130,8 @@ def test_a_chaotic_loop_is_held_to_as_much_as_it_amplifies() -> None:
 
 @pytest.mark.parametrize("way", [-1.0, 1.0])
 def test_a_loop_may_end_where_a_start_that_is_a_little_off_does(way: float) -> None:
-    """A phase that turns over between the kernel's rounding and the reference's moved a loop at once by as much as a start that
-    is 10⁻⁵ off did, and by what float32 rounds besides: a trained network failed its own proof by 6 parts in 100,000.
+    """A phase that wraps between the kernel's rounding and the reference's moved a loop at once, by as much as a start that is
+    10⁻⁵ off did and what float32 rounds besides: a trained network failed its own proof by 6 parts in 100,000.
     """
     sizes, rng = sizes_with("foten", SMALL), np.random.default_rng(0)
     tensors = untrained_tensors("foten", sizes, untrained("foten", sizes))

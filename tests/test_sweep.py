@@ -255,8 +255,9 @@ def test_brief_runs_give_the_same_ratios_and_no_references(swept: Path, tmp_path
     records = copy.deepcopy(read_records(swept))
     for one in records:
         one["beside"] = "FNN [13]" if one["method"] == "excited" else ""
-        one["listener.listener_auc"] = 0.625
+        one["listener.listener_auc"], one["stability.n_attack"] = 0.625, 1_000_008.0
     (tmp_path / "whole.csv").write_text(written(written_records(records), "csv"))
+    assert {one["stability.n_attack"] for one in read_records(tmp_path / "whole.csv")} == {1_000_008}  # whole it stays
     assert _status(["tables", str(tmp_path / "whole.csv"), "-o", str(tmp_path / "out"), "--brief"]) == 0
     heading = (tmp_path / "out" / "runs.csv").read_text().splitlines()[0].split(",")
     assert not [key for key in heading if key.startswith(("references", "free_run_ar", "ceiling"))]

@@ -441,11 +441,9 @@ def outside(arguments: argparse.Namespace) -> None:
 
 def listener(arguments: argparse.Namespace) -> None:
     """The area under a listener's curve, by texture: without a network, with it, of longer recordings, and of the control."""
-    longer = "foten-plus, recorded 256 s"
-    methods = {read_experiment(experiment_path("listener")).title: None}
-    methods[read_experiment(experiment_path("listener-256s")).title] = longer
+    longer, title = "foten-plus, recorded 256 s", read_experiment(experiment_path("listener-256s")).title
     auc = {
-        (methods[row["experiment"]] or row["method"], row["texture"]): [
+        (longer if row["experiment"] == title else row["method"], row["texture"]): [
             float(row[f"listener.{key}"]) for key in ("listener_auc", "listener_auc_control")
         ]
         for row in read_records(RESULTS / "listener.csv")

@@ -18,7 +18,7 @@ Not fitted to any surface; sizes are those of hand-held tools and everyday mater
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -283,15 +283,11 @@ def _integrate(
     k, n = place.shape
     outputs = np.empty((2, n, k))
     places, forces = np.ascontiguousarray(place.T), np.ascontiguousarray(force.T)
-    height = _height(surface, _substeps(places, 0))[0]
     towards = np.ascontiguousarray(speed.T) * 1e-3
-    z, w = height - (force[:, 0] / stiffness) ** (2 / 3), np.zeros(k)
+    z, w = _height(surface, places[0]) - (force[:, 0] / stiffness) ** (2 / 3), np.zeros(k)
     q, u, sliding = np.zeros(k), np.zeros(k), towards[0]
-    for i in range(n):
-        total, held = np.zeros(k), np.zeros(k)
-        heights, presses = _height(surface, _substeps(places, i)), _substeps(forces, i)
-        rates = np.diff(heights, axis=0, prepend=height[None]) / dt
-        height = heights[-1]
+    for i, (heights, rates) in enumerate(_passed(surface, places, dt)):
+        total, held, presses = np.zeros(k), np.zeros(k), _substeps(forces, i)
         for j in range(SUBSTEPS):
             depth = np.maximum(heights[j] - z, 0.0)
             contact = np.maximum(stiffness * depth * np.sqrt(depth) * (1 + p.damping_s_m * (rates[j] - w)), 0.0)
@@ -314,15 +310,28 @@ def _integrate(
     return force_of, friction_of
 
 
+def _passed(surface: Array, places: Array, dt: float) -> Iterator[tuple[Array, Array]]:
+    """Yield the surface's height [m] and how fast it rises [m/s] in the steps of dt [s] up to each sample, (SUBSTEPS, k) each.
+
+    Args:
+        places: on the surface [mm], (n, k).
+    """
+    last = _height(surface, places[:1])
+    for i in range(len(places)):
+        heights = _height(surface, _substeps(places, i))
+        yield heights, np.diff(heights, axis=0, prepend=last) / dt
+        last = heights[-1:]
+
+
 def _substeps(samples: Array, i: int) -> Array:
-    """Return what the steps up to a sample take, on straight lines from the one before: (SUBSTEPS, k) of (n, k)."""
+    """Return what the steps up to sample i have, on straight lines from the one before: (SUBSTEPS, k) of (n, k), in its unit."""
     share = (np.arange(SUBSTEPS) + 1.0) / SUBSTEPS
     before = samples[max(i - 1, 0)]
     return np.asarray(before + share[:, None] * (samples[i] - before))
 
 
 def _height(surface: Array, place: Array) -> Array:
-    """Return how high a surface is [m] at some places [mm]."""
+    """Return how high a surface is [m] at some places [mm], in their shape: straight lines between its points."""
     at = place / GRID_MM
     point = np.floor(at)
     first = point.astype(np.int64) % surface.size

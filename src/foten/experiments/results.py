@@ -210,9 +210,12 @@ def _parsed(key: str, text: str) -> Any:
 
 
 def written_records(records: Records, digits: int = 6) -> list[list[str]]:
-    """Return records as the cells of `runs.csv`, its heading first: figures with some digits, empty where there is none.
+    """Return records as the cells of `runs.csv`, its heading first, empty where there is no figure.
 
     A title or a note that all have stands in the first row alone, and one that is alone in a file is that of all its rows.
+
+    Args:
+        digits: significant ones, of figures that are no whole numbers.
     """
     keys = list(dict.fromkeys(key for one in records for key in one))
     keys = [key for key in keys if any(one.get(key) not in (None, "") for one in records)]
