@@ -326,10 +326,12 @@ def test_the_condition_may_come_from_any_thread(native: NativeTexture) -> None:
     setter.start()
     out = np.empty(20_000, dtype=np.float32)
     try:
-        for _ in range(200):  # on a busy machine the other thread may not have its turn within one block
+        # A kernel that stored speed and force one after the other was caught in five of six runs of so many samples; in one block never. On a
+        # busy machine the other thread may not have its turn for a while.
+        for block in range(300):
             state.render(out)
             assert np.isfinite(out).all()
-            if 0 < state.statistics.n_speed_beyond < state.statistics.n:
+            if block >= 100 and 0 < state.statistics.n_speed_beyond < state.statistics.n:
                 break
     finally:
         stop.set()
