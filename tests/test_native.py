@@ -326,8 +326,8 @@ def test_the_condition_may_come_from_any_thread(native: NativeTexture) -> None:
     setter.start()
     out = np.empty(20_000, dtype=np.float32)
     try:
-        # A kernel that stored speed and force one after the other was caught in five of six runs of so many samples; in one block never. On a
-        # busy machine the other thread may not have its turn for a while.
+        # A kernel that stored speed and force one after the other was caught in five of six runs of so many samples, and in one
+        # block never. On a busy machine the other thread may not have its turn for a while.
         for block in range(300):
             state.render(out)
             assert np.isfinite(out).all()
