@@ -2,7 +2,7 @@
 
     python benchmarks/efficiency.py [--models dstn,ldhtd,…] [--steps 1000] [--seconds 56] [--csv FILE]
 
-A step is a sample, one window at a time on one thread (of ldhtd-hop a twentieth of what a window costs): eager PyTorch, as the
+A step is a sample, one window at a time on one thread: eager PyTorch, as the
 paper measured its own in Keras, ONNX Runtime, and the kernel where it runs the model. An epoch is one of the paper's recipe
 (batches of 16) and one of ours (of 128) over the training blocks of a simulated recording as long as the paper's, one thread
 each. Networks are untrained: their costs are the same. All in one run; ratios are what to read, since machines differ. A GPU is
@@ -42,26 +42,13 @@ from foten.runtime.onnx_predictor import GRAPH, OnnxPredictor
 from foten.train.adversarial import STEPS, fit_adversarial
 from foten.train.blocks import ScaledBlocks, scaled_blocks
 from foten.train.config import OWN_RECIPES, RECIPES
-from foten.train.end_to_end import log_spectra, multi_step
+from foten.train.end_to_end import log_spectra
 from foten.train.export import graph_of, proved, tensors_of
 from foten.train.fit import TrainingWindows, fit, reproducible
 from foten.train.job import TrainingJob
 from report import add_csv, report
 
-MODELS = (
-    "dstn",
-    "ldhtd",
-    "ldhtd-hop",
-    "gan",
-    "dftnet",
-    "hapinf",
-    "fnn",
-    "ten",
-    "ten-mfcc",
-    "ten-wavelet",
-    "foten",
-    "foten-d",
-)
+MODELS = ("dstn", "ldhtd", "gan", "dftnet", "hapinf", "fnn", "ten", "ten-mfcc", "ten-wavelet", "foten", "foten-d")
 WARM = 50  # steps that are not counted
 
 
@@ -91,11 +78,9 @@ def steps(model: str, n: int, texture: Texture | None) -> dict[str, float]:
         if torch.cuda.is_available():
             network, given = network.cuda(), window.cuda()
             times["gpu"] = p50_us(lambda: network(given).item(), n)
-    out = np.empty(sizes.n_ahead, np.float32)
-    times["onnxruntime"] = p50_us(lambda: predictor.predict_into(array, out), n)
-    times = {name: of / sizes.n_ahead for name, of in times.items()}
+    times["onnxruntime"] = p50_us(lambda: predictor.predict(array), n)
     if texture is not None:
-        state, out = NativeState(NativeTexture(texture.to_bytes()), excitation=False), out[:1]
+        state, out = NativeState(NativeTexture(texture.to_bytes()), excitation=False), np.empty(1, np.float32)
         state.set_condition(80.0, 0.8)
         times["kernel"] = p50_us(lambda: state.render(out), n)
     return times
@@ -116,8 +101,6 @@ def epoch_s(model: str, blocks: ScaledBlocks, recipe: str) -> float:
             return before.seconds + steps_s * len(windows.train) / (STEPS * config.batch)
         if isinstance(network, Dftnet):
             network, windows = network.spectrum, log_spectra(windows, blocks)
-        elif sizes.n_ahead > 1:
-            windows = multi_step(windows, blocks, sizes.n_ahead)
         return min(line.seconds for line in fit(network, windows, config).epochs[1:])
 
 

@@ -32,10 +32,6 @@ KINDS = {
     "ten-excited": ("ten", {**TEN, **EXCITED}),
     "graph": ("fnn", FNN),
     "graph-excited": ("fnn", {**FNN, **EXCITED}),
-    "graph-hop": (
-        "ldhtd-hop",
-        {"window": 8, "hop": 3, "recurrent": 1, "condition_width": 1, "d_model": 2, "n_heads": 1, "d_feedforward": 1},
-    ),
     "graph-noise": ("dftnet", {"window": 8, "n_conditions": 1, "first": 1, "second": 1, "third": 1}),
     "plus-tones": ("foten-plus", {**PLUS, "n_tones": 1, "n_tone_speed": 2, "residual_order": 3}),
 }

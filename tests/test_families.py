@@ -139,18 +139,6 @@ def test_what_a_network_costs_is_near_what_pytorch_counts() -> None:
         assert 0.6 * counted < sizes.multiply_adds() <= counted, key
 
 
-def test_a_network_of_innovations_needs_an_excitation_and_is_counted() -> None:
-    with pytest.raises(
-        ValueError, match="network_in_loop is true without excitation, expected excitation=true as well"
-    ):
-        FotenSizes(network_in_loop=True)
-    without, with_one = (FotenSizes(excitation=True, network_in_loop=given) for given in (False, True))
-    assert "n_hidden" not in without.to_card()
-    assert with_one.to_card()["n_hidden"] == 48
-    # Three gates of 48 from 5 + 48 numbers, a layer of 48 from as many, 12 numbers from these; and the scale of what it draws.
-    assert with_one.multiply_adds() - without.multiply_adds() == 3 * 48 * 53 + 48 * 53 + 12 * 48 + 6 * 16 + 5
-
-
 def test_a_family_without_excitation_says_nothing_of_one() -> None:
     assert "excitation_width" not in FotenSizes().to_card()
     assert FotenSizes(excitation=True).to_card()["excitation_width"] == 16

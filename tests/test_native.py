@@ -596,16 +596,6 @@ def test_what_is_wrong_in_a_file_is_named(texture: Texture) -> None:
     NativeTexture(bytes_of())
 
 
-def test_a_network_of_innovations_without_an_excitation_is_refused() -> None:
-    texture = exported("foten", FotenSizes(**SMALL))
-    from safetensors.numpy import save
-
-    card = {**texture.card, "sizes": {**texture.card["sizes"], "network_in_loop": True}}
-    data = save(dict(texture.tensors), metadata={"foten": json.dumps(card)})
-    with pytest.raises(ValueError, match="network_in_loop"):
-        NativeTexture(data)
-
-
 def test_a_window_without_a_prediction_hides_no_other(texture: Texture) -> None:
     """One so large that the network overflows came after those that were wrong, and the file was let through."""
     from safetensors.numpy import save

@@ -23,7 +23,7 @@ from foten.train import adversarial
 from foten.train.adversarial import fit_adversarial
 from foten.train.blocks import ScaledBlocks, scaled_blocks
 from foten.train.config import TrainConfig
-from foten.train.end_to_end import distilled, log_spectra, multi_step
+from foten.train.end_to_end import distilled, log_spectra
 from foten.train.epochs import Epoch, Progress
 from foten.train.export import multiply_adds
 from foten.train.fit import TrainingWindows, fit
@@ -121,8 +121,6 @@ def test_a_size_that_cannot_be_is_refused(model: str) -> None:
         ("ten-mfcc", {"n_coefficients": 20}, "at most n_bands"),
         ("ten-wavelet", {"window": 12}, r"expected 2\^4 or more"),
         ("dstn", {"channels": 0}, "channels is 0"),
-        ("ldhtd-hop", {"hop": 201}, "at most the window"),
-        ("ldhtd-hop", {"n_heads": 7}, "does not divide"),
         ("dftnet", {"n_conditions": 101}, "expected 101 or more"),
         ("gan", {"frame": 32}, "expected 240"),
         ("gan", {"frame": 4}, "frame is 4"),
@@ -209,17 +207,6 @@ def test_a_generator_plays_sample_by_sample_what_it_was_judged_by() -> None:
     torch.testing.assert_close(at_once[:, ::8], one_by_one[:, ::8])
     assert (at_once - one_by_one).abs().mean() < 0.1 * one_by_one.abs().mean()
     assert (at_once != one_by_one).any()
-
-
-def test_targets_of_several_samples_lie_in_one_block() -> None:
-    blocks = noise_blocks(n_blocks=5, block=200)
-    windows = TrainingWindows(blocks.flat, *blocks.targets(20), 20)
-    ahead = multi_step(windows, blocks, 7)
-    assert ahead.target is not None
-    for n in (ahead.train, ahead.validation):
-        assert (n % 200 + 7 <= 200).all()
-        np.testing.assert_array_equal(ahead.target[n[3]], windows.samples[n[3] : n[3] + 7, 0])
-    assert len(ahead.train) == len(windows.train) - 6 * len(blocks.split.train)
 
 
 def test_targets_of_spectra_are_frames_around_a_sample() -> None:

@@ -111,36 +111,6 @@ def test_where_the_network_gains_nothing_the_texture_renders_as_the_playable_one
     assert texture.card["sizes"] == given[0].card["sizes"]
 
 
-@pytest.mark.parametrize("key", ["artificial-grass", "linear-twin"])
-def test_a_network_of_innovations_draws_where_it_is_likelier_than_noise(key: str) -> None:
-    """Impacts come after one another; what a paper's network leaves of a linear process is more than noise too, to a small one.
-
-    What is likelier is in the file, and a rendering by it is not the one without it.
-    """
-    job = job_of(simulate(key, 34.0), "foten", epochs=2, batch=256)
-    asked = dataclasses.replace(job.sizes, excitation=True, network_in_loop=True)  # type: ignore[type-var]
-    texture = train(dataclasses.replace(job, sizes=asked)).texture
-    metrics = texture.card["metrics"]
-    without = metrics["renderings"]["without network"]
-    assert isinstance(texture.sizes, FotenSizes)
-    assert texture.sizes.network_in_loop
-    assert metrics["validation_nll"] < without["validation_nll"] - 0.005
-    assert len(metrics["level_errors_db"]) == 3
-    noise = train(dataclasses.replace(job, sizes=dataclasses.replace(asked, network_in_loop=False))).texture
-    assert noise.card["metrics"]["validation_nll"] == without["validation_nll"]
-    assert np.abs(rendered(texture) - rendered(noise)).max() > 0.1 * rendered(noise).std()
-
-
-def test_a_network_of_innovations_that_is_not_likelier_is_not_in_the_file(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("foten.train.end_to_end.LEAST_GAIN_NAT", 10.0)
-    job = job_of(simulate("linear-twin", 12.0), "foten", epochs=1)
-    asked = dataclasses.replace(job.sizes, excitation=True, network_in_loop=True)  # type: ignore[type-var]
-    texture = train(dataclasses.replace(job, sizes=asked)).texture
-    assert not texture.sizes.network_in_loop  # type: ignore[attr-defined]
-    assert not any(name.startswith(("rendering_network.", "level.")) for name in texture.tensors)
-    assert list(texture.card["metrics"]["renderings"]) == ["without network"]
-
-
 def interrupting(at: int) -> Any:
     def on_epoch(line: Epoch) -> None:
         if line.epoch == at:

@@ -16,7 +16,6 @@ from foten.families.ten import TransformerSizes
 from foten.reference import model_of
 from foten.reference.network import Network
 from foten.reference.stream import Prediction, run
-from foten.reference.window import WindowModel
 from foten.train.export import tensors_of
 
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -31,7 +30,6 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "half-of-the-bins": {**SMALL, "bins": "half"},
     "half-of-odd-bins": {**SMALL, "bins": "half", "window": 9},
     "excited": {**SMALL, "excitation": True},
-    "innovations": {**SMALL, **PLUS, "window": 20, "excitation": True, "network_in_loop": True},
 }
 """Of every network."""
 PLUS_VARIANTS: dict[str, dict[str, Any]] = {
@@ -222,20 +220,6 @@ def test_noise_without_a_scale_and_a_scale_without_noise_are_the_deterministic_l
     np.testing.assert_array_equal(looped(0.0, noise), looped(0.0, None))
     np.testing.assert_array_equal(looped(1.0, None), looped(0.0, None))
     assert not np.array_equal(looped(1.0, noise), looped(0.0, noise))
-
-
-def test_a_network_of_several_samples_ahead_is_asked_once_for_them() -> None:
-    """Oracle: a list of what it was asked."""
-    windows_given = []
-
-    def network(windows: np.ndarray) -> np.ndarray:
-        windows_given.append(windows.copy())
-        return windows[:, -1:, 0] + np.array([1.0, 2.0, 3.0])
-
-    stream = WindowModel(network, 2).start(np.zeros((1, 2, 3)))
-    result = run(stream, np.zeros((1, 7, 3)), None)[0]
-    np.testing.assert_array_equal(result, [1, 2, 3, 4, 5, 6, 7])
-    assert [window[0, :, 0].tolist() for window in windows_given] == [[0, 0], [2, 3], [5, 6]]
 
 
 @pytest.mark.parametrize("sizes", [{"order": 6}, {"n_tones": 2, "residual_order": 6}])

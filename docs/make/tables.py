@@ -353,7 +353,6 @@ TABLES: dict[str, dict[str, Callable[[], Cells | str]]] = {
         "findings": lambda: said("table-1-small"),
         "table-1-real": lambda: of_experiment("table-1-real", compared),
         "efficiency": lambda: kept("efficiency"),
-        "batched": lambda: kept("batched"),
         "csv": lambda: listed("recipes", "table-1-small", "table-1-real"),
     },
     "runtime.md": {

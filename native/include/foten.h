@@ -51,7 +51,7 @@ extern "C" {
 #define FOTEN_VERSION "0.1.0"
 #define FOTEN_VERSION_MAJOR 0
 #define FOTEN_VERSION_MINOR 1
-#define FOTEN_ABI 5 /* of this header's structures and functions; foten_abi() has to be the same: compare them before anything else */
+#define FOTEN_ABI 6 /* of this header's structures and functions; foten_abi() has to be the same: compare them before anything else */
 
 typedef struct foten_model foten_model;
 typedef struct foten_state foten_state;
@@ -76,13 +76,13 @@ typedef struct {
     const char *texture;         /* name; both strings live as long as the model */
     double rate_hz;              /* the texture's own sample rate */
     int window;                  /* samples that a prediction is given */
-    int has_excitation;          /* whether there is a random part */
+    int has_excitation;          /* whether there is a random part that the library draws */
     double trained_speed[2];     /* mm/s, lowest and highest recorded */
     double trained_force[2];     /* N */
     double acceleration_sd;      /* m/s2, standard deviation of the recording */
     double lowpass_hz;           /* cutoff of the low-pass on the recorded speed and force */
     size_t state_bytes;          /* memory of a state at the texture's own rate */
-    int hop;                     /* samples that a foten_predictor gives per call; 0 if none is used */
+    int asks_predictor;          /* whether a foten_predictor is asked for each sample */
 } foten_info;
 
 /* Load a texture file from memory. The bytes may be freed afterwards. The file is checked and its golden windows are replayed, which takes
@@ -91,12 +91,12 @@ FOTEN_API foten_status foten_model_load(const void *bytes, size_t n_bytes, foten
 FOTEN_API void foten_model_free(foten_model *model);
 
 /* Load a file whose network this library has no code for, an ONNX graph. The caller runs it: `predictor` is given a window of `window`
- * samples, each acceleration, speed and force, oldest first, scaled, and writes the next `n_next` = foten_info.hop samples. "dftnet" and "gan"
- * are given the noise of these samples in place of the acceleration. The predictor is called for the golden windows during loading, and once
- * per hop by each rendering thread, by several threads at once where several render. It and `user` must outlive the model. It may allocate or
- * wait; the rendering then does too. A number that is not finite counts as 0 and ends the hop. Without a predictor such a file is
- * FOTEN_NO_PREDICTOR. For other files the predictor is not used. */
-typedef void (*foten_predictor)(void *user, const float *window, float *next, int n_next);
+ * samples, oldest first, of four numbers each: acceleration, speed and force, scaled, and the noise of the sample, standard normal; it returns
+ * the next sample, scaled. It is called for the golden windows during loading, and for each sample by each rendering thread, by several threads
+ * at once where several render. It and `user` must outlive the model. It may allocate or wait; the rendering then does too. A number that is not
+ * finite counts as 0. Without a predictor such a file is FOTEN_NO_PREDICTOR. For other files the predictor is not used. */
+#define FOTEN_PREDICTOR_INPUTS 4
+typedef float (*foten_predictor)(void *user, const float *window);
 FOTEN_API foten_status foten_model_load_with(const void *bytes, size_t n_bytes, foten_predictor predictor, void *user, foten_model **model,
                                              char *why, size_t why_size);
 FOTEN_API foten_info foten_model_info(const foten_model *model);
@@ -119,8 +119,7 @@ FOTEN_API void foten_state_free(foten_state *state);
  * the window in the file. With a network in the loop, the first sample takes as many of its steps as its window is long. */
 FOTEN_API void foten_reset(foten_state *state, uint64_t seed);
 
-/* Go on from a recorded window: foten_info.window samples of acceleration, speed and force, all finite. Models of noise use only the speed and
- * force. */
+/* Go on from a recorded window: foten_info.window samples of acceleration, speed and force, all finite; their noise counts as 0. */
 FOTEN_API foten_status foten_start(foten_state *state, const float *acceleration, const float *speed_mm_s, const float *force_n);
 
 /* The closed loop alone, for training and tests: scaled, in double, with given noise, without fade, growth and counts. `windows` holds

@@ -93,8 +93,8 @@ static size_t state_bytes(const foten_model *model, double rate) {
 
 foten_info foten_model_info(const foten_model *m) {
     if (!m) return (foten_info){0};
-    foten_info info = {m->name, m->texture, m->rate_hz, m->history, model_is_random(m), {m->low[0], m->high[0]}, {m->low[1], m->high[1]}, m->sd[0],
-                       m->lowpass_hz, state_bytes(m, m->rate_hz), m->predictor.hop};
+    foten_info info = {m->name, m->texture, m->rate_hz, m->history, m->excited, {m->low[0], m->high[0]}, {m->low[1], m->high[1]}, m->sd[0],
+                       m->lowpass_hz, state_bytes(m, m->rate_hz), m->predictor.function && !m->predictor.network};
     return info;
 }
 
@@ -161,10 +161,7 @@ foten_status foten_start(foten_state *s, const float *acceleration, const float 
         const float sample[3] = {acceleration[t], speed[t], force[t]};
         for (int k = 0; k < 3; k++) s->windows[3 * t + k] = (sample[k] - m->mean[k]) / m->sd[k];
     }
-    noise_source initial = {s->seed, s->stream, FOTEN_FIRST_INITIAL};
-    foten_status status = foten_start_scaled(s, s->windows);
-    if (status == FOTEN_OK && m->of_noise) loop_take_noise(m, s->loop, s->deterministic ? NULL : &initial);
-    return status;
+    return foten_start_scaled(s, s->windows);
 }
 
 static int all_finite(const double *numbers, size_t n) {
@@ -192,7 +189,7 @@ foten_status foten_predict(foten_state *s, const double *samples, size_t n, fote
     if (!s || !samples || !out) return FOTEN_BAD_ARGUMENT;
     const foten_model *m = s->model;
     size_t window = (size_t)m->history;
-    if (m->of_noise || n < window || !all_finite(samples, 3 * n)) return FOTEN_BAD_ARGUMENT;
+    if (n < window || !all_finite(samples, 3 * n)) return FOTEN_BAD_ARGUMENT;
     m->kind->start(m, s->loop, samples, m->history, 1);
     for (size_t t = window; t < n; t++) {
         m->kind->predict(m, s->loop, part, samples[3 * t], &out[t - window]);

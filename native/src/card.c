@@ -12,10 +12,11 @@ static const double LARGEST_SATURATION = 1e4;     /* standard deviations */
 
 static const struct {
     const char *name;
-    int bit, window, of_noise, has_hop; /* window: its usual one; 0: the card has to name it */
-} MODELS[] = {{"foten-plus", CARD_PLUS, FOTEN_USUAL_PLUS_WINDOW, 0, 0}, {"foten", CARD_FOTEN, FOTEN_USUAL_WINDOW, 0, 0},
-              {"ten", CARD_TEN, FOTEN_USUAL_TEN_WINDOW, 0, 0},          {"ar", CARD_AR, FOTEN_USUAL_AR_WINDOW, 0, 0},
-              {"ldhtd-hop", CARD_GRAPH, 0, 0, 1},                       {"dftnet", CARD_GRAPH, 0, 1, 0}, {"gan", CARD_GRAPH, 0, 1, 0}};
+    int bit, window; /* its usual one */
+} MODELS[] = {{"foten-plus", CARD_PLUS, FOTEN_USUAL_PLUS_WINDOW},
+              {"foten", CARD_FOTEN, FOTEN_USUAL_WINDOW},
+              {"ten", CARD_TEN, FOTEN_USUAL_TEN_WINDOW},
+              {"ar", CARD_AR, FOTEN_USUAL_AR_WINDOW}};
 
 /* Counts, and switches, which are true or false. */
 enum { SWITCH = -1 };
@@ -31,9 +32,9 @@ static const struct {
     {"n_layers", CARD_NETWORKS, offsetof(card_sizes, network.n_layers), FOTEN_USUAL_N_LAYERS, 1},
     {"d_feedforward", CARD_NETWORKS, offsetof(card_sizes, network.d_feedforward), FOTEN_USUAL_D_FEEDFORWARD, 1},
     {"spectral_width", CARD_FOTEN, offsetof(card_sizes, network.spectral_width), FOTEN_USUAL_SPECTRAL_WIDTH, 1},
-    {"n_hidden", CARD_NETWORKS | CARD_PLUS, offsetof(card_sizes, n_hidden), FOTEN_USUAL_N_HIDDEN, 1},
-    {"head_width", CARD_NETWORKS | CARD_PLUS, offsetof(card_sizes, head_width), FOTEN_USUAL_HEAD_WIDTH, 1},
-    {"n_components", CARD_NETWORKS | CARD_PLUS, offsetof(card_sizes, n_components), FOTEN_USUAL_N_COMPONENTS, 1},
+    {"n_hidden", CARD_PLUS, offsetof(card_sizes, n_hidden), FOTEN_USUAL_N_HIDDEN, 1},
+    {"head_width", CARD_PLUS, offsetof(card_sizes, head_width), FOTEN_USUAL_HEAD_WIDTH, 1},
+    {"n_components", CARD_PLUS, offsetof(card_sizes, n_components), FOTEN_USUAL_N_COMPONENTS, 1},
     {"excitation_width", CARD_NETWORKS | CARD_PLUS | CARD_GRAPH, offsetof(card_sizes, excitation_width), FOTEN_USUAL_EXCITATION_WIDTH, 1},
     {"order", CARD_PLUS, offsetof(card_sizes, order), FOTEN_USUAL_ORDER, 1},
     {"order", CARD_AR, offsetof(card_sizes, order), FOTEN_USUAL_AR_ORDER, 1},
@@ -51,7 +52,6 @@ static const struct {
     {"pre_norm", CARD_NETWORKS, offsetof(card_sizes, network.pre_norm), 1, SWITCH},
     {"excitation", CARD_TEN | CARD_FOTEN | CARD_GRAPH, offsetof(card_sizes, excitation), 0, SWITCH},
     {"network_in_loop", CARD_PLUS, offsetof(card_sizes, network_in_loop), 1, SWITCH},
-    {"network_in_loop", CARD_NETWORKS, offsetof(card_sizes, network_in_loop), 0, SWITCH},
     {"gain_before_filter", CARD_PLUS, offsetof(card_sizes, gain_before_filter), 0, SWITCH},
     {"residual_gain_before_filter", CARD_PLUS, offsetof(card_sizes, residual_gain_before_filter), 0, SWITCH},
 };
@@ -69,8 +69,6 @@ static int read_model(texture_file *file, int has_function, card_sizes *s, int *
     for (int i = 0; i < N(MODELS); i++)
         if (json_is_string(model, MODELS[i].name)) {
             s->model = MODELS[i].bit;
-            s->of_noise = MODELS[i].of_noise;
-            s->has_hop = MODELS[i].has_hop;
             *usual_window = MODELS[i].window;
         }
     if (!s->model && file_has(file, "graph")) s->model = CARD_GRAPH; /* of whatever name, which predicts the next sample */
@@ -96,27 +94,17 @@ static int read_head(json list, int widths[2]) {
     return 1;
 }
 
-static int check_graph(texture_file *file, json from, card_sizes *s) {
-    long long hop = 1;
-    json value = json_member(from, "hop");
-    if (s->network.window > FOTEN_LONGEST_GRAPH_WINDOW || !s->network.window) return wrong_size(file, "window");
-    if (s->of_noise && s->excitation) return wrong_size(file, "excitation");
-    if (s->has_hop ? !json_integer(value, &hop) || hop < 1 || hop > s->network.window : value.begin != NULL) return wrong_size(file, "hop");
-    s->hop = (int)hop;
-    return 1;
-}
-
 /* What sizes have to be to one another. */
 static int check_sizes(texture_file *file, card_sizes *s) {
     network_sizes *n = &s->network;
-    if (n->window > FOTEN_LONGEST_WINDOW) return wrong_size(file, "window");
+    if (n->window > (s->model == CARD_GRAPH ? FOTEN_LONGEST_GRAPH_WINDOW : FOTEN_LONGEST_WINDOW)) return wrong_size(file, "window");
+    if (s->model == CARD_GRAPH) return 1;
     if (s->model == CARD_AR) {
         if (s->order > FOTEN_HIGHEST_ORDER) return wrong_size(file, "order");
         if (s->ma > FOTEN_HIGHEST_ORDER) return wrong_size(file, "ma");
         return n->window > s->order || wrong_size(file, "window");
     }
     if (s->model == CARD_PLUS) return 1;
-    if (s->network_in_loop && !s->excitation) return wrong_size(file, "network_in_loop");
     if (n->n_layers > MOST_LAYERS) return wrong_size(file, "n_layers");
     if (n->d_model % n->n_heads || (n->spectral_width > 1 && n->spectral_width % n->n_heads)) return wrong_size(file, "n_heads");
     n->fourier = s->model != CARD_TEN;
@@ -134,7 +122,7 @@ int card_read_sizes(texture_file *file, int has_function, card_sizes *s) {
     json from = json_member(file->card, "sizes"), value;
     long long version;
     size_t n_known = 0;
-    int usual_window = 0;
+    int usual_window = 0; /* a graph has none: its card has to name it */
     *s = (card_sizes){0};
     if (!json_integer(json_member(file->card, "format_version"), &version))
         return file_refuse(file, FOTEN_BAD_FILE, "the card has no format version");
@@ -156,9 +144,8 @@ int card_read_sizes(texture_file *file, int has_function, card_sizes *s) {
     s->network.half_bins = json_is_string(value, "half");
     if (value.begin && !s->network.half_bins && !json_is_string(value, "all")) return wrong_size(file, "bins");
     if (!read_head(size_named(from, "head", s->model & CARD_NETWORKS, &n_known), s->network.head)) return wrong_size(file, "head");
-    if (s->model == CARD_GRAPH) return check_graph(file, from, s);
     if (s->model == CARD_PLUS) s->excitation = 1;
-    if (json_count(from) != n_known)
+    if (s->model != CARD_GRAPH && json_count(from) != n_known) /* what a graph is made of is its own */
         return file_refuse(file, FOTEN_BAD_FILE, "the card has a size that this library does not know; is the library older than the file?");
     return check_sizes(file, s);
 }

@@ -8,10 +8,10 @@
 /* All that must survive a sample: this, and the arrays that it points to, which follow it in one block. Each kind of loop uses its part. */
 struct loop {
     condition condition;         /* of the last sample, which the next one goes by */
-    lattice_state lattice;       /* foten-plus, piecewise AR; of networks with a network of innovations the level */
+    lattice_state lattice;       /* foten-plus, piecewise AR */
     excitation_state excitation; /* foten-plus, networks */
     tones_state tones;           /* foten-plus */
-    innovation_state innovation; /* foten-plus, networks */
+    innovation_state innovation; /* foten-plus */
     predictor_state predictor;   /* networks, graphs */
     mixture mixture;             /* piecewise AR */
     double *innovations;         /* piecewise AR: the last ones, the youngest first */
@@ -51,9 +51,6 @@ extern const loop_kind lattice_loop, window_loop, piecewise_ar_loop;
 /* The memory of a loop, in a block of its own or, with base NULL, only measured. */
 loop *loop_place(const foten_model *model, block *from);
 void loop_copy(const foten_model *model, loop *to, const loop *from);
-
-/* Of a model whose window holds noise: a stream's from before its first sample, or zeros without one (NULL). */
-void loop_take_noise(const foten_model *model, loop *l, const noise_source *noise);
 
 /* Whether a condition is another one for tables over speed and force than that of the last sample. */
 static inline int loop_moved(const loop *l, const condition *c) {

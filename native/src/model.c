@@ -33,10 +33,9 @@ static int read_network(foten_model *m, texture_file *file, const card_sizes *s,
 
 /* Of a graph the file holds nothing for this library but an excitation. */
 static int leave_graph(foten_model *m, texture_file *file, const card_sizes *s) {
-    m->of_noise = s->of_noise;
+    m->takes_noise = 1;
     m->predictor.window = s->network.window;
-    m->predictor.n_inputs = 3;
-    m->predictor.hop = s->hop;
+    m->predictor.n_inputs = FOTEN_PREDICTOR_INPUTS;
     file_leave(file, "graph");
     return 1;
 }
@@ -52,12 +51,6 @@ static int read_tensors(foten_model *m, texture_file *file, const card_sizes *s,
     m->kind = &window_loop;
     m->excited = s->excitation;
     if (m->excited && !excitation_read(file, &m->memory, s->excitation_width, &m->excitation)) return 0;
-    if (s->network_in_loop) {
-        if (!scale_read(file, &m->memory, "level.", s->excitation_width, &m->lattice.level)) return 0;
-        int hidden = s->n_hidden, width = s->head_width;
-        if (!innovation_read(file, &m->memory, "rendering_network.", INNOVATION_INPUTS, hidden, width, s->n_components, &m->rendering_network)) return 0;
-        m->network_in_loop = &m->rendering_network;
-    }
     return s->model == CARD_GRAPH ? leave_graph(m, file, s) : read_network(m, file, s, isa);
 }
 

@@ -18,15 +18,14 @@ struct foten_model {
     double rate_hz, lowpass_hz, saturation, mean[3], sd[3], low[2], high[2], exponents[2]; /* as the card has them */
 
     const loop_kind *kind;
-    int excited;  /* whether there is a random part with a scale of its own */
-    int of_noise; /* whether the predictor is given noise in the place of acceleration */
+    int excited;     /* whether there is a random part with a scale of its own */
+    int takes_noise; /* whether somebody else's function predicts, which is given noise as well */
 
     predictor predictor;   /* of networks and graphs */
     excitation excitation; /* of foten-plus, and of a network that has one */
 
     /* Of foten-plus: lattice and network that predict the vibration, the lattice of what tones leave, and what a rendering goes by; its network is
-     * NULL where the excitation is noise. Of a network with a network of innovations:
-     * `lattice.level`, what one is worth, `rendering_network` and `network_in_loop`. */
+     * NULL where the excitation is noise. */
     lattice lattice, residual;
     innovation_network network, rendering_network;
     const struct lattice *excited_lattice;
@@ -45,4 +44,4 @@ int model_read(foten_model *model, texture_file *file, const isa *isa, foten_pre
 /* Replay the golden windows of a file that was read, and keep the loop that renderings begin with. */
 int model_prove(foten_model *model, texture_file *file);
 
-static inline int model_is_random(const foten_model *m) { return m->excited || m->of_noise; }
+static inline int model_is_random(const foten_model *m) { return m->excited || m->takes_noise; }

@@ -144,10 +144,7 @@ def validation_summary(card: Mapping[str, Any]) -> str:
         return "none here: its models were imported"
     metrics = card["metrics"]
     if metrics["validation_mae_scaled"] is not None:
-        text = f"{metrics['validation_mae_scaled']:.4f} sd one-step"
-        if metrics.get("validation_mae_scaled_hop") is not None:
-            text += f", {metrics['validation_mae_scaled_hop']:.4f} sd on the mean of a hop"
-        return text
+        return f"{metrics['validation_mae_scaled']:.4f} sd one-step"
     distance = f"{metrics['validation_spectrum_db']:.2f} dB"
     if card["model"] == "gan":
         return f"mean spectra missed by {distance}"

@@ -32,16 +32,6 @@ def sweep(
     gpus_per_run: Annotated[
         float, Option(min=0.0, max=8.0, help="Share of a GPU that each run takes: 0.25 lets four share one.")
     ] = 0.0,
-    batched: Annotated[
-        int,
-        Option(
-            "--batched",
-            min=1,
-            max=64,
-            help="Textures that a worker trains at once as one batched model: from six on faster with small batches, as of the "
-            "paper's recipe. Weights differ from those of one by one in rounding.",
-        ),
-    ] = 1,
     recordings: Annotated[
         Path | None,
         Option(metavar="DIR", help="Folder of the experiment's recordings.", show_default="that of the file"),
@@ -74,7 +64,7 @@ def sweep(
     from foten.experiments import sweep as sweeping
 
     try:
-        n_done, n_failed = sweeping.sweep(experiment, output, workers, address, gpus_per_run, say, batched)
+        n_done, n_failed = sweeping.sweep(experiment, output, workers, address, gpus_per_run, say)
     except sweeping.Stopped as stopped:
         raise Exit(130) from stopped
     result = {"output": str(output), "n_runs": len(runs), "n_done": n_done, "n_failed": n_failed}

@@ -25,7 +25,7 @@ def train(
         str,
         Option(
             help="foten-plus (ours), foten (the paper's); its variants ten, ten-mfcc, ten-wavelet, foten-d; the systems it is "
-            "compared with, re-implemented: ar (piecewise AR), fnn, dstn, hapinf, ldhtd, ldhtd-hop, dftnet, gan."
+            "compared with, re-implemented: ar (piecewise AR), fnn, dstn, hapinf, ldhtd, dftnet, gan."
         ),
     ] = "foten-plus",
     recipe: Annotated[str, Option(help="default (ours) or paper (Adam 1e-3, batch 16, 100 epochs).")] = "default",

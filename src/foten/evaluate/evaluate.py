@@ -206,7 +206,7 @@ def _one_step(
             predicted[name] = linear.predict(samples, n)
     for name, values in predicted.items():
         references[name].update(one_step(recorded, values, sd, predicted.get("ar")))
-    if texture.sizes.from_noise:
+    if not texture.predicts_samples:
         reasons["one_step"] = f"{texture.card['model']} predicts spectra, and no sample"
     else:
         result.update(one_step(recorded, predict(kernel, samples, n).sample, sd, predicted.get("ar")))

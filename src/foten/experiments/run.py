@@ -22,7 +22,7 @@ from foten.recording.recording import Recording
 from foten.recording.trace import Trace
 from foten.train.config import TrainConfig
 from foten.train.job import TrainingJob
-from foten.train.pipeline import train, train_batched
+from foten.train.pipeline import train
 
 
 def execute(run: Run, recording: Recording) -> dict[str, Any]:
@@ -32,25 +32,6 @@ def execute(run: Run, recording: Recording) -> dict[str, Any]:
     if trained.progress.interrupted:
         raise KeyboardInterrupt
     return _judged(run, recording, trained.texture, time.perf_counter() - started)
-
-
-def execute_batched(runs: Sequence[Run], recordings: Sequence[Recording]) -> list[dict[str, Any]]:
-    """Return the results of runs that differ in texture and split only, trained as one batched model.
-
-    A run that failed has the reason under `failed` instead.
-    """
-    started = time.perf_counter()
-    trained = train_batched([_job(*one) for one in zip(runs, recordings, strict=True)])
-    seconds = (time.perf_counter() - started) / len(runs)
-    results = []
-    for run, recording, one in zip(runs, recordings, trained, strict=True):
-        try:
-            if isinstance(one, Exception):
-                raise one
-            results.append(_judged(run, recording, one.texture, seconds, len(runs)))
-        except Exception as error:
-            results.append(failure(error))
-    return results
 
 
 def failure(error: Exception) -> dict[str, Any]:
@@ -64,7 +45,7 @@ def _job(run: Run, recording: Recording) -> TrainingJob:
     return TrainingJob(recording, run.model, sizes, TrainConfig(**run.train), preprocess, split_seed=run.split_seed)
 
 
-def _judged(run: Run, recording: Recording, texture: Texture, seconds: float, n_batched: int = 1) -> dict[str, Any]:
+def _judged(run: Run, recording: Recording, texture: Texture, seconds: float) -> dict[str, Any]:
     started = time.perf_counter()
     listener = "listener" in run.measures
     judgement = evaluate(texture, recording, truth_for(recording, texture, listener=listener), listener=listener)
@@ -75,7 +56,6 @@ def _judged(run: Run, recording: Recording, texture: Texture, seconds: float, n_
         "versions": texture.card["training"]["versions"],
         "recording_sha256": document["recording_sha256"],
         "seconds": {"training": seconds, "evaluation": time.perf_counter() - started},
-        "n_batched": n_batched,
         "n_epochs": metrics.get("n_epochs"),
         "validation_mae_scaled": metrics["validation_mae_scaled"],
         "file_bytes": len(texture.to_bytes()),

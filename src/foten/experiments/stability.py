@@ -146,7 +146,7 @@ def with_path(texture: Texture, condition: Array) -> Array:
 def outwards(texture: Texture, windows: Array, path: Array, limit: float, rng: np.random.Generator) -> Array:
     """Return the largest noise that the generator draws, of every other stream with the sign of what is predicted, (s, n)."""
     sizes = texture.sizes
-    network = OnnxPredictor(sizes, texture.tensors).ahead if sizes.in_graph else None
+    network = OnnxPredictor(sizes, texture.tensors).predict if sizes.in_graph else None
     stream = model_of(sizes, texture.tensors, network).start(windows)
     noise = LARGEST_NOISE * rng.choice([-1.0, 1.0], path.shape[:2])
     for i in range(path.shape[1]):

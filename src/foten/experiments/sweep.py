@@ -13,7 +13,7 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -25,9 +25,8 @@ import foten
 from foten.atomic_write import atomic_write
 from foten.experiments.experiment import Experiment, Run, recording_of
 from foten.experiments.results import read_result
-from foten.experiments.run import execute, execute_batched, failure
+from foten.experiments.run import execute, failure
 from foten.recording.recording import Recording
-from foten.train.batched import BATCHED
 
 Waiting = tuple[int, Run, Path]
 """A run without a result: its place in the experiment, and the path that its result will have."""
@@ -52,7 +51,6 @@ def sweep(
     address: str | None = None,
     gpus_per_run: float = 0.0,
     say: Callable[[str], None] = lambda text: None,
-    n_batched: int = 1,
 ) -> tuple[int, int]:
     """Execute the runs of an experiment that have no result yet, keep one file each, and return how many were done and failed.
 
@@ -60,7 +58,6 @@ def sweep(
         workers: runs at a time on this machine; one for each core by default. Each has one thread.
         address: of a Ray cluster, "auto" for the one that this machine is part of; None starts Ray here.
         gpus_per_run: share of a GPU that each run takes.
-        n_batched: largest number of textures that are trained as one batched model, of the models in `BATCHED`.
 
     Raises:
         ValueError: a setting does not fit, or there is no such cluster.
@@ -94,10 +91,7 @@ def sweep(
         kept = {source: ray.put(recordings[source][1]) for source in {run.source for _, run, _ in waiting}}
         recordings.clear()  # held by Ray's object store from here on
         task = ray.remote(num_cpus=1, num_gpus=gpus_per_run, max_retries=RETRIES)(_guarded)
-        pending = {
-            task.remote([asdict(run) for _, run, _ in some], *(kept[run.source] for _, run, _ in some)): some
-            for some in _groups(waiting, n_batched)
-        }
+        pending = {task.remote(asdict(one[1]), kept[one[1].source]): one for one in waiting}
         return _collected(experiment, pending, say)
     except KeyboardInterrupt as error:
         # Before Ray is shut down, which takes seconds.
@@ -192,55 +186,35 @@ def _check_answered(address: str) -> None:
         raise ValueError(NO_CLUSTER.format(address, error)) from error
 
 
-def _groups(waiting: Sequence[Waiting], n_batched: int) -> list[list[Waiting]]:
-    """Return the runs in groups for one worker each, in their order: one run, or up to `n_batched` that can be batched."""
-    groups: list[list[Waiting]] = []
-    last: dict[str, list[Waiting]] = {}
-    for one in waiting:
-        run = one[1]
-        key = json.dumps([run.model, run.sizes, {**run.train, "seed": 0}, run.preprocess], sort_keys=True)
-        group = last.get(key, [])
-        if run.model in BATCHED and run.train["threads"] == 1 and len(group) % n_batched:
-            group.append(one)
-        else:
-            groups.append([one])
-            last[key] = groups[-1]
-    return groups
-
-
-def _guarded(runs: Sequence[Mapping[str, Any]], *recordings: Recording) -> list[dict[str, Any]]:
-    """Return the runs' results, or the reason why there is none: Ray retries what raises, and an error here would recur."""
+def _guarded(run: Mapping[str, Any], recording: Recording) -> dict[str, Any]:
+    """Result of a run, or the reason why there is none: Ray retries what raises, and an error here would recur."""
     try:
-        some = [Run(**run) for run in runs]
-        return execute_batched(some, recordings) if len(some) > 1 else [execute(some[0], recordings[0])]
+        return execute(Run(**run), recording)
     except Exception as error:
-        return [failure(error)] * len(runs)
+        return failure(error)
 
 
-def _collected(
-    experiment: Experiment, pending: dict[Any, list[Waiting]], say: Callable[[str], None]
-) -> tuple[int, int]:
+def _collected(experiment: Experiment, pending: dict[Any, Waiting], say: Callable[[str], None]) -> tuple[int, int]:
     started = time.perf_counter()
     n_done = n_failed = 0
-    n_runs = sum(map(len, pending.values()))
+    n_runs = len(pending)
     while pending:
         (ready, *_), _ = ray.wait(list(pending), num_returns=1)
-        some = pending.pop(ready)
+        index, run, path = pending.pop(ready)
         try:
-            results = ray.get(ready)
+            result = ray.get(ready)
         except ray.exceptions.RayError as error:
-            results = [{"failed": f"lost {RETRIES + 1} times: {str(error).splitlines()[0]}"}] * len(some)
-        for (index, run, path), result in zip(some, results, strict=True):
-            if "failed" in result:
-                n_failed += 1
-                ended = f"failed: {result['failed']}"
-            else:
-                n_done += 1
-                ended = f"{sum(result['seconds'].values()):.0f} s"
-                _write(path, {**result, **_about(experiment, index, run)})
-            n = n_done + n_failed
-            minutes = (time.perf_counter() - started) / n * (n_runs - n) / 60
-            left = f", about {minutes:.0f} min left" if n < n_runs else ""
-            name = f"{run.label} ({run.recipe})" if run.recipe else run.label
-            say(f"{n}/{n_runs} {name}, {run.texture}, split {run.split_seed}: {ended}{left}")
+            result = {"failed": f"lost {RETRIES + 1} times: {str(error).splitlines()[0]}"}
+        if "failed" in result:
+            n_failed += 1
+            ended = f"failed: {result['failed']}"
+        else:
+            n_done += 1
+            ended = f"{sum(result['seconds'].values()):.0f} s"
+            _write(path, {**result, **_about(experiment, index, run)})
+        n = n_done + n_failed
+        minutes = (time.perf_counter() - started) / n * (n_runs - n) / 60
+        left = f", about {minutes:.0f} min left" if n < n_runs else ""
+        name = f"{run.label} ({run.recipe})" if run.recipe else run.label
+        say(f"{n}/{n_runs} {name}, {run.texture}, split {run.split_seed}: {ended}{left}")
     return n_done, n_failed

@@ -23,7 +23,6 @@ FAMILIES: dict[str, type[Sizes]] = {
     "dstn": graphs.DstnSizes,
     "hapinf": graphs.HapinfSizes,
     "ldhtd": graphs.LdhtdSizes,
-    "ldhtd-hop": graphs.LdhtdHopSizes,
     "dftnet": graphs.DftnetSizes,
     "gan": graphs.GanSizes,
 }

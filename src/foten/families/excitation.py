@@ -36,38 +36,6 @@ class WithExcitation(Sizes):
         return {name: size for name, size in kept if self.excitation or not name.startswith("excitation")}
 
 
-@dataclass(frozen=True)
-class WithInnovations(WithExcitation):
-    """One that may have the network of innovations of foten-plus as well: over its own errors, in units of their scale.
-
-    What it expects is added to the prediction.
-    """
-
-    network_in_loop: bool = False  # whether it has; with an excitation alone, which settles its level
-    n_hidden: int = 48  # of that network's recurrent layer
-    head_width: int = 48  # of the layer that makes a distribution of it
-    n_components: int = 4  # of that distribution
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.network_in_loop and not self.excitation:
-            raise ValueError("network_in_loop is true without excitation, expected excitation=true as well")
-
-    def tensor_shapes(self) -> Shapes:
-        """Return those of the excitation, and of network and level, where there are such."""
-        shapes = super().tensor_shapes()
-        if self.network_in_loop:
-            network = N_INNOVATION_INPUTS, self.n_hidden, self.head_width, self.n_components
-            shapes |= scale_shapes("level", self.excitation_width) | innovation_shapes("rendering_network", *network)
-        return shapes
-
-    def to_card(self) -> dict[str, Any]:
-        """Return the sizes as plain JSON values; nothing of a network where there is none."""
-        of_network = ("network_in_loop", "n_hidden", "head_width", "n_components")
-        kept = super().to_card().items()
-        return {name: size for name, size in kept if self.network_in_loop or name not in of_network}
-
-
 def innovation_shapes(name: str, inputs: int, n_hidden: int, head_width: int, n_components: int) -> Shapes:
     """Return the tensors of a network of innovations."""
     h, width = n_hidden, head_width

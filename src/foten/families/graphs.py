@@ -121,30 +121,6 @@ class LdhtdSizes(GraphSizes):
 
 
 @dataclass(frozen=True)
-class LdhtdHopSizes(GraphSizes):
-    """What the authors of [20] published as code, without its images: a hop of samples at once from 200 before it."""
-
-    window: int = 200  # samples of acceleration
-    hop: int = 20  # samples of what is predicted, and of the condition that it goes by
-    recurrent: int = 20
-    condition_width: int = 64  # features of the condition
-    d_model: int = 128
-    n_heads: int = 4
-    d_feedforward: int = 128
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_heads(self.d_model, self.n_heads)
-        if self.hop > self.window:
-            raise ValueError(f"hop is {self.hop}, expected at most the window, {self.window}")
-
-    @property
-    def n_ahead(self) -> int:
-        """Return how many samples a window gives."""
-        return self.hop
-
-
-@dataclass(frozen=True)
 class NoiseModelSizes(Sizes):
     """A model of spectra, whose samples are filtered noise: its windows hold noise in the place of acceleration."""
 

@@ -37,11 +37,6 @@ class Sizes:
         return self.window
 
     @property
-    def n_ahead(self) -> int:
-        """Return how many samples a window gives."""
-        return 1
-
-    @property
     def excited(self) -> bool:
         """Return whether there is an excitation of its own."""
         return False

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from foten.families.excitation import N_INNOVATION_INPUTS, WithInnovations, innovation_cost, linear_shapes, scale_cost
+from foten.families.excitation import WithExcitation, linear_shapes, scale_cost
 from foten.families.sizes import Shapes, Sizes, check_count, check_heads
 
 
@@ -62,18 +62,16 @@ class TransformerSizes(Sizes):
 
 
 @dataclass(frozen=True)
-class TenSizes(TransformerSizes, WithInnovations):
+class TenSizes(TransformerSizes, WithExcitation):
     """TEN, Table II."""
 
     def tensor_shapes(self) -> Shapes:
-        """Return the network's, and those of the random part where there is one."""
-        return self.network_shapes() | WithInnovations.tensor_shapes(self)
+        """Return the network's, and those of the excitation where there is one."""
+        return self.network_shapes() | WithExcitation.tensor_shapes(self)
 
     def multiply_adds(self) -> int:
-        """Return the cost of the network, and of the random part where there is one."""
-        scales = (1 + self.network_in_loop) * scale_cost(self.excitation_width)
-        drawn = innovation_cost(N_INNOVATION_INPUTS, self.n_hidden, self.head_width, self.n_components)
-        return self.network_cost() + self.excitation * (scales + 5) + self.network_in_loop * drawn
+        """Return the cost of the network, and of the excitation where there is one."""
+        return self.network_cost() + self.excitation * (scale_cost(self.excitation_width) + 5)
 
 
 def encoder_shapes(name: str, width: int, d_feedforward: int) -> Shapes:

@@ -52,6 +52,10 @@ _CARD: Mapping[type | tuple[type, ...], str] = {
     (dict, type(None)): "split",
 }
 """What a card must hold, by JSON type; a texture that was not trained here has no split."""
+_VALIDATED = (
+    "validation_mae_scaled",
+    "validation_spectrum_db",
+)  # of which a trained model has one: it predicts samples, or spectra
 
 
 @dataclass(frozen=True)
@@ -90,7 +94,12 @@ class Texture:
     @property
     def has_excitation(self) -> bool:
         """Return whether there is a random part."""
-        return self.sizes.excited or self.sizes.from_noise
+        return self.sizes.excited or not self.predicts_samples
+
+    @property
+    def predicts_samples(self) -> bool:
+        """Return whether the model predicts samples; one of spectra makes them from noise, and predicts none."""
+        return self.card["split"] is None or self.card["metrics"].get("validation_mae_scaled") is not None
 
     def trained_range(self, channel: str) -> tuple[float, float]:
         """Return the lowest and highest trained `speed` [mm/s] or `force` [N]."""
@@ -229,10 +238,9 @@ def check_card(card: Any) -> None:
         raise ValueError(f"the card has a rate of {card['rate_hz']} Hz and preprocessing to {made.rate_hz} Hz")
     if card["split"] is None:
         return
-    needed = "validation_spectrum_db" if sizes.from_noise else "validation_mae_scaled"
-    if not _are_numbers([card["metrics"].get(needed)], 1):
-        raise ValueError(f"the card has no {needed!r} among its metrics")
-    for name in ("validation_mae_scaled", "validation_mae_scaled_lattice", "validation_mae_scaled_hop"):
+    if not any(_are_numbers([card["metrics"].get(name)], 1) for name in _VALIDATED):
+        raise ValueError(f"the card has none of {', '.join(_VALIDATED)} among its metrics")
+    for name in ("validation_mae_scaled", "validation_mae_scaled_lattice"):
         value = card["metrics"].get(name)
         if value is not None and not _are_numbers([value], 1):
             raise ValueError(f"{name!r} among the card's metrics is no number")

@@ -1,4 +1,4 @@
-"""The networks, in PyTorch, one a file: windows (b, m, 3) → next samples (b,), or (b, n_ahead) of those that hop."""
+"""The networks, in PyTorch, one a file: windows (b, m, 3) → next samples (b,)."""
 
 from collections.abc import Callable
 from typing import Any
@@ -14,7 +14,6 @@ from foten.networks.gan import Gan
 from foten.networks.hapinf import Hapinf
 from foten.networks.innovation import InnovationNetwork
 from foten.networks.ldhtd import Ldhtd
-from foten.networks.ldhtd_hop import LdhtdHop
 
 NETWORKS: dict[str, Callable[[Any], nn.Module]] = {
     "foten-plus": InnovationNetwork,
@@ -23,7 +22,6 @@ NETWORKS: dict[str, Callable[[Any], nn.Module]] = {
     "dstn": Dstn,
     "hapinf": Hapinf,
     "ldhtd": Ldhtd,
-    "ldhtd-hop": LdhtdHop,
     "dftnet": Dftnet,
     "gan": Gan,
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from foten.families.excitation import N_INNOVATION_INPUTS, WithInnovations
+from foten.families.excitation import N_INNOVATION_INPUTS
 from foten.families.foten_plus import LOG_SCALE_LIMIT, FotenPlusSizes
 
 
@@ -15,7 +15,7 @@ class InnovationNetwork(nn.Module):
     Before training its means are zero: what it predicts is what the lattice does.
     """
 
-    def __init__(self, sizes: FotenPlusSizes | WithInnovations, n_inputs: int = N_INNOVATION_INPUTS) -> None:
+    def __init__(self, sizes: FotenPlusSizes, n_inputs: int = N_INNOVATION_INPUTS) -> None:
         super().__init__()
         k = self.n_components = sizes.n_components
         self.recurrent = nn.GRU(n_inputs, sizes.n_hidden, batch_first=True)

@@ -10,20 +10,18 @@ from numpy.typing import NDArray
 
 from foten.dsp import Array
 from foten.families import FotenPlusSizes, FotenSizes, PiecewiseArSizes, Sizes, TenSizes
-from foten.families.excitation import WithInnovations
-from foten.reference.excitation import Excitation, Scale
+from foten.reference.excitation import Excitation
 from foten.reference.foten_plus import FotenPlus
-from foten.reference.innovation import InnovationNetwork
 from foten.reference.network import Network
 from foten.reference.piecewise_ar import PiecewiseAr
 from foten.reference.stream import Model
-from foten.reference.window import InnovationModel, WindowModel
+from foten.reference.window import WindowModel
 
 
 def model_of(
     sizes: Sizes, tensors: Mapping[str, NDArray[Any]], network: Callable[[Array], Array] | None = None
 ) -> Model:
-    """Return the model of a texture's tensors; a graph's has a network: windows (b, m, 3) scaled → (b, n_ahead) scaled."""
+    """Return the model of a texture's tensors; a graph's has a network: windows (b, m, 3) scaled → (b,) scaled."""
     if isinstance(sizes, FotenPlusSizes):
         return FotenPlus(sizes, tensors)
     if isinstance(sizes, PiecewiseArSizes):
@@ -31,8 +29,5 @@ def model_of(
     if network is None:
         assert isinstance(sizes, FotenSizes | TenSizes)
         network = Network(sizes, tensors)
-    innovations = None
-    if isinstance(sizes, WithInnovations) and sizes.network_in_loop:
-        innovations = InnovationModel(Scale(tensors, "level."), InnovationNetwork(tensors, "rendering_network."))
     excitation = Excitation(tensors) if sizes.excited else None
-    return WindowModel(network, sizes.window, excitation, sizes.from_noise, innovations)
+    return WindowModel(network, sizes.window, excitation, sizes.from_noise)

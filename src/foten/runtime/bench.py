@@ -43,8 +43,7 @@ class StepTimes:
     p99_us: float
     p999_us: float
     largest_us: float
-    contacts: float  # that one core holds at that rate, by the median of samples, or of the means over hops
-    hop: int  # samples that the model gives at once, which the first of them costs
+    contacts: float  # that one core holds at that rate, by the median
 
 
 def time_steps(path: Path, n: int) -> StepTimes:
@@ -63,9 +62,8 @@ def time_steps(path: Path, n: int) -> StepTimes:
         times.append(time.perf_counter_ns() - begin)
     us = np.array(times[_WARM_UP:]) / 1000
     p50, p99, p999, largest = np.percentile(us, [50, 99, 99.9, 100]).tolist()
-    rate, hop = texture.info.rate_hz, max(1, texture.info.hop)
-    usual = float(np.median(us[: us.size // hop * hop].reshape(-1, hop).mean(axis=1)))
-    return StepTimes(isa(), rate, n, p50, p99, p999, largest, 1e6 / rate / usual, hop)
+    rate = texture.info.rate_hz
+    return StepTimes(isa(), rate, n, p50, p99, p999, largest, 1e6 / rate / p50)
 
 
 def time_all(path: Path, n: int) -> list[StepTimes]:
@@ -75,7 +73,7 @@ def time_all(path: Path, n: int) -> list[StepTimes]:
         ValueError: the file is none that renders.
         OSError: one of the processes came to an end.
     """
-    if NativeTexture(path.read_bytes()).info.hop:
+    if NativeTexture(path.read_bytes()).info.asks_predictor:
         # ONNX Runtime takes the instructions that it likes, whatever the kernel around it does.
         return [replace(time_steps(path, n), isa="onnxruntime")]
     times = []
@@ -108,7 +106,6 @@ def as_table(times: list[StepTimes]) -> str:
     for one in times:
         figures = "".join(f"{getattr(one, name):9.2f}" for name in ("p50_us", "p99_us", "p999_us"))
         lines.append(f"{one.isa:12s}{figures}{one.largest_us:10.1f}   {one.contacts:.0f} at {one.rate_hz:g} Hz")
-    lines += [f"one sample in {one.hop} costs what all of them do" for one in times[:1] if one.hop > 1]
     empty_us = 1e6 * np.median(timeit.repeat(library().foten_abi, number=1, repeat=2000))
     lines.append(f"in µs a sample, called one by one from Python; a call that does nothing takes {empty_us:.2f}")
     return "\n".join(lines)

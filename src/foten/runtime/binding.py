@@ -7,7 +7,7 @@ from ctypes import POINTER, Structure, c_char_p, c_double, c_float, c_int, c_siz
 from functools import cache
 from pathlib import Path
 
-ABI = 5  # FOTEN_ABI of the header that this follows
+ABI = 6  # FOTEN_ABI of the header that this follows
 NO_MEMORY, NO_PREDICTOR = 3, 5
 
 
@@ -23,7 +23,7 @@ class Info(Structure):
         ("acceleration_sd", c_double),
         ("lowpass_hz", c_double),
         ("state_bytes", c_size_t),
-        ("hop", c_int),
+        ("asks_predictor", c_int),
     ]
 
 
@@ -72,7 +72,8 @@ class Options(Structure):
 
 LIBRARIES = ("libfoten.so", "libfoten.dylib", "libfoten.dll")
 _FLOATS = _DOUBLES = c_void_p  # arrays, given as `array.ctypes`
-PREDICTOR = ctypes.CFUNCTYPE(None, c_void_p, POINTER(c_float), POINTER(c_float), c_int)
+PREDICTOR = ctypes.CFUNCTYPE(c_float, c_void_p, POINTER(c_float))
+PREDICTOR_INPUTS = 4  # FOTEN_PREDICTOR_INPUTS: acceleration, speed, force and noise of a sample
 _SIGNATURES = {
     "foten_abi": (c_int, []),
     "foten_version": (c_char_p, []),

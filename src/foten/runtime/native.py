@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import weakref
 from collections.abc import Callable
 from ctypes import byref, c_float, c_void_p
@@ -32,7 +33,7 @@ class NativeInfo:
     acceleration_sd: float  # of the recording [m/s²]
     lowpass_hz: float  # that the speed and force of the recording went through
     state_bytes: int  # of a state at the texture's own rate
-    hop: int  # samples that ONNX Runtime is asked for at once; 0 where the kernel runs the model itself
+    asks_predictor: bool  # whether ONNX Runtime is asked for each sample, and the kernel has no code for the model
 
 
 class NativeTexture:
@@ -54,6 +55,7 @@ class NativeTexture:
         # Copied: the texts live as long as the texture does.
         fields |= {name: fields[name].decode(errors="replace") for name in ("model", "texture")}
         fields |= {name: tuple(fields[name]) for name in ("trained_speed", "trained_force")}
+        fields |= {name: bool(fields[name]) for name in ("has_excitation", "asks_predictor")}
         self.info = NativeInfo(**fields)
         freed_with(self, library().foten_model_free, self.pointer)
 
@@ -172,7 +174,7 @@ def freed_with(owner: object, free: Callable[[c_void_p], None], pointer: c_void_
 
 
 def _asked(data: bytes, failed: list[BaseException]) -> ctypes._FuncPointer:
-    """Return what the kernel asks for the samples after a window, of a file whose model it has no code for.
+    """Return what the kernel asks for the sample after a window, of a file whose model it has no code for.
 
     An exception cannot pass through the kernel: it is put aside, the kernel is answered at once from then on, and whoever
     called it raises it. That includes Ctrl-C, which Python delivers in here.
@@ -182,17 +184,15 @@ def _asked(data: bytes, failed: list[BaseException]) -> ctypes._FuncPointer:
 
     texture = texture_from_bytes(data)
     predictor = OnnxPredictor(texture.sizes, texture.tensors)
-    shape = (1, predictor.window, 3)
+    shape = (1, predictor.window, binding.PREDICTOR_INPUTS)
 
-    def answer(_: int | None, window: ctypes._Pointer[c_float], following: ctypes._Pointer[c_float], n: int) -> None:
-        # Of as many as the kernel has room for, whatever this side reads in the card.
-        out = np.ctypeslib.as_array(following, (n,))
-        out[:] = np.nan
+    def answer(_: int | None, window: ctypes._Pointer[c_float]) -> float:
         if failed:
-            return
+            return math.nan
         try:
-            predictor.predict_into(np.ctypeslib.as_array(window, shape), out)
+            return predictor.next_sample(np.ctypeslib.as_array(window, shape))
         except BaseException as error:  # which would be printed and lost
             failed.append(error)
+            return math.nan
 
     return binding.PREDICTOR(answer)

@@ -13,7 +13,7 @@ from foten.dsp import Array
 from foten.families.sizes import Sizes
 
 GRAPH = "graph"  # the tensor that holds one, as bytes
-INPUT, OUTPUT = "windows", "next"
+INPUT, NOISE, OUTPUT = "windows", "noise", "next"
 # What our networks are made of. A file is not trusted: nothing that repeats, branches, reads other files or is somebody's own.
 _OPERATORS = re.compile(
     "Add|And|Atan|Cast|Clip|Concat|Constant|ConstantOfShape|Conv|Cos|Div|Einsum|Equal|Exp|Flatten|Gather|Gemm|Greater|Identity|LSTM|"
@@ -23,39 +23,42 @@ _OPERATORS = re.compile(
 
 
 class OnnxPredictor:
-    """A network in ONNX Runtime, on one thread, in float32: windows (b, m, 3) → (b,), or (b, n_ahead) where n_ahead > 1.
+    """A network in ONNX Runtime, on one thread, in float32: windows (b, m, 3) → (b,).
+
+    A graph takes acceleration, speed and force; or, where its input is `NOISE`, noise in the place of acceleration.
 
     Raises:
         ValueError: onnxruntime is not installed, or the graph is damaged or another one.
     """
 
     def __init__(self, sizes: Sizes, tensors: Mapping[str, NDArray[Any]]) -> None:
-        self.window, self.n_ahead = sizes.history, sizes.n_ahead
+        self.window = sizes.history
         self._session = _session(tensors[GRAPH].tobytes())
         inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
-        named = [(one.name, one.type) for one in (*inputs, *outputs)]
-        if named != [(INPUT, "tensor(float)"), (OUTPUT, "tensor(float)")] or inputs[0].shape[1:] != [self.window, 3]:
-            taken = [(one.name, one.shape) for one in inputs]
+        self._input = inputs[0].name
+        named = [(value.name, value.type) for value in (*inputs, *outputs)]
+        expected = [(NOISE if self.takes_noise else INPUT, "tensor(float)"), (OUTPUT, "tensor(float)")]
+        if named != expected or inputs[0].shape[1:] != [self.window, 3]:
+            taken = [(value.name, value.shape) for value in inputs]
             raise ValueError(f"the graph takes {taken}, expected windows (b, {self.window}, 3)")
-        given = self._session.run([OUTPUT], {INPUT: np.zeros((2, self.window, 3), dtype=np.float32)})[0].shape
-        expected = (2,) if self.n_ahead == 1 else (2, self.n_ahead)
-        if given != expected:
-            raise ValueError(f"the graph gives {given} of two windows, expected {expected}")
+        shape = self.predict(np.zeros((2, self.window, 3))).shape
+        if shape != (2,):
+            raise ValueError(f"the graph gives {shape} of two windows, expected (2,)")
+        self._columns = [3, 1, 2] if self.takes_noise else [0, 1, 2]
 
-    def ahead(self, windows: Array) -> Array:
-        """Return the samples to come: windows (b, m, 3) scaled → (b, n_ahead) scaled."""
-        (following,) = self._session.run([OUTPUT], {INPUT: windows.astype(np.float32)})
-        return np.asarray(following, dtype=np.float64).reshape(-1, self.n_ahead)
+    @property
+    def takes_noise(self) -> bool:
+        """Whether the graph makes samples from noise, and predicts none."""
+        return str(self._input) == NOISE
 
-    def predict_into(self, window: NDArray[np.float32], out: NDArray[np.float32]) -> None:
-        """Fill in the samples to come, (n_ahead,) scaled, of a window (1, m, 3) scaled.
+    def predict(self, windows: Array) -> Array:
+        """The next samples: windows (b, m, 3) of what the graph takes → (b,) scaled."""
+        (following,) = self._session.run([OUTPUT], {self._input: windows.astype(np.float32)})
+        return np.asarray(following, dtype=np.float64)
 
-        Raises:
-            ValueError: there is room for another number of them.
-        """
-        if out.shape != (self.n_ahead,):
-            raise ValueError(f"the card speaks of {out.size} samples at once, and the graph of {self.n_ahead}")
-        out[:] = self._session.run([OUTPUT], {INPUT: window})[0].ravel()
+    def next_sample(self, window: NDArray[np.float32]) -> float:
+        """The next sample, scaled, of a window (1, m, 4) as the kernel has it: acceleration, speed, force, noise."""
+        return float(self._session.run([OUTPUT], {self._input: window[:, :, self._columns]})[0][0])
 
 
 def _session(graph: bytes) -> Any:

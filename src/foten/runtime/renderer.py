@@ -27,7 +27,7 @@ class Renderer:
 
     It runs in the kernel, without Python's lock. After construction it allocates only the arrays that it returns. The same
     seed and stroke give the same bytes, whatever the sizes of the blocks. A model that ONNX Runtime runs takes Python's lock
-    and allocates in each sample, or in each hop of several.
+    and allocates in each sample.
 
     Args:
         texture: a texture file, its bytes, or a texture in memory.

@@ -98,7 +98,7 @@ OWN_RECIPES: dict[str, dict[str, Any]] = {
     },
     "ten": {"delta": 2.0},
     "ten-wavelet": {"loss": "mse"},
-    **{key: {"loss": "mse", "optimiser": "adamw"} for key in ("fnn", "dstn", "hapinf", "ldhtd", "ldhtd-hop", "dftnet")},
+    **{key: {"loss": "mse", "optimiser": "adamw"} for key in ("fnn", "dstn", "hapinf", "ldhtd", "dftnet")},
     # Its epochs are of 50 steps, not of all windows.
     "gan": {"epochs": 60, "patience": 60, "batch": 64, "learning_rate": 2e-4},
 }

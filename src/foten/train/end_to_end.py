@@ -17,27 +17,21 @@ import torch
 from torch import nn
 
 from foten.dsp import Array
-from foten.families.excitation import WithExcitation, WithInnovations
-from foten.families.foten_plus import FotenPlusSizes
+from foten.families.excitation import WithExcitation
 from foten.families.graphs import HapinfSizes
-from foten.families.sizes import Sizes
 from foten.families.texture_file import Texture
 from foten.networks import build
-from foten.networks.innovation import InnovationNetwork
 from foten.networks.noise_filter import log_magnitudes
-from foten.networks.scale import Scale
-from foten.reference.excitation import Scale as LevelOf
-from foten.runtime.onnx_predictor import GRAPH
+from foten.runtime.onnx_predictor import GRAPH, INPUT, NOISE
 from foten.train.adversarial import fit_adversarial
 from foten.train.blocks import ScaledBlocks
 from foten.train.closed_loop import ClosedLoop
-from foten.train.config import TrainConfig, recipe_of
+from foten.train.config import TrainConfig
 from foten.train.epochs import Epoch, Progress
-from foten.train.excitation import FittedExcitation, fit_excitation, fit_scale, settle_gain
+from foten.train.excitation import fit_excitation
 from foten.train.export import N_GOLDEN, Draft, Tensors, graph_of, in_float64, multiply_adds, tensors_of
 from foten.train.fit import TrainingWindows, fit, pick_device, predict
-from foten.train.foten_plus import LARGEST_BEYOND, LEAST_GAIN_NAT, check_block
-from foten.train.innovations import fit_innovations, innovations_of, scored
+from foten.train.foten_plus import check_block
 from foten.train.job import NetworkTask, Stage, TrainingJob
 
 _AT_ONCE = 65536  # frames
@@ -63,94 +57,31 @@ class EndToEndTask(NetworkTask):
         draft, tensors = Draft(job.model, self.blocks, card), tensors_of(self.renderer)
         if sizes.in_graph:  # the graph alone, which the network in float64 proves
             draft = replace(draft, network=in_float64(self.renderer))
-            tensors = {GRAPH: graph_of(self.renderer, sizes.window)}
-            metrics["multiply_adds"] = multiply_adds(self.renderer, sizes.window) // sizes.n_ahead
+            tensors = {GRAPH: graph_of(self.renderer, sizes.window, name=NOISE if sizes.from_noise else INPUT)}
+            metrics["multiply_adds"] = multiply_adds(self.renderer, sizes.window)
         windows = TrainingWindows(self.blocks.flat, *self.blocks.targets(sizes.window), sizes.window)
         if sizes.from_noise:
             spectrum_db = 20 / math.log(10) * best.validation_mae  # of nats
             metrics |= {"validation_mae_scaled": None, "validation_spectrum_db": spectrum_db}
-        elif sizes.n_ahead > 1:
-            n = windows.validation
-            first = float(np.abs(predict(self.network, windows, n) - windows.samples[n, 0]).mean())
-            metrics |= {"validation_mae_scaled": first, "validation_mae_scaled_hop": best.validation_mae}
         if sizes.excited:
             on_stage("fitting the excitation and settling its level in the closed loop")
-            sizes, random = self._random_part(draft, tensors, windows, metrics, on_stage)
-            tensors |= random
+            both = np.concatenate([windows.train, windows.validation])
+            missed = windows.samples[both, 0] - predict(self.network, windows, both)
+            assert isinstance(sizes, WithExcitation)
+            fitted = fit_excitation(sizes.excitation_width, missed, windows, self._loop(draft, tensors), job.config)
+            metrics |= fitted.metrics()
+            tensors |= tensors_of(fitted.excitation, "excitation.")
         on_stage("proving the texture file")
         return draft.texture(sizes, tensors, metrics, N_GOLDEN).texture
 
-    def _random_part(
-        self, draft: Draft, tensors: Tensors, windows: TrainingWindows, metrics: dict[str, Any], on_stage: Stage
-    ) -> tuple[Sizes, Tensors]:
-        """Return the sizes and the tensors of a random part as foten-plus has it, and add to the metrics what came of it.
-
-        An excitation; or, where one is asked for and likelier by as much as there, a network of innovations.
-        """
-        sizes, config = self.job.sizes, self.job.config
-        assert isinstance(sizes, WithExcitation)
-        plain = replace(sizes, network_in_loop=False) if isinstance(sizes, WithInnovations) else sizes
-        both = np.concatenate([windows.train, windows.validation])
-        missed = windows.samples[both, 0] - predict(self.network, windows, both)
-        loop = self._loop(draft, plain, tensors, lambda condition: np.ones(len(condition)))
-        fitted, weights = fit_excitation(sizes.excitation_width, missed, windows, loop, config), Tensors()
-        renderings = {"without network": fitted.metrics()}
-        chosen: Sizes = plain
-        if isinstance(sizes, WithInnovations) and sizes.network_in_loop:
-            on_stage("training the network of innovations")
-            drawing = self._drawing(draft, sizes, tensors, windows, missed, fitted)
-            if drawing is not None:
-                chosen, (fitted, weights) = sizes, drawing
-                renderings["with network"] = fitted.metrics()
-        metrics |= {**fitted.metrics(), "renderings": renderings}
-        return chosen, {**weights, **tensors_of(fitted.excitation, "excitation.")}
-
-    def _loop(self, draft: Draft, sizes: Sizes, tensors: Tensors, unit: Callable[[Array], Array]) -> ClosedLoop:
+    def _loop(self, draft: Draft, tensors: Tensors) -> ClosedLoop:
         def power(condition: Array) -> tuple[Array, Array]:
             # What the network makes of the excitation is not known; where it is a filter, it is as loud in the same measure.
-            return np.square(unit(condition)), np.zeros(len(condition))
+            return np.ones(len(condition)), np.zeros(len(condition))
 
+        sizes = self.job.sizes
         kernel = partial(draft.kernel, sizes, tensors)
         return ClosedLoop(self.blocks, sizes.history, kernel, power, limit=self.blocks.saturation)
-
-    def _drawing(
-        self,
-        draft: Draft,
-        sizes: WithInnovations,
-        tensors: Tensors,
-        windows: TrainingWindows,
-        missed: Array,
-        plain: FittedExcitation,
-    ) -> tuple[FittedExcitation, Tensors] | None:
-        """Return what settles the level of a network of innovations, and its tensors with those of its unit; None without a gain.
-
-        By foten-plus's recipe, over what this network missed at the training, then the validation indices; by likelihood alone.
-        """
-        blocks, config = self.blocks, self.job.config
-        of_plus = recipe_of("foten-plus", seed=config.seed, threads=config.threads, epochs=min(12, config.epochs))
-        scale = Scale(sizes.excitation_width).requires_grad_(False)
-        fit_scale(scale, windows, blocks.scaling, missed, config.seed)
-        level = LevelOf(tensors_of(scale, "level."), "level.")
-        errors, shape = np.zeros(len(windows.samples)), blocks.samples.shape[:2]
-        errors[np.concatenate([windows.train, windows.validation])] = missed
-        unit = level(blocks.condition_before()[2]).reshape(shape)
-        e, x = errors.reshape(shape) / unit, np.arcsinh(blocks.samples[..., 0] / unit)
-        of = innovations_of(blocks, level, x, e, unit, sizes.window, False)
-        network, warm_up = InnovationNetwork(sizes).to(pick_device()), FotenPlusSizes().window
-        if fit_innovations([network], [of], blocks, warm_up, of_plus).interrupted:
-            raise KeyboardInterrupt  # of a random part half trained nothing is kept
-        given = of.tensors(next(network.parameters()).device)
-        nats, _, of_unit = scored(network, of, given, blocks.split.validation, warm_up)
-        nats = nats + np.log(of_unit)
-        if plain.likelihood_in_units - float(nats.mean()) < LEAST_GAIN_NAT:
-            return None
-        counted = blocks.moving()[list(blocks.split.validation), sizes.window + 1 + warm_up :]
-        likelihood = float(nats[counted].mean()) if counted.any() else None
-        weights = {**tensors_of(scale, "level."), **tensors_of(network, "rendering_network.")}
-        train = list(blocks.split.train)
-        largest = [LARGEST_BEYOND * float(np.abs(one[train]).max()) for one in (e, e * unit)]
-        loop = self._loop(draft, sizes, {**tensors, **weights}, level)
-        return settle_gain(sizes.excitation_width, largest, loop, of_plus, likelihood, settled=False), weights
 
 
 class AdversarialTask(EndToEndTask):
@@ -176,8 +107,6 @@ def prepare_end_to_end(job: TrainingJob, on_stage: Stage) -> EndToEndTask:
     renderer.to(pick_device())
     if job.model == "dftnet":
         network, windows = renderer.spectrum, log_spectra(windows, blocks)
-    elif job.sizes.n_ahead > 1:
-        windows = multi_step(windows, blocks, job.sizes.n_ahead)
     return EndToEndTask(job=job, blocks=blocks, network=network, windows=windows, renderer=renderer)
 
 
@@ -212,11 +141,3 @@ def log_spectra(windows: TrainingWindows, blocks: ScaledBlocks) -> TrainingWindo
             around = torch.from_numpy(some % block - m // 2)[:, None] + torch.arange(m)
             target[some] = log_magnitudes(acceleration[torch.from_numpy(some // block)[:, None], around]).numpy()
     return replace(windows, train=framed[0], validation=framed[1], target=target)
-
-
-def multi_step(windows: TrainingWindows, blocks: ScaledBlocks, n_ahead: int) -> TrainingWindows:
-    """Return windows whose targets are a sample and those after it, (n, n_ahead), of which none is of another block."""
-    x, block = windows.samples[:, 0], blocks.trace.block
-    target = np.lib.stride_tricks.sliding_window_view(np.append(x, np.zeros(n_ahead - 1)), n_ahead)
-    train, validation = (n[n % block + n_ahead <= block] for n in (windows.train, windows.validation))
-    return replace(windows, train=train, validation=validation, target=np.ascontiguousarray(target))

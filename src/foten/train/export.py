@@ -54,7 +54,7 @@ class Draft:
     model: str
     blocks: ScaledBlocks
     card: dict[str, Any]  # entries beyond model, sizes and scaling
-    # Of a graph, in float64: windows (b, m, 3) scaled → (b, n_ahead) scaled.
+    # Of a graph, in float64: windows (b, m, 3) scaled → (b,) scaled.
     network: Callable[[Array], Array] | None = None
 
     def kernel(self, sizes: Sizes, tensors: Tensors, excitation: nn.Module) -> NativeTexture:
@@ -101,9 +101,6 @@ def proved(
     golden, warm_start = stored.astype(np.float64), stored_start.astype(np.float64)
     condition = np.repeat(warm_start[-1:, 1:], 64, axis=0)
     condition[32:] = golden[0, -1, 1:]
-    if sizes.from_noise:  # without noise it is silent from the first sample on
-        warm_start = warm_start * [0.0, 1.0, 1.0]
-        stored_start = warm_start.astype(np.float32)
     reference = model_of(sizes, tensors, network)
     speed = np.maximum(condition[:, :1] * scaling.sd[1] + scaling.mean[1], 0.0)
     noise = gaussian(0, 0, 0, 64)[None] if sizes.excited or sizes.from_noise else None
@@ -201,8 +198,8 @@ def graph_of_texture(texture: Texture) -> bytes:
     return graph_of(network, sizes.window).tobytes()
 
 
-def graph_of(network: nn.Module, m: int, n_channels: int = 3) -> NDArray[np.uint8]:
-    """Return a network as the bytes of an ONNX graph, windows (b, m, n_channels) → (b,) or (b, n_ahead), float32."""
+def graph_of(network: nn.Module, m: int, n_channels: int = 3, name: str = INPUT) -> NDArray[np.uint8]:
+    """A network as the bytes of an ONNX graph: windows (b, m, n_channels) under a name → (b,) or (b, k), float32."""
     file = io.BytesIO()
     network = copy.deepcopy(network).cpu().float().eval()
     with warnings.catch_warnings():
@@ -214,9 +211,9 @@ def graph_of(network: nn.Module, m: int, n_channels: int = 3) -> NDArray[np.uint
             file,
             dynamo=False,
             opset_version=17,
-            input_names=[INPUT],
+            input_names=[name],
             output_names=[OUTPUT],
-            dynamic_axes={INPUT: {0: "b"}, OUTPUT: {0: "b"}},
+            dynamic_axes={name: {0: "b"}, OUTPUT: {0: "b"}},
         )
     return np.frombuffer(file.getvalue(), dtype=np.uint8)
 

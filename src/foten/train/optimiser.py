@@ -20,18 +20,16 @@ class Optimiser:
     Matrices move along the orthogonal factor of their momentum, so that no direction is slow: a network of 64 s of simulated mesh
     gained 7.6 % in 1200 steps, and 1.0 % by AdamW at the better of two rates (`benchmarks/training.py`).
 
-    Where `stacked`, each parameter is that of several networks, along its first dimension.
-
     Source: Jordan et al., "Muon: an optimizer for hidden layers in neural networks" (2024), the iteration and its coefficients;
     for the paper's recipe Adam, Sec. IV-e.
     """
 
-    def __init__(self, parameters: Mapping[str, nn.Parameter], config: TrainConfig, stacked: bool = False) -> None:
+    def __init__(self, parameters: Mapping[str, nn.Parameter], config: TrainConfig) -> None:
         self._config = config
         self._matrices = {
             name: one
             for name, one in parameters.items()
-            if config.optimiser == "muon" and one.ndim - stacked == 2 and min(one.shape[-2:]) > LEAST_SIDE
+            if config.optimiser == "muon" and one.ndim == 2 and min(one.shape) > LEAST_SIDE
         }
         self._momentum = {name: torch.zeros_like(one) for name, one in self._matrices.items()}
         others = [one for name, one in parameters.items() if name not in self._matrices]
@@ -51,16 +49,6 @@ class Optimiser:
                 tall = max(1.0, matrix.shape[-2] / matrix.shape[-1]) ** 0.5
                 matrix.mul_(1 - config.learning_rate * rate * config.weight_decay)
                 matrix.sub_(direction, alpha=config.matrix_learning_rate * rate * tall)
-
-    def keep(self, parameters: Mapping[str, nn.Parameter], kept: Tensor) -> Optimiser:
-        """Return the optimiser of some of the networks of a stack: their new parameters, and which of the old they are."""
-        other = Optimiser(parameters, self._config, stacked=True)
-        other._momentum = {name: momentum[kept] for name, momentum in self._momentum.items()}
-        old, new = (one._adam.param_groups[0]["params"] for one in (self, other))
-        for before, after in zip(old, new, strict=True):
-            moments = self._adam.state[before].items()
-            other._adam.state[after] = {key: value if key == "step" else value[kept] for key, value in moments}
-        return other
 
     def state_dict(self) -> dict[str, Any]:
         """Return what a checkpoint keeps."""

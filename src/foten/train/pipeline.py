@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from foten.families.texture_file import Texture
 from foten.networks import NETWORKS
-from foten.train.batched import fit_batched
 from foten.train.end_to_end import prepare_end_to_end
 from foten.train.epochs import Epoch, Progress
 from foten.train.fit import reproducible
 from foten.train.foten_plus import prepare_foten_plus
-from foten.train.job import NetworkTask, Stage, Task, Trained, TrainingJob
+from foten.train.job import Stage, Task, Trained, TrainingJob
 from foten.train.piecewise_ar import prepare_piecewise_ar
 
 PREPARE: Mapping[str, Callable[[TrainingJob, Stage], Task]] = {
@@ -54,38 +53,6 @@ def train(
         if task.playable is not None:
             on_playable(task.playable)
         return _trained(task, task.fit(on_epoch, checkpoint, resume), on_stage)
-
-
-def train_batched(jobs: Sequence[TrainingJob]) -> list[Trained | Exception]:
-    """Return textures learned from as many recordings, their networks fitted as one batched model; or why one is not.
-
-    Jobs of one model and one recipe; those with as many training windows are fitted as one model: see `fit_batched`.
-    """
-    done: dict[int, Trained | Exception] = {}
-    tasks: dict[int, NetworkTask] = {}
-    with reproducible():
-        for k, job in enumerate(jobs):
-            try:
-                task = prepare(job)
-                assert isinstance(task, NetworkTask), job.model
-                tasks[k] = task
-            except Exception as error:  # is one recording's, of which the others are independent
-                done[k] = error
-        for n in sorted({len(task.windows.train) for task in tasks.values()}):
-            alike = {k: task for k, task in tasks.items() if len(task.windows.train) == n}
-            given = [(task.network, task.windows, task.job.config) for task in alike.values()]
-            networks, windows, configs = zip(*given, strict=True)
-            try:
-                fitted = fit_batched(networks, windows, configs)
-            except Exception as error:  # a GPU's memory, say: those of another length are done or to come
-                done |= dict.fromkeys(alike, error)
-                continue
-            for (k, task), progress in zip(alike.items(), fitted, strict=True):
-                try:
-                    done[k] = progress if isinstance(progress, ValueError) else _trained(task, progress)
-                except Exception as error:
-                    done[k] = error
-    return [done[k] for k in range(len(jobs))]
 
 
 def _trained(task: Task, progress: Progress, on_stage: Stage = lambda stage: None) -> Trained:

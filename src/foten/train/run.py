@@ -92,7 +92,7 @@ class RunFolder:
 def _draw_curves(path: Path, trained: Trained) -> None:
     from matplotlib.figure import Figure
 
-    epochs, of_spectra = trained.progress.epochs, trained.texture.sizes.from_noise
+    epochs, of_spectra = trained.progress.epochs, not trained.texture.predicts_samples
     figure = Figure(figsize=(8, 4), layout="constrained")
     loss, error = figure.subplots(1, 2)
     numbers = [line.epoch for line in epochs]

@@ -132,10 +132,10 @@ namespace Foten
             public int window, has_excitation;
             public double speed_low, speed_high, force_low, force_high, acceleration_sd, lowpass_hz;
             public UIntPtr state_bytes;
-            public int hop;
+            public int asks_predictor;
         }
 
-        internal const int Abi = 5; // FOTEN_ABI of the header that this follows
+        internal const int Abi = 6; // FOTEN_ABI of the header that this follows
 
         [DllImport(Library)] internal static extern int foten_abi();
         [DllImport(Library)] internal static extern int foten_model_load(byte[] bytes, UIntPtr n, out IntPtr model, byte[] why, UIntPtr whySize);
