@@ -27,25 +27,25 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import torch
 
+from foten.baselines.dftnet import Dftnet
+from foten.baselines.gan import Gan
+from foten.baselines.gan_fit import STEPS, fit_adversarial
 from foten.datasets.simulate import simulate
 from foten.experiments.results import PAPER
-from foten.families import FAMILIES
-from foten.families.texture_file import Texture
-from foten.networks import build
-from foten.networks.dftnet import Dftnet
-from foten.networks.gan import Gan
+from foten.models.foten.fit import log_spectra
+from foten.models.registry import FAMILIES
+from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
 from foten.recording.split import split_blocks
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.onnx_predictor import GRAPH, OnnxPredictor
-from foten.train.adversarial import STEPS, fit_adversarial
-from foten.train.blocks import ScaledBlocks, scaled_blocks
-from foten.train.config import OWN_RECIPES, RECIPES
-from foten.train.end_to_end import log_spectra
-from foten.train.export import graph_of, proved, tensors_of
-from foten.train.fit import TrainingWindows, fit, reproducible
-from foten.train.job import TrainingJob
+from foten.training.blocks import ScaledBlocks, scaled_blocks
+from foten.training.config import OWN_RECIPES, RECIPES
+from foten.training.job import TrainingJob
+from foten.training.networks import build
+from foten.training.texture_builder import graph_of, proved, tensors_of
+from foten.training.window_fit import TrainingWindows, fit, reproducible
 from report import add_csv, report
 
 MODELS = ("dstn", "ldhtd", "gan", "dftnet", "hapinf", "fnn", "ten", "ten-mfcc", "ten-wavelet", "foten", "foten-d")

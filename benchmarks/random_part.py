@@ -28,17 +28,17 @@ import torch
 from torch import Tensor
 
 from foten.datasets.simulate import simulate
-from foten.families import sizes_of
-from foten.families.foten_plus import FotenPlusSizes
-from foten.networks.innovation import InnovationNetwork, negative_log_likelihood
+from foten.models.foten_plus.closed_loop_training import EXCERPT_S, N_EXCERPTS
+from foten.models.foten_plus.likelihood import CHUNK, mixtures
+from foten.models.foten_plus.network import InnovationNetwork, negative_log_likelihood
+from foten.models.foten_plus.sizes import FotenPlusSizes
+from foten.models.registry import sizes_of
 from foten.runtime.bench import time_steps
 from foten.runtime.native import NativeState, NativeTexture
-from foten.train.config import recipe_of
-from foten.train.innovations import CHUNK, mixtures
-from foten.train.job import TrainingJob
-from foten.train.own_output import EXCERPT_S, N_EXCERPTS
-from foten.train.pipeline import train
-from foten.train.roll_out import PARTS, Beginning, RollOut, Surroundings
+from foten.training.config import recipe_of
+from foten.training.job import TrainingJob
+from foten.training.pipeline import train
+from foten.training.rollout import PARTS, Beginning, RollOut, Surroundings
 from report import add_csv, report
 
 METHODS = {"noise": {"epochs": 0}, "network": {"own_output": False}, "on its own output": {}}
@@ -71,7 +71,7 @@ def block_us(path: Path) -> float:
 
 
 def step_ms() -> list[tuple[str, ...]]:
-    """Return a table of what steps of training take [ms]: batches as `train.innovations` and `train.own_output` have them."""
+    """Return a table of what steps of training take [ms]: batches as `models.foten_plus.likelihood` and `models.foten_plus.closed_loop_training` have them."""
     torch.set_num_threads(1)
     sizes, batch = sizes_of("foten-plus", {}), recipe_of("foten-plus").batch
     assert isinstance(sizes, FotenPlusSizes)

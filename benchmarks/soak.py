@@ -25,7 +25,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from foten.families.texture_file import read_texture
+from foten.models.texture_file import read_texture
 from foten.runtime.live.live import Live
 from foten.runtime.live.paced import NullSink
 from foten.runtime.renderer import Renderer

@@ -120,7 +120,7 @@ def timed(call: Callable[[], Any]) -> Callable[[int], list[float]]:
 
 def texture_of(path: Path | None) -> tuple[Any, bytes]:
     """Return a texture of the paper's network with its default sizes, untrained unless one is given: its time is the same."""
-    from foten.families.texture_file import texture_from_bytes
+    from foten.models.texture_file import texture_from_bytes
 
     if path is not None:
         data = path.read_bytes()
@@ -160,7 +160,7 @@ def frameworks(texture: Any, file: Path) -> dict[str, Any]:
     """Return what times PyTorch, eager and compiled, ONNX Runtime and OpenVINO on the same window."""
     import torch
 
-    from foten.networks import build
+    from foten.training.networks import build
 
     torch.set_num_threads(1)
     network = build(texture.card["model"], texture.sizes)

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from playwright.sync_api import sync_playwright
 
-from foten.families.texture_file import read_texture, write_texture
+from foten.models.texture_file import read_texture, write_texture
 from foten.runtime.renderer import EXAMPLE
 from report import add_csv, report
 

@@ -27,15 +27,15 @@ import torch
 
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
-from foten.families import FAMILIES
-from foten.networks import build
+from foten.models.registry import FAMILIES
 from foten.recording.preprocess import preprocess
 from foten.recording.recording import Recording
 from foten.recording.split import split_blocks
-from foten.train.blocks import scaled_blocks
-from foten.train.config import RECIPES, TrainConfig
-from foten.train.epochs import Epoch
-from foten.train.fit import TrainingWindows, fit, pick_device, reproducible
+from foten.training.blocks import scaled_blocks
+from foten.training.config import RECIPES, TrainConfig
+from foten.training.loop import Epoch
+from foten.training.networks import build
+from foten.training.window_fit import TrainingWindows, fit, pick_device, reproducible
 from report import add_csv, report
 
 

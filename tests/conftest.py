@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 import torch
 
-from foten.families import FAMILIES, FotenPlusSizes, PiecewiseArSizes
-from foten.families.sizes import Sizes
-from foten.families.texture_file import Texture
+from foten.models.model_sizes import Sizes
+from foten.models.registry import FAMILIES, FotenPlusSizes, PiecewiseArSizes
+from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
 
 if TYPE_CHECKING:
-    from foten.train.piecewise_ar_texture import LocalModels
+    from foten.models.piecewise_ar.local_models import LocalModels
 
 torch.set_num_threads(1)  # small matrices only lose by more
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as a shell sets it for what runs in its background
@@ -85,7 +85,7 @@ def untrained(model: str, sizes: Sizes | None = None, seed: int = 0) -> Any:
     """Return a seeded network in PyTorch whose every parameter matters."""
     import torch
 
-    from foten.networks import build
+    from foten.training.networks import build
 
     torch.manual_seed(seed)
     return perturbed(build(model, sizes or FAMILIES[model]()))
@@ -101,10 +101,10 @@ def perturbed(network: Any) -> Any:
 
 def untrained_tensors(model: str, sizes: Sizes, network: Any, seed: int = 0) -> dict[str, np.ndarray]:
     """Return a network's tensors and seeded ones of all else; foten-plus resonates near 120 Hz through its lattice."""
-    from foten.networks.innovation import InnovationNetwork
-    from foten.networks.scale import Excitation, Scale
+    from foten.models.foten_plus.network import InnovationNetwork
     from foten.runtime.onnx_predictor import GRAPH, INPUT, NOISE
-    from foten.train.export import graph_of, tensors_of
+    from foten.training.scale import Excitation, Scale
+    from foten.training.texture_builder import graph_of, tensors_of
 
     torch.manual_seed(seed + 1)
 
@@ -158,7 +158,7 @@ def untrained_tensors(model: str, sizes: Sizes, network: Any, seed: int = 0) -> 
 
 def local_models(sizes: PiecewiseArSizes) -> LocalModels:
     """Return seeded local models, silent at rest, over a fan of triangles; the first stands in the middle."""
-    from foten.train.piecewise_ar_texture import LocalModels
+    from foten.models.piecewise_ar.local_models import LocalModels
 
     rng = np.random.default_rng(2)
     n, p, q = sizes.n_models, sizes.order, sizes.ma
@@ -190,8 +190,8 @@ def exported(
         tensors: in place of some of its tensors.
         card: in place of some entries of `CARD`.
     """
-    from foten.train.export import in_float64, proved
-    from foten.train.piecewise_ar_texture import local_texture
+    from foten.models.piecewise_ar.local_models import local_texture
+    from foten.training.texture_builder import in_float64, proved
 
     if model == "ar":
         sizes = sizes or FAMILIES[model](n_models=9, n_triangles=8)

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from conftest import exported
-from foten.families import FAMILIES
-from foten.families.texture_file import Texture
+from foten.models.registry import FAMILIES
+from foten.models.texture_file import Texture
 
 TINY = {"window": 3, "d_model": 1, "n_heads": 1, "n_layers": 1, "d_feedforward": 1, "head": (1, 1), "spectral_width": 1}
 PLUS = {"window": 3, "n_hidden": 1, "head_width": 1, "n_components": 2, "excitation_width": 1, "order": 2}

@@ -29,7 +29,7 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat, wavfile
 
 from foten.datasets.hdf5 import write_recording
-from foten.families.texture_file import Texture
+from foten.models.texture_file import Texture
 from foten.recording.recording import Channel, Recording
 
 LONGEST_S = 60.0  # of one command, on a busy machine; without one, none takes 5

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.signal import bilinear, lfilter
 
-from foten.families.texture_file import Texture
+from foten.models.texture_file import Texture
 from foten.runtime.actuator import ActuatorProfile, identify, read_profile, sweep, write_profile
 from foten.runtime.renderer import Renderer
 

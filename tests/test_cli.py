@@ -18,7 +18,7 @@ from typer.main import get_command
 
 from foten.cli.command_line import _status, app
 from foten.cli.evaluate import network_summary
-from foten.families.texture_file import read_texture, write_texture
+from foten.models.texture_file import read_texture, write_texture
 
 FAST = ["--trim", "0", "--block", "500", "--epochs", "1", "--threads", "1", "--window", "12"]
 TINY = [f"--set={size}" for size in ("n_hidden=6", "head_width=5", "n_components=2")]
@@ -90,7 +90,7 @@ def test_listeners_are_asked_where_they_are_asked_for(
     texture: Path, recording: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Under a long stroke of a simulated truth, beside two true ones; here with next to no training and a short one."""
-    monkeypatch.setattr("foten.networks.listener.N_STEPS", 2)
+    monkeypatch.setattr("foten.evaluate.listener_network.N_STEPS", 2)
     monkeypatch.setattr("foten.experiments.truth.LONG_S", 46.0)
     capsys.readouterr()
     assert _status(["evaluate", str(texture), str(recording), "--json", "--listener"]) == 0
@@ -127,7 +127,7 @@ def test_a_foreign_recording_is_scored_on_all_of_its_blocks(
 def test_ctrl_c_keeps_the_best_and_resume_goes_on(
     recording: Path, texture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from foten.train.run import RunFolder
+    from foten.training.run_folder import RunFolder
 
     log = RunFolder.log
 
@@ -151,10 +151,10 @@ def test_ctrl_c_after_the_last_epoch_is_one_too_and_says_how_to_go_on(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """While the network is trained on its own output, here in name only: the blocks are too short for it."""
-    from foten.train.foten_plus import FotenPlusTask
-    from foten.train.own_output import OwnOutput
+    from foten.models.foten_plus.closed_loop_training import OwnOutput
+    from foten.models.foten_plus.fit import FotenPlusTask
 
-    monkeypatch.setattr("foten.train.foten_plus.LEAST_GAIN_NAT", -1e3)
+    monkeypatch.setattr("foten.models.foten_plus.fit.LEAST_GAIN_NAT", -1e3)
     monkeypatch.setattr(FotenPlusTask, "_on_own_output", lambda *_: OwnOutput(1.0, 1.0, interrupted=True))
     out = tmp_path / "o.foten"
     command = ["train", str(recording), "-o", str(out), *FAST, *TINY]
@@ -171,7 +171,7 @@ def test_ctrl_c_is_a_line_and_status_130(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("foten.families.texture_file.read_texture", interrupted)
+    monkeypatch.setattr("foten.models.texture_file.read_texture", interrupted)
     capsys.readouterr()
     assert _status(["info", str(texture)]) == 130
     assert one_line(capsys) == "foten: interrupted"
@@ -181,12 +181,12 @@ def test_ctrl_c_in_the_first_epoch_leaves_the_playable_file(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """While the network is validated for the first time: there is no best epoch to keep, and no run folder yet."""
-    import foten.train.foten_plus  # noqa: F401  (which takes the function's name: loaded later, it would keep what stands in for it)
+    import foten.models.foten_plus.fit  # noqa: F401  (which takes the function's name: loaded later, it would keep what stands in for it)
 
     def interrupted(*_: object) -> tuple[float, float]:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("foten.train.innovations.validated", interrupted)
+    monkeypatch.setattr("foten.models.foten_plus.likelihood.validated", interrupted)
     out = tmp_path / "p.foten"
     capsys.readouterr()
     assert _status(["train", str(recording), "-o", str(out), *FAST, *TINY]) == 130
@@ -202,7 +202,8 @@ def test_a_disk_that_fills_up_while_training_costs_no_more_than_the_run_folder(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """From the first checkpoint on nothing can be written into the run folder: a line each for checkpoint, log and the rest."""
-    from foten.train import epochs, run
+    from foten.training import loop as epochs
+    from foten.training import run_folder as run
 
     def full(path: Path, *_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device", str(path))

@@ -24,7 +24,7 @@ from foten.export.c_header import identifier, write_c_header
 from foten.export.clip import RATE_HZ, Clip, clip_of, envelopes_of
 from foten.export.haptic import write_haptic
 from foten.export.hjif import write_hjif
-from foten.families.texture_file import read_texture, write_texture
+from foten.models.texture_file import read_texture, write_texture
 from foten.runtime.binding import ABI, c_flags
 from foten.runtime.renderer import EXAMPLE, Renderer
 

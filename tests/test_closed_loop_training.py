@@ -13,17 +13,17 @@ from scipy.signal import lfilter
 from conftest import CARD, PLUS, SCALING, untrained, untrained_tensors
 from foten.dsp.lattice import polynomial
 from foten.dsp.noise import gaussian
-from foten.families import FotenPlusSizes
-from foten.networks.scale import Excitation
+from foten.models.definitions import model_of
+from foten.models.foten_plus.linear_model import LinearPart
+from foten.models.registry import FotenPlusSizes
+from foten.models.stream import run
 from foten.recording.split import Split
 from foten.recording.trace import Trace
-from foten.reference import model_of
-from foten.reference.stream import run
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeTexture
-from foten.train import closed_loop
-from foten.train.blocks import ScaledBlocks
-from foten.train.closed_loop import (
+from foten.training import calibration as closed_loop
+from foten.training.blocks import ScaledBlocks
+from foten.training.calibration import (
     N_RUNS,
     ClosedLoop,
     _filtered,
@@ -34,10 +34,10 @@ from foten.train.closed_loop import (
     free_run_distance,
     settle_level,
 )
-from foten.train.config import TrainConfig
-from foten.train.excitation import settle_gain
-from foten.train.export import Tensors, proved, tensors_of
-from foten.train.linear_part import LinearPart
+from foten.training.config import TrainConfig
+from foten.training.excitation_fit import settle_gain
+from foten.training.scale import Excitation
+from foten.training.texture_builder import Tensors, proved, tensors_of
 
 BLOCK, N_BLOCKS = 1000, 24
 

@@ -19,20 +19,20 @@ from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.report.tables import to_text
-from foten.families import FAMILIES
-from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, Texture, texture_from_bytes, write_texture
+from foten.models.registry import FAMILIES
+from foten.models.render_definition import render
+from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, Texture, texture_from_bytes, write_texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
-from foten.reference.render import render
 from foten.runtime.bench import INSTRUCTION_SETS, time_all
 from foten.runtime.native import NativeTexture
 from foten.runtime.onnx_predictor import OnnxPredictor
 from foten.runtime.renderer import Renderer
-from foten.train import closed_loop
-from foten.train.config import OWN_RECIPES, TrainConfig
-from foten.train.export import graph_of
-from foten.train.job import TrainingJob
-from foten.train.pipeline import train
+from foten.training import calibration as closed_loop
+from foten.training.config import OWN_RECIPES, TrainConfig
+from foten.training.job import TrainingJob
+from foten.training.pipeline import train
+from foten.training.texture_builder import graph_of
 
 IN_GRAPHS = [key for key, kind in FAMILIES.items() if kind.in_graph]
 FROM_NOISE = [key for key, kind in FAMILIES.items() if kind.from_noise]
@@ -91,7 +91,7 @@ import numpy as np
 from foten.datasets.hdf5 import load_recording
 from foten.evaluate.evaluate import evaluate
 from foten.runtime.renderer import Renderer
-from foten.families.texture_file import read_texture
+from foten.models.texture_file import read_texture
 folder, judged = Path(sys.argv[1]), {}
 recording = load_recording(folder / "recording.h5")
 for path in sorted(folder.glob("*.foten")):

@@ -12,21 +12,28 @@ from scipy.stats import norm
 
 from conftest import untrained_tensors
 from foten.dsp.noise import heavy_tailed
-from foten.families import FotenPlusSizes
-from foten.families.conditions import FADE_SPEED
-from foten.families.excitation import HEAVIEST_TAIL
-from foten.networks.scale import Excitation, Scale
+from foten.models.conditions import FADE_SPEED
+from foten.models.excitation import Excitation as ReferenceExcitation
+from foten.models.excitation import Scale as ReferenceScale
+from foten.models.registry import FotenPlusSizes
+from foten.models.tensor_shapes import HEAVIEST_TAIL
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
 from foten.recording.trace import Trace
-from foten.reference.excitation import Excitation as ReferenceExcitation
-from foten.reference.excitation import Scale as ReferenceScale
-from foten.train.blocks import ScaledBlocks
-from foten.train.closed_loop import ClosedLoop
-from foten.train.config import TrainConfig
-from foten.train.excitation import FittedExcitation, _likelihood_of, fit_excitation, fit_scale, fit_tail, gaussianised
-from foten.train.export import tensors_of
-from foten.train.fit import TrainingWindows
+from foten.training.blocks import ScaledBlocks
+from foten.training.calibration import ClosedLoop
+from foten.training.config import TrainConfig
+from foten.training.excitation_fit import (
+    FittedExcitation,
+    _likelihood_of,
+    fit_excitation,
+    fit_scale,
+    fit_tail,
+    gaussianised,
+)
+from foten.training.scale import Excitation, Scale
+from foten.training.texture_builder import tensors_of
+from foten.training.window_fit import TrainingWindows
 from test_closed_loop_training import loop_of
 
 

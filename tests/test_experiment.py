@@ -19,8 +19,8 @@ from foten.experiments.onset import onset
 from foten.experiments.results import by_recipe, read_records
 from foten.experiments.run import _judged, _measures
 from foten.experiments.stability import into, proven, stability
-from foten.families import FotenPlusSizes
-from foten.families.texture_file import Texture
+from foten.models.registry import FotenPlusSizes
+from foten.models.texture_file import Texture
 from foten.recording.trace import Trace
 
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from conftest import CARD, SCALING, SMALL, sizes_with, untrained, untrained_tensors
-from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, MIN_GOLDEN, ONE_STEP_TOLERANCE, Texture
+from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, MIN_GOLDEN, ONE_STEP_TOLERANCE, Texture
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.recording.windows import windows
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeTexture
-from foten.train.blocks import ScaledBlocks, scaled_blocks
-from foten.train.export import Draft, pick_warm_start, proved
+from foten.training.blocks import ScaledBlocks, scaled_blocks
+from foten.training.texture_builder import Draft, pick_warm_start, proved
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def test_a_draft_goes_on_from_its_warm_start_and_is_proved_on_validation_windows
 
 def test_what_the_kernel_does_not_reproduce_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A reference that is wrong by a thousandth of a standard deviation, ten times what a file may be off."""
-    from foten.train import export
+    from foten.training import texture_builder as export
 
     sizes, rng = sizes_with("foten", SMALL), np.random.default_rng(0)
     tensors = untrained_tensors("foten", sizes, untrained("foten", sizes))

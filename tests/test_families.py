@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from conftest import exported, sizes_with, untrained, untrained_tensors
-from foten.families import FAMILIES, FotenPlusSizes, FotenSizes, PiecewiseArSizes, sizes_of
-from foten.families.sizes import LONGEST_GRAPH_WINDOW, LONGEST_WINDOW
-from foten.networks import NETWORKS
-from foten.train.export import multiply_adds
+from foten.models.model_sizes import LONGEST_GRAPH_WINDOW, LONGEST_WINDOW
+from foten.models.registry import FAMILIES, FotenPlusSizes, FotenSizes, PiecewiseArSizes, sizes_of
+from foten.training.networks import NETWORKS
+from foten.training.texture_builder import multiply_adds
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "default": {},

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 import torch
 
-from foten.families import FAMILIES, FotenSizes
-from foten.networks import build
-from foten.networks.dropout import Dropout, set_dropout
-from foten.train.config import OWN_RECIPES, RECIPES, UNUSED, TrainConfig, check_used
-from foten.train.epochs import Epoch, Progress, goes_on, load_progress
-from foten.train.fit import TrainingWindows, fit, loss_of, predict
+from foten.models.registry import FAMILIES, FotenSizes
+from foten.training.config import OWN_RECIPES, RECIPES, UNUSED, TrainConfig, check_used
+from foten.training.dropout import Dropout, set_dropout
+from foten.training.loop import Epoch, Progress, goes_on, load_progress
+from foten.training.networks import build
+from foten.training.window_fit import TrainingWindows, fit, loss_of, predict
 
 SIZES = FotenSizes(window=12, d_model=8, n_heads=2, n_layers=2, d_feedforward=16, head=(16, 8), spectral_width=8)
 QUICK = TrainConfig(epochs=3, batch=64, threads=1)
@@ -115,7 +115,7 @@ def test_an_interrupt_before_anything_was_validated_goes_on_to_the_caller(monkey
     def interrupted(*_: object) -> tuple[float, float]:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("foten.train.fit.validated", interrupted)
+    monkeypatch.setattr("foten.training.window_fit.validated", interrupted)
     with pytest.raises(KeyboardInterrupt):
         fit(untrained(), white(), QUICK)
 

@@ -11,10 +11,10 @@ from torch import Tensor
 from torch.nn.functional import layer_norm, linear
 
 from conftest import SMALL, untrained
-from foten.families import FotenSizes
-from foten.networks import build
-from foten.reference.network import Network
-from foten.train.export import tensors_of
+from foten.models.foten.definition import Network
+from foten.models.registry import FotenSizes
+from foten.training.networks import build
+from foten.training.texture_builder import tensors_of
 
 SIZES = {
     "paper": FotenSizes(),

@@ -9,10 +9,10 @@ import pytest
 
 from conftest import PLUS, reflections_of, untrained, untrained_tensors
 from foten.dsp.lattice import LEAK
-from foten.families import FotenPlusSizes
-from foten.reference import model_of
-from foten.reference.foten_plus import FotenPlus
-from foten.train.export import Tensors
+from foten.models.definitions import model_of
+from foten.models.foten_plus.definition import FotenPlus
+from foten.models.registry import FotenPlusSizes
+from foten.training.texture_builder import Tensors
 
 
 def made(**sizes: object) -> tuple[FotenPlusSizes, Tensors]:

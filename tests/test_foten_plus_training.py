@@ -12,24 +12,24 @@ import torch
 
 from conftest import PLUS, SMALL, sizes_with
 from foten.datasets.simulate import simulate
-from foten.families import FotenPlusSizes
-from foten.networks.scale import Excitation
+from foten.models.definitions import model_of
+from foten.models.foten_plus.fit import FotenPlusTask, Rendering, _beyond_exponents, _chosen, prepare_foten_plus
+from foten.models.foten_plus.linear_model import LinearPart
+from foten.models.registry import FotenPlusSizes
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.recording.split import Split
 from foten.recording.trace import Trace
-from foten.reference import model_of
 from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeTexture
 from foten.runtime.renderer import Renderer
-from foten.train.blocks import scaled_blocks
-from foten.train.config import TrainConfig
-from foten.train.epochs import Epoch, Progress
-from foten.train.excitation import FittedExcitation
-from foten.train.foten_plus import FotenPlusTask, Rendering, _beyond_exponents, _chosen, prepare_foten_plus
-from foten.train.job import TrainingJob
-from foten.train.linear_part import LinearPart
-from foten.train.pipeline import prepare, train
+from foten.training.blocks import scaled_blocks
+from foten.training.config import TrainConfig
+from foten.training.excitation_fit import FittedExcitation
+from foten.training.job import TrainingJob
+from foten.training.loop import Epoch, Progress
+from foten.training.pipeline import prepare, train
+from foten.training.scale import Excitation
 
 QUICK = TrainConfig(epochs=0, batch=512, threads=1, max_order=20, table=False, tones=False)
 SHORT = PreprocessConfig(trim_ms=0, block_ms=500)

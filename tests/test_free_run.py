@@ -9,8 +9,8 @@ from scipy.special import polygamma
 from conftest import PLUS, SCALING, exported, resonance
 from foten.evaluate.free_run import free_run, nearest_training_blocks, scored, synthesize, synthesize_linear
 from foten.evaluate.one_step import Linear, fit_linear
-from foten.families import FotenPlusSizes
-from foten.families.texture_file import ONE_STEP_TOLERANCE, Texture
+from foten.models.registry import FotenPlusSizes
+from foten.models.texture_file import ONE_STEP_TOLERANCE, Texture
 from foten.recording.scaling import Scaling
 from foten.recording.trace import Trace
 from foten.runtime.loops import predict_blocks

@@ -14,9 +14,9 @@ from foten.cli.command_line import _status
 from foten.datasets.hatt import read_models
 from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
-from foten.families.texture_file import read_texture
+from foten.models.piecewise_ar.local_models import imported_texture
+from foten.models.texture_file import read_texture
 from foten.runtime.renderer import Renderer
-from foten.train.piecewise_ar_texture import imported_texture
 
 CORNERS = [(0.0, 0.0), (200.0, 0.0), (0.0, 4.0), (200.0, 4.0), (90.0, 1.0)]
 TRIANGLES = [(1, 2, 5), (2, 4, 5), (4, 3, 5), (3, 1, 5)]

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from conftest import exported
-from foten.families import FAMILIES
-from foten.families.texture_file import Texture
+from foten.models.registry import FAMILIES
+from foten.models.texture_file import Texture
 from hostile import KINDS, Generator, run_commands, run_hostile
 
 N_ALWAYS, N_SLOW, BATCH = 100, 2000, 200

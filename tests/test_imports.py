@@ -1,6 +1,7 @@
 """The layers: who may import whom, and what must run without PyTorch and without SciPy."""
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 import foten
-from foten.families.texture_file import Texture, write_texture
+from foten.models.texture_file import Texture, write_texture
 from foten.runtime.renderer import Renderer
 
 ROOT = Path(foten.__file__).parent
@@ -25,30 +26,45 @@ MAY_IMPORT: dict[str, set[str]] = {
     "untrusted": set(),
     "dsp": set(),
     "recording": {"dsp"},
-    "families": {"dsp", "recording"},
+    "models": {"dsp", "recording"},
     "datasets": {"dsp", "recording"},
-    "reference": {"dsp", "families", "recording"},
-    "runtime": {"dsp", "families", "recording"},
-    "networks": {"dsp", "families"},
-    "train": {"networks", "reference", "dsp", "recording", "datasets", "families", "runtime"},
-    "evaluate": {"dsp", "recording", "families", "runtime"},
-    "export": {"dsp", "families", "runtime"},
+    "runtime": {"dsp", "models", "recording"},
+    "training": {"models", "baselines", "dsp", "recording", "datasets", "runtime"},
+    "baselines": {"models", "training", "dsp", "recording", "runtime"},
+    "evaluate": {"dsp", "recording", "models", "runtime"},
+    "export": {"dsp", "models", "runtime"},
     "study": set(),
-    "studio": {"recording", "families", "runtime", "export", "study"},
+    "studio": {"recording", "models", "runtime", "export", "study"},
 }
 FOR_ALL = {"atomic_write", "untrusted"}
 EVERYTHING = {"experiments", "cli", ""}  # the last is the package itself, whose names are looked up lazily
-WITH_TORCH = {"networks", "train", "experiments", "cli"}
-LISTENER = "foten.evaluate.listener"  # loads PyTorch and its network when it is asked
-WITHOUT_SCIPY = {"atomic_write", "untrusted", "dsp", "recording", "families", "reference", "runtime", ""}  # at import
+WITH_TORCH = {"training", "baselines", "experiments", "cli"}
+TRAINED = re.compile(
+    r"foten\.models\.\w+\.(?!definition$|innovation_network$|sizes$|ten_sizes$|local_models$)\w+"
+)  # by PyTorch
+FRAMEWORK_FREE = {
+    "foten.training",
+    "foten.baselines",
+    "foten.baselines.sizes",
+    "foten.training.config",
+    "foten.experiments",
+}
+LISTENER = re.compile(r"foten\.evaluate\.listener(_network)?")  # loads PyTorch when it is asked
+WITHOUT_SCIPY = {"atomic_write", "untrusted", "dsp", "recording", "models", "runtime", ""}  # at import
 THIRD_PARTIES = {
     "atomic_write": set(),
     "untrusted": set(),
     "dsp": {"numpy", "scipy"},
-    "families": {"numpy", "safetensors"},
-    "reference": {"numpy"},
-    "networks": {"numpy", "torch"},
+    "models": {"numpy", "safetensors"},
 }
+
+
+def may_train(module: str) -> bool:
+    """Whether a module is of what may import PyTorch as soon as it is imported."""
+    if module in FRAMEWORK_FREE:
+        return False
+    trained = TRAINED.fullmatch(module) or LISTENER.fullmatch(module)
+    return bool(trained) or package(module) in {"training", "baselines", "experiments"}
 
 
 def package(module: str) -> str:
@@ -104,12 +120,12 @@ def test_a_module_imports_what_its_layer_may(module: str) -> None:
     layer = package(module)
     if layer in EVERYTHING:
         return
-    allowed = MAY_IMPORT[layer] | FOR_ALL | {layer} | ({"networks"} if module == LISTENER else set())
+    allowed = MAY_IMPORT[layer] | FOR_ALL | {layer} | ({"training", "baselines"} if may_train(module) else set())
     beyond = of_project(imported(source(module))) - allowed
     assert not beyond, f"{module} imports {', '.join(sorted(beyond))}"
 
 
-@pytest.mark.parametrize("module", [module for module in MODULES if package(module) in THIRD_PARTIES])
+@pytest.mark.parametrize("module", [m for m in MODULES if package(m) in THIRD_PARTIES and not may_train(m)])
 def test_a_module_needs_no_more_than_its_layer_may(module: str) -> None:
     names = {name.split(".")[0] for name in imported(source(module))}
     beyond = names - set(sys.stdlib_module_names) - THIRD_PARTIES[package(module)] - {"foten"}
@@ -119,14 +135,13 @@ def test_a_module_needs_no_more_than_its_layer_may(module: str) -> None:
 @pytest.mark.parametrize("module", MODULES)
 def test_pytorch_stays_where_networks_are_trained(module: str) -> None:
     uses_torch = any(name.split(".")[0] == "torch" for name in imported(source(module)))
-    assert not uses_torch or package(module) in WITH_TORCH or module == LISTENER
-    if package(module) not in {"networks", "train", "experiments"}:
+    assert not uses_torch or package(module) in WITH_TORCH or may_train(module)
+    if not may_train(module):
         at_once = list(imported_at_once(module))
-        assert not any(name.split(".")[0] == "torch" for name in at_once)
-        assert not of_project(iter(at_once)) & {"networks", "train", "experiments"}
+        assert not any(name.split(".")[0] == "torch" or may_train(name) for name in at_once)
 
 
-@pytest.mark.parametrize("module", [m for m in MODULES if package(m) in WITHOUT_SCIPY])
+@pytest.mark.parametrize("module", [m for m in MODULES if package(m) in WITHOUT_SCIPY and not may_train(m)])
 def test_importing_the_runtime_loads_no_scipy(module: str) -> None:
     assert "scipy" not in {name.split(".")[0] for name in imported_at_once(module)}
 
@@ -134,7 +149,7 @@ def test_importing_the_runtime_loads_no_scipy(module: str) -> None:
 def test_the_reader_of_imports_sees_what_it_should() -> None:
     code = "import a.b\nfrom foten import runtime\ndef f():\n    from c import d\nif x:\n    import e\n"
     assert set(imported(ast.parse(code))) == {"a.b", "foten.runtime", "c", "e"}
-    assert of_project(imported(ast.parse("from foten.train.fit import fit\nimport foten"))) == {"train"}
+    assert of_project(imported(ast.parse("from foten.training.window_fit import fit\nimport foten"))) == {"training"}
 
 
 def run(code: str, *arguments: str) -> str:
@@ -147,7 +162,7 @@ def run(code: str, *arguments: str) -> str:
 
 
 def test_all_but_training_imports_without_pytorch() -> None:
-    free = [module for module in MODULES if package(module) not in {"networks", "train", "experiments"}]
+    free = [module for module in MODULES if not may_train(module)]
     code = """
 import importlib, sys
 sys.modules["torch"] = None
@@ -159,7 +174,7 @@ for name in sys.argv[1:]:
 
 def test_training_says_what_it_lacks_without_pytorch() -> None:
     """The other side of the test above: the block works."""
-    code = "import sys; sys.modules['torch'] = None\ntry:\n    import foten.networks\nexcept ImportError as e: print(e.name)"
+    code = "import sys; sys.modules['torch'] = None\ntry:\n    import foten.training.networks\nexcept ImportError as e: print(e.name)"
     assert run(code).strip() == "torch"
 
 

@@ -16,20 +16,28 @@ from scipy.special import log_ndtr, ndtri_exp
 from scipy.stats import norm
 
 from conftest import PLUS, exported, untrained
-from foten.families import FotenPlusSizes
-from foten.networks.innovation import InnovationNetwork, NextInnovation, negative_log_likelihood
+from foten.models.excitation import Scale
+from foten.models.foten_plus.innovation_network import InnovationNetwork as Reference
+from foten.models.foten_plus.innovation_network import Mixture, innovation_inputs
+from foten.models.foten_plus.likelihood import (
+    CHUNK,
+    Innovations,
+    _chunks,
+    asymmetry,
+    fit_innovations,
+    innovations_of,
+    validated,
+)
+from foten.models.foten_plus.network import InnovationNetwork, NextInnovation, negative_log_likelihood
+from foten.models.registry import FotenPlusSizes
 from foten.recording.split import Split
 from foten.recording.trace import Trace
-from foten.reference.excitation import Scale
-from foten.reference.innovation import InnovationNetwork as Reference
-from foten.reference.innovation import Mixture, innovation_inputs
 from foten.runtime.binding import library
-from foten.train import kernel
-from foten.train.blocks import ScaledBlocks, scaled_blocks
-from foten.train.config import OWN_RECIPES, TrainConfig
-from foten.train.epochs import Epoch
-from foten.train.export import tensors_of
-from foten.train.innovations import CHUNK, Innovations, _chunks, asymmetry, fit_innovations, innovations_of, validated
+from foten.training import training_kernel as kernel
+from foten.training.blocks import ScaledBlocks, scaled_blocks
+from foten.training.config import OWN_RECIPES, TrainConfig
+from foten.training.loop import Epoch
+from foten.training.texture_builder import tensors_of
 
 SIZES = FotenPlusSizes(**PLUS)
 C_SOURCE = Path(__file__).parents[1] / "native/training/innovations.c"

@@ -15,7 +15,7 @@ from foten.datasets import isolated
 from foten.datasets.binary import read_hdf5
 from foten.datasets.hdf5 import load_recording, write_recording
 from foten.datasets.isolated import read_isolated
-from foten.families.texture_file import Texture, write_texture
+from foten.models.texture_file import Texture, write_texture
 from foten.recording.recording import Channel, Recording
 
 FORCE = np.linspace(0, 3, 400)

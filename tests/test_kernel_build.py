@@ -19,7 +19,7 @@ import pytest
 from conftest import exported
 from corpus import KINDS, write_corpus
 from foten.export.unity import write_unity
-from foten.families.texture_file import Texture, read_texture
+from foten.models.texture_file import Texture, read_texture
 from foten.runtime.binding import ABI, NativeActuator
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.renderer import Renderer

@@ -10,16 +10,16 @@ import pytest
 from conftest import PLUS, SCALING, exported, untrained, untrained_tensors
 from foten.datasets.simulate import TEXTURES, simulate
 from foten.dsp.tones import tone
-from foten.families import FotenPlusSizes
+from foten.models.foten_plus.definition import Tones
+from foten.models.foten_plus.linear_model import LinearPart, fit_linear_parts
+from foten.models.registry import FotenPlusSizes
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.split import Split, split_blocks
 from foten.recording.trace import Trace
-from foten.reference.foten_plus import Tones
 from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeTexture
-from foten.train.blocks import ScaledBlocks, scaled_blocks
-from foten.train.config import TrainConfig
-from foten.train.linear_part import LinearPart, fit_linear_parts
+from foten.training.blocks import ScaledBlocks, scaled_blocks
+from foten.training.config import TrainConfig
 
 
 def moving_blocks(n_blocks: int = 5, block: int = 300) -> ScaledBlocks:

@@ -13,8 +13,8 @@ from foten.recording.trace import Trace
 
 pytest.importorskip("torch")
 
-from foten.networks import listener as networks
-from foten.networks.listener import EXCERPT, HOP, area_under_curve, listener_auc
+from foten.evaluate import listener_network as networks
+from foten.evaluate.listener_network import EXCERPT, HOP, area_under_curve, listener_auc
 
 RATE_HZ, SECONDS = 1000.0, 60
 N = round(SECONDS * RATE_HZ)

@@ -19,7 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, lfilter
 
-from foten.families.texture_file import Texture
+from foten.models.texture_file import Texture
 from foten.runtime.actuator import ActuatorProfile
 from foten.runtime.live import devices
 from foten.runtime.live.devices import DaqSink, SoundSink

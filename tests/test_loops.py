@@ -13,17 +13,17 @@ from scipy.signal import lfilter
 from conftest import PLUS, SCALING, exported, sizes_with, untrained
 from foten.dsp.lattice import LEAK, polynomial
 from foten.dsp.noise import innovation_likelihood
-from foten.families import FAMILIES, FotenPlusSizes, PiecewiseArSizes
-from foten.families.sizes import Sizes
-from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, ONE_STEP_TOLERANCE, Texture
-from foten.reference import model_of
-from foten.reference.excitation import Excitation
-from foten.reference.foten_plus import FotenPlus
-from foten.reference.piecewise_ar import PiecewiseAr
-from foten.reference.stream import Model, run
+from foten.models.definitions import model_of
+from foten.models.excitation import Excitation
+from foten.models.foten_plus.definition import FotenPlus
+from foten.models.model_sizes import Sizes
+from foten.models.piecewise_ar.definition import PiecewiseAr
+from foten.models.registry import FAMILIES, FotenPlusSizes, PiecewiseArSizes
+from foten.models.stream import Model, run
+from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, ONE_STEP_TOLERANCE, Texture
 from foten.runtime.loops import predict_blocks, run_loops
 from foten.runtime.native import NativeState, NativeTexture, PredictionPart
-from foten.train.export import in_float64
+from foten.training.texture_builder import in_float64
 from test_innovations import standardised
 from test_piecewise_ar import LOCAL
 from test_reference import CASES, sizes_for

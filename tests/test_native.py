@@ -27,15 +27,15 @@ from scipy.signal import butter, lfilter, lfilter_zi
 import foten
 from conftest import PLUS, SCALING, SMALL, exported, untrained
 from foten.dsp.noise import gaussian
-from foten.families import FAMILIES, FotenPlusSizes, FotenSizes
-from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, Texture
-from foten.reference import model_of
-from foten.reference import render as reference
-from foten.reference.stream import run
+from foten.models import render_definition as reference
+from foten.models.definitions import model_of
+from foten.models.registry import FAMILIES, FotenPlusSizes, FotenSizes
+from foten.models.stream import run
+from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, Texture
 from foten.runtime.binding import _SIGNATURES, NativeActuator, Options, isa, library
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.renderer import Renderer
-from foten.train.export import in_float64
+from foten.training.texture_builder import in_float64
 from test_loops import EVERY, GRAPHS, case, in_float64_alone, rounding
 from test_rendering import stroke, with_card
 

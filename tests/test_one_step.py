@@ -8,10 +8,10 @@ import pytest
 from conftest import PLUS, SCALING, SMALL, exported
 from foten.evaluate.metrics import goodness_of_fit
 from foten.evaluate.one_step import excitation_scores, one_step, predict
-from foten.families import FotenPlusSizes, FotenSizes
-from foten.families.texture_file import ONE_STEP_TOLERANCE, Texture
+from foten.models.definitions import model_of
+from foten.models.registry import FotenPlusSizes, FotenSizes
+from foten.models.texture_file import ONE_STEP_TOLERANCE, Texture
 from foten.recording.windows import windows
-from foten.reference import model_of
 from foten.runtime.loops import predict_blocks, run_loops
 from foten.runtime.native import NativeTexture
 

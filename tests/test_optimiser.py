@@ -5,8 +5,8 @@ import pytest
 import torch
 from torch import nn
 
-from foten.train.config import RECIPES
-from foten.train.optimiser import LEAST_SIDE, Optimiser, orthogonalised
+from foten.training.config import RECIPES
+from foten.training.optimiser import LEAST_SIDE, Optimiser, orthogonalised
 
 CONFIG = replace(RECIPES["default"], weight_decay=0.0)
 

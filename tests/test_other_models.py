@@ -10,23 +10,23 @@ import torch
 from scipy.fft import dct
 from scipy.signal import welch
 
-from foten.families import FAMILIES, sizes_of
-from foten.families.graphs import DftnetSizes, GanSizes, TenMfccSizes, TenWaveletSizes
-from foten.networks import build
-from foten.networks.features import MfccBranch, WaveletBranch, cosine_transform, mel_bands, wavelet_transform
-from foten.networks.fnn import EDGES, lagged_bands
-from foten.networks.gan import Gan
-from foten.networks.noise_filter import NoiseFilter, log_magnitudes
+from foten.baselines import gan_fit as adversarial
+from foten.baselines.features import MfccBranch, WaveletBranch, cosine_transform, mel_bands, wavelet_transform
+from foten.baselines.fnn import EDGES, lagged_bands
+from foten.baselines.gan import Gan
+from foten.baselines.gan_fit import fit_adversarial
+from foten.baselines.noise_filter import NoiseFilter, log_magnitudes
+from foten.baselines.sizes import DftnetSizes, GanSizes, TenMfccSizes, TenWaveletSizes
+from foten.models.foten.fit import distilled, log_spectra
+from foten.models.registry import FAMILIES, sizes_of
 from foten.recording.split import Split
 from foten.recording.trace import Trace
-from foten.train import adversarial
-from foten.train.adversarial import fit_adversarial
-from foten.train.blocks import ScaledBlocks, scaled_blocks
-from foten.train.config import TrainConfig
-from foten.train.end_to_end import distilled, log_spectra
-from foten.train.epochs import Epoch, Progress
-from foten.train.export import multiply_adds
-from foten.train.fit import TrainingWindows, fit
+from foten.training.blocks import ScaledBlocks, scaled_blocks
+from foten.training.config import TrainConfig
+from foten.training.loop import Epoch, Progress
+from foten.training.networks import build
+from foten.training.texture_builder import multiply_adds
+from foten.training.window_fit import TrainingWindows, fit
 
 GRAPHS = [model for model, sizes in FAMILIES.items() if sizes.in_graph]
 
@@ -164,7 +164,7 @@ def test_recurrent_layers_are_counted() -> None:
 
 
 def test_an_interrupted_teacher_ends_the_training(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("foten.train.end_to_end.fit", lambda *_: Progress(interrupted=True))
+    monkeypatch.setattr("foten.models.foten.fit.fit", lambda *_: Progress(interrupted=True))
     windows = TrainingWindows(np.zeros((100, 3)), np.arange(20, 60), np.arange(60, 100), 20)
     with pytest.raises(KeyboardInterrupt):
         distilled(windows, 20, TrainConfig(), lambda stage: None)
@@ -283,7 +283,7 @@ def test_an_adversarial_training_that_is_stopped_keeps_what_there_is(monkeypatch
     progress = fit_adversarial(small_gan(), 42, blocks, config, stop)
     assert progress.interrupted
     assert [line.epoch for line in progress.epochs] == [0]
-    monkeypatch.setattr("foten.train.adversarial.made", stop)
+    monkeypatch.setattr("foten.baselines.gan_fit.made", stop)
     with pytest.raises(KeyboardInterrupt):
         fit_adversarial(small_gan(), 42, blocks, config)
 
@@ -294,7 +294,7 @@ def test_an_adversarial_training_that_is_lost_says_so(monkeypatch: pytest.Monkey
     def lost(network: Gan, windows: torch.Tensor, n_frames: int) -> torch.Tensor:
         return made_before(network, windows, n_frames) * (np.nan if network.training else 1.0)
 
-    monkeypatch.setattr("foten.train.adversarial.made", lost)
+    monkeypatch.setattr("foten.baselines.gan_fit.made", lost)
     with pytest.raises(ValueError, match="the training loss is not finite"):
         fit_adversarial(small_gan(), 42, blocks, TrainConfig(epochs=5, batch=4, threads=1))
 

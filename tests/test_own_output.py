@@ -15,21 +15,22 @@ from conftest import PLUS
 from foten.datasets.simulate import simulate
 from foten.dsp.bands import band_energies
 from foten.dsp.lattice import analyse
-from foten.families import FotenPlusSizes
+from foten.models.definitions import model_of
+from foten.models.foten_plus import closed_loop_training as own_output
+from foten.models.foten_plus.closed_loop_training import Excerpts, excerpts_of, fit_own_output
+from foten.models.foten_plus.fit import FotenPlusTask, prepare_foten_plus
+from foten.models.foten_plus.innovation_network import Mixture
+from foten.models.foten_plus.linear_model import phase_alone
+from foten.models.registry import FotenPlusSizes
 from foten.recording.preprocess import PreprocessConfig
-from foten.reference import model_of
-from foten.reference.innovation import Mixture
 from foten.runtime.binding import library
-from foten.train import kernel, own_output
-from foten.train.config import TrainConfig
-from foten.train.epochs import Epoch, Progress
-from foten.train.export import tensors_of
-from foten.train.foten_plus import FotenPlusTask, prepare_foten_plus
-from foten.train.job import TrainingJob
-from foten.train.likeness import Likeness, energies
-from foten.train.linear_part import phase_alone
-from foten.train.own_output import Excerpts, excerpts_of, fit_own_output
-from foten.train.roll_out import LARGEST_ADJOINT, PARTS, Beginning, RollOut, Surroundings, repeated
+from foten.training import training_kernel as kernel
+from foten.training.config import TrainConfig
+from foten.training.envelope_loss import Likeness, energies
+from foten.training.job import TrainingJob
+from foten.training.loop import Epoch, Progress
+from foten.training.rollout import LARGEST_ADJOINT, PARTS, Beginning, RollOut, Surroundings, repeated
+from foten.training.texture_builder import tensors_of
 
 RATE = 1000.0
 
@@ -99,8 +100,8 @@ def test_a_roll_out_is_the_reference_s_closed_loop(task: FotenPlusTask) -> None:
 
 def coefficients_tone(of: Excerpts, block: np.ndarray, start: np.ndarray, n: int) -> np.ndarray:
     from foten.dsp.tones import tone
-    from foten.reference.excitation import Scale
-    from foten.reference.foten_plus import Tones
+    from foten.models.excitation import Scale
+    from foten.models.foten_plus.definition import Tones
 
     at = start[:, None] + np.arange(-n, 0)
     tones = Tones(of.part.tensors, Scale(of.part.tensors, "lattice.level."))
@@ -295,7 +296,7 @@ def test_a_short_training_is_short_on_own_output_too(
     task: FotenPlusTask, monkeypatch: pytest.MonkeyPatch, epochs: int, steps: int
 ) -> None:
     asked: list[int] = []
-    monkeypatch.setattr("foten.train.foten_plus.fit_own_output", lambda *given: asked.append(given[3]))
+    monkeypatch.setattr("foten.models.foten_plus.fit.fit_own_output", lambda *given: asked.append(given[3]))
     job = dataclasses.replace(task.job, config=dataclasses.replace(task.job.config, epochs=epochs))
     of = excerpts(task, 0)
     dataclasses.replace(task, job=job)._on_own_output(drawing(task), of.of, of.part, 5.0, lambda stage: None)
@@ -307,7 +308,7 @@ def test_the_level_is_settled_only_where_own_output_gained_nothing(
     task: FotenPlusTask, monkeypatch: pytest.MonkeyPatch, gained: bool
 ) -> None:
     """Settled once more, ribbed plastic was told apart in 0.91 and not 0.87."""
-    monkeypatch.setattr("foten.train.foten_plus.LEAST_GAIN_NAT", -1e3)
+    monkeypatch.setattr("foten.models.foten_plus.fit.LEAST_GAIN_NAT", -1e3)
     result = own_output.OwnOutput(1.0, 0.5 if gained else 1.0)
     monkeypatch.setattr(FotenPlusTask, "_on_own_output", lambda self, *given: result)
     texture = task.finish(Progress([Epoch(1, 1.0, 1.0, 1.0, 1.0, True)]), lambda stage: None)
@@ -339,7 +340,7 @@ def test_a_training_that_was_interrupted_on_own_output_says_so(
     task: FotenPlusTask, monkeypatch: pytest.MonkeyPatch, interrupted: bool
 ) -> None:
     """A sweep would take it for done else, and a checkpoint would be deleted."""
-    monkeypatch.setattr("foten.train.foten_plus.LEAST_GAIN_NAT", -1e3)
+    monkeypatch.setattr("foten.models.foten_plus.fit.LEAST_GAIN_NAT", -1e3)
     result = own_output.OwnOutput(1.0, 0.5, interrupted)
     monkeypatch.setattr(FotenPlusTask, "_on_own_output", lambda self, *given: result)
     progress = Progress([Epoch(1, 1.0, 1.0, 1.0, 1.0, True)])

@@ -11,13 +11,13 @@ import pytest
 from conftest import CARD, SCALING, exported, local_models
 from foten.dsp.lattice import LEAK, predict, push, reflections_of
 from foten.dsp.lsf import line_spectral_frequencies, polynomial_of
-from foten.families import PiecewiseArSizes
-from foten.families.texture_file import Texture
-from foten.reference.piecewise_ar import PiecewiseAr
-from foten.reference.render import render
+from foten.models.piecewise_ar.definition import PiecewiseAr
+from foten.models.piecewise_ar.local_models import LocalModels, local_texture
+from foten.models.registry import PiecewiseArSizes
+from foten.models.render_definition import render
+from foten.models.texture_file import Texture
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeState, NativeTexture
-from foten.train.piecewise_ar_texture import LocalModels, local_texture
 
 LOCAL: dict[str, dict[str, Any]] = {
     "models": {"order": 20, "n_models": 9, "n_triangles": 8},

@@ -15,18 +15,18 @@ from foten.dsp.lsf import LEAST_GAP
 from foten.dsp.segmentation import MAX_ORDER
 from foten.evaluate.evaluate import evaluate
 from foten.experiments.truth import truth_for
-from foten.families import PiecewiseArSizes
-from foten.families.texture_file import read_texture
+from foten.models.piecewise_ar.fit import ORDERS, fitted
+from foten.models.registry import PiecewiseArSizes
+from foten.models.texture_file import read_texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Channel, Recording
 from foten.recording.split import split_blocks
 from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeState, NativeTexture
-from foten.train.blocks import scaled_blocks
-from foten.train.config import TrainConfig
-from foten.train.job import Trained, TrainingJob
-from foten.train.piecewise_ar import ORDERS, fitted
-from foten.train.pipeline import train
+from foten.training.blocks import scaled_blocks
+from foten.training.config import TrainConfig
+from foten.training.job import Trained, TrainingJob
+from foten.training.pipeline import train
 
 SHORT = PreprocessConfig(trim_ms=0, block_ms=1000)
 

@@ -12,17 +12,18 @@ import pytest
 
 from conftest import PLUS, sizes_with
 from foten.datasets.simulate import simulate
-from foten.families import FAMILIES, FotenSizes
-from foten.families.texture_file import Texture, texture_from_bytes
+from foten.models.foten_plus import closed_loop_training as own_output
+from foten.models.foten_plus import fit as foten_plus
+from foten.models.registry import FAMILIES, FotenSizes
+from foten.models.texture_file import Texture, texture_from_bytes
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.runtime.renderer import Renderer
-from foten.train import foten_plus, own_output
-from foten.train.blocks import ScaledBlocks
-from foten.train.config import TrainConfig
-from foten.train.epochs import Epoch
-from foten.train.job import Trained, TrainingJob
-from foten.train.pipeline import PREPARE, train
+from foten.training.blocks import ScaledBlocks
+from foten.training.config import TrainConfig
+from foten.training.job import Trained, TrainingJob
+from foten.training.loop import Epoch
+from foten.training.pipeline import PREPARE, train
 
 SMALL = {"d_model": 8, "n_heads": 2, "n_layers": 2, "d_feedforward": 16, "head": (16, 8), "spectral_width": 8, **PLUS}
 # A lattice of one set of reflection coefficients is fitted in a fraction of the time that a table takes.
@@ -134,7 +135,7 @@ def test_a_training_interrupted_before_its_first_epoch_has_given_a_playable_text
     def interrupted(*_: object) -> tuple[float, float]:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("foten.train.innovations.validated", interrupted)
+    monkeypatch.setattr("foten.models.foten_plus.likelihood.validated", interrupted)
     given: list[Texture] = []
     with pytest.raises(KeyboardInterrupt):
         train(job_of(recording), on_playable=given.append)

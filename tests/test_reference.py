@@ -11,12 +11,12 @@ import torch
 from scipy.signal import lfilter
 
 from conftest import PLUS, SMALL, exported, resonance, sizes_with, untrained
-from foten.families import FAMILIES, FotenPlusSizes
-from foten.families.ten import TransformerSizes
-from foten.reference import model_of
-from foten.reference.network import Network
-from foten.reference.stream import Prediction, run
-from foten.train.export import tensors_of
+from foten.models.definitions import model_of
+from foten.models.foten.definition import Network
+from foten.models.foten.ten_sizes import TransformerSizes
+from foten.models.registry import FAMILIES, FotenPlusSizes
+from foten.models.stream import Prediction, run
+from foten.training.texture_builder import tensors_of
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "default": {},

@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 
 from conftest import PLUS, SCALING, SMALL, exported
 from foten.dsp.lattice import polynomial
-from foten.families import FotenPlusSizes, FotenSizes
-from foten.families.conditions import FADE_FORCE, FADE_SPEED, FURTHEST
-from foten.families.excitation import HEAVIEST_TAIL
-from foten.families.texture_file import Texture
+from foten.models.conditions import FADE_FORCE, FADE_SPEED, FURTHEST
+from foten.models.definitions import model_of
+from foten.models.foten_plus.definition import FotenPlus
+from foten.models.registry import FotenPlusSizes, FotenSizes
+from foten.models.tensor_shapes import HEAVIEST_TAIL
+from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
-from foten.reference import model_of
-from foten.reference.foten_plus import FotenPlus
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.renderer import Renderer

@@ -21,7 +21,7 @@ from foten.evaluate.report.page import page, write_report
 from foten.evaluate.report.signals import AUDIO_HZ, sounds
 from foten.evaluate.report.tables import REFERENCES, to_text
 from foten.evaluate.report.verdict import cautions, reason, verdict
-from foten.families.texture_file import Texture
+from foten.models.texture_file import Texture
 from foten.recording.scaling import fit_scaling
 from foten.recording.trace import Trace
 from foten.recording.windows import targets

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
-from foten.families.texture_file import read_texture
+from foten.models.texture_file import read_texture
 from foten.runtime.actuator import ActuatorProfile
 from foten.runtime.live import devices
 from foten.runtime.live.live import LiveStatistics

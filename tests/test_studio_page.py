@@ -23,8 +23,8 @@ import scipy.io.wavfile
 from conftest import exported
 from foten.datasets.importing import read_stroke
 from foten.dsp import Array
-from foten.families import FAMILIES
-from foten.families.texture_file import read_texture, write_texture
+from foten.models.registry import FAMILIES
+from foten.models.texture_file import read_texture, write_texture
 from foten.runtime.actuator import ActuatorProfile, write_profile
 from foten.runtime.renderer import EXAMPLE, Renderer
 from foten.runtime.stroke import tabled_stroke

@@ -25,7 +25,7 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from foten.datasets.importing import read_stroke
-from foten.families.texture_file import read_texture, write_texture
+from foten.models.texture_file import read_texture, write_texture
 from foten.runtime.renderer import EXAMPLE, Renderer
 from foten.runtime.stroke import tabled_stroke
 from foten.studio.access import LOOPBACK, Access

@@ -12,7 +12,7 @@ from scipy.signal import sosfilt
 
 from foten.datasets.stroking import stroking
 from foten.dsp.filters import butterworth
-from foten.families.texture_file import Texture
+from foten.models.texture_file import Texture
 from foten.runtime.binding import StylusOptions, library
 from foten.runtime.native import NativeTexture
 from foten.runtime.renderer import Renderer

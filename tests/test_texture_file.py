@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from safetensors.numpy import save
 
 from conftest import PLUS, SCALING, exported
-from foten.families import FAMILIES, FotenPlusSizes
-from foten.families.texture_file import Texture, read_texture, texture_from_bytes, write_texture
+from foten.models.registry import FAMILIES, FotenPlusSizes
+from foten.models.texture_file import Texture, read_texture, texture_from_bytes, write_texture
 from foten.runtime.native import NativeTexture
 
 

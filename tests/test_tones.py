@@ -9,19 +9,19 @@ from scipy.signal import lfilter
 from conftest import PLUS, SCALING, exported
 from foten.datasets.simulate import simulate
 from foten.dsp.tones import audible_share, fitted_phase, tone, tone_slope
-from foten.families import FotenPlusSizes
-from foten.families.texture_file import Texture
+from foten.models.definitions import model_of
+from foten.models.foten_plus.definition import FotenPlus
+from foten.models.foten_plus.lattice_fit import LatticeData
+from foten.models.foten_plus.tones_fit import _unevenness, fit_tones, n_tones, wavelength
+from foten.models.registry import FotenPlusSizes
+from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
-from foten.reference import model_of
-from foten.reference.foten_plus import FotenPlus
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeTexture
 from foten.runtime.renderer import Renderer
-from foten.train.config import TrainConfig
-from foten.train.job import TrainingJob
-from foten.train.lattice import LatticeData
-from foten.train.pipeline import train
-from foten.train.tones import _unevenness, fit_tones, n_tones, wavelength
+from foten.training.config import TrainConfig
+from foten.training.job import TrainingJob
+from foten.training.pipeline import train
 
 RATE = 1000.0
 LENGTH = 1.7  # mm

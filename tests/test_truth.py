@@ -13,13 +13,13 @@ from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.listener import N_LISTENERS
 from foten.experiments.truth import VALIDATION_HAND, long_strokes, truth_for, validation_listener
-from foten.families import FotenPlusSizes, sizes_of
-from foten.families.texture_file import texture_from_bytes
+from foten.models.registry import FotenPlusSizes, sizes_of
+from foten.models.texture_file import texture_from_bytes
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
-from foten.train.config import TrainConfig, recipe_of
-from foten.train.job import Trained, TrainingJob
-from foten.train.pipeline import train
+from foten.training.config import TrainConfig, recipe_of
+from foten.training.job import Trained, TrainingJob
+from foten.training.pipeline import train
 
 SMALL = FotenPlusSizes(**PLUS)
 
@@ -97,7 +97,7 @@ def test_listeners_have_true_vibrations_under_another_and_longer_hand(monkeypatc
 @pytest.fixture
 def short_listener(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("foten.experiments.truth.LONG_S", 60.0)
-    monkeypatch.setattr("foten.networks.listener.N_STEPS", 150)
+    monkeypatch.setattr("foten.evaluate.listener_network.N_STEPS", 150)
 
 
 @pytest.mark.usefixtures("short_listener")

@@ -24,7 +24,7 @@ import pytest
 import foten
 from conftest import exported
 from corpus import write_corpus
-from foten.families.texture_file import CLOSED_LOOP_TOLERANCE, read_texture
+from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, read_texture
 from foten.runtime.binding import ABI, library
 from foten.runtime.renderer import EXAMPLE
 from test_kernel_build import CMAKE, WASM, accelerations, needs_node, ran, stroke_of

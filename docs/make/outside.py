@@ -28,14 +28,14 @@ from foten.datasets.stroking import Stroking, stroking
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
 from foten.experiments.stability import rendered_strokes
 from foten.experiments.tables import written
-from foten.families import FotenPlusSizes
-from foten.families.texture_file import Texture
+from foten.models.registry import FotenPlusSizes
+from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Channel, Recording
 from foten.recording.trace import Trace
-from foten.train.config import recipe_of
-from foten.train.job import TrainingJob
-from foten.train.pipeline import train
+from foten.training.config import recipe_of
+from foten.training.job import TrainingJob
+from foten.training.pipeline import train
 
 CSV = Path(__file__).resolve().parents[1] / "results" / "outside.csv"
 RATE_HZ = 10_000.0

@@ -46,8 +46,8 @@ from foten.experiments.experiment import experiment_path, read_experiment
 from foten.experiments.figures import waveforms
 from foten.experiments.results import chosen_results, read_records, read_results
 from foten.experiments.truth import linear_bounds
-from foten.families import FAMILIES
-from foten.families.texture_file import Texture, read_texture, write_texture
+from foten.models.registry import FAMILIES
+from foten.models.texture_file import Texture, read_texture, write_texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.scaling import fit_scaling
 from foten.recording.split import Split, split_blocks
@@ -55,9 +55,9 @@ from foten.recording.windows import targets
 from foten.runtime.live.sinks import pcm_wav
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.stylus import PressureCalibration
-from foten.train.config import recipe_of
-from foten.train.job import TrainingJob
-from foten.train.pipeline import train
+from foten.training.config import recipe_of
+from foten.training.job import TrainingJob
+from foten.training.pipeline import train
 
 DOCS = Path(__file__).resolve().parents[1]
 RESULTS, BUILD = DOCS / "results", DOCS.parent / "build" / "pictures"

@@ -1,4 +1,4 @@
-/* Piecewise AR: local linear models scattered over speed and force, mixed between the three around a condition. As foten.reference.piecewise_ar
+/* Piecewise AR: local linear models scattered over speed and force, mixed between the three around a condition. As foten.models.piecewise_ar.definition
  * says. */
 #pragma once
 

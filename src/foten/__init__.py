@@ -12,8 +12,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from foten.families.texture_file import Texture as Texture
-    from foten.families.texture_file import read_texture as read_texture
+    from foten.models.texture_file import Texture as Texture
+    from foten.models.texture_file import read_texture as read_texture
     from foten.recording.recording import Channel as Channel
     from foten.recording.recording import Recording as Recording
     from foten.recording.trace import Trace as Trace
@@ -39,8 +39,8 @@ _PUBLIC = {
     "Renderer": "foten.runtime.renderer",
     "Stylus": "foten.runtime.stylus",
     "fit_pressure": "foten.runtime.stylus",
-    "Texture": "foten.families.texture_file",
-    "read_texture": "foten.families.texture_file",
+    "Texture": "foten.models.texture_file",
+    "read_texture": "foten.models.texture_file",
 }
 
 __all__ = [*_PUBLIC, "__version__"]

@@ -11,7 +11,7 @@ from typer import Argument, Option
 from foten.cli.console import JsonOption, TextureFile, check_folder, print_result, say, write_json
 
 if TYPE_CHECKING:
-    from foten.families.texture_file import Texture
+    from foten.models.texture_file import Texture
 
 
 def evaluate(
@@ -41,7 +41,7 @@ def evaluate(
     from foten.evaluate import evaluate as judge
     from foten.evaluate.report.tables import to_text
     from foten.experiments.truth import truth_for
-    from foten.families.texture_file import read_texture
+    from foten.models.texture_file import read_texture
 
     check_folder(report, "--report")
     texture, recording = read_texture(texture_file), load_recording(recording_file)
@@ -58,7 +58,7 @@ def evaluate(
 
 def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
     """Show what a texture file holds, and prove it on its golden windows."""
-    from foten.families.texture_file import read_texture
+    from foten.models.texture_file import read_texture
     from foten.runtime.native import NativeTexture
 
     texture = read_texture(texture_file)

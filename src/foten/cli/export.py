@@ -24,7 +24,7 @@ from foten.cli.render import (
 if TYPE_CHECKING:
     from foten.dsp import Array
     from foten.export.clip import Clip
-    from foten.families.texture_file import Texture
+    from foten.models.texture_file import Texture
     from foten.runtime.renderer import Renderer
 
 SUFFIXES = {
@@ -107,7 +107,7 @@ def export(
 
 
 def _only(files: list[Path], kind: str) -> Texture:
-    from foten.families.texture_file import read_texture
+    from foten.models.texture_file import read_texture
 
     if len(files) != 1:
         raise ValueError(f"{kind} is made of one texture file, got {len(files)}; --to web takes any number")
@@ -184,7 +184,7 @@ def _write_header(texture: Texture, output: Path) -> tuple[dict[str, Any], str]:
 
 def _write_onnx(texture: Texture, output: Path) -> tuple[dict[str, Any], str]:
     from foten.export import onnx
-    from foten.train.export import graph_of_texture
+    from foten.training.texture_builder import graph_of_texture
 
     onnx.write_onnx(texture, graph_of_texture(texture), output)
     return {}, onnx.KEEPS

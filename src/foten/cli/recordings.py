@@ -257,8 +257,8 @@ def _import_models(files: list[Path], output: Path, texture: str, notes: str, as
     import hashlib
 
     from foten.datasets.hatt import read_models
-    from foten.families.texture_file import write_texture
-    from foten.train.piecewise_ar_texture import imported_texture
+    from foten.models.piecewise_ar.local_models import imported_texture
+    from foten.models.texture_file import write_texture
 
     if len(files) != 1:
         raise ValueError(f"got {len(files)} files, expected one .xml of models by itself")

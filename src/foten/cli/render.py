@@ -15,7 +15,7 @@ from foten.cli.console import JsonOption, TextureFile, check_folders, print_json
 
 if TYPE_CHECKING:
     from foten.dsp import Array
-    from foten.families.texture_file import Texture
+    from foten.models.texture_file import Texture
     from foten.runtime.renderer import Renderer
     from foten.runtime.stroke import Stroke
 
@@ -58,7 +58,7 @@ def render(
     as_json: JsonOption = False,
 ) -> None:
     """Render vibration from a texture and a stroke."""
-    from foten.families.texture_file import read_texture
+    from foten.models.texture_file import read_texture
     from foten.runtime.live import sinks
     from foten.runtime.renderer import Renderer
 
@@ -134,7 +134,7 @@ def play(
     as_json: JsonOption = False,
 ) -> None:
     """Play a texture live: to the sound card, a file, an NI-DAQ or another program."""
-    from foten.families.texture_file import read_texture
+    from foten.models.texture_file import read_texture
     from foten.recording.inspection.values import counted
     from foten.runtime.actuator import read_profile
     from foten.runtime.live.live import LEAD_MS
@@ -308,7 +308,7 @@ def _report(stroke: Stroke) -> None:
 
 def print_outside_range(statistics: dict[str, int], texture: Texture) -> None:
     """Print how much of a rendering lay outside of what was recorded, and what was done there; nothing where none did."""
-    from foten.families.conditions import FADE_FORCE, FADE_SPEED
+    from foten.models.conditions import FADE_FORCE, FADE_SPEED
     from foten.recording.inspection.values import counted
 
     share = {name: f"{100 * count / statistics['n']:.1f} %" for name, count in statistics.items()}

@@ -393,7 +393,7 @@ def _by_method(paths: list[Path], folder: Path) -> dict[str, dict[str, str]]:
     """Return texture files by texture and method, as seen from a folder: by what their cards say, or else by their names."""
     import os
 
-    from foten.families.texture_file import read_texture
+    from foten.models.texture_file import read_texture
 
     found: dict[str, dict[Path, str]] = {}
     for path in paths:

@@ -15,7 +15,7 @@ from foten.cli.evaluate import network_summary, validation_summary
 
 if TYPE_CHECKING:
     from foten.recording.recording import Recording
-    from foten.train.job import Trained
+    from foten.training.job import Trained
 
 
 def train(
@@ -96,13 +96,13 @@ def train(
 ) -> None:
     """Learn a texture file from a recording. Ctrl-C keeps the best so far."""
     from foten.datasets.hdf5 import load_recording
-    from foten.families import FAMILIES, sizes_of
-    from foten.families.texture_file import Texture, write_texture
+    from foten.models.registry import FAMILIES, sizes_of
+    from foten.models.texture_file import Texture, write_texture
     from foten.recording.preprocess import PreprocessConfig
-    from foten.train.config import RECIPES, check_used, recipe_of
-    from foten.train.job import TrainingJob
-    from foten.train.pipeline import train as train_texture
-    from foten.train.run import RunFolder, TrainingDisplay
+    from foten.training.config import RECIPES, check_used, recipe_of
+    from foten.training.job import TrainingJob
+    from foten.training.pipeline import train as train_texture
+    from foten.training.run_folder import RunFolder, TrainingDisplay
 
     if model not in FAMILIES:
         raise ValueError(f"unknown model {model!r}, expected one of {', '.join(FAMILIES)}")

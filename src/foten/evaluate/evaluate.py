@@ -11,8 +11,8 @@ import numpy as np
 from foten.dsp import Array
 from foten.evaluate import free_run as runs
 from foten.evaluate.one_step import Linear, best_linear, excitation_scores, first_scored, fit_linear, one_step, predict
-from foten.families.conditions import FADE_FORCE, FADE_SPEED
-from foten.families.texture_file import Texture
+from foten.models.conditions import FADE_FORCE, FADE_SPEED
+from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import RELATIVE, Recording
 from foten.recording.split import Split

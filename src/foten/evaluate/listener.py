@@ -22,13 +22,13 @@ from numpy.typing import NDArray
 from foten.dsp import Array
 from foten.dsp.bands import BAND_FRAME_MS, band_energies
 from foten.dsp.level import framed
-from foten.families.conditions import FADE_FORCE, FADE_SPEED
+from foten.models.conditions import FADE_FORCE, FADE_SPEED
 from foten.recording.trace import Trace
 from foten.runtime.loops import on_all_cores
 from foten.runtime.native import NativeState, NativeTexture
 
 if TYPE_CHECKING:
-    from foten.networks.listener import Vibration
+    from foten.evaluate.listener_network import Vibration
 
 N_LISTENERS = 3  # each with a seed of its own, and another rendering
 TRAIN_SHARE, TEST_SHARE = 0.6, 0.3  # the first and the last part of a stroke; what lies between keeps them apart
@@ -111,7 +111,7 @@ def listener_scores(
     Raises:
         ValueError: the recording is too short.
     """
-    from foten.networks.listener import listener_auc
+    from foten.evaluate.listener_network import listener_auc
 
     if recorded.seconds < LEAST_S:
         raise ValueError(f"{recorded.seconds:.0f} s to listen to, expected at least {LEAST_S:g}")
@@ -160,7 +160,7 @@ def level_biases(recorded: LongStroke, rendered: Array) -> dict[str, float] | No
 
 def vibrations(first: LongStroke, second: LongStroke, waveform: bool) -> tuple[Vibration, Vibration]:
     """Return two vibrations as a listener is shown them, standardised by what both are in the part that it learns from."""
-    from foten.networks.listener import EXCERPT, Vibration
+    from foten.evaluate.listener_network import EXCERPT, Vibration
 
     both = (first, second)
     energies = [band_energies(one.acceleration, one.rate_hz) for one in both]  # (n_pieces, bands, frames)
@@ -199,7 +199,7 @@ def _hand(stroke: LongStroke) -> Array:
 
 def _starts(n_pieces: int, n_frames: int, excerpt: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the frames with which excerpts to learn from, and to be scored on, begin: each within one piece."""
-    from foten.networks.listener import HOP
+    from foten.evaluate.listener_network import HOP
 
     n = n_pieces * n_frames
     first = np.arange(n)

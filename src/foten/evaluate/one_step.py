@@ -59,7 +59,7 @@ def excitation_scores(
 ) -> dict[str, Any]:
     """Return how well the random part, a network's distribution or an excitation's scale and tails, describes the one-step error.
 
-    Settling an excitation's level in the closed loop (`train.excitation`) trades likelihood for level. The error is that of the
+    Settling an excitation's level in the closed loop (`training.excitation_fit`) trades likelihood for level. The error is that of the
     prediction which a rendering uses, with the network or without. It is not known where a rendering has tones (`dsp.tones`).
     Of two networks the distribution is that of the one which predicts.
 

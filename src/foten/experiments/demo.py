@@ -12,16 +12,16 @@ from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.report.page import write_report
 from foten.experiments.truth import truth_for
-from foten.families import FotenPlusSizes
-from foten.families.texture_file import write_texture
+from foten.models.registry import FotenPlusSizes
+from foten.models.texture_file import write_texture
 from foten.recording.inspection import inspect_recording, write_pictures
 from foten.runtime.live.sinks import write_audible, write_rendered
 from foten.runtime.renderer import Renderer
 from foten.runtime.stroke import recorded_stroke
-from foten.train.config import recipe_of
-from foten.train.epochs import Epoch
-from foten.train.job import TrainingJob
-from foten.train.pipeline import train
+from foten.training.config import recipe_of
+from foten.training.job import TrainingJob
+from foten.training.loop import Epoch
+from foten.training.pipeline import train
 
 
 def run_demo(

@@ -15,9 +15,9 @@ from scipy import optimize, stats
 
 from foten.dsp import Array
 from foten.dsp.noise import gaussianised
-from foten.families import FotenPlusSizes
-from foten.families.conditions import FADE_FORCE, FADE_SPEED
-from foten.families.texture_file import Texture
+from foten.models.conditions import FADE_FORCE, FADE_SPEED
+from foten.models.registry import FotenPlusSizes
+from foten.models.texture_file import Texture
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.runtime.loops import predict_blocks

@@ -18,8 +18,8 @@ import numpy as np
 
 from foten.dsp import Array
 from foten.experiments.stability import rendered_strokes
-from foten.families.conditions import FADE_FORCE, FADE_SPEED
-from foten.families.texture_file import Texture
+from foten.models.conditions import FADE_FORCE, FADE_SPEED
+from foten.models.texture_file import Texture
 
 WINDOW_MS = 40.0
 STARTS_MS = (0.0, 20.0, 60.0, 100.0)

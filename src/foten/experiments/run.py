@@ -15,14 +15,14 @@ from foten.experiments.innovations import innovations
 from foten.experiments.onset import onset
 from foten.experiments.stability import stability
 from foten.experiments.truth import truth_for, validation_listener
-from foten.families import FotenPlusSizes, sizes_of
-from foten.families.texture_file import Texture
+from foten.models.registry import FotenPlusSizes, sizes_of
+from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.recording.trace import Trace
-from foten.train.config import TrainConfig
-from foten.train.job import TrainingJob
-from foten.train.pipeline import train
+from foten.training.config import TrainConfig
+from foten.training.job import TrainingJob
+from foten.training.pipeline import train
 
 
 def execute(run: Run, recording: Recording) -> dict[str, Any]:

@@ -26,10 +26,10 @@ from foten.datasets.stroking import stroking
 from foten.dsp import Array
 from foten.dsp.lattice import LEAK
 from foten.dsp.noise import LARGEST_VOLATILITY
-from foten.families import FotenPlusSizes
-from foten.families.excitation import HEAVIEST_TAIL
-from foten.families.texture_file import Texture
-from foten.reference import model_of
+from foten.models.definitions import model_of
+from foten.models.registry import FotenPlusSizes
+from foten.models.tensor_shapes import HEAVIEST_TAIL
+from foten.models.texture_file import Texture
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.onnx_predictor import OnnxPredictor

@@ -18,7 +18,7 @@ from foten.dsp.filters import butterworth
 from foten.evaluate.evaluate import Truth, trace_for
 from foten.evaluate.free_run import N_SEEDS
 from foten.evaluate.listener import N_LISTENERS, level_biases, long_stroke, renderings, vibrations
-from foten.families.texture_file import Texture
+from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.recording.trace import Trace
@@ -134,7 +134,7 @@ def validation_listener(texture: Texture, recording: Recording) -> dict[str, Any
     strokes = long_strokes(recording, texture, 1, VALIDATION_HAND) if texture.has_excitation else ()
     if not strokes:
         return {}
-    from foten.networks.listener import listener_auc
+    from foten.evaluate.listener_network import listener_auc
 
     recorded = long_stroke(strokes[0])
     rendered = renderings(NativeTexture(texture.to_bytes()), recorded)(0)

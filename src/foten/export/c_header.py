@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 
 from foten.atomic_write import atomic_write
-from foten.families.texture_file import Texture
+from foten.models.texture_file import Texture
 
 KEEPS = "the header keeps the whole texture, proof included"
 _ROW = 20  # bytes of a line

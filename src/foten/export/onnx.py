@@ -9,7 +9,7 @@ import json
 from pathlib import Path
 
 from foten.atomic_write import atomic_write
-from foten.families.texture_file import Texture
+from foten.models.texture_file import Texture
 
 KEEPS = "ONNX keeps the one-step network, not the closed loop, the excitation or the fade"
 

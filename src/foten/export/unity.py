@@ -11,7 +11,7 @@ from pathlib import Path
 
 from foten.atomic_write import atomic_write
 from foten.export.c_header import identifier
-from foten.families.texture_file import Texture
+from foten.models.texture_file import Texture
 from foten.runtime.binding import LIBRARIES, kernel_file
 
 KEEPS = "the package keeps the whole texture, and the kernel of this system"

@@ -179,7 +179,7 @@ def _asked(data: bytes, failed: list[BaseException]) -> ctypes._FuncPointer:
     An exception cannot pass through the kernel: it is put aside, the kernel is answered at once from then on, and whoever
     called it raises it. That includes Ctrl-C, which Python delivers in here.
     """
-    from foten.families.texture_file import texture_from_bytes
+    from foten.models.texture_file import texture_from_bytes
     from foten.runtime.onnx_predictor import OnnxPredictor
 
     texture = texture_from_bytes(data)

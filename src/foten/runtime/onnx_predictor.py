@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
-from foten.families.sizes import Sizes
+from foten.models.model_sizes import Sizes
 
 GRAPH = "graph"  # the tensor that holds one, as bytes
 INPUT, NOISE, OUTPUT = "windows", "noise", "next"

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from foten.families.texture_file import Texture
+from foten.models.texture_file import Texture
 from foten.runtime.actuator import ActuatorProfile
 from foten.runtime.binding import NativeStatistics
 from foten.runtime.native import NativeState, NativeTexture

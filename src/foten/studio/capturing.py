@@ -24,7 +24,7 @@ from foten.untrusted import LONGEST_TEXT, brief, check_numbers, parse_json, prin
 
 MOST_CAPTURES = 200  # that are kept from one start of the server
 LONGEST_LINE = 1 << 16  # bytes, that a training says
-COMMAND = (sys.executable, "-m", "foten.train.captured")  # and a folder
+COMMAND = (sys.executable, "-m", "foten.training.train_capture")  # and a folder
 
 
 def why_not() -> str:
@@ -48,7 +48,7 @@ class Trainings:
         self._running: set[asyncio.Task[None]] = set()
 
     def start(self, folder: Path, say: Callable[[Mapping[str, Any]], None]) -> None:
-        """Train from a folder as soon as no other is trained; `say` is given what `train.captured` says, textures as listed."""
+        """Train from a folder as soon as no other is trained; `say` is given what `training.train_capture` says, textures as listed."""
         task = asyncio.create_task(self._train(folder, say))
         self._running.add(task)
         task.add_done_callback(self._running.discard)

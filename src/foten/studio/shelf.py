@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from foten.families.texture_file import read_texture
+from foten.models.texture_file import read_texture
 from foten.recording.recording import RELATIVE
 from foten.runtime.renderer import EXAMPLE
 

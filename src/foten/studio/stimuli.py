@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from foten.families.texture_file import Texture, read_texture
+from foten.models.texture_file import Texture, read_texture
 from foten.runtime.live.live import LiveStatistics, Timing
 from foten.runtime.renderer import Renderer
 from foten.studio.levels import gains_db

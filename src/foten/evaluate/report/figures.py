@@ -16,7 +16,7 @@ from foten.evaluate.metrics import band_edges, band_errors
 from foten.evaluate.report import signals
 from foten.evaluate.report.drawing import COLOURS, INK, STYLES, add_legend, log_hertz, new_figure, style_colorbar
 from foten.evaluate.report.signals import LABELS, scored_hand, scored_runs, shown_blocks, shown_run
-from foten.families.texture_file import Texture
+from foten.models.texture_file import Texture
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

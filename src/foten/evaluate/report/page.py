@@ -16,7 +16,7 @@ from foten.evaluate.report.drawing import inline_svg
 from foten.evaluate.report.signals import LABELS, shown_blocks, shown_run
 from foten.evaluate.report.tables import free_run_section, one_step_section
 from foten.evaluate.report.verdict import cautions, reason, verdict
-from foten.families.texture_file import Texture
+from foten.models.texture_file import Texture
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

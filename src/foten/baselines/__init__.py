@@ -1,0 +1,1 @@
+"""Systems that only tables and the study need, run by ONNX Runtime."""

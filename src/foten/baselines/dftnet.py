@@ -1,0 +1,50 @@
+"""The action-conditional model of spectra [14], without its images."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+
+from foten.baselines.noise_filter import NoiseFilter
+from foten.baselines.sizes import DftnetSizes
+from foten.training.dropout import Dropout
+
+
+class Spectrum(nn.Module):
+    """What the hand did → the log magnitudes of a frame around now: a perceptron of three hidden layers."""
+
+    def __init__(self, sizes: DftnetSizes) -> None:
+        super().__init__()
+        m, n = sizes.window, sizes.n_conditions
+        self.samples = [m - 1 - k * (m // n) for k in range(n)]  # samples of the window
+        widths = (2 * n, sizes.first, sizes.second, sizes.third)
+        self.hidden = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(widths))
+        self.out = nn.Linear(sizes.third, m // 2 + 1)
+        self.dropout = Dropout()
+
+    def forward(self, windows: Tensor) -> Tensor:
+        """Return log |X| of frames under a Hann window: windows (b, m, 3) scaled → (b, m // 2 + 1)."""
+        hidden = windows[:, self.samples, 1:].flatten(1)
+        for layer in self.hidden:
+            hidden = self.dropout(torch.relu(layer(hidden)))
+        return self.out(hidden)
+
+
+class Dftnet(nn.Module):
+    """Speeds and forces of the last frame give the spectrum of one around now, and that filters noise.
+
+    Source: the abstract of [14]: magnitudes of the next short window from a history of speed and force, and phases found
+    for them; sizes and the logarithm are our choice, and the picture of the surface is left out, since a texture here is one
+    surface: our re-implementation. Phases: `NoiseFilter`. Its own retrieval of phases waits for frames to come; this does not.
+    """
+
+    def __init__(self, sizes: DftnetSizes) -> None:
+        super().__init__()
+        self.spectrum = Spectrum(sizes)
+        self.filter = NoiseFilter(sizes.window)
+
+    def forward(self, windows: Tensor) -> Tensor:
+        """Return the next samples: windows (b, m, 3) of noise, speed and force, scaled → (b,) scaled."""
+        return self.filter(windows[:, :, 0], self.spectrum(windows))

@@ -1,0 +1,46 @@
+"""HapInf-like: an encoder and a decoder after Informer, the teacher that LDHTD is distilled from."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from foten.baselines.sizes import HapinfSizes
+from foten.dsp.spectrum import position_encoding
+from foten.models.foten.transformer import DecoderLayer, EncoderLayer
+from foten.training.dropout import Dropout
+
+
+class Hapinf(nn.Module):
+    """Tokens of acceleration, speed and force are encoded; a decoder begins with the last of them and asks for the next sample.
+
+    Source: Informer (Zhou et al., AAAI 2021) as far as a window of 20 samples leaves something of it: the decoder's known
+    beginning and one placeholder for what is to be predicted. Its sparse attention would choose among 20 tokens, and is left
+    out. No source of HapInf [20] itself was available: our re-implementation.
+    """
+
+    def __init__(self, sizes: HapinfSizes) -> None:
+        super().__init__()
+        self.sizes = sizes
+        d, heads, inner = sizes.d_model, sizes.n_heads, sizes.d_feedforward
+        self.embedding = nn.Linear(3, d)
+        self.encoder = nn.ModuleList(EncoderLayer(d, heads, inner, pre_norm=True) for _ in range(sizes.n_layers))
+        self.encoded = nn.LayerNorm(d)
+        self.decoder = DecoderLayer(d, heads, inner)
+        self.decoded = nn.LayerNorm(d)
+        self.out = nn.Linear(d, 1)
+        self.dropout = Dropout()
+        self.register_buffer("positions", torch.from_numpy(position_encoding(sizes.window + 1, d)), persistent=False)
+
+    def forward(self, windows: Tensor) -> Tensor:
+        """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
+        m = windows.shape[1]
+        positions = self.positions.to(windows.dtype)
+        memory = self.dropout(self.embedding(windows) + positions[:m])
+        for layer in self.encoder:
+            memory = layer(memory)
+        # The placeholder holds the last known hand and no acceleration.
+        asked = torch.cat([torch.zeros_like(windows[:, -1:, :1]), windows[:, -1:, 1:]], dim=2)
+        decoded = torch.cat([windows[:, m - self.sizes.n_start :], asked], dim=1)
+        tokens = self.dropout(self.embedding(decoded) + positions[m - self.sizes.n_start :])
+        return self.out(self.decoded(self.decoder(tokens, self.encoded(memory))[:, -1]))[:, 0]

@@ -1,0 +1,166 @@
+"""The networks that ONNX Runtime runs: variants of the paper's (Table II), and the systems it is compared with (Tables I, III).
+
+What a source does not state is our choice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from foten.models.foten.sizes import SpectralSizes
+from foten.models.foten.ten_sizes import TransformerSizes
+from foten.models.model_sizes import Sizes, check_heads
+from foten.models.tensor_shapes import WithExcitation
+
+
+@dataclass(frozen=True)
+class GraphSizes(WithExcitation):
+    """A one-step network whose weights are in a graph."""
+
+    in_graph: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class TenMfccSizes(TransformerSizes, GraphSizes):
+    """TEN with cepstral coefficients of the window in place of the Fourier branch, Table II: our reading of "TEN-MFCC"."""
+
+    window: int = 30  # m, samples; Table II
+    n_bands: int = 12  # of the triangular filters, spaced as mel are; the paper is silent
+    n_coefficients: int = 8  # kept of their cosine transform; the paper is silent
+    n_branches: ClassVar[int] = 2
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.n_coefficients > self.n_bands:
+            raise ValueError(f"n_coefficients is {self.n_coefficients}, expected at most n_bands, {self.n_bands}")
+
+
+@dataclass(frozen=True)
+class TenWaveletSizes(TransformerSizes, GraphSizes):
+    """TEN with wavelet coefficients of the window in place of the Fourier branch, Table II: our reading of "TEN-Wavelet"."""
+
+    window: int = 30  # m, samples; Table II
+    n_levels: int = 3  # of Daubechies' wavelet with two vanishing moments; the paper is silent
+    n_branches: ClassVar[int] = 2
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        n = self.n_levels
+        if self.window < 2 ** (n + 1):
+            raise ValueError(f"window is {self.window}, expected 2^{n + 1} or more for {n} levels")
+
+
+@dataclass(frozen=True)
+class FotenDSizes(SpectralSizes, GraphSizes):
+    """FoTEN with a decoder layer of one query token in place of the last token, FoTEN-D in Table II: our reading.
+
+    The query attends to all temporal tokens and to the single one of the spectral branch.
+    """
+
+
+@dataclass(frozen=True)
+class FnnSizes(GraphSizes):
+    """Band by band [13]: a small network for each of four bands."""
+
+    window: int = 144  # the longest lag, and the filters' memory before it
+    n_lags: int = 10  # of each band, 8, 4, 2 and 1 samples apart from the lowest band on
+    first: int = 20  # hidden units
+    second: int = 10
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        least = 8 * self.n_lags + 16
+        if self.window < least:
+            raise ValueError(f"window is {self.window}, expected {least} or more for {self.n_lags} lags of 8 samples")
+
+
+@dataclass(frozen=True)
+class DstnSizes(GraphSizes):
+    """Deep spatio-temporal network [15]: convolutions, attention over channels and time, and recurrent layers."""
+
+    window: int = 40  # m, samples; Table III
+    channels: int = 64
+    squeezed: int = 8  # channels of the attention's bottleneck
+    recurrent: int = 64  # each way
+    dense: int = 64
+
+
+@dataclass(frozen=True)
+class HapinfSizes(GraphSizes):
+    """Encoder and decoder after Informer, the teacher of [20]; no source of it was available."""
+
+    window: int = 20  # m, samples
+    d_model: int = 64
+    n_heads: int = 4
+    n_layers: int = 2  # of the encoder; the decoder has one
+    d_feedforward: int = 256
+    n_start: int = 10  # samples that the decoder begins with
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_heads(self.d_model, self.n_heads)
+        if self.n_start > self.window:
+            raise ValueError(f"n_start is {self.n_start}, expected at most the window, {self.window}")
+
+
+@dataclass(frozen=True)
+class LdhtdSizes(GraphSizes):
+    """Recurrent encoder of speed and force, attending decoder of acceleration [20], distilled from `hapinf`."""
+
+    window: int = 20  # m, samples; Table III
+    recurrent: int = 32
+    d_model: int = 32
+    n_heads: int = 4
+    d_feedforward: int = 128
+    dense: int = 64
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_heads(self.d_model, self.n_heads)
+
+
+@dataclass(frozen=True)
+class NoiseModelSizes(Sizes):
+    """A model of spectra, whose samples are filtered noise: its windows hold noise in the place of acceleration."""
+
+    in_graph: ClassVar[bool] = True
+    from_noise: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class DftnetSizes(NoiseModelSizes):
+    """Spectra of short frames from past speed and force [14], given back as filtered noise."""
+
+    window: int = 100  # samples of a frame, and of the condition before it
+    n_conditions: int = 10  # speeds and forces of these that it is given
+    first: int = 256  # hidden units
+    second: int = 256
+    third: int = 128
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        n, least = self.n_conditions, max(8, self.n_conditions)
+        if self.window < least:
+            raise ValueError(f"window is {self.window}, expected {least} or more for {n} conditions")
+
+
+@dataclass(frozen=True)
+class GanSizes(NoiseModelSizes):
+    """A generator of spectra from noise, speed and force [34], given back as filtered noise."""
+
+    window: int = 272  # samples: 27 frames, the receptive field of three layers
+    frame: int = 64  # samples
+    stride: int = 8  # samples from one frame to the next
+    channels: int = 48
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.frame < 8:
+            raise ValueError(f"frame is {self.frame}, expected 8 or more")
+        if self.frame % self.stride:
+            raise ValueError(f"frame is {self.frame}, expected a multiple of stride, {self.stride}")
+        n = 26 * self.stride + self.frame
+        if self.window != n:
+            frames = f"27 frames of {self.frame} samples, {self.stride} apart"
+            raise ValueError(f"window is {self.window}, expected {n}: {frames}")

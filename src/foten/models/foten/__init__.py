@@ -1,0 +1,1 @@
+"""FoTEN and TEN, the paper's networks."""

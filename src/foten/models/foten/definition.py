@@ -1,0 +1,104 @@
+"""The paper's network and TEN, equation by equation: nothing is left out because the output does not depend on it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.dsp import Array
+from foten.dsp.spectrum import WEAKEST_BIN, dft_matrices, position_encoding
+from foten.models.foten.sizes import SpectralSizes
+from foten.models.foten.ten_sizes import TransformerSizes
+
+
+class Weights(dict[str, Array]):
+    """The tensors of a texture file under one prefix, in float64, and the two maps that every network has of them."""
+
+    def __init__(self, tensors: Mapping[str, NDArray[Any]], prefix: str) -> None:
+        under = {name.removeprefix(prefix): one for name, one in tensors.items() if name.startswith(prefix)}
+        super().__init__({name: np.asarray(tensor, dtype=np.float64) for name, tensor in under.items()})
+
+    def __missing__(self, name: str) -> Array:
+        raise ValueError(f"the texture file has no tensor {name!r}")
+
+    def linear(self, name: str, values: Array) -> Array:
+        weight, bias = self[f"{name}.weight"], self[f"{name}.bias"]
+        if values.shape[-1] == 1:
+            return values * weight[:, 0] + bias
+        # One large product is faster than NumPy's loop over a stack of small ones.
+        flat = values.reshape(-1, values.shape[-1]) @ weight.T + bias
+        return flat.reshape(*values.shape[:-1], -1)
+
+    def norm(self, name: str, values: Array) -> Array:
+        centred = values - values.mean(axis=-1, keepdims=True)
+        variance = np.square(centred).mean(axis=-1, keepdims=True)
+        return centred / np.sqrt(variance + 1e-5) * self[f"{name}.weight"] + self[f"{name}.bias"]
+
+
+class Network:
+    """Windows (b, m, 3) scaled → (b,)."""
+
+    def __init__(self, sizes: TransformerSizes, tensors: Mapping[str, NDArray[Any]]) -> None:
+        self._sizes, self._w = sizes, Weights(tensors, "")
+
+    def __call__(self, windows: Array) -> Array:
+        sizes, w = self._sizes, self._w
+        tokens = w.linear("temporal.embedding", windows[:, :, :1]) + position_encoding(sizes.window, sizes.d_model)
+        for layer in range(sizes.n_layers):
+            tokens = self._encoder(f"temporal.layers.{layer}", tokens)
+        if sizes.pre_norm:
+            tokens = w.norm("temporal.norm", tokens)
+        if isinstance(sizes, SpectralSizes):
+            spectral = w.linear("spectral_embedding", self._spectral(sizes, windows[:, :, 0])[:, :, None])
+            tokens = np.concatenate([tokens, spectral], axis=2)  # Eq. 10
+        fused = np.concatenate([tokens[:, -1], windows[:, -1, 1:3]], axis=1)  # Eq. 11, the last token
+        hidden = np.maximum(w.linear("head_1", fused), 0.0)
+        hidden = np.maximum(w.linear("head_2", hidden), 0.0)
+        return w.linear("head_3", hidden)[:, 0]
+
+    def _spectral(self, sizes: SpectralSizes, acceleration: Array) -> Array:
+        """Return a_spec: (b, m) → (b, m), Eq. 6 to 9."""
+        real, imaginary = (acceleration @ matrix[:, : sizes.n_bins] for matrix in dft_matrices(sizes.window))
+        power = real * real + imaginary * imaginary
+        # What is nothing but rounding is zero: its phase, or by its sign that of a negative real part (π or −π), would differ
+        # from one processor to the next.
+        least = WEAKEST_BIN * power.sum(axis=1, keepdims=True)
+        real, imaginary = np.where(real**2 > least, real, 0.0), np.where(imaginary**2 > least, imaginary, 0.0)
+        phase = np.arctan2(imaginary, real)
+        magnitude = np.sqrt(power + 1e-16)
+        magnitude, phase = self._bins(sizes, "magnitude", magnitude), self._bins(sizes, "phase", phase)
+        n, k = np.arange(sizes.window), np.arange(sizes.n_bins)
+        mirrored = (sizes.bins == "half") & (k >= 1) & (k < (sizes.window + 1) // 2)
+        angle = 2 * np.pi * np.outer(k, n) / sizes.window
+        weighted = magnitude * np.where(mirrored, 2.0, 1.0) / sizes.window
+        return (weighted * np.cos(phase)) @ np.cos(angle) - (weighted * np.sin(phase)) @ np.sin(angle)
+
+    def _bins(self, sizes: SpectralSizes, name: str, numbers: Array) -> Array:
+        tokens, lifted = numbers[..., None], sizes.spectral_width > 1
+        tokens = self._w.linear(f"spectral.{name}_in", tokens) if lifted else tokens
+        tokens = self._encoder(f"spectral.{name}_layer", tokens)
+        return (self._w.linear(f"spectral.{name}_out", tokens) if lifted else tokens)[..., 0]
+
+    def _encoder(self, name: str, tokens: Array) -> Array:
+        """Return what an encoder layer makes of tokens (b, n, width), Eq. 3 to 5."""
+        w, before = self._w, self._sizes.pre_norm
+        normed = w.norm(f"{name}.norm_1", tokens) if before else tokens
+        hidden = tokens + self._attention(name, normed)
+        hidden = hidden if before else w.norm(f"{name}.norm_1", hidden)
+        inner = w.norm(f"{name}.norm_2", hidden) if before else hidden
+        inner = np.maximum(w.linear(f"{name}.feedforward_in", inner), 0.0)
+        hidden = hidden + w.linear(f"{name}.feedforward_out", inner)
+        return hidden if before else w.norm(f"{name}.norm_2", hidden)
+
+    def _attention(self, name: str, tokens: Array) -> Array:
+        b, n, width = tokens.shape
+        n_heads = self._sizes.n_heads if width % self._sizes.n_heads == 0 else 1
+        projected = self._w.linear(f"{name}.attention_in", tokens).reshape(b, n, 3, n_heads, -1)
+        query, key, value = projected.transpose(2, 0, 3, 1, 4)
+        scores = query @ key.transpose(0, 1, 3, 2) / np.sqrt(width // n_heads)
+        weights = np.exp(scores - scores.max(axis=-1, keepdims=True))
+        mixed = weights / weights.sum(axis=-1, keepdims=True) @ value
+        return self._w.linear(f"{name}.attention_out", mixed.transpose(0, 2, 1, 3).reshape(b, n, width))

@@ -1,0 +1,236 @@
+"""The tones of a periodic surface: is there a wavelength, where on it was the hand, and how loud is each multiple."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.signal import lfilter
+from scipy.special import gammainccinv
+
+from foten.dsp import Array
+from foten.dsp.lattice import polynomial
+from foten.dsp.speed_force_table import SpeedForceTable, spanning
+from foten.dsp.tones import tone, tone_slope
+from foten.models.foten_plus.lattice_fit import LatticeData, VertexWeights, fit_lattice_of, vertex_weights
+
+SHORTEST_MM = 0.2
+LEAST_PERIODS = 3.0  # in a stretch: so many of a window's own lobes lie at the lowest spatial frequencies
+# Times its surroundings, for a wavelength to be tried; irregular cloth has 4, surfaces without one 1.3.
+STANDS_OUT = 3.0
+TWICE_CHANCE = 2.0  # the largest that noise would reach
+OF_THE_PATH = 1.2  # times what stands out over time: a hum at a steady speed repeats over both
+MAX_TONES = 6
+N_SPEED, N_FORCE = 32, 2  # vertices: the tool turns a tone's phase by π within 30 mm/s
+ROUNDS = 8
+ROUGHNESS = 0.005  # how much neighbouring vertices are held together, as a share of what one vertex knows
+SMOOTHING = 0.6  # wavelengths over which a phase is taken to deviate evenly
+TRUST = 3.0  # of the path, against what the samples of such a stretch say [1/rad²]
+WHITENING = 20  # order
+USABLE_BAND = 0.45  # of the rate, that tones keep to
+
+
+def wavelength(data: LatticeData, rate_hz: float) -> float | None:
+    """Return the length that a surface repeats itself after [mm], or None where none stands out.
+
+    The vibration over its level is cut into stretches of some millimetres, and each one's power is taken at spatial frequencies,
+    with the path for time: mean over stretches, against the median of its surroundings. What stands out as much with time for the
+    path is a hum or a resonance, and a hand that kept its speed cannot tell it from a surface that repeats.
+    """
+    path = np.cumsum(data.speed, axis=1) / rate_hz
+    for span in (15.0, 5.0):
+        stretches = [
+            (path[b, n] - path[b, n.start], data.x[b, n]) for b in data.train for n in _stretches(path[b], span)
+        ]
+        if len(stretches) >= 20:
+            break
+    else:
+        return None
+    if len(stretches) > 200:
+        stretches = [stretches[i] for i in np.linspace(0, len(stretches) - 1, 200).astype(int)]
+    step = 0.25 / span
+    cycles = np.arange(LEAST_PERIODS / span, 1 / SHORTEST_MM, step)
+    coarse = cycles[::16, None]  # e^(−2πi(c + d)w) is a product: exponentials of 16 + n/16 frequencies in place of n
+    fine = step * np.arange(16)[:, None]
+    usual_step = float(np.mean([travelled[-1] / (len(travelled) - 1) for travelled, _ in stretches]))
+    powers = np.zeros((2, len(cycles)))
+    for travelled, x in stretches:
+        windowed = x * np.sin(np.pi * travelled / span) ** 2
+        total = float(np.square(windowed).sum())
+        if total > 0:
+            for power, way in zip(powers, (travelled, usual_step * np.arange(len(x))), strict=True):
+                sums = (np.exp(-2j * np.pi * coarse * way) * windowed) @ np.exp(-2j * np.pi * fine * way).T
+                power += np.abs(sums.ravel()[: len(cycles)]) ** 2 / total
+    ratio, over_time = (
+        power / np.array([np.median(power[max(0, i - 20) : i + 21]) for i in range(len(cycles))]) for power in powers
+    )
+    # Peaks alone: at either end all surroundings lie on one side, and a slope stands out.
+    rises = np.diff(powers[0]) > 0
+    ratio[~np.array([False, *(rises[:-1] & ~rises[1:]), False])] = 0.0
+    peak = int(np.argmax(ratio))
+    # What the largest of so many bins of noise, over their mean, exceeds once in twenty recordings: a mean over half-overlapping
+    # windowed stretches has about 1.2 degrees of freedom for each of them. Two seconds of real leather have some sixty stretches
+    # of 5 mm, and a fixed threshold gave tones in three splits of five.
+    half_freedom = 0.6 * len(stretches)
+    largest_by_chance = float(gammainccinv(half_freedom, 0.05 / len(cycles)) / half_freedom)
+    enough = max(STANDS_OUT, TWICE_CHANCE * largest_by_chance)
+    like_it = np.abs(cycles - cycles[peak]) <= 0.1 * cycles[peak]
+    if ratio[peak] < max(enough, OF_THE_PATH * over_time[like_it].max()):
+        return None
+    # The tool may make a multiple louder than the fundamental.
+    half = int(np.argmin(np.abs(cycles - cycles[peak] / 2)))
+    near = slice(max(0, half - 2), half + 3)
+    if cycles[peak] / 2 >= cycles[0] and ratio[near].max() >= enough:
+        peak = near.start + int(np.argmax(ratio[near]))
+    return float(1 / cycles[peak])
+
+
+def _stretches(path: Array, span: float) -> Iterator[slice]:
+    """Return the samples of half-overlapping stretches of a path [mm], without those of fewer than 30 samples."""
+    first = 0
+    while (last := int(np.searchsorted(path, path[first] + span))) < len(path):
+        if last - first > 30:
+            yield slice(first, last)
+        first = int(np.searchsorted(path, path[first] + span / 2))
+
+
+def n_tones(wavelength_mm: float, speed: Array, rate_hz: float) -> int:
+    """Return how many multiples the rate holds at the median speed [mm/s], at least one."""
+    fundamental_hz = float(np.median(speed)) / wavelength_mm
+    return int(np.clip(USABLE_BAND * rate_hz / max(fundamental_hz, 1e-9), 1, MAX_TONES))
+
+
+@dataclass(frozen=True)
+class FittedTones:
+    """What was fitted to a recording."""
+
+    wavelength_mm: float  # as the phase says, finer than a spectrum does
+    table: SpeedForceTable  # coefficients over speed and force, in units of the vibration's level
+    phase: Array  # of the fundamental at every sample [rad], shape (n_blocks, block)
+    played: Array  # T at every sample, in units of the level, same shape
+    unevenness: float  # standard deviation of a period's length, as a share of it
+
+
+def fit_tones(data: LatticeData, wavelength_mm: float, rate_hz: float) -> FittedTones:
+    """Return the tones of a surface that seems to repeat.
+
+    In turn, least squares for the coefficients given the phases, and a step of Gauss and Newton for the phases given the
+    coefficients, which may deviate from the path by an even amount over about a wavelength. Errors are whitened: the tool's
+    resonance would else drown the high multiples, which know the phase best.
+    """
+    chosen = list(data.train)
+    speed, force = data.speed[chosen], data.force[chosen]
+    path = np.cumsum(data.speed, axis=1) / rate_hz
+    phase = _demodulated(data.x, path, wavelength_mm)
+    table = spanning(speed, force, N_SPEED, N_FORCE)
+    table = replace(table, values=np.zeros((len(table.values), 2 * n_tones(wavelength_mm, speed, rate_hz))))
+    fastest = USABLE_BAND * rate_hz * wavelength_mm
+    whitener = np.ones(1)
+    near = vertex_weights(table, speed, force)
+    for _ in range(ROUNDS):
+        table = _fitted(data, table, phase, whitener, fastest, near)
+        coefficients = _coefficients(data, table)
+        x = data.x - tone(coefficients, phase)
+        whitener = polynomial(fit_lattice_of(replace(data, x=x), WHITENING, 1, 1).values[0])
+        missed, turned = (lfilter(whitener, [1.0], signal) for signal in (x, tone_slope(coefficients, phase)))
+        noise = float(np.square(missed[chosen]).mean())
+        score, known = (
+            _smoothed(path, turned * signal / noise, wavelength_mm, SMOOTHING) for signal in (missed, turned)
+        )
+        phase = phase + np.clip(score / (known + TRUST), -0.4, 0.4)
+    periods = (phase[chosen, -1] - phase[chosen, 0]).sum() / (2 * np.pi)
+    length = float((path[chosen, -1] - path[chosen, 0]).sum() / periods)
+    deviation = phase - 2 * np.pi * path / length
+    unevenness = _unevenness(path[chosen], deviation[chosen], speed, length)
+    table = _fitted(data, table, phase, whitener, fastest, near)
+    return FittedTones(length, table, phase, tone(_coefficients(data, table), phase), unevenness)
+
+
+def _unevenness(path: Array, deviation: Array, speed: Array, wavelength_mm: float) -> float:
+    """Return the standard deviation of a period's length, as a share of it, from how the phase's variance grows on the path.
+
+    From 4 to 12 wavelengths: what is unsure of each phase by itself is the same at both distances and drops out. Only the
+    quarter of places is compared where the hand was about as fast: the tool turns the phase by itself as speed changes, and of
+    simulated meshes ten times their jitter came out with all.
+    """
+
+    def variance(n_wavelengths: int) -> float:
+        away, differences = n_wavelengths * wavelength_mm, []
+        for place, *rows in zip(path, deviation, speed, strict=True):
+            at = np.arange(place[0], place[-1] - away, wavelength_mm / 2)
+            differences.append([np.interp(at + away, place, row) - np.interp(at, place, row) for row in rows])
+        moved, faster = np.abs(np.concatenate(differences, axis=1))
+        if not faster.size:
+            return 0.0
+        return float(np.square(moved[faster <= np.quantile(faster, 0.25)]).mean())
+
+    near, far = 4, 12
+    return math.sqrt(max(0.0, (variance(far) - variance(near)) / (far - near))) / (2 * math.pi)
+
+
+def _demodulated(x: Array, path: Array, wavelength_mm: float) -> Array:
+    """Return the phase of the fundamental at every sample: the path's, and what is left once it is taken out, smoothed."""
+    turned = 2 * np.pi * path / wavelength_mm
+    carried = x * np.exp(-1j * turned) * np.diff(path, axis=1, prepend=0.0)
+    real, imaginary = (_smoothed(path, part, wavelength_mm, 1.0) for part in (carried.real, carried.imag))
+    return turned + np.unwrap(np.angle(real + 1j * imaginary), axis=1)
+
+
+def _smoothed(path: Array, values: Array, wavelength_mm: float, width: float) -> Array:
+    """Return sums under a Gaussian of `width` wavelengths of path around every sample, each block by itself."""
+    step = wavelength_mm / 8
+    reach = int(4 * width * 8)
+    bell = np.exp(-0.5 * (np.arange(-reach, reach + 1) / (width * 8)) ** 2)
+    out = np.empty_like(values)
+    for block, (place, row) in enumerate(zip(path, values, strict=True)):
+        n = int(place[-1] / step) + 2
+        binned = np.bincount(np.clip((place / step).astype(int), 0, n - 1), weights=row, minlength=n)
+        out[block] = np.interp(place, np.arange(n) * step, np.convolve(binned, bell)[reach : reach + n])
+    return out
+
+
+def _coefficients(data: LatticeData, table: SpeedForceTable) -> Array:
+    return table.at(data.speed.ravel(), data.force.ravel()).reshape(*data.x.shape, -1)
+
+
+def _fitted(
+    data: LatticeData, table: SpeedForceTable, phase: Array, whitener: Array, fastest: float, near: VertexWeights
+) -> SpeedForceTable:
+    """Return the coefficients that leave the least whitened error, neighbours held together.
+
+    The weights of vertices change little within the whitener's length, so waves are whitened first and weighted then:
+    in the normal equations a sample counts at the ten pairs of its four vertices alone.
+
+    Where speed times multiple exceeds `fastest` [mm/s] they are zero: the rate does not hold that frequency.
+    """
+    n_vertices, n_columns = table.values.shape
+    chosen = list(data.train)
+    multiples = np.arange(1, n_columns // 2 + 1)
+    angle = phase[chosen][:, None] * multiples[:, None]
+    waves = np.stack([np.cos(angle), np.sin(angle)], axis=2).reshape(len(chosen), n_columns, -1)
+    waves, target = (lfilter(whitener, [1.0], signal) for signal in (waves, data.x[chosen]))
+    waves[..., : whitener.size] = 0.0
+    waves = waves.transpose(1, 0, 2).reshape(n_columns, -1)
+    row, column = np.triu_indices(n_columns)
+    products = near.by_pair @ (waves[row] * waves[column]).T
+    upper = np.zeros((n_vertices, n_vertices, n_columns, n_columns))
+    upper[:, :, row, column] = upper[:, :, column, row] = products.reshape(n_vertices, n_vertices, -1)
+    blocks = upper + upper.transpose(1, 0, 2, 3)
+    blocks[range(n_vertices), range(n_vertices)] /= 2
+    gram = blocks.transpose(0, 2, 1, 3).reshape((n_vertices * n_columns,) * 2)
+    moment = (near.by_vertex @ (waves * target.ravel()).T).ravel()
+    # What a vertex knows of each wave, on the mean, is the unit of what holds it to its neighbours.
+    known = np.diag(gram).reshape(n_vertices, n_columns).mean(axis=0)
+    over_speed, over_force = (np.eye(len(knots)) for knots in (table.speed_knots, table.force_knots))
+    steps = np.concatenate(
+        [np.kron(np.diff(over_speed, axis=0), over_force), np.kron(over_speed, np.diff(over_force, axis=0))]
+    )  # from each vertex to its neighbours
+    bonds = steps.T @ steps
+    gram += np.kron(ROUGHNESS * bonds + 1e-5 * np.eye(n_vertices), np.diag(known))
+    vertex_speeds = np.repeat(table.speed_knots, len(table.force_knots))
+    held = (vertex_speeds[:, None] * np.repeat(multiples, 2) <= fastest).ravel()
+    values = np.zeros(n_vertices * n_columns)
+    values[held] = np.linalg.solve(gram[np.ix_(held, held)], moment[held])
+    return replace(table, values=values.reshape(n_vertices, n_columns))

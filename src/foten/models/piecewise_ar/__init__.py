@@ -1,0 +1,1 @@
+"""Piecewise AR: local linear models over speed and force."""

@@ -1,0 +1,115 @@
+"""What a model in NumPy offers, and its closed loop (Sec. V); all scaled."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from foten.dsp import Array
+from foten.dsp.noise import heavy_tailed
+from foten.models.foten_plus.innovation_network import Mixture
+
+
+class Prediction(NamedTuple):
+    """The next sample of each stream without excitation, and what an excitation adds; shapes (s,)."""
+
+    sample: Array
+    scale: Array | None = None  # by how much a unit of excitation moves it; None for no excitation
+    tail: Array | None = None  # h of z·exp(h z²/2); None for Gaussian noise
+    largest: tuple[float, float] = (np.inf, np.inf)  # excitation, in units of the scale and of scaled acceleration
+    mixture: Mixture | None = None  # of the excitation, in units of the scale, its mean in the sample; None for noise
+    # Where near rest what enters a lattice fades, and not what leaves it: the sample without innovation, and the tones in it.
+    linear: Array | None = None
+    tone: Array | float = 0.0
+
+    def excited(self, noise: Array) -> Array:
+        """Return the sample with excitation from standard normal noise, shape (s,)."""
+        if self.scale is None:
+            return self.sample
+        if self.tail is None:
+            return self.sample + self.scale * noise
+        limit = largest_of(self.largest, self.scale)
+        if self.mixture is not None:
+            drawn, expected = (
+                np.clip(of, -limit, limit) for of in (self.mixture.quantile(noise), self.mixture.expected())
+            )
+            return self.sample + self.scale * (drawn - expected)
+        return self.sample + self.scale * heavy_tailed(noise, self.tail, limit)
+
+    def faded(self, noise: Array | None, fade: Array | float) -> tuple[Array, Array]:
+        """Return what leaves with a fade near rest, and what the stream goes on from, (s,) each; of noise or None."""
+        sample = self.sample if noise is None else self.excited(noise)
+        if self.linear is None:
+            return fade * sample, sample
+        residual = self.linear + fade * (sample - self.tone - self.linear)
+        return residual + fade * self.tone, residual + self.tone
+
+
+def largest_of(largest: tuple[float, float], scale: Array) -> Array:
+    """Return the largest excitation in units of its scale, (s,), from that and that of scaled acceleration."""
+    return np.minimum(largest[0], largest[1] / scale)
+
+
+class Stream(Protocol):
+    """Independent streams of one model, s of them.
+
+    A condition is speed and force, scaled, and the speed that tones go by [mm/s].
+    """
+
+    @property
+    def bounded(self) -> bool:
+        """Return whether they stay within bounds on their own output, however speed and force move."""
+
+    @property
+    def n_initial(self) -> int:
+        """Return how many numbers of noise a stream takes to `begin`."""
+
+    def begin(self, condition: Array, noise: Array, fade: float = 1.0) -> None:
+        """Take a state as after a long time under one condition (s, 3), whatever was before; standard normal (s, n_initial)."""
+
+    def predict(self) -> Prediction:
+        """Return the next samples, shape (s,)."""
+
+    def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
+        """Take in the next samples (s,), the condition (s, 3) that goes with them, and the noise in them."""
+
+
+class Model(Protocol):
+    """A model: one step ahead from windows, and streams of it."""
+
+    def predict(self, windows: Array) -> Array:
+        """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
+
+    def start(self, windows: Array) -> Stream:
+        """Return streams that go on from scaled windows, shape (s, m, 3)."""
+
+
+def run(
+    stream: Stream, condition: Array, noise: Array | None, limit: float = np.inf, fade: Array | None = None
+) -> Array:
+    """Return n samples of each stream's closed loop, shape (s, n).
+
+    A sample is predicted under the condition of the one before (Eq. 1). What the saturator cuts off is cut from what leaves; a
+    bounded stream goes on from its uncut sample, since the innovation of a cut one would be as large as the cut over the gain of
+    the lattice.
+
+    Args:
+        condition: of each sample, shape (s, n, 3).
+        noise: standard normal, shape (s, n); None for the deterministic loop.
+        limit: of the saturator.
+        fade: how much of the vibration is left near rest, shape (n,); None for all.
+    """
+    out = np.empty(condition.shape[:2])
+    for i in range(condition.shape[1]):
+        z = None if noise is None else noise[:, i]
+        left = 1.0 if fade is None else float(fade[i])
+        leaving, sample = stream.predict().faded(z, left)
+        if stream.bounded:
+            out[:, i] = np.clip(leaving, -limit, limit)
+            stream.push(sample, condition[:, i], z)
+        else:
+            played = np.clip(sample, -limit, limit)
+            out[:, i] = left * played
+            stream.push(played, condition[:, i], z)
+    return out

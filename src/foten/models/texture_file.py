@@ -1,0 +1,286 @@
+"""The texture file: one safetensors file that holds all that rendering needs, and the proof that it is rendered right.
+
+Header metadata: ``{"foten": "<card as JSON>"}``. Never pickle. Beside the network's tensors it holds
+
+=====================  ============  =======================================================================
+``warm_start``         (m, 3)        scaled window that the closed loop starts from
+``golden.windows``     (k, m, 3)     scaled windows
+``golden.one_step``    (k,)          what the reference predicted from them, in float64
+``golden.sigma``       (k,)          by how much a unit of excitation moves the next sample (where there is one)
+``golden.condition``   (64, 2)       scaled speed and force of a closed loop from ``warm_start``
+``golden.closed_loop`` (64,)         its scaled output in float64, with excitation of seed 0 (where there is one)
+``graph``              (k,)          bytes of an ONNX graph, of a model that ONNX Runtime runs, in place of the network's tensors
+=====================  ============  =======================================================================
+
+What renders and cannot reproduce them within `ONE_STEP_TOLERANCE` and `CLOSED_LOOP_TOLERANCE` refuses the file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.atomic_write import atomic_write
+from foten.models.model_sizes import Sizes, shortened
+from foten.models.registry import sizes_of
+from foten.recording.preprocess import PreprocessConfig
+from foten.recording.scaling import Scaling
+from foten.recording.split import Split
+from foten.untrusted import check_numbers, check_regular, parse_json
+
+FORMAT_VERSION = 4
+ONE_STEP_TOLERANCE = 1e-5  # scaled; float32 arithmetic of the network
+CLOSED_LOOP_TOLERANCE = 1e-4  # scaled, after 64 steps
+MIN_GOLDEN = 8  # windows
+HIGHEST_HZ = 1e6
+LARGEST = 1e9  # of a number in a tensor; squares of it are finite in float32
+_MAX_HEADER = 100_000_000  # bytes; the safetensors limit
+
+_CARD: Mapping[type | tuple[type, ...], str] = {
+    int: "format_version window",
+    (int, float): "rate_hz saturation lowpass_hz delay_ms",
+    str: "model texture tool sensors notes licence recording_sha256 split_sha256",
+    dict: "sizes units scaling trained_range beyond_exponents warm_start preprocess training metrics",
+    (dict, type(None)): "split",
+}
+"""What a card must hold, by JSON type; a texture that was not trained here has no split."""
+_VALIDATED = (
+    "validation_mae_scaled",
+    "validation_spectrum_db",
+)  # of which a trained model has one: it predicts samples, or spectra
+
+
+@dataclass(frozen=True)
+class Texture:
+    """A texture file in memory."""
+
+    card: Mapping[str, Any]  # as `_CARD` lists it; units m/s², mm/s, N
+    tensors: Mapping[str, NDArray[Any]]  # float32 or float64
+
+    @property
+    def rate_hz(self) -> float:
+        """Return the model's rate [Hz]."""
+        return float(self.card["rate_hz"])
+
+    @property
+    def window(self) -> int:
+        """Return m, how many samples a prediction is given."""
+        return int(self.card["window"])
+
+    @property
+    def sizes(self) -> Sizes:
+        """Return the model's sizes."""
+        return sizes_of(self.card["model"], self.card["sizes"])
+
+    @property
+    def scaling(self) -> Scaling:
+        """Return the scaling of acceleration, speed and force."""
+        fields = self.card["scaling"]
+        return Scaling(mean=tuple(fields["mean"]), sd=tuple(fields["sd"]))
+
+    @property
+    def unit(self) -> str:
+        """Return the unit of the acceleration as people read it: m/s², or relative to the recording's RMS."""
+        return self.card["units"].get("acceleration", "m/s^2").replace("^2", "²")
+
+    @property
+    def has_excitation(self) -> bool:
+        """Return whether there is a random part."""
+        return self.sizes.excited or not self.predicts_samples
+
+    @property
+    def predicts_samples(self) -> bool:
+        """Return whether the model predicts samples; one of spectra makes them from noise, and predicts none."""
+        return self.card["split"] is None or self.card["metrics"].get("validation_mae_scaled") is not None
+
+    def trained_range(self, channel: str) -> tuple[float, float]:
+        """Return the lowest and highest trained `speed` [mm/s] or `force` [N]."""
+        low, high = self.card["trained_range"][channel]
+        return float(low), float(high)
+
+    def beyond_exponent(self, channel: str) -> float:
+        """Return the power of `speed` or `force` that the level grows with above its trained range."""
+        return float(self.card["beyond_exponents"][channel])
+
+    def beyond_in_words(self) -> str:
+        """Return how the level goes on above the trained range: where it grows, and where and why it is held."""
+        powers = {name: self.beyond_exponent(name) for name in ("speed", "force")}
+        grows = " and ".join(f"{name}^{power:.2g}" for name, power in powers.items() if power)
+        held = " and ".join(name for name, power in powers.items() if not power)
+        ours = self.card["model"] == "foten-plus"
+        why = "no growth could be learned from the recording" if ours else f"{self.card['model']} learns no growth"
+        if not grows:
+            return f"the level is held: {why}"
+        text = f"the level grows with {grows}, up to twice the range"
+        return f"{text}; with {held} it is held: {why}" if held else text
+
+    def to_bytes(self) -> bytes:
+        """Return the file's bytes; the same texture gives the same bytes."""
+        from safetensors.numpy import save
+
+        check_card(self.card)
+        tensors = {name: np.ascontiguousarray(self.tensors[name]) for name in sorted(self.tensors)}
+        card = json.dumps(self.card, sort_keys=True, allow_nan=False)
+        return bytes(save(tensors, metadata={"foten": card}))
+
+    def sha256(self) -> str:
+        """Return the digest of the file's bytes."""
+        return hashlib.sha256(self.to_bytes()).hexdigest()
+
+
+def write_texture(texture: Texture, path: Path) -> None:
+    """Write a texture file, whole or not at all."""
+    with atomic_write(path) as part:
+        part.write_bytes(texture.to_bytes())
+
+
+def read_texture(path: Path | str) -> Texture:
+    """Return the texture in a file.
+
+    Raises:
+        OSError: there is none, or it cannot be read.
+        ValueError: it is not a texture file, is truncated, or its card or tensors do not fit.
+    """
+    path = Path(path)
+    check_regular(path)
+    try:
+        return texture_from_bytes(path.read_bytes())
+    except ValueError as error:
+        raise ValueError(f"{path.name}: {error}") from error
+
+
+def texture_from_bytes(data: bytes) -> Texture:
+    """Return the texture in a file's bytes; errors as `read_texture`."""
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
+
+    if len(data) < 9:
+        raise ValueError(f"the file has {len(data)} bytes, expected a texture file; is it truncated?")
+    # A header's length may begin with the very byte that a pickle begins with; the brace after it tells them apart.
+    if data[8:9] != b"{" and (data[:1] == b"\x80" or data[:4] == b"PK\x03\x04"):
+        advice = "pickles can run code and are never opened: export with 'foten train'"
+        raise ValueError(f"this is a pickle or a PyTorch checkpoint, expected a texture file; {advice}")
+    (length,) = struct.unpack("<Q", data[:8])
+    if not 0 < length <= min(_MAX_HEADER, len(data) - 8):
+        raise ValueError("this is not a texture file, or it is truncated")
+    try:
+        metadata = parse_json(data[8 : 8 + length]).get("__metadata__") or {}
+        tensors = load(data)
+    except (SafetensorError, ValueError, AttributeError, KeyError, TypeError, OverflowError) as error:
+        raise ValueError(f"this is not a texture file, or it is truncated ({error})") from error
+    if not isinstance(metadata, dict) or "foten" not in metadata:
+        raise ValueError("this is a safetensors file without a texture card, expected one written by 'foten train'")
+    try:
+        card = parse_json(metadata["foten"])
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"the card is not JSON ({error})") from error
+    check_card(card)
+    check_numbers(card, "the card")
+    texture = Texture(card=card, tensors=tensors)
+    _check_tensors(texture)
+    return texture
+
+
+def check_card(card: Any) -> None:
+    """Refuse what is no complete and consistent card."""
+    if not isinstance(card, Mapping):
+        raise ValueError("the card is not a JSON object")
+    version = card.get("format_version")
+    if version != FORMAT_VERSION:
+        older = type(version) is int and version < FORMAT_VERSION
+        advice = "train it again with this foten" if older else "update foten"
+        raise ValueError(f"the file has format version {shortened(version)}, expected {FORMAT_VERSION}: {advice}")
+    for kind, keys in _CARD.items():
+        expected = "a number" if kind == (int, float) else getattr(kind, "__name__", "dict or null")
+        for key in keys.split():
+            if key not in card:
+                raise ValueError(f"the card has no {key!r}")
+            if not isinstance(card[key], kind) or isinstance(card[key], bool):
+                raise ValueError(f"{key!r} in the card is {card[key]!r}, expected {expected}")
+    try:
+        sizes = sizes_of(card["model"], card["sizes"])
+    except (TypeError, OverflowError) as error:  # a list where a number belongs
+        raise ValueError(f"the sizes in the card do not fit together ({error})") from error
+    if sizes.history != card["window"]:
+        raise ValueError(f"the card has window {shortened(card['window'])} and the network {sizes.history}")
+    for key in ("rate_hz", "saturation", "lowpass_hz"):
+        if not (_are_numbers([card[key]], 1) and card[key] > 0):
+            raise ValueError(f"{key!r} in the card is {card[key]}, expected a positive number")
+    if not (card["rate_hz"] <= HIGHEST_HZ and 1e-3 <= card["lowpass_hz"] < card["rate_hz"] / 2):
+        raise ValueError(
+            f"the card has a rate of {card['rate_hz']} Hz and a low-pass of {card['lowpass_hz']} Hz, expected up to "
+            f"{HIGHEST_HZ:g} Hz, and from 0.001 Hz to half of that"
+        )
+    for channel in ("speed", "force"):
+        bounds, exponent = card["trained_range"].get(channel), card["beyond_exponents"].get(channel)
+        if not (_are_numbers(bounds, 2) and 0 <= bounds[0] <= bounds[1]):
+            raise ValueError(f"the trained range of {channel} is {bounds!r}, expected [low, high]")
+        if not (_are_numbers([exponent], 1) and 0 <= exponent <= 2):
+            raise ValueError(f"the exponent of {channel} beyond its range is {exponent!r}, expected 0 to 2")
+    if not all(_are_numbers(card["scaling"].get(key), 3) for key in ("mean", "sd")):
+        raise ValueError("the scaling in the card is not three means and three standard deviations")
+    Scaling(mean=tuple(card["scaling"]["mean"]), sd=tuple(card["scaling"]["sd"]))
+    try:
+        made = PreprocessConfig(**card["preprocess"])
+        if card["split"] is not None:
+            Split.from_fields(card["split"])
+    except (TypeError, KeyError, AttributeError, OverflowError) as error:
+        raise ValueError(f"the preprocessing or the split in the card is incomplete ({error})") from error
+    if made.rate_hz != card["rate_hz"]:
+        raise ValueError(f"the card has a rate of {card['rate_hz']} Hz and preprocessing to {made.rate_hz} Hz")
+    if card["split"] is None:
+        return
+    if not any(_are_numbers([card["metrics"].get(name)], 1) for name in _VALIDATED):
+        raise ValueError(f"the card has none of {', '.join(_VALIDATED)} among its metrics")
+    for name in ("validation_mae_scaled", "validation_mae_scaled_lattice"):
+        value = card["metrics"].get(name)
+        if value is not None and not _are_numbers([value], 1):
+            raise ValueError(f"{name!r} among the card's metrics is no number")
+
+
+def _are_numbers(values: Any, n: int) -> bool:
+    """Return whether a JSON value is a list of n numbers that a float64 or an int64 holds."""
+    if not isinstance(values, list) or len(values) != n:
+        return False
+    return all(type(v) in (int, float) and abs(v) < 2**63 for v in values)  # NaN compares false
+
+
+def _check_tensors(texture: Texture) -> None:
+    sizes = texture.sizes
+    for name, tensor in texture.tensors.items():
+        if sizes.in_graph and name == "graph" and tensor.dtype == np.uint8 and tensor.ndim == 1:
+            continue
+        if tensor.dtype not in (np.float32, np.float64):
+            raise ValueError(f"tensor {name!r} is {tensor.dtype}, expected float32 or float64")
+        if not np.isfinite(tensor).all():
+            raise ValueError(f"tensor {name!r} holds NaN or infinity")
+        if tensor.size and np.abs(tensor).max() > LARGEST:
+            raise ValueError(f"tensor {name!r} holds {np.abs(tensor).max():g}, expected {LARGEST:g} at most")
+    m, n_golden = texture.window, len(texture.tensors.get("golden.one_step", ()))
+    if n_golden < MIN_GOLDEN:
+        raise ValueError(f"the file holds {n_golden} golden windows, expected {MIN_GOLDEN} or more: it proves nothing")
+    shapes = {
+        **sizes.tensor_shapes(),
+        "warm_start": (m, 3),
+        "golden.windows": (n_golden, m, 3),
+        "golden.one_step": (n_golden,),
+        "golden.condition": (64, 2),
+        "golden.closed_loop": (64,),
+        **({"golden.sigma": (n_golden,)} if sizes.excited else {}),
+        **({"graph": np.shape(texture.tensors.get("graph", ()))} if sizes.in_graph else {}),
+    }
+    for name, shape in shapes.items():
+        given = texture.tensors[name].shape if name in texture.tensors else None
+        if given != shape:
+            raise ValueError(f"tensor {name!r} has shape {given}, expected {shape}")
+    unknown = set(texture.tensors) - set(shapes)
+    if unknown:
+        raise ValueError(f"the file holds a tensor {min(unknown)!r} that {texture.card['model']!r} does not have")

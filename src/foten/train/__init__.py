@@ -1,1 +1,0 @@
-"""From a trace to a texture file, in PyTorch."""

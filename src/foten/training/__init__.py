@@ -1,0 +1,1 @@
+"""What every fit uses: one loop, optimiser, blocks, calibration, texture builder, jobs; in PyTorch."""

@@ -1,0 +1,161 @@
+"""The run folder of one training and its display on the terminal."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from foten.atomic_write import atomic_write, reason
+from foten.training.job import Trained
+from foten.training.loop import Epoch, write_log
+
+
+class RunFolder:
+    """Everything about one training but its result: configuration, log, curves, split, checkpoint.
+
+    ``config.json``, ``log.csv`` and, at the end, ``split.json`` and ``curves.png``; ``checkpoint.pt`` while
+    it runs; TensorBoard events where tensorboard is installed.
+
+    What cannot be written after the first line of the log is said in a note: the training is worth more.
+    """
+
+    def __init__(self, path: Path, on_note: Callable[[str], None] = lambda text: None) -> None:
+        self.path, self.checkpoint = path, path / "checkpoint.pt"
+        self._on_note, self._noted = on_note, False
+        self._config = ""
+        self._epochs: list[Epoch] = []
+        self._events: Any = None
+
+    def open(self, config: Mapping[str, Any], resume: bool) -> None:
+        """Refuse what a run with this configuration cannot use; nothing is written before the first line of the log.
+
+        Raises:
+            ValueError: the path is a file, or there is nothing to resume, or the settings differ.
+        """
+        if self.path.exists() and not self.path.is_dir():
+            raise ValueError(f"the run folder {self.path} is a file")
+        self._config = json.dumps(config, indent=1, sort_keys=True) + "\n"
+        interrupted = self.checkpoint.exists()
+        if interrupted and not resume:
+            raise ValueError(f"an interrupted training lies in {self.path}: go on with --resume, or delete the folder")
+        if resume and not interrupted:
+            raise ValueError(f"nothing to resume: {self.checkpoint} does not exist")
+        if resume and (self.path / "config.json").read_text() != self._config:
+            raise ValueError(f"{self.path} was trained with other settings, see its config.json; resume with the same")
+
+    def log(self, epoch: Epoch) -> None:
+        """Add one line to the log on disk; the first one raises an OSError where that cannot be."""
+        if not self._epochs:
+            self.path.mkdir(parents=True, exist_ok=True)
+            with atomic_write(self.path / "config.json") as part:
+                part.write_text(self._config)
+            with suppress(ImportError):
+                from torch.utils.tensorboard import SummaryWriter
+
+                self._events = SummaryWriter(str(self.path))
+        self._epochs.append(epoch)
+        try:
+            write_log(self.path / "log.csv", self._epochs)
+        except OSError as error:
+            if len(self._epochs) == 1:
+                raise
+            if not self._noted:
+                self._on_note(f"{reason(error)}; the training goes on without its log")
+            self._noted = True
+        if self._events is not None:
+            for name in ("train_loss", "validation_loss", "validation_mae"):
+                value = getattr(epoch, name)
+                if not math.isnan(value):
+                    self._events.add_scalar(name, value, epoch.epoch)
+
+    def close(self, trained: Trained) -> None:
+        """Write log, split and curves, as far as the disk takes them; the checkpoint goes unless the run was interrupted."""
+        try:
+            write_log(self.path / "log.csv", trained.progress.epochs)
+            trained.split.save(self.path / "split.json")
+            _draw_curves(self.path / "curves.png", trained)
+        except OSError as error:  # the texture is written, and its folder is not worth an error
+            self._on_note(f"{reason(error)}; the run folder is not complete")
+        if not trained.progress.interrupted:
+            self.checkpoint.unlink(missing_ok=True)
+        if self._events is not None:
+            self._events.close()
+
+
+def _draw_curves(path: Path, trained: Trained) -> None:
+    from matplotlib.figure import Figure
+
+    epochs, of_spectra = trained.progress.epochs, not trained.texture.predicts_samples
+    figure = Figure(figsize=(8, 4), layout="constrained")
+    loss, error = figure.subplots(1, 2)
+    numbers = [line.epoch for line in epochs]
+    validation: dict[str, Any] = {"marker": "s", "ms": 3, "color": "#D55E00"}
+    loss.plot(numbers, [line.train_loss for line in epochs], "o-", ms=3, color="#0072B2", label="training")
+    loss.plot(numbers, [line.validation_loss for line in epochs], label="validation", **validation)
+    loss.set(xlabel="epoch", ylabel="loss of spectra" if of_spectra else "one-step loss, weighted")
+    known = [value for line in epochs for value in (line.train_loss, line.validation_loss) if value > 0]
+    # Within a factor of three a logarithmic axis has no ticks to read.
+    if max(known) > 3 * min(known):
+        loss.set_yscale("log")
+    error.plot(numbers, [line.validation_mae for line in epochs], label="network", **validation)
+    if trained.linear_mae is not None:
+        error.axhline(trained.linear_mae, ls="--", color="#009E73", label="without the network")
+    what = "validation error of spectra [nat]" if of_spectra else "one-step validation error, scaled"
+    error.set(xlabel="epoch", ylabel=what)
+    for axes in (loss, error):
+        axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, frameon=False)
+        axes.xaxis.get_major_locator().set_params(integer=True)
+    with atomic_write(path) as part:
+        figure.savefig(part, format="png", dpi=120, metadata={"Software": None})
+
+
+class TrainingDisplay:
+    """The training on stderr: on a terminal a bar with the remaining time, elsewhere a line for each stage and epoch."""
+
+    def __init__(self, epochs: int, unit: str = "sd") -> None:
+        self._epochs, self._unit = epochs, unit
+        self._console = Console(stderr=True)
+        done = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[error]}"))
+        times = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
+        self._bar = Progress(*done, *times, console=self._console)
+        self._task = self._bar.add_task("reading", total=None, error="")
+
+    def __enter__(self) -> TrainingDisplay:
+        if self._console.is_terminal:
+            self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._console.is_terminal:
+            self._bar.stop()
+
+    def note(self, text: str) -> None:
+        """Print a line that stays."""
+        self._console.print(text, highlight=False, soft_wrap=True)
+
+    def stage(self, name: str) -> None:
+        """Say what is being done beside epochs."""
+        self._bar.update(self._task, description=name)
+        if not self._console.is_terminal:
+            self.note(f"{name} …")
+
+    def show(self, line: Epoch) -> None:
+        """Show one more epoch."""
+        train = "        " if math.isnan(line.train_loss) else f"{line.train_loss:.6f}"
+        error = f"error {line.validation_mae:.4f} {self._unit}"
+        shown = f"{error}, best" if line.best else error
+        self._bar.update(
+            self._task, description="training the network", total=self._epochs, completed=line.epoch, error=shown
+        )
+        if not self._console.is_terminal:
+            self.note(
+                f"epoch {line.epoch:3d}/{self._epochs}  loss {train} {line.validation_loss:.6f}  "
+                f"{error}  {line.seconds:5.1f} s{'  best' if line.best else ''}"
+            )

@@ -1,0 +1,133 @@
+"""A captured folder to a texture, in a process of its own: `python -m foten.training.train_capture FOLDER`.
+
+What it does is said on stdout, a JSON object a line:
+
+    {"joined": {"delay_ms": 81.2, "drift_ppm": 48.0, "n_taps": 6, "residual_ms": 0.9, "text": "6 taps join …"}}
+    {"notes": ["…"]}                       what is to be known of the recording
+    {"stage": "fitting level and lattice", "share": 0.2}
+    {"playable": "denim.foten"}            there is a texture, and a better one may follow
+    {"done": "denim.foten", "network_in_loop": true}
+    {"refused": "…"}                       why none will
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from foten.atomic_write import reason
+from foten.datasets.hdf5 import write_recording
+from foten.datasets.importing import import_capture
+from foten.datasets.options import ImportOptions
+from foten.dsp.perception import smallest_rate
+from foten.models.registry import sizes_of
+from foten.models.texture_file import Texture, write_texture
+from foten.recording.captured import ABOUT, PEN, SOUND, About, file_name
+from foten.recording.inspection import inspect_recording
+from foten.recording.inspection.values import counted
+from foten.recording.preprocess import SHORT_BLOCKS_MS, PreprocessConfig
+from foten.recording.recording import Recording
+from foten.runtime.stylus import PressureCalibration
+from foten.training.config import recipe_of
+from foten.training.job import TrainingJob
+from foten.training.loop import Epoch
+from foten.training.pipeline import train
+
+MODEL = "foten-plus"
+NICENESS = 5  # below what renders: sound under a hand comes first
+HIGHEST_HZ = 2500.0  # of the texture: it carries all that skin feels
+ENOUGH_BLOCKS = 12
+STAGES = 4  # before a texture is playable
+PLAYABLE_SHARE, FITTED_SHARE = 0.4, 0.9  # of all the work, by and large
+
+
+def main() -> None:
+    """Train from the folder that is named; end with 2 where that cannot be."""
+    if hasattr(os, "nice"):
+        os.nice(NICENESS)
+    try:
+        train_captured(Path(sys.argv[1]))
+    except (ValueError, OSError) as error:
+        _say(refused=reason(error) if isinstance(error, OSError) else str(error))
+        raise SystemExit(2) from None
+
+
+def train_captured(folder: Path) -> None:
+    """Import a captured sound with its events, and train on them.
+
+    Raises:
+        ValueError: the two do not belong together, or are not enough.
+        OSError: a file cannot be read or written.
+    """
+    about = About(**json.loads((folder / ABOUT).read_text(encoding="utf-8")))
+    stem = file_name(about.name)
+    _say(stage="joining the clocks", share=0.02)
+    units = {} if about.full_scale_m_s2 is None else {"acceleration": f"*{about.full_scale_m_s2:.9g}"}
+    calibration = PressureCalibration(about.newtons, about.steepness)
+    recording, clock, decisions = import_capture(
+        folder / SOUND, folder / PEN, ImportOptions(units=units), calibration.force
+    )
+    n_late = about.n_late_events
+    late = [f"{counted(n_late, 'event')} of the pen came late, and count only as touches and lifts"] if n_late else []
+    history = (*recording.history, *late)
+    recording = dataclasses.replace(recording, texture=about.name, sensors=about.input, history=history)
+    write_recording(recording, folder / f"{stem}.h5")
+    joined = {"delay_ms": 1000 * clock.delay_s, "drift_ppm": 1e6 * clock.drift}
+    _say(joined={**joined, "n_taps": clock.n_taps, "residual_ms": clock.residual_ms, "text": str(clock)})
+    inspection = inspect_recording(recording)
+    _say(notes=[*late, *decisions, *(problem.text for problem in inspection.problems)])
+    train_recording(recording, inspection.carried, folder / f"{stem}.foten")
+
+
+def train_recording(recording: Recording, carried: Mapping[float, float], output: Path) -> None:
+    """Train a texture from a recording as a capture is, by the shares that each rate carries of it (`perception.carried`)."""
+
+    rate_hz = min(HIGHEST_HZ, smallest_rate(carried)) if carried else PreprocessConfig().rate_hz
+    usable_ms = 1000 * recording.duration_s
+    block_ms = next((ms for ms in SHORT_BLOCKS_MS if usable_ms >= ENOUGH_BLOCKS * ms), SHORT_BLOCKS_MS[-1])
+    config = recipe_of(MODEL)
+    # Nothing is to be trimmed: what lies before the first stroke and after the last was left out with the taps.
+    job = TrainingJob(
+        recording,
+        MODEL,
+        sizes_of(MODEL, {}),
+        config,
+        PreprocessConfig(rate_hz=rate_hz, trim_ms=0.0, block_ms=block_ms),
+        texture_name=recording.texture,
+    )
+    share = 0.05
+
+    def on_stage(stage: str) -> None:
+        nonlocal share
+        share += (PLAYABLE_SHARE - 0.05) / STAGES if share < PLAYABLE_SHARE else (1 - FITTED_SHARE) / STAGES
+        _say(stage=stage, share=min(share, 0.99))
+
+    def on_playable(texture: Texture) -> None:
+        nonlocal share
+        share = PLAYABLE_SHARE
+        write_texture(texture, output)
+        _say(playable=output.name)
+
+    def on_epoch(line: Epoch) -> None:
+        nonlocal share
+        share = PLAYABLE_SHARE + (FITTED_SHARE - PLAYABLE_SHARE) * line.epoch / config.epochs
+        _say(stage="training its network", share=share)
+
+    trained = train(job, on_epoch, on_stage=on_stage, on_playable=on_playable)
+    write_texture(trained.texture, output)
+    _say(done=output.name, network_in_loop=bool(trained.texture.card["sizes"].get("network_in_loop")))
+
+
+def _say(**said: Any) -> None:
+    with contextlib.suppress(BrokenPipeError):  # nobody listens any more: the texture is still to be kept
+        print(json.dumps(said), flush=True)
+
+
+if __name__ == "__main__":
+    main()
