@@ -236,8 +236,8 @@ static double sample_of(foten_state *s, const double speed_force[2]) {
         double fade = m->low[i] > FADE[i] ? m->low[i] : FADE[i];
         below |= x < fade;
         count(s, SPEED_BEYOND + i, x > m->high[i]);
-        count(s, SPEED_CLAMPED + i, x > FOTEN_FURTHEST * m->high[i]);
-        kept[i] = x < FOTEN_FURTHEST * m->high[i] ? x : FOTEN_FURTHEST * m->high[i];
+        count(s, SPEED_CLAMPED + i, x > FOTEN_EXTRAPOLATION_LIMIT * m->high[i]);
+        kept[i] = x < FOTEN_EXTRAPOLATION_LIMIT * m->high[i] ? x : FOTEN_EXTRAPOLATION_LIMIT * m->high[i];
         c.scaled[i] = (clamped - m->mean[1 + i]) / m->sd[1 + i];
         if (x < fade) c.fade *= x / fade;
         if (kept[i] > m->high[i]) growth *= pow(kept[i] / m->high[i], m->exponents[i]);

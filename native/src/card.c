@@ -88,7 +88,7 @@ static int read_head(json list, int widths[2]) {
     widths[1] = FOTEN_USUAL_HEAD_2;
     if (list.begin && json_items(list, items, 2) != 2) return 0;
     for (int i = 0; list.begin && i < 2; i++) {
-        if (!json_integer(items[i], &width) || width < 1 || width > FOTEN_LARGEST_COUNT) return 0;
+        if (!json_integer(items[i], &width) || width < 1 || width > FOTEN_MAX_COUNT) return 0;
         widths[i] = (int)width;
     }
     return 1;
@@ -97,11 +97,11 @@ static int read_head(json list, int widths[2]) {
 /* What sizes have to be to one another. */
 static int check_sizes(texture_file *file, card_sizes *s) {
     network_sizes *n = &s->network;
-    if (n->window > (s->model == CARD_GRAPH ? FOTEN_LONGEST_GRAPH_WINDOW : FOTEN_LONGEST_WINDOW)) return wrong_size(file, "window");
+    if (n->window > (s->model == CARD_GRAPH ? FOTEN_MAX_GRAPH_WINDOW : FOTEN_MAX_WINDOW)) return wrong_size(file, "window");
     if (s->model == CARD_GRAPH) return 1;
     if (s->model == CARD_AR) {
-        if (s->order > FOTEN_HIGHEST_ORDER) return wrong_size(file, "order");
-        if (s->ma > FOTEN_HIGHEST_ORDER) return wrong_size(file, "ma");
+        if (s->order > FOTEN_MAX_AR_ORDER) return wrong_size(file, "order");
+        if (s->ma > FOTEN_MAX_AR_ORDER) return wrong_size(file, "ma");
         return n->window > s->order || wrong_size(file, "window");
     }
     if (s->model == CARD_PLUS) return 1;
@@ -137,7 +137,7 @@ int card_read_sizes(texture_file *file, int has_function, card_sizes *s) {
         long long count = i ? SIZES[i].usual : usual_window;
         value = size_named(from, SIZES[i].name, 1, &n_known);
         if (value.begin && !(is_switch ? json_boolean(value, &on) : json_integer(value, &count))) return wrong_size(file, SIZES[i].name);
-        if (!is_switch && (count < SIZES[i].least || count > FOTEN_LARGEST_COUNT)) return wrong_size(file, SIZES[i].name);
+        if (!is_switch && (count < SIZES[i].least || count > FOTEN_MAX_COUNT)) return wrong_size(file, SIZES[i].name);
         FIELD(s, SIZES[i].at) = is_switch ? on : (int)count;
     }
     value = size_named(from, "bins", s->model == CARD_FOTEN, &n_known);
@@ -145,7 +145,7 @@ int card_read_sizes(texture_file *file, int has_function, card_sizes *s) {
     if (value.begin && !s->network.half_bins && !json_is_string(value, "all")) return wrong_size(file, "bins");
     if (!read_head(size_named(from, "head", s->model & CARD_NETWORKS, &n_known), s->network.head)) return wrong_size(file, "head");
     if (s->model == CARD_PLUS) s->excitation = 1;
-    if (s->model != CARD_GRAPH && json_count(from) != n_known) /* what a graph is made of is its own */
+    if (json_count(from) != n_known)
         return file_refuse(file, FOTEN_BAD_FILE, "the card has a size that this library does not know; is the library older than the file?");
     return check_sizes(file, s);
 }
@@ -180,7 +180,7 @@ int card_read(foten_model *m, texture_file *file, const card_sizes *s) {
         return file_refuse(file, FOTEN_BAD_FILE, "'lowpass_hz' in the card is not between 0 and half of the rate");
     if (!json_number(json_member(card, "saturation"), &m->saturation) || !(m->saturation > 0 && m->saturation <= LARGEST_SATURATION))
         return file_refuse(file, FOTEN_BAD_FILE, "'saturation' in the card is not between 0 and %g standard deviations", LARGEST_SATURATION);
-    json scaling = json_member(card, "scaling"), range = json_member(card, "trained_range"), beyond = json_member(card, "beyond_exponents");
+    json scaling = json_member(card, "scaling"), range = json_member(card, "trained_range"), beyond = json_member(card, "extrapolation_exponents");
     if (!numbers(json_member(scaling, "mean"), m->mean, 3) || !numbers(json_member(scaling, "sd"), m->sd, 3))
         return file_refuse(file, FOTEN_BAD_FILE, "the scaling in the card is not three means and three standard deviations");
     for (int i = 0; i < 3; i++)

@@ -30,61 +30,25 @@ double noise_at(uint64_t seed, uint64_t stream, uint64_t n) {
 }
 
 int excitation_read(texture_file *file, arena *memory, int width, excitation *out) {
-    double volatility[2];
+    double *limit = out->innovation_limit;
     if (!scale_read(file, memory, "excitation.", width, &out->sigma)) return 0;
-    if (!file_copy(file, "excitation.", "tail.weight", (size_t[4]){1, 5}, out->tail)) return 0;
-    if (!file_copy(file, "excitation.", "tail.bias", (size_t[4]){1}, &out->tail_bias)) return 0;
-    if (!file_copy(file, "excitation.", "largest", (size_t[4]){2}, out->largest)) return 0;
-    if (!(out->largest[0] >= 0 && out->largest[1] >= 0)) return file_refuse(file, FOTEN_BAD_FILE, "tensor 'excitation.largest' is negative");
-    if (!file_copy(file, "excitation.", "volatility", (size_t[4]){2}, volatility)) return 0;
-    if (!(volatility[0] >= 0 && volatility[0] <= 1 && volatility[1] >= 0))
-        return file_refuse(file, FOTEN_BAD_FILE, "tensor 'excitation.volatility' is out of range");
-    out->volatility_kept = volatility[0];
-    out->volatility_sd = volatility[1];
-    return 1;
+    if (!file_copy(file, "excitation.", "innovation_limit", (size_t[4]){2}, limit)) return 0;
+    return (limit[0] >= 0 && limit[1] >= 0) || file_refuse(file, FOTEN_BAD_FILE, "tensor 'excitation.innovation_limit' is negative");
 }
 
-void excitation_set_condition(const excitation *e, excitation_state *s, const double scaled[2]) {
-    double logs[2], powers[5], tail = e->tail_bias;
-    s->sigma = scale_at(&e->sigma, scaled, logs);
-    scale_powers(logs, powers);
-    for (int k = 0; k < 5; k++) tail += e->tail[k] * powers[k];
-    s->tail = FOTEN_HEAVIEST_TAIL / (1 + exp(-tail));
+double excitation_sigma(const excitation *e, const double scaled[2]) {
+    double logs[2];
+    return scale_at(&e->sigma, scaled, logs);
 }
 
-double excitation_factor(const excitation *e, const excitation_state *s) { return exp(s->volatility - e->volatility_sd * e->volatility_sd); }
-
-double excitation_rms(const excitation_state *s) { return pow(1 - 2 * s->tail, -0.75); }
-
-/* The z of z exp(h z^2 / 2) = u by Newton's method on log |z|: from above the root of a convex function every step stays above. */
-static double gaussianised(double u, double tail) {
-    double log_u = log(fabs(u) > 1e-300 ? fabs(u) : 1e-300), q = log_u;
-    for (int i = 0; i < 20; i++) {
-        double spread = tail * exp(2 * q);
-        q -= (q + 0.5 * spread - log_u) / (1 + spread);
-    }
-    return copysign(exp(q), u);
-}
-
-void excitation_score(const excitation_state *s, double missed, double scale, foten_prediction *out) {
-    double z = gaussianised(missed / scale, s->tail), spread = s->tail * z * z;
+void excitation_score(double residual, double scale, foten_prediction *out) {
+    double z = residual / scale;
     out->scale = scale;
     out->standardised = z;
-    out->nll = 0.5 * (z * z + spread) + log1p(spread) + log(scale) + 0.5 * log(2 * PI);
+    out->nll = 0.5 * z * z + log(scale) + 0.5 * log(2 * PI);
 }
 
-void excitation_draw(const excitation *e, excitation_state *s, double noise) {
-    s->volatility = e->volatility_sd * clip(noise, FOTEN_LARGEST_VOLATILITY);
-}
-
-double excitation_next(const excitation *e, excitation_state *s, double z, double unit) {
-    double size = excitation_factor(e, s) * s->sigma, most = e->largest[1] / (unit * size);
-    if (most > e->largest[0]) most = e->largest[0];
-    double out = size * clip(z * exp(0.5 * s->tail * z * z), most);
-    if (e->volatility_sd > 0) {
-        double shock = fabs(z) < FOTEN_LARGEST_SHOCK ? fabs(z) : FOTEN_LARGEST_SHOCK, kept = e->volatility_kept;
-        double moved = kept * s->volatility + sqrt(1 - kept * kept) * e->volatility_sd * ((shock - FOTEN_MEAN_SIZE) / FOTEN_SIZE_SD);
-        s->volatility = clip(moved, FOTEN_LARGEST_VOLATILITY * e->volatility_sd);
-    }
-    return out;
+double excitation_limited(const excitation *e, double innovation, double scale) {
+    double limit = e->innovation_limit[1] / scale;
+    return clip(innovation, limit < e->innovation_limit[0] ? limit : e->innovation_limit[0]);
 }

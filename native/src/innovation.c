@@ -5,7 +5,7 @@
 
 #include "constants.h"
 
-enum { MOST_STEPS = FOTEN_QUANTILE_STEPS };
+enum { MAX_NEWTON_STEPS = FOTEN_MAX_NEWTON_STEPS };
 
 /* A matrix (outputs, inputs) of the file by columns. */
 static const double *columns_of(texture_file *file, arena *memory, const char *prefix, const char *name, size_t outputs, size_t inputs) {
@@ -74,15 +74,16 @@ static double logistic(double x) { return 1 / (1 + exp(-x)); }
 
 void innovation_push(const innovation_network *n, innovation_state *s, double innovation, double x, const double logs[2], double phase) {
     size_t h = (size_t)n->n_hidden;
-    double *given = s->scratch, *kept = s->scratch + 3 * h;
+    double *from_inputs = s->scratch, *from_hidden = s->scratch + 3 * h;
     set_inputs(n, s, innovation, x, logs, phase);
-    memcpy(given, n->input_bias, 3 * h * sizeof *given);
-    memcpy(kept, n->hidden_bias, 3 * h * sizeof *kept);
-    add_product(given, 3 * h, n->from_input, s->inputs, (size_t)n->n_inputs);
-    add_product(kept, 3 * h, n->from_hidden, s->hidden, h);
+    memcpy(from_inputs, n->input_bias, 3 * h * sizeof *from_inputs);
+    memcpy(from_hidden, n->hidden_bias, 3 * h * sizeof *from_hidden);
+    add_product(from_inputs, 3 * h, n->from_input, s->inputs, (size_t)n->n_inputs);
+    add_product(from_hidden, 3 * h, n->from_hidden, s->hidden, h);
     for (size_t j = 0; j < h; j++) {
-        double reset = logistic(given[j] + kept[j]), update = logistic(given[h + j] + kept[h + j]);
-        double candidate = tanh(given[2 * h + j] + reset * kept[2 * h + j]);
+        double reset = logistic(from_inputs[j] + from_hidden[j]), update = logistic(from_inputs[h + j] + from_hidden[h + j]);
+        double candidate_preactivation = from_hidden[2 * h + j];
+        double candidate = tanh(from_inputs[2 * h + j] + reset * candidate_preactivation);
         s->hidden[j] = (1 - update) * candidate + update * s->hidden[j];
     }
 }
@@ -115,25 +116,25 @@ static double below(double z) { return 0.5 * erfc(-z * sqrt(0.5)); }
 double innovation_quantile(const innovation_network *n, const innovation_state *s, double noise) {
     double sign = noise > 0 ? -1 : 1, z = -fabs(noise), log_p = log(below(z)), low = INFINITY, high = -INFINITY, x = 0;
     for (int i = 0; i < n->n_components; i++) {
-        double own = sign * s->mean[i] + s->scale[i] * z;
-        low = own < low ? own : low;
-        high = own > high ? own : high;
-        x += s->weight[i] * own;
+        double quantile = sign * s->mean[i] + s->scale[i] * z; /* of a component by itself */
+        low = quantile < low ? quantile : low;
+        high = quantile > high ? quantile : high;
+        x += s->weight[i] * quantile;
     }
-    for (int step = 0; step < MOST_STEPS; step++) {
+    for (int step = 0; step < MAX_NEWTON_STEPS; step++) {
         double share = 0, density = 0;
         for (int i = 0; i < n->n_components; i++) {
-            double of = (x - sign * s->mean[i]) / s->scale[i];
-            share += s->weight[i] * below(of);
-            density += s->weight[i] * exp(-0.5 * of * of) / s->scale[i];
+            double deviation = (x - sign * s->mean[i]) / s->scale[i];
+            share += s->weight[i] * below(deviation);
+            density += s->weight[i] * exp(-0.5 * deviation * deviation) / s->scale[i];
         }
-        double missed = log(share) - log_p, moved = x - missed * share / (density / sqrt(2 * PI));
-        if (missed < 0) low = x;
+        double error = log(share) - log_p, step_to = x - error * share / (density / sqrt(2 * PI));
+        if (error < 0) low = x;
         else high = x;
-        if (!(moved >= low && moved <= high)) moved = 0.5 * (low + high);
-        int done = fabs(moved - x) <= FOTEN_QUANTILE_PRECISION * (1 + fabs(x));
-        x = moved;
-        if (done) break;
+        if (!(step_to >= low && step_to <= high)) step_to = 0.5 * (low + high);
+        int converged = fabs(step_to - x) <= FOTEN_NEWTON_PRECISION * (1 + fabs(x));
+        x = step_to;
+        if (converged) break;
     }
     return sign * x;
 }
@@ -148,18 +149,18 @@ static double log_below(double z) {
  * gives, every step of Newton's method stays below the root, since the logarithm of the share is concave. */
 static double normal_quantile(double log_p) {
     double square = -2 * (log_p + log(2)), z = -sqrt(square > 0 ? square : 0);
-    for (int step = 0; step < MOST_STEPS; step++) {
-        double log_share = log_below(z), moved = (log_share - log_p) * sqrt(2 * PI) * exp(log_share + 0.5 * z * z);
-        z -= moved;
-        if (fabs(moved) <= FOTEN_QUANTILE_PRECISION * (1 + fabs(z))) break;
+    for (int step = 0; step < MAX_NEWTON_STEPS; step++) {
+        double log_share = log_below(z), step_by = (log_share - log_p) * sqrt(2 * PI) * exp(log_share + 0.5 * z * z);
+        z -= step_by;
+        if (fabs(step_by) <= FOTEN_NEWTON_PRECISION * (1 + fabs(z))) break;
     }
     return z;
 }
 
 /* The logarithm of a sum of exponentials, a term more. */
 static double log_sum(double a, double b) {
-    double most = a > b ? a : b;
-    return most == -INFINITY ? most : most + log1p(exp((a < b ? a : b) - most));
+    double larger = a > b ? a : b;
+    return larger == -INFINITY ? larger : larger + log1p(exp((a < b ? a : b) - larger));
 }
 
 double innovation_standardised(const innovation_network *n, const innovation_state *s, double innovation) {
@@ -173,14 +174,14 @@ double innovation_standardised(const innovation_network *n, const innovation_sta
 }
 
 double innovation_nll(const innovation_network *n, const innovation_state *s, double innovation) {
-    double most = -INFINITY, sum = 0;
+    double largest = -INFINITY, sum = 0;
     for (int pass = 0; pass < 2; pass++)
         for (int i = 0; i < n->n_components; i++) {
             double z = (innovation - s->mean[i]) / s->scale[i], term = log(s->weight[i]) - log(s->scale[i]) - 0.5 * z * z;
-            if (pass) sum += exp(term - most);
-            else most = term > most ? term : most;
+            if (pass) sum += exp(term - largest);
+            else largest = term > largest ? term : largest;
         }
-    return 0.5 * log(2 * PI) - most - log(sum);
+    return 0.5 * log(2 * PI) - largest - log(sum);
 }
 
 double innovation_sd(const innovation_network *n, const innovation_state *s) {

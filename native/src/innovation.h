@@ -7,7 +7,7 @@
 #include "constants.h"
 #include "tables.h"
 
-enum { INNOVATION_INPUTS = FOTEN_N_INNOVATION_INPUTS, PHASE_INPUTS = FOTEN_N_PHASE_INPUTS };
+enum { INNOVATION_INPUTS = FOTEN_N_INPUTS, PHASE_INPUTS = FOTEN_N_PHASE_INPUTS };
 
 /* Matrices lie by columns: for each input in turn its weights. */
 typedef struct {

@@ -9,7 +9,7 @@
 struct loop {
     condition condition;         /* of the last sample, which the next one goes by */
     lattice_state lattice;       /* foten-plus, piecewise AR */
-    excitation_state excitation; /* foten-plus, networks */
+    double sigma;                /* of the excitation at the next sample: foten-plus, networks */
     tones_state tones;           /* foten-plus */
     innovation_state innovation; /* foten-plus */
     predictor_state predictor;   /* networks, graphs */
@@ -64,20 +64,19 @@ static inline double loop_cut(loop *l, double sample, double limit) {
     return played;
 }
 
-/* The next innovation over sigma, where a unit of it moves the sample by `unit`: what the network in the loop draws or, without noise, expects,
- * up to the largest. */
-static inline double loop_drawn(const foten_model *m, loop *l, const double *noise, double unit) {
-    const double *largest = m->excitation.largest;
-    double next = innovation_mixture(m->network_in_loop, &l->innovation), most = largest[1] / unit;
+/* The next innovation over sigma, where a unit of it moves the sample by `scale`: what the network in the loop draws or, without noise, expects. */
+static inline double loop_drawn(const foten_model *m, loop *l, const double *noise, double scale) {
+    double next = innovation_mixture(m->network_in_loop, &l->innovation);
     if (noise) next = innovation_quantile(m->network_in_loop, &l->innovation, *noise);
-    return clip(next, most < largest[0] ? most : largest[0]);
+    return excitation_limited(&m->excitation, next, scale);
 }
 
-/* How likely an error of what is predicted without innovation is, of a mixture that was asked for, into the prediction. */
-static inline void loop_score(const innovation_network *n, const innovation_state *s, double missed, double unit, foten_prediction *out) {
-    out->scale = unit * innovation_sd(n, s);
-    out->standardised = innovation_standardised(n, s, missed / unit);
-    out->nll = innovation_nll(n, s, missed / unit) + log(unit);
+/* How likely the residual of what is predicted without innovation is, by a mixture that is made ready, into the prediction; `gain`: what an
+ * innovation of 1 moves the sample by. */
+static inline void loop_score(const innovation_network *n, const innovation_state *s, double residual, double gain, foten_prediction *out) {
+    out->scale = gain * innovation_sd(n, s);
+    out->standardised = innovation_standardised(n, s, residual / gain);
+    out->nll = innovation_nll(n, s, residual / gain) + log(gain);
 }
 
 /* Run for n samples under a condition. */

@@ -18,7 +18,7 @@ static void set_condition(const foten_model *m, loop *l, const condition *c, int
     l->condition = *c;
     if (moved) {
         lattice_set_condition(m->excited_lattice, &l->lattice, c->scaled);
-        excitation_set_condition(&m->excitation, &l->excitation, c->scaled);
+        l->sigma = excitation_sigma(&m->excitation, c->scaled);
     }
     if (m->tones.n) tones_set_condition(&m->tones, &m->lattice.level, &l->tones, c, moved_path);
 }
@@ -48,7 +48,6 @@ static void start_with_tones(const foten_model *m, loop *l, const double *window
 
 static void start(const foten_model *m, loop *l, const double *windows, int n, int as_prediction) {
     const lattice *of = as_prediction ? &m->lattice : m->excited_lattice;
-    l->excitation.volatility = 0;
     lattice_clear(&l->lattice, longer_order(m));
     lattice_set_condition(of, &l->lattice, windows + 1);
     innovation_clear(&m->network, &l->innovation, l->lattice.logs, 0);
@@ -70,34 +69,34 @@ static void start(const foten_model *m, loop *l, const double *windows, int n, i
 static void predict(const foten_model *m, loop *l, foten_prediction_part part, double recorded, foten_prediction *out) {
     const innovation_network *in_loop = m->tones.n ? NULL : m->network_in_loop;
     int with_network = part == FOTEN_PREDICT_MODEL || (part == FOTEN_PREDICT_RENDERING && in_loop);
-    double unit = l->lattice.all_cosines * l->lattice.level;
+    double gain = l->lattice.all_cosines * l->lattice.level;
     double linear = lattice_predict(&l->lattice, m->lattice.order) * gain_after(&m->lattice, &l->lattice);
     *out = (foten_prediction){.sample = linear};
-    if (with_network) out->sample += unit * innovation_mixture(&m->network, &l->innovation);
+    if (with_network) out->sample += gain * innovation_mixture(&m->network, &l->innovation);
     if (m->tones.n || with_network != (in_loop != NULL)) return;
-    if (with_network) loop_score(&m->network, &l->innovation, recorded - linear, unit, out);
-    else excitation_score(&l->excitation, recorded - linear, unit * l->excitation.sigma, out);
+    if (with_network) loop_score(&m->network, &l->innovation, recorded - linear, gain, out);
+    else excitation_score(recorded - linear, gain * l->sigma, out);
 }
 
 static void push(const foten_model *m, loop *l, const double *sample) {
     condition now = condition_of(&m->lattice.level, sample + 1);
     analyse(l, &m->lattice, &m->network, sample[0], &now, 0);
-    excitation_set_condition(&m->excitation, &l->excitation, now.scaled);
+    l->sigma = excitation_sigma(&m->excitation, now.scaled);
 }
 
 static double scale_of_noise(const foten_model *m, const loop *l) {
-    double factor = m->network_in_loop ? 1 : excitation_factor(&m->excitation, &l->excitation);
-    return l->lattice.all_cosines * l->lattice.level * factor * l->excitation.sigma;
+    (void)m;
+    return l->lattice.all_cosines * l->lattice.level * l->sigma;
 }
 
 /* With the gain before the filter near rest what enters fades, and what rang before rings out, as a tool does; else what leaves. */
 static double step(const foten_model *m, loop *l, const condition *c, const double *noise, double limit) {
     const lattice *of = m->excited_lattice;
     double entering = of->gain_before_filter ? c->fade : 1, leaving = of->gain_before_filter ? 1 : c->fade;
-    double sigma = l->excitation.sigma, level = l->lattice.level * sigma, innovation = 0, e = 0;
-    if (m->network_in_loop) e = sigma * (innovation = loop_drawn(m, l, noise, scale_of_noise(m, l)));
-    else if (noise) e = excitation_next(&m->excitation, &l->excitation, *noise, l->lattice.all_cosines * l->lattice.level);
-    e *= entering;
+    double scale = scale_of_noise(m, l), level = l->lattice.level * l->sigma, innovation = 0;
+    if (m->network_in_loop) innovation = loop_drawn(m, l, noise, scale);
+    else if (noise) innovation = excitation_limited(&m->excitation, *noise, scale);
+    double e = l->sigma * innovation * entering;
     double residual = gain_after(of, &l->lattice) * lattice_synthesise(&l->lattice, of->order, gain_before(of, &l->lattice) * e);
     double sample = residual * leaving;
     if (m->tones.n) {
@@ -109,15 +108,13 @@ static double step(const foten_model *m, loop *l, const condition *c, const doub
     return loop_cut(l, sample, limit);
 }
 
-/* Draw the states, the volatility, and the phase of tones; run a network for the length of its window. */
+/* Draw the states, and the phase of tones; run a network for the length of its window. */
 static void begin(const foten_model *m, loop *l, const condition *c, noise_source noise) {
     const lattice *of = m->excited_lattice;
     set_condition(m, l, c, 1);
-    /* The mean square of z exp(h z^2 / 2) is (1 - 2h)^(-3/2). */
-    double size = gain_before(of, &l->lattice) * l->excitation.sigma * excitation_rms(&l->excitation);
+    double size = gain_before(of, &l->lattice) * l->sigma;
     if (of->gain_before_filter) size *= c->fade;
     for (int i = 0; i < of->order; i++) l->lattice.states[i] = size * noise_next(&noise);
-    excitation_draw(&m->excitation, &l->excitation, noise_next(&noise));
     if (m->tones.n) {
         double sine = noise_next(&noise), cosine = noise_next(&noise);
         tones_draw(&l->tones, sine, cosine);

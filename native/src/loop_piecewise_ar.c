@@ -49,7 +49,7 @@ static double expected(const foten_model *m, const loop *l) {
 static void infer(const foten_model *m, loop *l, const double *sample, int known) {
     condition now = condition_of(&m->lattice.level, sample + 1);
     double scale = scale_of_noise(m, l), innovation = 0;
-    if (known && scale > 0) innovation = clip((sample[0] - expected(m, l)) / scale, FOTEN_LARGEST_INNOVATION);
+    if (known && scale > 0) innovation = clip((sample[0] - expected(m, l)) / scale, FOTEN_MAX_INNOVATION);
     lattice_analyse(&l->lattice, m->piecewise_ar->order, sample[0]);
     remember(m, l, innovation);
     set_condition(m, l, &now, 0);
@@ -69,10 +69,9 @@ static void start(const foten_model *m, loop *l, const double *windows, int n, i
 
 static void predict(const foten_model *m, loop *l, foten_prediction_part part, double recorded, foten_prediction *out) {
     (void)part;
-    static const excitation_state gaussian = {0};
     double scale = scale_of_noise(m, l);
     *out = (foten_prediction){.sample = expected(m, l)};
-    excitation_score(&gaussian, recorded - out->sample, scale < LEAST_SCALE ? LEAST_SCALE : scale, out);
+    excitation_score(recorded - out->sample, scale < LEAST_SCALE ? LEAST_SCALE : scale, out);
 }
 
 static double step(const foten_model *m, loop *l, const condition *c, const double *noise, double limit) {
@@ -92,7 +91,7 @@ static void begin(const foten_model *m, loop *l, const condition *c, noise_sourc
     double size = l->mixture.gain * sqrt(power);
     for (int i = 0; i < m->piecewise_ar->order; i++) l->lattice.states[i] = size * noise_next(&noise);
     for (int k = 0; k < n_zeros; k++) l->innovations[k] = noise_next(&noise);
-    if (n_zeros) loop_run(m, l, c, &noise, FOTEN_SETTLED_AFTER, INFINITY);
+    if (n_zeros) loop_run(m, l, c, &noise, FOTEN_SETTLING_SAMPLES, INFINITY);
 }
 
 static void quiet(const foten_model *m, loop *l) { lattice_quiet(&l->lattice, m->piecewise_ar->order); }

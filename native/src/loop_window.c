@@ -7,7 +7,7 @@ static void place(const foten_model *m, loop *l, block *from) { predictor_place(
 
 /* Make ready for the sample after one under a condition. */
 static void set_condition(const foten_model *m, loop *l, const condition *c, int first) {
-    if (m->excited && (first || loop_moved(l, c))) excitation_set_condition(&m->excitation, &l->excitation, c->scaled);
+    if (m->excited && (first || loop_moved(l, c))) l->sigma = excitation_sigma(&m->excitation, c->scaled);
     l->condition = *c;
 }
 
@@ -21,7 +21,6 @@ static void start(const foten_model *m, loop *l, const double *windows, int n, i
     (void)as_prediction;
     condition last = condition_of(&m->lattice.level, windows + 3 * n - 2);
     predictor_clear(&m->predictor, &l->predictor);
-    l->excitation.volatility = 0;
     for (int t = 0; t < n; t++) predictor_push(&m->predictor, &l->predictor, windows[3 * t], windows + 3 * t + 1, 0);
     set_condition(m, l, &last, 1);
 }
@@ -29,17 +28,15 @@ static void start(const foten_model *m, loop *l, const double *windows, int n, i
 static void predict(const foten_model *m, loop *l, foten_prediction_part part, double recorded, foten_prediction *out) {
     (void)part;
     *out = (foten_prediction){.sample = predictor_predict(&m->predictor, &l->predictor)};
-    if (m->excited) excitation_score(&l->excitation, recorded - out->sample, l->excitation.sigma, out);
+    if (m->excited) excitation_score(recorded - out->sample, l->sigma, out);
 }
 
-static double scale_of_noise(const foten_model *m, const loop *l) {
-    return m->excited ? excitation_factor(&m->excitation, &l->excitation) * l->excitation.sigma : 0;
-}
+static double scale_of_noise(const foten_model *m, const loop *l) { return m->excited ? l->sigma : 0; }
 
 /* Nothing bounds a network on its own output, so it goes on from the cut sample. */
 static double step(const foten_model *m, loop *l, const condition *c, const double *noise, double limit) {
     double sample = predictor_predict(&m->predictor, &l->predictor);
-    if (noise && m->excited) sample += excitation_next(&m->excitation, &l->excitation, *noise, 1);
+    if (noise && m->excited) sample += l->sigma * excitation_limited(&m->excitation, *noise, l->sigma);
     double played = loop_cut(l, sample, limit);
     predictor_push(&m->predictor, &l->predictor, played, c->scaled, noise ? *noise : 0);
     set_condition(m, l, c, 0);
@@ -54,8 +51,7 @@ static void begin(const foten_model *m, loop *l, const condition *c, noise_sourc
     }
     set_condition(m, l, c, 1);
     predictor_set_condition(&m->predictor, &l->predictor, c->scaled);
-    excitation_draw(&m->excitation, &l->excitation, noise_next(&noise));
-    loop_run(m, l, c, &noise, m->predictor.window, FOTEN_LOUDEST_BEGINNING);
+    loop_run(m, l, c, &noise, m->predictor.window, FOTEN_MAX_INITIAL);
 }
 
 static void quiet(const foten_model *m, loop *l) { predictor_quiet(&m->predictor, &l->predictor); }

@@ -121,9 +121,9 @@ static void run_golden(const foten_model *m, loop *l, const double *warm, double
 /* Replay the golden windows, with memory that is needed no longer then. */
 static int prove(foten_model *m, texture_file *file, arena *memory) {
     size_t shape[4], length = (size_t)m->history;
-    if (file_shape(file, "golden.one_step", shape) != 1 || shape[0] < FOTEN_LEAST_GOLDEN || shape[0] > MOST_GOLDEN)
+    if (file_shape(file, "golden.one_step", shape) != 1 || shape[0] < FOTEN_MIN_GOLDEN || shape[0] > MOST_GOLDEN)
         return file_refuse(file, FOTEN_BAD_FILE, "the file holds no golden windows, or not from %d to %d of them, which prove it",
-                           FOTEN_LEAST_GOLDEN, MOST_GOLDEN);
+                           FOTEN_MIN_GOLDEN, MOST_GOLDEN);
     size_t n = shape[0];
     const double *windows, *one_step, *conditions, *closed, *warm, *sigma = NULL;
     if (!(windows = file_take(file, memory, "golden.", "windows", (size_t[4]){n, length, 3}))) return 0;

@@ -28,7 +28,7 @@ static void multiply(double *polynomial, int n, double b, double c) {
 
 /* A of line spectral frequencies, 1 first. */
 static void polynomial_of(const double *angles, int p, double *a) {
-    double both[2][FOTEN_HIGHEST_ORDER + 4] = {{1}, {1}};
+    double both[2][FOTEN_MAX_AR_ORDER + 4] = {{1}, {1}};
     int degrees[2] = {0, 0};
     for (int i = 0; i < p; i++) {
         multiply(both[i % 2], degrees[i % 2], -2 * cos(angles[i]), 1);
@@ -49,7 +49,7 @@ static double reflections_of(double *a, int p, double *reflections) {
     for (int i = 1; i <= p; i++) a[i] /= leak *= FOTEN_LEAK;
     for (int i = p; i > 0; i--) {
         double k = clip(a[i], FOTEN_MAX_REFLECTION);
-        double lower[FOTEN_HIGHEST_ORDER + 1];
+        double lower[FOTEN_MAX_AR_ORDER + 1];
         reflections[i - 1] = k;
         gain *= sqrt(1 - k * k);
         for (int j = 0; j < i; j++) lower[j] = (a[j] - k * a[i - j]) / (1 - k * k);
@@ -87,7 +87,7 @@ static int read_powers(texture_file *file, piecewise_ar *m, arena *memory) {
         if (!rising(file, "ma_lsf", m->ma_lsf, m->n_models, m->ma) || !(gain = never_negative(file, "gain", n, memory))) return 0;
     }
     for (size_t i = 0; i < n; i++) {
-        double a[FOTEN_HIGHEST_ORDER + 1], reflections[FOTEN_HIGHEST_ORDER];
+        double a[FOTEN_MAX_AR_ORDER + 1], reflections[FOTEN_MAX_AR_ORDER];
         polynomial_of(m->lsf + i * (size_t)m->order, m->order, a);
         double before = sqrt(variance[i]) * (gain ? gain[i] : 1) / reflections_of(a, m->order, reflections);
         if (!(before <= LOUDEST)) return file_refuse(file, FOTEN_BAD_FILE, "a local model is louder than %g standard deviations", LOUDEST);
@@ -177,14 +177,14 @@ static int nearest_edge(const piecewise_ar *m, const double at[2], double shares
 
 /* A of the line spectral frequencies between those of three models. */
 static void mix(const double *lsf, int n, const int models[3], const double shares[3], double *a) {
-    double angles[FOTEN_HIGHEST_ORDER] = {0};
+    double angles[FOTEN_MAX_AR_ORDER] = {0};
     for (int i = 0; i < n; i++)
         for (int k = 0; k < 3; k++) angles[i] += shares[k] * lsf[models[k] * n + i];
     polynomial_of(angles, n, a);
 }
 
 void piecewise_ar_at(const piecewise_ar *m, const double scaled[2], mixture *out, double *reflections) {
-    double at[2], shares[3], a[FOTEN_HIGHEST_ORDER + 1], sum = 0, power = 0;
+    double at[2], shares[3], a[FOTEN_MAX_AR_ORDER + 1], sum = 0, power = 0;
     for (int i = 0; i < 2; i++) {
         double physical = scaled[i] * m->sd[i] + m->mean[i];
         at[i] = (physical > 0 ? physical : 0) / m->scale[i];

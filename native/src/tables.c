@@ -60,10 +60,10 @@ int scale_read(texture_file *file, arena *memory, const char *prefix, int width,
     if (!(out->hidden_bias = file_take(file, memory, prefix, "hidden.bias", (size_t[4]){(size_t)width}))) return 0;
     if (!(out->out = file_take(file, memory, prefix, "out.weight", (size_t[4]){1, (size_t)width}))) return 0;
     if (!file_copy(file, prefix, "out.bias", (size_t[4]){1}, &out->out_bias)) return 0;
-    if (!file_copy(file, prefix, "power_law.weight", (size_t[4]){1, 5}, out->power_law)) return 0;
-    if (!file_copy(file, prefix, "highest", (size_t[4]){1}, &out->highest) || !file_copy(file, prefix, "mean", (size_t[4]){2}, out->mean)) return 0;
+    if (!file_copy(file, prefix, "exponents", (size_t[4]){5}, out->exponents)) return 0;
+    if (!file_copy(file, prefix, "sigma_max", (size_t[4]){1}, &out->sigma_max) || !file_copy(file, prefix, "mean", (size_t[4]){2}, out->mean)) return 0;
     if (!file_copy(file, prefix, "sd", (size_t[4]){2}, out->sd) || !file_copy(file, prefix, "floor", (size_t[4]){2}, out->floor)) return 0;
-    if (!(out->highest > 0)) return file_refuse(file, FOTEN_BAD_FILE, "tensor '%shighest' is not positive", prefix);
+    if (!(out->sigma_max > 0)) return file_refuse(file, FOTEN_BAD_FILE, "tensor '%ssigma_max' is not positive", prefix);
     for (int i = 0; i < 2; i++)
         if (!(out->floor[i] > 0 && out->mean[i] + out->floor[i] > 0))
             return file_refuse(file, FOTEN_BAD_FILE, "tensor '%sfloor' is not positive", prefix);
@@ -76,13 +76,13 @@ double scale_at(const scale *s, const double scaled[2], double logs[2]) {
     for (int i = 0; i < 2; i++) logs[i] = log((physical[i] + s->floor[i]) / (s->mean[i] + s->floor[i]));
     scale_powers(logs, powers);
     double log_scale = s->out_bias;
-    for (int k = 0; k < 5; k++) log_scale += s->power_law[k] * powers[k];
+    for (int k = 0; k < 5; k++) log_scale += s->exponents[k] * powers[k];
     for (int h = 0; h < s->width; h++) {
         const double *w = s->hidden + 4 * h;
         log_scale += s->out[h] * tanh(s->hidden_bias[h] + w[0] * scaled[0] + w[1] * scaled[1] + w[2] * logs[0] + w[3] * logs[1]);
     }
     double out = exp(log_scale);
-    return out < s->highest ? out : s->highest;
+    return out < s->sigma_max ? out : s->sigma_max;
 }
 
 void scale_physical(const scale *s, const double scaled[2], double out[2]) {

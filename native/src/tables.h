@@ -17,7 +17,7 @@ typedef struct {
 typedef struct {
     int width;
     const double *hidden, *hidden_bias, *out; /* (width, 4), (width), (width) */
-    double power_law[5], out_bias, highest, mean[2], sd[2], floor[2];
+    double exponents[5], out_bias, sigma_max, mean[2], sd[2], floor[2];
 } scale;
 
 int speed_force_table_read(texture_file *file, arena *memory, const char *prefix, const char *values, int n_speed, int n_force, int width,

@@ -5,19 +5,19 @@
 #include "constants.h"
 
 int tones_read(texture_file *file, arena *memory, int n, int n_speed, int n_force, tones *out) {
-    double motion[3];
+    double params[3];
     out->n = n;
     if (!speed_force_table_read(file, memory, "tones.", "values", n_speed, n_force, 2 * n, &out->values)) return 0;
-    if (!file_copy(file, "tones.", "motion", (size_t[4]){3}, motion)) return 0;
-    if (!(motion[0] >= 0 && fabs(motion[1]) <= 10 && motion[2] >= 0 && motion[2] <= 1))
-        return file_refuse(file, FOTEN_BAD_FILE, "tensor 'tones.motion' is out of range");
-    out->increment = motion[0];
-    out->jitter = motion[1];
-    out->drawn_back = motion[2];
+    if (!file_copy(file, "tones.", "phase_params", (size_t[4]){3}, params)) return 0;
+    if (!(params[0] >= 0 && fabs(params[1]) <= 10 && params[2] >= 0 && params[2] <= 1))
+        return file_refuse(file, FOTEN_BAD_FILE, "tensor 'tones.phase_params' is out of range");
+    out->phase_increment = params[0];
+    out->period_jitter = params[1];
+    out->phase_leak = params[2];
     return 1;
 }
 
-static double increment_of(const tones *t, const condition *c) { return t->increment * c->path_speed; }
+static double increment_of(const tones *t, const condition *c) { return t->phase_increment * c->path_speed; }
 
 /* The sum of tones of coefficients c_1, s_1, c_2, ... at a phase. */
 static double sum_at(const double *coefficients, int n, double phase) {
@@ -32,10 +32,10 @@ static void coefficients_at(const tones *t, const scale *level_over, const condi
     scale_physical(level_over, c->scaled, physical);
     speed_force_table_at(&t->values, physical[0], physical[1], out);
     for (int k = 0; k < t->n; k++) {
-        double audible = 10 - 10 * (k + 1) * increment / PI;
-        audible = audible > 1 ? 1 : audible < 0 ? 0 : audible;
-        out[2 * k] *= level * audible;
-        out[2 * k + 1] *= level * audible;
+        double anti_alias_gain = 10 - 10 * (k + 1) * increment / PI;
+        anti_alias_gain = anti_alias_gain > 1 ? 1 : anti_alias_gain < 0 ? 0 : anti_alias_gain;
+        out[2 * k] *= level * anti_alias_gain;
+        out[2 * k + 1] *= level * anti_alias_gain;
     }
 }
 
@@ -46,7 +46,7 @@ void tones_set_condition(const tones *t, const scale *level, tones_state *s, con
 }
 
 void tones_fit(const tones *t, const scale *level_over, tones_state *s, const double *windows, int n) {
-    double best = INFINITY, missed[FOTEN_N_CANDIDATES] = {0}, travelled = 0;
+    double best = INFINITY, error[FOTEN_N_CANDIDATES] = {0}, travelled = 0;
     s->phase = s->path = 0;
     for (int i = 1; i < n; i++) {
         condition before = condition_of(level_over, windows + 3 * i - 2);
@@ -55,12 +55,12 @@ void tones_fit(const tones *t, const scale *level_over, tones_state *s, const do
         coefficients_at(t, level_over, &before, increment, s->coefficients);
         for (int k = 0; k < FOTEN_N_CANDIDATES; k++) {
             double off = (windows[3 * i] - sum_at(s->coefficients, t->n, travelled + 2 * PI * k / FOTEN_N_CANDIDATES)) / level;
-            missed[k] += off * off;
+            error[k] += off * off;
         }
     }
     for (int k = 0; k < FOTEN_N_CANDIDATES; k++)
-        if (missed[k] < best) {
-            best = missed[k];
+        if (error[k] < best) {
+            best = error[k];
             s->phase = 2 * PI * k / FOTEN_N_CANDIDATES;
         }
 }
@@ -87,9 +87,9 @@ void tones_draw(tones_state *s, double sine, double cosine) {
 }
 
 void tones_push(const tones *t, tones_state *s, double innovation, const condition *c) {
-    double kept = exp(-s->increment / PI), increment = increment_of(t, c);
-    s->phase -= t->drawn_back * (s->phase - s->path);
-    s->rate = kept * s->rate + sqrt(1 - kept * kept) * (t->jitter * clip(innovation, FOTEN_LARGEST_JITTER));
+    double memory = exp(-s->increment / PI), increment = increment_of(t, c);
+    s->phase -= t->phase_leak * (s->phase - s->path);
+    s->rate = memory * s->rate + sqrt(1 - memory * memory) * (t->period_jitter * clip(innovation, FOTEN_MAX_JITTER_DRIVE));
     s->phase += s->increment * s->rate + increment;
     s->path += increment;
 }

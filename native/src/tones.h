@@ -6,8 +6,9 @@
 typedef struct {
     int n;                     /* multiples of the path's frequency; 0 for a surface that does not repeat */
     speed_force_table values;  /* of cosine and sine of each multiple in turn, over the level */
-    double increment;          /* of the phase in a sample [rad] at 1 mm/s */
-    double jitter, drawn_back; /* of the phase: by an innovation of 1; in a sample, as a share */
+    double phase_increment;    /* in a sample [rad] at 1 mm/s */
+    double period_jitter;      /* standard deviation of a period's length, as a share of it */
+    double phase_leak;         /* in a sample, of what the jitter moved the phase by, as a share */
 } tones;
 
 /* Of one stream. */

@@ -1,7 +1,7 @@
 /* What training a network of innovations spends its time on: its recurrent unit over chunks, and roll-outs in the closed loop, forward and back,
  * all streams of a batch side by side. `training.training_kernel` binds it; it is no part of foten.h, nor of a library that is built without Python.
  *
- * Arrays lie sample by sample, then stream by stream: (n, s, ...). Rows of hidden numbers and the like are padded to a multiple of 16, those
+ * Arrays lie sample by sample, then stream by stream: (n, s, ...). Rows of hidden states and the like are padded to a multiple of 16, those
  * of weights with zeros, so that what is computed there stays zero. Matrices are (outputs, inputs), their rows padded too. Functions return 0, or
  * 1 where there is no memory. Compiled once for each instruction set, as src/kernel.c is. */
 #include <math.h>
@@ -17,17 +17,17 @@ enum { GATES = 3 }; /* reset, update, new */
 typedef struct {
     int n, s, n_hidden;
     const float *weight, *bias; /* of what goes from hidden to hidden, (3 n_hidden, n_hidden) and (3 n_hidden) */
-    const float *of_input;      /* what the inputs add to the gates, (n, s, 3 n_hidden) */
+    const float *from_input;      /* what the inputs add to the gates, (n, s, 3 n_hidden) */
     float *hidden;              /* (n + 1, s, n_hidden), the first given */
     float *gates;               /* (n, s, 3 n_hidden) */
-    float *kept;                /* what `reset` multiplies, (n, s, n_hidden) */
+    float *candidate_preactivation;                /* what `reset` multiplies, (n, s, n_hidden) */
 } recurrent_unit;
 
 /* s streams of n samples in the closed loop: network, draw, lattice of order p, network. */
 typedef struct {
     int n, s, p, n_inputs, n_hidden, head_width, n_components, n_out; /* n_inputs, n_out: padded */
     int gain_before_filter, with_phase;
-    float largest; /* innovation */
+    float innovation_limit;
     float leak;
     const float *from_input, *input_bias, *from_hidden, *hidden_bias; /* (3 n_hidden, n_inputs), (3 n_hidden, n_hidden) */
     const float *head, *head_bias;                                    /* (head_width, n_hidden + n_inputs) */
@@ -36,23 +36,23 @@ typedef struct {
     const float *level;                 /* (n, s) */
     const float *logs;                  /* (n, s, 2) */
     const float *chosen, *normal;       /* of chance, (n, s) */
-    const double *turned;               /* by how much the path moves the phase up to each sample and the one after, (n + 1, s) */
-    double jitter, drawn_back, largest_jitter;
+    const double *phase_increment;               /* by how much the path moves the phase up to each sample and the one after, (n + 1, s) */
+    double period_jitter, phase_leak, max_jitter_drive;
     float *states;                   /* of the lattices before the first sample, (p + 1, s) */
     double *phase;                   /* of tones at each sample, (n, s), the first given */
-    float *network;                  /* hidden numbers and inputs, (n + 1, s, n_hidden + n_inputs), the first given */
-    float *head_made, *out_made;     /* (n, s, head_width), (n, s, n_out) */
-    float *gates, *kept;             /* as above */
-    float *innovation, *played;      /* (n, s) */
-} roll_out;
+    float *network;                  /* hidden states and inputs, (n + 1, s, n_hidden + n_inputs), the first given */
+    float *head_output, *out_output;     /* (n, s, head_width), (n, s, n_out) */
+    float *gates, *candidate_preactivation;             /* as above */
+    float *innovation, *residual;      /* (n, s) */
+} rollout_batch;
 
 /* What a loss says of a roll-out, and where gradients go. */
 typedef struct {
-    const float *of_played;         /* (n, s) */
-    const float *drawn;             /* of each innovation by what the network said, (n, s, n_out) */
-    float most;                     /* that the gradient of a stream's state may be */
+    const float *by_residual;         /* (n, s) */
+    const float *drawn;             /* of each innovation by the outputs of the network, (n, s, n_out) */
+    float adjoint_limit;                     /* that the gradient of a stream's state may be */
     float *by_head, *by_out;        /* (n, s, head_width), (n, s, n_out) */
-} roll_out_gradients;
+} rollout_gradients;
 
 #define JOIN(a, b) a##_##b
 #define OF_ISA(name, isa) JOIN(name, isa)
@@ -92,39 +92,39 @@ static linear map_of(const float *matrix, const float *bias, int outputs, int in
     return (linear){inputs, outputs, room, bias};
 }
 
-/* A sample of the unit: hidden numbers lie `stride` apart. */
-static void unit(const linear *map, int s, int h, const float *of_input, const float *now, float *next, int stride, float *gates, float *kept,
+/* A sample of the unit: hidden states lie `stride` apart. */
+static void unit(const linear *map, int s, int h, const float *from_input, const float *now, float *next, int stride, float *gates, float *candidate_preactivation,
                  float *of_hidden) {
     apply(map, s, now, stride, of_hidden, GATES * h, 0);
-    for (int k = 0; k < s; k++, of_input += GATES * h, of_hidden += GATES * h, gates += GATES * h, kept += h, now += stride, next += stride)
+    for (int k = 0; k < s; k++, from_input += GATES * h, of_hidden += GATES * h, gates += GATES * h, candidate_preactivation += h, now += stride, next += stride)
         for (int i = 0; i < h; i += LANES) {
-            vec reset = logistic(load(of_input + i) + load(of_hidden + i)), update = logistic(load(of_input + h + i) + load(of_hidden + h + i));
-            vec turned = load(of_hidden + 2 * h + i), new = tanh_of(load(of_input + 2 * h + i) + reset * turned);
+            vec reset = logistic(load(from_input + i) + load(of_hidden + i)), update = logistic(load(from_input + h + i) + load(of_hidden + h + i));
+            vec candidate = load(of_hidden + 2 * h + i), new = tanh_of(load(from_input + 2 * h + i) + reset * candidate);
             store(gates + i, reset);
             store(gates + h + i, update);
             store(gates + 2 * h + i, new);
-            store(kept + i, turned);
+            store(candidate_preactivation + i, candidate);
             store(next + i, new + update * (load(now + i) - new));
         }
 }
 
-/* And back: `d` is the gradient by the next hidden numbers, and becomes that by those before them; `gates` becomes that by what of the inputs goes
- * into them, and `kept` that by what it is itself. Room is for 4 n_hidden numbers a stream. */
-static void unit_back(const linear *map, int s, int h, float *d, const float *now, int stride, float *gates, float *kept, float *room) {
-    float *by_kept = room, *added = room + (size_t)(GATES * h) * (size_t)s;
-    for (int k = 0; k < s; k++, now += stride, gates += GATES * h, kept += h, by_kept += GATES * h)
+/* And back: `d` is the gradient by the next hidden states, and becomes that by those before them; `gates` becomes that by what of the inputs goes
+ * into them, and `candidate_preactivation` that by what it is itself. Room is for 4 n_hidden states a stream. */
+static void unit_back(const linear *map, int s, int h, float *d, const float *now, int stride, float *gates, float *candidate_preactivation, float *room) {
+    float *by_preactivation = room, *added = room + (size_t)(GATES * h) * (size_t)s;
+    for (int k = 0; k < s; k++, now += stride, gates += GATES * h, candidate_preactivation += h, by_preactivation += GATES * h)
         for (int i = 0; i < h; i += LANES) {
             vec of_next = load(d + k * h + i), reset = load(gates + i), update = load(gates + h + i), new = load(gates + 2 * h + i);
             vec of_new = of_next * (1.0f - update) * (1.0f - new * new);
             vec of_update = of_next * (load(now + i) - new) * update * (1.0f - update);
-            vec of_reset = of_new * load(kept + i) * reset * (1.0f - reset);
+            vec of_reset = of_new * load(candidate_preactivation + i) * reset * (1.0f - reset);
             store(gates + i, of_reset);
-            store(by_kept + i, of_reset);
+            store(by_preactivation + i, of_reset);
             store(gates + h + i, of_update);
-            store(by_kept + h + i, of_update);
+            store(by_preactivation + h + i, of_update);
             store(gates + 2 * h + i, of_new);
-            store(by_kept + 2 * h + i, of_new * reset);
-            store(kept + i, of_new * reset);
+            store(by_preactivation + 2 * h + i, of_new * reset);
+            store(candidate_preactivation + i, of_new * reset);
             store(d + k * h + i, of_next * update);
         }
     apply(map, s, room, GATES * h, added, h, 0);
@@ -139,13 +139,13 @@ EXPORTED(foten_train_unit)(const recurrent_unit *u) {
     linear map = map_of(u->weight, u->bias, GATES * h, h, h, 0, taken(&block, (size_t)(GATES * h * h)));
     for (int t = 0; t < u->n; t++) {
         size_t at = (size_t)t * row;
-        unit(&map, s, h, u->of_input + GATES * at, u->hidden + at, u->hidden + at + row, h, u->gates + GATES * at, u->kept + at, block);
+        unit(&map, s, h, u->from_input + GATES * at, u->hidden + at, u->hidden + at + row, h, u->gates + GATES * at, u->candidate_preactivation + at, block);
     }
     free(memory);
     return 0;
 }
 
-/* From the gradient by each of the hidden numbers but the first, (n, s, n_hidden), that by what goes into the gates, in place of `gates` and `kept`. */
+/* From the gradient by each of the hidden states but the first, (n, s, n_hidden), that by what goes into the gates, in place of `gates` and `candidate_preactivation`. */
 EXPORTED(foten_train_unit_back)(const recurrent_unit *u, const float *by_hidden) {
     int s = u->s, h = u->n_hidden;
     size_t row = (size_t)(s * h);
@@ -156,25 +156,25 @@ EXPORTED(foten_train_unit_back)(const recurrent_unit *u, const float *by_hidden)
     for (int t = u->n - 1; t >= 0; t--) {
         size_t at = (size_t)t * row;
         for (size_t i = 0; i < row; i += LANES) store(d + i, load(d + i) + load(by_hidden + at + i));
-        unit_back(&map, s, h, d, u->hidden + at, h, u->gates + GATES * at, u->kept + at, room);
+        unit_back(&map, s, h, d, u->hidden + at, h, u->gates + GATES * at, u->candidate_preactivation + at, room);
     }
     free(memory);
     return 0;
 }
 
 /* An innovation of the mixture that a network says, by two numbers of chance. */
-static float draw(const roll_out *r, const float *out, float chosen, float normal) {
+static float draw(const rollout_batch *r, const float *out, float chosen, float normal) {
     int n = r->n_components, component = 0;
-    float most = out[0], total = 0, share = 0;
-    for (int i = 1; i < n; i++) most = out[i] > most ? out[i] : most;
-    for (int i = 0; i < n; i++) total += expf(out[i] - most);
-    for (int i = 0; i < n - 1; i++) component += chosen * total >= (share += expf(out[i] - most));
+    float largest_logit = out[0], total = 0, share = 0;
+    for (int i = 1; i < n; i++) largest_logit = out[i] > largest_logit ? out[i] : largest_logit;
+    for (int i = 0; i < n; i++) total += expf(out[i] - largest_logit);
+    for (int i = 0; i < n - 1; i++) component += chosen * total >= (share += expf(out[i] - largest_logit));
     float scale = expf((float)FOTEN_LOG_SCALE_LIMIT * tanhf(out[2 * n + component] / (float)FOTEN_LOG_SCALE_LIMIT));
-    return (float)clip(out[n + component] + scale * normal, r->largest);
+    return (float)clip(out[n + component] + scale * normal, r->innovation_limit);
 }
 
 /* The lattices of all streams, `dsp.lattice`: in f what enters, then what comes out. */
-static void synthesise(const roll_out *r, int sample, float *restrict f) {
+static void synthesise(const rollout_batch *r, int sample, float *restrict f) {
     int s = r->s;
     for (int i = r->p - 1; i >= 0; i--) {
         const float *restrict k = r->reflections + ((size_t)sample * (size_t)r->p + (size_t)i) * (size_t)s;
@@ -182,16 +182,16 @@ static void synthesise(const roll_out *r, int sample, float *restrict f) {
         const float *restrict b = r->states + i * s;
         float *restrict up = r->states + (i + 1) * s;
         for (int j = 0; j < s; j++) {
-            float kept = r->leak * b[j];
-            up[j] = k[j] * f[j] + c[j] * kept;
-            f[j] = c[j] * f[j] - k[j] * kept;
+            float leaked = r->leak * b[j];
+            up[j] = k[j] * f[j] + c[j] * leaked;
+            f[j] = c[j] * f[j] - k[j] * leaked;
         }
     }
     memcpy(r->states, f, sizeof(float) * (size_t)s);
 }
 
 /* And back: in f the gradient by what comes out, then by what enters; in d that by the states after, then before. */
-static void synthesise_back(const roll_out *r, int sample, float *restrict f, float *d) {
+static void synthesise_back(const rollout_batch *r, int sample, float *restrict f, float *d) {
     int s = r->s;
     for (int i = 0; i < r->p; i++) {
         const float *restrict k = r->reflections + ((size_t)sample * (size_t)r->p + (size_t)i) * (size_t)s;
@@ -207,18 +207,18 @@ static void synthesise_back(const roll_out *r, int sample, float *restrict f, fl
 }
 
 /* What the network is given of a sample, and the phase of tones at the next one. */
-static void take_in(const roll_out *r, int sample, int stream, float e, float over, double *path, double *rate, float *in) {
+static void take_in(const rollout_batch *r, int sample, int stream, float e, float over, double *path, double *rate, float *in) {
     size_t at = (size_t)sample * (size_t)r->s + (size_t)stream;
     in[0] = asinhf(e);
     in[1] = asinhf(3 * fabsf(e)) - 1;
-    in[2] = r->played[at] / over;
+    in[2] = r->residual[at] / over;
     in[3] = r->logs[2 * at];
     in[4] = r->logs[2 * at + 1];
     if (!r->with_phase) return;
-    double moved = r->turned[at], next = r->turned[at + (size_t)r->s], keeps = exp(-moved / PI);
-    *rate = keeps * *rate + sqrt(1 - keeps * keeps) * r->jitter * clip(e, r->largest_jitter);
+    double increment = r->phase_increment[at], next = r->phase_increment[at + (size_t)r->s], memory = exp(-increment / PI);
+    *rate = memory * *rate + sqrt(1 - memory * memory) * r->period_jitter * clip(e, r->max_jitter_drive);
     double phase = r->phase[at];
-    phase += moved * *rate + next - r->drawn_back * (phase - *path);
+    phase += increment * *rate + next - r->phase_leak * (phase - *path);
     *path += next;
     if (sample + 1 < r->n) r->phase[at + (size_t)r->s] = phase;
     in[5] = (float)cos(phase);
@@ -227,7 +227,7 @@ static void take_in(const roll_out *r, int sample, int stream, float e, float ov
     in[8] = (float)sin(2 * phase);
 }
 
-EXPORTED(foten_train_roll_out)(const roll_out *r) {
+EXPORTED(foten_train_rollout)(const rollout_batch *r) {
     int s = r->s, h = r->n_hidden, w = r->head_width, o = r->n_out, row = h + r->n_inputs, gates = GATES * h;
     size_t weights = (size_t)gates * (size_t)row + (size_t)w * (size_t)(row + o);
     float *memory = calloc(weights + (size_t)s * (size_t)(2 * gates + 1), sizeof(float)), *block = memory;
@@ -246,46 +246,46 @@ EXPORTED(foten_train_roll_out)(const roll_out *r) {
     for (int t = 0; t < r->n; t++) {
         size_t at = (size_t)t * (size_t)s;
         float *now = r->network + at * (size_t)row, *next = now + s * row;
-        float *made = r->head_made + at * (size_t)w, *said = r->out_made + at * (size_t)o;
-        apply(&head, s, now, row, made, w, 0);
-        for (int i = 0; i < s * w; i += LANES) store(made + i, tanh_of(load(made + i)));
-        apply(&out, s, made, w, said, o, 0);
+        float *hidden_layer = r->head_output + at * (size_t)w, *outputs = r->out_output + at * (size_t)o;
+        apply(&head, s, now, row, hidden_layer, w, 0);
+        for (int i = 0; i < s * w; i += LANES) store(hidden_layer + i, tanh_of(load(hidden_layer + i)));
+        apply(&out, s, hidden_layer, w, outputs, o, 0);
         for (int k = 0; k < s; k++) {
-            float e = r->innovation[at + (size_t)k] = draw(r, said + k * o, r->chosen[at + (size_t)k], r->normal[at + (size_t)k]);
+            float e = r->innovation[at + (size_t)k] = draw(r, outputs + k * o, r->chosen[at + (size_t)k], r->normal[at + (size_t)k]);
             f[k] = r->gain_before_filter ? r->level[at + (size_t)k] * e : e;
         }
         synthesise(r, t, f);
-        memcpy(r->played + at, f, sizeof(float) * (size_t)s);
+        memcpy(r->residual + at, f, sizeof(float) * (size_t)s);
         for (int k = 0; k < s; k++) {
             float over = r->gain_before_filter ? 2 * r->level[at + (size_t)k] : 2;
             take_in(r, t, k, r->innovation[at + (size_t)k], over, path + k, rate + k, next + k * row + h);
         }
         apply(&of_inputs, s, next + h, row, from_inputs, gates, 0);
-        unit(&of_hidden, s, h, from_inputs, now, next, row, r->gates + at * (size_t)gates, r->kept + at * (size_t)h, from_hidden);
+        unit(&of_hidden, s, h, from_inputs, now, next, row, r->gates + at * (size_t)gates, r->candidate_preactivation + at * (size_t)h, from_hidden);
     }
     free(memory);
     free(path);
     return 0;
 }
 
-/* Hold the gradient of each stream's state to `most`: d by its hidden numbers, inputs and the lattice's states. */
-static void hold(const roll_out *r, float most, float *d_hidden, float *d_inputs, float *d_states) {
+/* Hold the gradient of each stream's state to `adjoint_limit`: d by its hidden states, inputs and the lattice's states. */
+static void hold(const rollout_batch *r, float adjoint_limit, float *d_hidden, float *d_inputs, float *d_states) {
     int s = r->s, h = r->n_hidden;
     for (int k = 0; k < s; k++) {
         float size = 0;
         for (int i = 0; i < h; i++) size += d_hidden[k * h + i] * d_hidden[k * h + i];
         for (int i = 0; i < r->p; i++) size += d_states[i * s + k] * d_states[i * s + k];
         size = sqrtf(size);
-        if (size <= most) continue;
-        float held = most / size;
+        if (size <= adjoint_limit) continue;
+        float held = adjoint_limit / size;
         for (int i = 0; i < h; i++) d_hidden[k * h + i] *= held;
         for (int i = 0; i < r->n_inputs; i++) d_inputs[k * r->n_inputs + i] *= held;
         for (int i = 0; i < r->p; i++) d_states[i * s + k] *= held;
     }
 }
 
-/* `gates` and `kept` of the roll-out become gradients, as above. */
-EXPORTED(foten_train_roll_out_back)(const roll_out *r, const roll_out_gradients *g) {
+/* `gates` and `candidate_preactivation` of the roll-out become gradients, as above. */
+EXPORTED(foten_train_rollout_back)(const rollout_batch *r, const rollout_gradients *g) {
     int s = r->s, h = r->n_hidden, m = r->n_inputs, w = r->head_width, o = r->n_out, row = h + m, gates = GATES * h;
     size_t weights = (size_t)gates * (size_t)row + (size_t)w * (size_t)(row + o), numbers = (size_t)((2 + GATES) * h + 2 * m + row + r->p + 2);
     float *memory = calloc(weights + (size_t)row + (size_t)w + (size_t)s * numbers, sizeof(float)), *block = memory;
@@ -301,25 +301,25 @@ EXPORTED(foten_train_roll_out_back)(const roll_out *r, const roll_out_gradients 
     for (int t = r->n - 1; t >= 0; t--) {
         size_t at = (size_t)t * (size_t)s;
         float *by_input = r->gates + at * (size_t)gates;
-        unit_back(&to_hidden, s, h, d_hidden, r->network + at * (size_t)row, row, by_input, r->kept + at * (size_t)h, hidden_room);
+        unit_back(&to_hidden, s, h, d_hidden, r->network + at * (size_t)row, row, by_input, r->candidate_preactivation + at * (size_t)h, hidden_room);
         apply(&to_inputs, s, by_input, gates, inputs_room, m, 0);
         for (int i = 0; i < s * m; i += LANES) store(d_inputs + i, load(d_inputs + i) + load(inputs_room + i));
         for (int k = 0; k < s; k++) {
             float over = r->gain_before_filter ? 2 * r->level[at + (size_t)k] : 2;
-            f[k] = g->of_played[at + (size_t)k] + d_inputs[k * m + 2] / over + d_states[k];
+            f[k] = g->by_residual[at + (size_t)k] + d_inputs[k * m + 2] / over + d_states[k];
         }
         synthesise_back(r, t, f, d_states);
         float *out = g->by_out + at * (size_t)o, *head = g->by_head + at * (size_t)w;
-        const float *drawn = g->drawn + at * (size_t)o, *made = r->head_made + at * (size_t)w;
+        const float *drawn = g->drawn + at * (size_t)o, *hidden_layer = r->head_output + at * (size_t)w;
         for (int k = 0; k < s; k++) {
             float e = r->innovation[at + (size_t)k], gain = r->gain_before_filter ? r->level[at + (size_t)k] : 1, sign = (float)((e > 0) - (e < 0));
             float by = gain * f[k] + d_inputs[k * m] / sqrtf(1 + e * e) + d_inputs[k * m + 1] * 3 * sign / sqrtf(1 + 9 * e * e);
-            if (!(fabsf(e) < r->largest)) by = 0;
+            if (!(fabsf(e) < r->innovation_limit)) by = 0;
             for (int i = 0; i < o; i++) out[k * o + i] = drawn[k * o + i] * by;
         }
         apply(&to_head, s, out, o, head, w, 0);
         for (int i = 0; i < s * w; i += LANES) {
-            vec value = load(made + i);
+            vec value = load(hidden_layer + i);
             store(head + i, load(head + i) * (1.0f - value * value));
         }
         apply(&to_both, s, head, w, both, row, 0);
@@ -327,7 +327,7 @@ EXPORTED(foten_train_roll_out_back)(const roll_out *r, const roll_out_gradients 
             for (int i = 0; i < h; i++) d_hidden[k * h + i] += both[k * row + i];
             memcpy(d_inputs + k * m, both + k * row + h, sizeof(float) * (size_t)m);
         }
-        hold(r, g->most, d_hidden, d_inputs, d_states);
+        hold(r, g->adjoint_limit, d_hidden, d_inputs, d_states);
     }
     free(memory);
     return 0;

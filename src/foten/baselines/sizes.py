@@ -5,24 +5,27 @@ What a source does not state is our choice.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
-from foten.models.foten.sizes import SpectralSizes
-from foten.models.foten.ten_sizes import TransformerSizes
-from foten.models.model_sizes import Sizes, check_heads
-from foten.models.tensor_shapes import WithExcitation
-
-
-@dataclass(frozen=True)
-class GraphSizes(WithExcitation):
-    """A one-step network whose weights are in a graph."""
-
-    in_graph: ClassVar[bool] = True
+from foten.models.foten.sizes import SpectralSizes, TransformerSizes
+from foten.models.graph_sizes import MAX_GRAPH_WINDOW, GraphSizes
+from foten.models.model_sizes import ModelSizes, check_heads
+from foten.models.registry import MODELS, checked_sizes
 
 
 @dataclass(frozen=True)
-class TenMfccSizes(TransformerSizes, GraphSizes):
+class BaselineSizes(GraphSizes):
+    """The sizes of a network whose file holds a graph: of these the card's sizes are those of `GraphSizes`."""
+
+    def in_file(self) -> GraphSizes:
+        """What a texture file says of them."""
+        return GraphSizes(self.window, self.excitation, self.excitation_width)
+
+
+@dataclass(frozen=True)
+class TenMfccSizes(TransformerSizes, BaselineSizes):
     """TEN with cepstral coefficients of the window in place of the Fourier branch, Table II: our reading of "TEN-MFCC"."""
 
     window: int = 30  # m, samples; Table II
@@ -37,7 +40,7 @@ class TenMfccSizes(TransformerSizes, GraphSizes):
 
 
 @dataclass(frozen=True)
-class TenWaveletSizes(TransformerSizes, GraphSizes):
+class TenWaveletSizes(TransformerSizes, BaselineSizes):
     """TEN with wavelet coefficients of the window in place of the Fourier branch, Table II: our reading of "TEN-Wavelet"."""
 
     window: int = 30  # m, samples; Table II
@@ -52,7 +55,7 @@ class TenWaveletSizes(TransformerSizes, GraphSizes):
 
 
 @dataclass(frozen=True)
-class FotenDSizes(SpectralSizes, GraphSizes):
+class FotenDSizes(SpectralSizes, BaselineSizes):
     """FoTEN with a decoder layer of one query token in place of the last token, FoTEN-D in Table II: our reading.
 
     The query attends to all temporal tokens and to the single one of the spectral branch.
@@ -60,7 +63,7 @@ class FotenDSizes(SpectralSizes, GraphSizes):
 
 
 @dataclass(frozen=True)
-class FnnSizes(GraphSizes):
+class FnnSizes(BaselineSizes):
     """Band by band [13]: a small network for each of four bands."""
 
     window: int = 144  # the longest lag, and the filters' memory before it
@@ -70,13 +73,15 @@ class FnnSizes(GraphSizes):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        least = 8 * self.n_lags + 16
-        if self.window < least:
-            raise ValueError(f"window is {self.window}, expected {least} or more for {self.n_lags} lags of 8 samples")
+        shortest = 8 * self.n_lags + 16
+        if self.window < shortest:
+            raise ValueError(
+                f"window is {self.window}, expected {shortest} or more for {self.n_lags} lags of 8 samples"
+            )
 
 
 @dataclass(frozen=True)
-class DstnSizes(GraphSizes):
+class DstnSizes(BaselineSizes):
     """Deep spatio-temporal network [15]: convolutions, attention over channels and time, and recurrent layers."""
 
     window: int = 40  # m, samples; Table III
@@ -87,7 +92,7 @@ class DstnSizes(GraphSizes):
 
 
 @dataclass(frozen=True)
-class HapinfSizes(GraphSizes):
+class HapinfSizes(BaselineSizes):
     """Encoder and decoder after Informer, the teacher of [20]; no source of it was available."""
 
     window: int = 20  # m, samples
@@ -105,7 +110,7 @@ class HapinfSizes(GraphSizes):
 
 
 @dataclass(frozen=True)
-class LdhtdSizes(GraphSizes):
+class LdhtdSizes(BaselineSizes):
     """Recurrent encoder of speed and force, attending decoder of acceleration [20], distilled from `hapinf`."""
 
     window: int = 20  # m, samples; Table III
@@ -121,11 +126,14 @@ class LdhtdSizes(GraphSizes):
 
 
 @dataclass(frozen=True)
-class NoiseModelSizes(Sizes):
-    """A model of spectra, whose samples are filtered noise: its windows hold noise in the place of acceleration."""
+class NoiseModelSizes(ModelSizes):
+    """A model of spectra, whose samples are filtered noise: its graph takes noise in the place of acceleration."""
 
-    in_graph: ClassVar[bool] = True
-    from_noise: ClassVar[bool] = True
+    max_window: ClassVar[int] = MAX_GRAPH_WINDOW
+
+    def in_file(self) -> GraphSizes:
+        """What a texture file says of them."""
+        return GraphSizes(self.window)
 
 
 @dataclass(frozen=True)
@@ -140,9 +148,9 @@ class DftnetSizes(NoiseModelSizes):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        n, least = self.n_conditions, max(8, self.n_conditions)
-        if self.window < least:
-            raise ValueError(f"window is {self.window}, expected {least} or more for {n} conditions")
+        n, shortest = self.n_conditions, max(8, self.n_conditions)
+        if self.window < shortest:
+            raise ValueError(f"window is {self.window}, expected {shortest} or more for {n} conditions")
 
 
 @dataclass(frozen=True)
@@ -164,3 +172,29 @@ class GanSizes(NoiseModelSizes):
         if self.window != n:
             frames = f"27 frames of {self.frame} samples, {self.stride} apart"
             raise ValueError(f"window is {self.window}, expected {n}: {frames}")
+
+
+BASELINES: dict[str, type[BaselineSizes] | type[NoiseModelSizes]] = {
+    "ten-mfcc": TenMfccSizes,
+    "ten-wavelet": TenWaveletSizes,
+    "foten-d": FotenDSizes,
+    "fnn": FnnSizes,
+    "dstn": DstnSizes,
+    "hapinf": HapinfSizes,
+    "ldhtd": LdhtdSizes,
+    "dftnet": DftnetSizes,
+    "gan": GanSizes,
+}
+TRAINABLE: dict[str, type[ModelSizes]] = {**MODELS, **BASELINES}
+"""Every model that can be trained, by its key."""
+
+
+def trainable_sizes(model: str, values: Mapping[str, Any]) -> ModelSizes:
+    """The sizes of a model from values by name.
+
+    Raises:
+        ValueError: the model or a size is unknown, or a size is out of range.
+    """
+    if model not in TRAINABLE:
+        raise ValueError(f"unknown model {model!r}, expected one of {', '.join(TRAINABLE)}")
+    return checked_sizes(model, TRAINABLE[model], values)

@@ -58,6 +58,7 @@ def evaluate(
 
 def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
     """Show what a texture file holds, and prove it on its golden windows."""
+    from foten.models.graph_sizes import GRAPH
     from foten.models.texture_file import read_texture
     from foten.runtime.native import NativeTexture
 
@@ -65,21 +66,21 @@ def info(texture_file: TextureFile, as_json: JsonOption = False) -> None:
     NativeTexture(texture.to_bytes())  # which replays the golden windows
     card = texture.card
     own = {name: t for name, t in texture.tensors.items() if not name.startswith(("golden.", "warm_start"))}
-    if texture.sizes.in_graph:
-        cost, holds = card["metrics"]["multiply_adds"], f"{own['graph'].size:,} bytes for ONNX Runtime"
-    else:
-        cost = texture.sizes.multiply_adds()
-        holds = f"{sum(t.size for t in own.values()):,} numbers"
+    cost = texture.sizes.multiply_adds() or card["metrics"]["multiply_adds"]
+    graph = own.pop(GRAPH, None)
+    holds = (
+        f"{sum(t.size for t in own.values()):,} numbers" if graph is None else f"{graph.size:,} bytes for ONNX Runtime"
+    )
     rows = {
         "texture": card["texture"] or "(unnamed)",
         "model": f"{card['model']}, {holds}",
         "history": f"a prediction is made from the last {card['window']} samples",
-        **_linear_part(texture),
+        **_linear_model(texture),
         "cost": f"{cost:,} multiply-adds a rendered sample",
         "rate": f"{texture.rate_hz:g} Hz",
         "trained speed": "{:.4g} to {:.4g} mm/s".format(*(round(end, 3) for end in texture.trained_range("speed"))),
         "trained force": "{:.3g} to {:.3g} N".format(*texture.trained_range("force")),
-        "above these": texture.beyond_in_words(),
+        "above these": texture.extrapolation_in_words(),
         "acceleration": f"{texture.scaling.sd[0]:.4g} {_unit(texture)} standard deviation",
         "delay": f"{card['delay_ms']:.1f} ms, of the {card['lowpass_hz']:g} Hz low-pass of speed and force",
         "excitation": "yes" if texture.has_excitation else "no",
@@ -96,7 +97,7 @@ def _unit(texture: Texture) -> str:
     return "in relative units," if texture.unit == "relative" else texture.unit
 
 
-def _linear_part(texture: Texture) -> dict[str, str]:
+def _linear_model(texture: Texture) -> dict[str, str]:
     """Return what `info` says of the local models, or of the lattice and the tones; nothing of a model that has none."""
     sizes, metrics = texture.card["sizes"], texture.card["metrics"]
     if texture.card["model"] == "ar":
@@ -112,7 +113,7 @@ def _linear_part(texture: Texture) -> dict[str, str]:
     rows |= {"lattice": f"order {sizes['order']}, {over}{gain}", "tones": "none"}
     rows["network"] = network_summary(texture.card)
     if sizes["n_tones"]:
-        length = (metrics.get("linear_part") or {}).get("wavelength_mm")
+        length = (metrics.get("linear_model") or {}).get("wavelength_mm")
         every = f", the surface repeats every {length:.3g} mm" if length else ""
         rows["tones"] = (
             f"{sizes['n_tones']} multiples{every}; for the residual a lattice of order {sizes['residual_order']}"

@@ -314,7 +314,7 @@ def print_outside_range(statistics: dict[str, int], texture: Texture) -> None:
     share = {name: f"{100 * count / statistics['n']:.1f} %" for name, count in statistics.items()}
     for name, unit in (("speed", "mm/s"), ("force", "N")):
         if statistics[f"n_{name}_beyond"]:
-            high, power = texture.trained_range(name)[1], texture.beyond_exponent(name)
+            high, power = texture.trained_range(name)[1], texture.extrapolation_exponent(name)
             grown = f"the level grew with {name}^{power:.2g} there" if power else "the level was held there"
             print(f"{name} was above the trained {high:.4g} {unit} for {share[f'n_{name}_beyond']}; {grown}")
         if statistics[f"n_{name}_clamped"]:

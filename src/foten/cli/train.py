@@ -95,17 +95,18 @@ def train(
     as_json: JsonOption = False,
 ) -> None:
     """Learn a texture file from a recording. Ctrl-C keeps the best so far."""
+    from foten.baselines.sizes import TRAINABLE, NoiseModelSizes, trainable_sizes
     from foten.datasets.hdf5 import load_recording
-    from foten.models.registry import FAMILIES, sizes_of
     from foten.models.texture_file import Texture, write_texture
     from foten.recording.preprocess import PreprocessConfig
     from foten.training.config import RECIPES, check_used, recipe_of
     from foten.training.job import TrainingJob
+    from foten.training.loop import Checkpoint, Monitor
     from foten.training.pipeline import train as train_texture
     from foten.training.run_folder import RunFolder, TrainingDisplay
 
-    if model not in FAMILIES:
-        raise ValueError(f"unknown model {model!r}, expected one of {', '.join(FAMILIES)}")
+    if model not in TRAINABLE:
+        raise ValueError(f"unknown model {model!r}, expected one of {', '.join(TRAINABLE)}")
     if recipe not in RECIPES:
         raise ValueError(f"unknown recipe {recipe!r}, expected one of {', '.join(RECIPES)}")
     if output.suffix != ".foten":
@@ -128,14 +129,15 @@ def train(
         if for_networks:
             name = next(iter(for_networks)).replace("_", "-")
             raise ValueError(f"--{name} is for networks, and --model ar is none: leave it out")
-    if excitation and FAMILIES[model].from_noise:
+    of_spectra = issubclass(TRAINABLE[model], NoiseModelSizes)
+    if excitation and of_spectra:
         raise ValueError(f"--excitation is for models that predict samples, and {model} is made of noise: leave it out")
     check_used(model, list(asked))
-    sizes = sizes_of(model, own if window is None else {"window": window, **own})
+    sizes = trainable_sizes(model, own if window is None else {"window": window, **own})
     job = TrainingJob(
         recording, model, sizes, config, preprocess_config, split, split_seed, texture or recording.texture, licence
     )
-    display = TrainingDisplay(config.epochs, "nat" if sizes.from_noise else "sd")
+    display = TrainingDisplay(config.epochs, "nat" if of_spectra else "sd")
     folder = RunFolder(run_folder or output.with_suffix(".run"), display.note)
     if model != "ar":
         folder.open(
@@ -163,7 +165,8 @@ def train(
             display.show(line)
             folder.log(line)
 
-        trained = train_texture(job, on_epoch, folder.checkpoint, resume, display.stage, on_playable)
+        checkpoint = Checkpoint(folder.checkpoint, config, resume)
+        trained = train_texture(job, Monitor(display.stage, on_epoch, on_playable, checkpoint))
         for note in trained.progress.notes:
             display.note(note)
     write_texture(trained.texture, output)
@@ -195,7 +198,7 @@ def _document(trained: Trained) -> dict[str, Any]:
         "n_samples_dropped": trace.n_dropped,
         "n_samples_uncovered": trace.n_uncovered,
         "split_sha256": texture.card["split_sha256"],
-        "beyond_exponents": texture.card["beyond_exponents"],
+        "extrapolation_exponents": texture.card["extrapolation_exponents"],
         **texture.card["metrics"],
     }
 
@@ -220,7 +223,7 @@ def _summary(trained: Trained) -> str:
     lines = [summary]
     if card["model"] == "foten-plus":
         lines.append(f"network: {network_summary(card)}")
-    lines.append(f"above the trained range {trained.texture.beyond_in_words()}")
+    lines.append(f"above the trained range {trained.texture.extrapolation_in_words()}")
     if trace.n_uncovered:
         lines.append(f"left out: {counted(trace.n_uncovered, 'sample')}, not covered by every channel")
     if trace.n_dropped:

@@ -16,7 +16,6 @@ the last bit wherever IEEE arithmetic is not contracted. The sum bounds every nu
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,10 +27,6 @@ _WEYL_0, _WEYL_1 = 0x9E3779B9, 0xBB67AE85
 _MASK = 0xFFFFFFFF
 _SUM_SD = math.sqrt(8 * (2.0**32 - 1) / 12)
 _LINEAR, _CUBIC = 0.97846856, 0.00750807
-
-LARGEST_SHOCK = 4.0
-LARGEST_VOLATILITY = 3.0  # standard deviations
-_MEAN_SIZE, _SIZE_SD = math.sqrt(2 / math.pi), math.sqrt(1 - 2 / math.pi)  # of |z|
 
 
 def philox(counter: NDArray[np.uint64], key: int) -> NDArray[np.uint64]:
@@ -60,72 +55,10 @@ def gaussian(key: int, stream: int, first: int, n: int) -> Array:
     return x * (_LINEAR + _CUBIC * (x * x))
 
 
-def heavy_tailed(noise: Array, tail: Array, limit: Array | float) -> Array:
-    """Return z·exp(h z²/2), at most `limit` in size: Gaussian numbers z with tails as heavy as h says, any equal shapes.
+def innovation_likelihood(residual: Array, scale: Array) -> tuple[Array, Array]:
+    """Residuals over the scale of the excitation, which should be standard normal, and −log p of them [nat, scaled].
 
-    Source: the h-distribution of Tukey; Goerg, "Lambert W random variables", Annals of Applied Statistics 5 (2011).
+    Recorded minus predicted, and σ of the excitation, scaled, of equal shapes.
     """
-    return np.clip(noise * np.exp(0.5 * tail * noise * noise), -limit, limit)
-
-
-def heavy_tailed_rms(tail: Array) -> Array:
-    """Return the standard deviation of z·exp(h z²/2): its mean square is (1 − 2h)^(−3/2)."""
-    return (1 - 2 * tail) ** -0.75
-
-
-def gaussianised(values: Array, tail: Array) -> Array:
-    """Return z with z·exp(h z²/2) = u, what `heavy_tailed` undoes but for its limit: u and h of equal shapes, h from 0 on."""
-    log_u = np.log(np.maximum(np.abs(values), 1e-300))
-    # Newton's method on log |z|: from above the root of a convex function every step stays above.
-    q = log_u
-    for _ in range(20):
-        spread = tail * np.exp(2 * q)
-        q = q - (q + 0.5 * spread - log_u) / (1 + spread)
-    return np.copysign(np.exp(q), values)
-
-
-def innovation_likelihood(missed: Array, scale: Array, tail: Array) -> tuple[Array, Array]:
-    """Return innovations taken back to what should be standard normal, and their negative log-likelihood [nat, scaled].
-
-    From recorded minus predicted and σ of the excitation, scaled, and h of its tails, of equal shapes.
-    """
-    z = gaussianised(missed / scale, tail)
-    spread = tail * z * z
-    nll = 0.5 * (z * z + spread) + np.log1p(spread) + np.log(scale) + 0.5 * math.log(2 * math.pi)
-    return z, nll
-
-
-@dataclass
-class Volatility:
-    """How much louder than usual streams are: a slow wander that no speed or force explains.
-
-    A real texture has louder and softer places. The logarithm of their loudness, g, is a first-order process driven by how large
-    the excitation's own numbers are,
-
-        g ← ρ g + √(1 − ρ²) s (min(|z|, 4) − √(2/π)) / √(1 − 2/π)
-
-    within ±3s, so it needs no other noise, depends on nothing that was heard, and is forgotten as ρⁿ. The factor is exp(g − s²),
-    whose mean square is near 1. With it the kurtosis of a Gaussian texture grows by about exp(4s²).
-
-    Source: the exponential GARCH of Nelson, Econometrica 59 (1991), fitted by the kurtosis rather than one step ahead.
-    """
-
-    kept: float  # ρ, of g in a sample
-    sd: float  # s
-    state: Array  # g of each stream, shape (s,)
-
-    def factor(self) -> Array:
-        """Return by how much the next excitation is louder than usual, shape (s,)."""
-        return np.exp(self.state - self.sd * self.sd)
-
-    def draw(self, noise: Array) -> None:
-        """Be as if the wander had always been going on, by a standard normal number for each stream, shape (s,)."""
-        self.state = self.sd * np.clip(noise, -LARGEST_VOLATILITY, LARGEST_VOLATILITY)
-
-    def push(self, noise: Array | None) -> None:
-        """Take in the standard normal numbers of a sample, shape (s,); None leaves all as it is."""
-        if noise is None or self.sd == 0:
-            return
-        driven = (np.minimum(np.abs(noise), LARGEST_SHOCK) - _MEAN_SIZE) / _SIZE_SD
-        state = self.kept * self.state + math.sqrt(1 - self.kept * self.kept) * self.sd * driven
-        self.state = np.clip(state, -LARGEST_VOLATILITY * self.sd, LARGEST_VOLATILITY * self.sd)
+    z = residual / scale
+    return z, 0.5 * z * z + np.log(scale) + 0.5 * math.log(2 * math.pi)

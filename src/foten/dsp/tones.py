@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from foten.dsp import Array
 
-LARGEST_JITTER = 3.0  # standard deviations of an innovation that drives the stray
+MAX_JITTER_DRIVE = 3.0  # standard deviations, of the innovation that drives the jitter
 N_CANDIDATES = 32  # phases that a window is compared with
 
 
@@ -42,13 +42,13 @@ def tone(coefficients: Array, phase: Array) -> Array:
     return (coefficients[..., 0::2] * cosine + coefficients[..., 1::2] * sine).sum(axis=-1)
 
 
-def audible_share(n_tones: int, turned: Array) -> Array:
-    """Return how much of each multiple the rate can hold, where a sample turns the phase by `turned` [rad]: (…) → (…, 2 n_tones).
+def anti_alias_gain(n_tones: int, phase_increment: Array) -> Array:
+    """Return how much of each multiple the rate can hold, where a sample moves the phase by an increment [rad]: (…) → (…, 2 n_tones).
 
     All of it up to 0.45 of the rate, nothing from half of it, where it would come back as another tone.
     """
     multiples = np.repeat(np.arange(1, n_tones + 1), 2)
-    return np.clip(10.0 - 10.0 * multiples * turned[..., None] / np.pi, 0.0, 1.0)
+    return np.clip(10.0 - 10.0 * multiples * phase_increment[..., None] / np.pi, 0.0, 1.0)
 
 
 def tone_slope(coefficients: Array, phase: Array) -> Array:
@@ -70,5 +70,5 @@ def fitted_phase(samples: Array, coefficients: Array, travelled: Array) -> Array
     each sample [rad], shape (s, n).
     """
     candidates = 2 * np.pi * np.arange(N_CANDIDATES) / N_CANDIDATES
-    missed = [np.square(samples - tone(coefficients, travelled + phase)).sum(axis=1) for phase in candidates]
-    return candidates[np.argmin(missed, axis=0)]
+    errors = [np.square(samples - tone(coefficients, travelled + phase)).sum(axis=1) for phase in candidates]
+    return candidates[np.argmin(errors, axis=0)]

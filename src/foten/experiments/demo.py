@@ -12,7 +12,7 @@ from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.report.page import write_report
 from foten.experiments.truth import truth_for
-from foten.models.registry import FotenPlusSizes
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import write_texture
 from foten.recording.inspection import inspect_recording, write_pictures
 from foten.runtime.live.sinks import write_audible, write_rendered
@@ -20,7 +20,7 @@ from foten.runtime.renderer import Renderer
 from foten.runtime.stroke import recorded_stroke
 from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
-from foten.training.loop import Epoch
+from foten.training.loop import Epoch, Monitor
 from foten.training.pipeline import train
 
 
@@ -45,7 +45,7 @@ def run_demo(
         say(f"    epoch {line.epoch}: one-step validation error {line.validation_mae:.4f} sd, {line.seconds:.1f} s")
 
     job = TrainingJob(recording, "foten-plus", FotenPlusSizes(), config, texture_name=key)
-    texture = train(job, on_epoch, on_stage=lambda stage: say(f"    {stage}")).texture
+    texture = train(job, Monitor(on_epoch=on_epoch, on_stage=lambda stage: say(f"    {stage}"))).texture
     write_texture(texture, paths["texture"])
     say("4/5 judging it on its test blocks")
     judgement = evaluate(texture, recording, truth_for(recording, texture), seed)

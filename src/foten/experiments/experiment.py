@@ -12,15 +12,15 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
+from foten.baselines.sizes import TRAINABLE, trainable_sizes
 from foten.datasets.hdf5 import load_recording
 from foten.datasets.simulate import CONTACT, LINEAR_FAMILY, TEXTURES, simulate
-from foten.models.registry import FAMILIES, sizes_of
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.training.config import OWN_RECIPES, RECIPES, TrainConfig, check_used
 
 RECORDED = (".h5", ".hdf5")
-OF_FIRST_SPLIT = ("stability", "onset", "innovations")
+OF_FIRST_SPLIT = ("stability", "onset")
 MEASURES = (*OF_FIRST_SPLIT, "listener", "validation_listener")
 """What may be measured of a texture file beside its evaluation, each a function of this package or the evaluation's.
 
@@ -137,7 +137,7 @@ class Experiment:
         try:
             preprocess = asdict(PreprocessConfig(**self.preprocess))
             if model != "ar":
-                sizes = sizes_of(model, sizes).to_card()
+                sizes = trainable_sizes(model, sizes).to_card()
                 check_used(model, changed)
                 own = {"threads": 1, "seed": split_seed, **OWN_RECIPES.get(model, {}), **self.train, **changed}
                 train = asdict(replace(RECIPES[base], **own))
@@ -223,7 +223,7 @@ def _experiment(content: dict[str, Any], folder: Path) -> Experiment:
     for name, values in grid.items():
         if not isinstance(values, list) or not values:
             raise ValueError(f"{name!r} in the grid is {values!r}, expected a list")
-    _check_keys(grid, OF_TRAINING | {one.name for model in networks for one in fields(FAMILIES[model])}, "[grid]")
+    _check_keys(grid, OF_TRAINING | {one.name for model in networks for one in fields(TRAINABLE[model])}, "[grid]")
     seeds = _seeds(content.get("split_seeds", [1]))
     for method in methods:
         if not set(method.split_seeds or ()) <= set(seeds):
@@ -253,8 +253,8 @@ def _method(content: object) -> Method:
             raise ValueError(f"recipe {name!r} of a method is {changes!r}, expected a table")
         _check_keys(changes, OF_TRAINING | {"recipe"}, f"recipe {name!r} of a method")
         _check_recipe(changes)
-    if content.get("model") not in FAMILIES:
-        raise ValueError(f"unknown model {content.get('model')!r}, expected one of {', '.join(FAMILIES)}")
+    if content.get("model") not in TRAINABLE:
+        raise ValueError(f"unknown model {content.get('model')!r}, expected one of {', '.join(TRAINABLE)}")
     _check_recipe(content)
     given = {"measures": tuple(content.get("measures", ()))}
     if "split_seeds" in content:

@@ -8,14 +8,14 @@ from dataclasses import asdict
 from typing import Any
 
 import foten
+from foten.baselines.sizes import trainable_sizes
 from foten.evaluate.evaluate import Judgement, evaluate
 from foten.evaluate.report.signals import N_WAVEFORM, densities, scored_runs, shown_run, typical_block
 from foten.experiments.experiment import Run
-from foten.experiments.innovations import innovations
 from foten.experiments.onset import onset
 from foten.experiments.stability import stability
 from foten.experiments.truth import truth_for, validation_listener
-from foten.models.registry import FotenPlusSizes, sizes_of
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
@@ -41,7 +41,7 @@ def failure(error: Exception) -> dict[str, Any]:
 
 
 def _job(run: Run, recording: Recording) -> TrainingJob:
-    sizes, preprocess = sizes_of(run.model, run.sizes), PreprocessConfig(**run.preprocess)
+    sizes, preprocess = trainable_sizes(run.model, run.sizes), PreprocessConfig(**run.preprocess)
     return TrainingJob(recording, run.model, sizes, TrainConfig(**run.train), preprocess, split_seed=run.split_seed)
 
 
@@ -71,7 +71,6 @@ def _measures(names: Sequence[str], texture: Texture, recording: Recording, trac
     measures: dict[str, Callable[[], dict[str, Any]]] = {
         "stability": lambda: stability(texture),
         "onset": lambda: onset(texture),
-        "innovations": lambda: innovations(texture, trace),
         "validation_listener": lambda: validation_listener(texture, recording),
     }
     return {name: measures[name]() for name in names if name in measures}  # the listener is the evaluation's

@@ -22,20 +22,19 @@ from typing import Any
 
 import numpy as np
 
+from foten.baselines.graph_model import model_of_graph
 from foten.datasets.stroking import stroking
 from foten.dsp import Array
 from foten.dsp.lattice import LEAK
-from foten.dsp.noise import LARGEST_VOLATILITY
 from foten.models.definitions import model_of
-from foten.models.registry import FotenPlusSizes
-from foten.models.tensor_shapes import HEAVIEST_TAIL
+from foten.models.foten_plus.sizes import FotenPlusSizes
+from foten.models.graph_sizes import GRAPH
 from foten.models.texture_file import Texture
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeState, NativeTexture
-from foten.runtime.onnx_predictor import OnnxPredictor
 
 BOUNDED = ("foten-plus", "ar", "gan", "dftnet")  # models that no sample of their own drives further than their bound
-LARGEST_NOISE = 5.68  # standard deviations, of the counter-based generator
+MAX_NOISE = 5.68  # standard deviations, of the counter-based generator
 COMPARED_S, COMPARED = 12.0, 30_000  # two streams that are to meet: seconds, and samples at most
 MINUTES, N_STROKES = 10.0, 60  # of strokes in all, and into how many they are divided
 N_ATTACK, N_ATTACKED = 1_000_000, 24  # steps in all, and streams
@@ -145,13 +144,12 @@ def with_path(texture: Texture, condition: Array) -> Array:
 
 def outwards(texture: Texture, windows: Array, path: Array, limit: float, rng: np.random.Generator) -> Array:
     """Return the largest noise that the generator draws, of every other stream with the sign of what is predicted, (s, n)."""
-    sizes = texture.sizes
-    network = OnnxPredictor(sizes, texture.tensors).predict if sizes.in_graph else None
-    stream = model_of(sizes, texture.tensors, network).start(windows)
-    noise = LARGEST_NOISE * rng.choice([-1.0, 1.0], path.shape[:2])
+    model = model_of_graph(texture) if GRAPH in texture.tensors else model_of(texture.sizes, texture.tensors)
+    stream = model.start(windows)
+    noise = MAX_NOISE * rng.choice([-1.0, 1.0], path.shape[:2])
     for i in range(path.shape[1]):
         predicted = stream.predict()
-        noise[1::2, i] = LARGEST_NOISE * np.where(predicted.sample[1::2] >= 0, 1.0, -1.0)
+        noise[1::2, i] = MAX_NOISE * np.where(predicted.sample[1::2] >= 0, 1.0, -1.0)
         sample = predicted.excited(noise[:, i])
         stream.push(sample if stream.bounded else np.clip(sample, -limit, limit), path[:, i], noise[:, i])
     return noise
@@ -162,16 +160,16 @@ def proven(texture: Texture) -> float | None:
     sizes, tensors = texture.sizes, texture.tensors
     if not isinstance(sizes, FotenPlusSizes):
         return None
-    _, volatility = map(float, tensors["excitation.volatility"])
-    heaviest = np.inf if sizes.network_in_loop else LARGEST_NOISE * np.exp(0.5 * HEAVIEST_TAIL * LARGEST_NOISE**2)
-    shock = float(tensors["excitation.highest"].item()) * min(heaviest, float(tensors["excitation.largest"][0]))
-    entering = shock * np.exp((LARGEST_VOLATILITY - volatility) * volatility)
-    level = float(tensors[f"{'residual' if sizes.n_tones else 'lattice'}.level.highest"].item())
+    largest = np.inf if sizes.network_in_loop else MAX_NOISE
+    entering = float(tensors["excitation.sigma_max"].item()) * min(
+        largest, float(tensors["excitation.innovation_limit"][0])
+    )
+    level = float(tensors[f"{'residual' if sizes.n_tones else 'lattice'}.level.sigma_max"].item())
     bound = level * entering / np.sqrt(1 - LEAK**2)
     if sizes.n_tones:
         cosines, sines = np.moveaxis(tensors["tones.values"].reshape(-1, sizes.n_tones, 2), -1, 0)
         loudest = np.hypot(cosines, sines).sum(axis=-1).max()
-        bound += float(tensors["lattice.level.highest"].item()) * float(loudest)
+        bound += float(tensors["lattice.level.sigma_max"].item()) * float(loudest)
     return float(bound)
 
 

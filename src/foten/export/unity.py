@@ -11,6 +11,7 @@ from pathlib import Path
 
 from foten.atomic_write import atomic_write
 from foten.export.c_header import identifier
+from foten.models.graph_sizes import GraphSizes
 from foten.models.texture_file import Texture
 from foten.runtime.binding import LIBRARIES, kernel_file
 
@@ -26,7 +27,7 @@ def write_unity(texture: Texture, folder: Path) -> str:
     Raises:
         ValueError: the texture is a network that is run by ONNX Runtime, which the kernel does not.
     """
-    if texture.sizes.in_graph:
+    if isinstance(texture.sizes, GraphSizes):
         runs = "the network of this texture is run by ONNX Runtime, which the package does not hold"
         raise ValueError(f"{runs}: export a texture of foten-plus, foten or ar")
     name = identifier(str(texture.card["texture"]))

@@ -1,33 +1,30 @@
-"""Every model once more in NumPy and float64, written to be read: makes golden samples and is the oracle of tests.
+"""The definition of any model that the kernel runs: NumPy, float64, written to be read.
 
-Nothing that a user calls renders with it: that is the kernel's.
+Training makes golden samples with it, and tests hold the kernel against it; nothing that a user calls renders with it.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from numpy.typing import NDArray
 
-from foten.dsp import Array
 from foten.models.excitation import Excitation
 from foten.models.foten.definition import Network
+from foten.models.foten.sizes import TransformerSizes
 from foten.models.foten_plus.definition import FotenPlus
+from foten.models.foten_plus.sizes import FotenPlusSizes
+from foten.models.model_sizes import ModelSizes
 from foten.models.piecewise_ar.definition import PiecewiseAr
-from foten.models.registry import FotenPlusSizes, FotenSizes, PiecewiseArSizes, Sizes, TenSizes
+from foten.models.piecewise_ar.sizes import PiecewiseArSizes
 from foten.models.stream import Model
 from foten.models.window_model import WindowModel
 
 
-def model_of(
-    sizes: Sizes, tensors: Mapping[str, NDArray[Any]], network: Callable[[Array], Array] | None = None
-) -> Model:
-    """Return the model of a texture's tensors; a graph's has a network: windows (b, m, 3) scaled → (b,) scaled."""
+def model_of(sizes: ModelSizes, tensors: Mapping[str, NDArray[Any]]) -> Model:
+    """The model of a texture's tensors."""
     if isinstance(sizes, FotenPlusSizes):
         return FotenPlus(sizes, tensors)
     if isinstance(sizes, PiecewiseArSizes):
         return PiecewiseAr(sizes, tensors)
-    if network is None:
-        assert isinstance(sizes, FotenSizes | TenSizes)
-        network = Network(sizes, tensors)
-    excitation = Excitation(tensors) if sizes.excited else None
-    return WindowModel(network, sizes.window, excitation, sizes.from_noise)
+    assert isinstance(sizes, TransformerSizes)
+    return WindowModel(Network(sizes, tensors), sizes.window, Excitation.of(tensors) if sizes.excited else None)

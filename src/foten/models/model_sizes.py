@@ -1,64 +1,58 @@
-"""What every family of models says of itself, whichever framework trains it and whichever engine runs it."""
+"""What every model says of its sizes, whichever framework trains it and whichever engine runs it."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
 from typing import Any, ClassVar
 
-LONGEST_WINDOW = 512  # samples that the kernel's networks are given
-LONGEST_GRAPH_WINDOW = 4096  # and a graph
-LARGEST_COUNT = 65536  # bounds what a damaged file can make a program allocate
-LEAST_COUNT = {"window": 2, "ma": 0, "n_tones": 0, "n_bands": 2, "n_models": 3}
+MAX_WINDOW = 512  # samples that the kernel's networks are given
+MAX_COUNT = 65536  # bounds what a damaged file can make a program allocate
+MIN_COUNTS = {"window": 2, "ma": 0, "n_tones": 0, "n_bands": 2, "n_models": 3}
 """Of those that may be 0, or not 1."""
 
-Shapes = dict[str, tuple[int, ...]]
+Shapes = dict[str, tuple[int | None, ...]]
+"""Of tensors by name; None for any length."""
 
 
 @dataclass(frozen=True)
-class Sizes:
+class ModelSizes:
     """The sizes of one model, as its texture file has them; each is of its default's type."""
 
     window: int = 20  # m, samples that its network or filter is given
-    in_graph: ClassVar[bool] = False  # whether a file holds it as a graph for ONNX Runtime
-    from_noise: ClassVar[bool] = False  # whether it makes samples from noise, and predicts none
+    max_window: ClassVar[int] = MAX_WINDOW
 
     def __post_init__(self) -> None:
-        longest = LONGEST_GRAPH_WINDOW if self.in_graph else LONGEST_WINDOW
         for field in fields(self):
             name, size = field.name, getattr(self, field.name)
             if type(field.default) is int:
-                check_count(name, size, LEAST_COUNT.get(name, 1), longest if name == "window" else LARGEST_COUNT)
+                check_count(name, size, MIN_COUNTS.get(name, 1), self.max_window if name == "window" else MAX_COUNT)
             elif type(field.default) is bool and not isinstance(size, bool):
                 raise ValueError(f"{name} is {shortened(size)}, expected true or false")
 
     @property
     def history(self) -> int:
-        """Return how many samples a prediction is given."""
+        """How many samples a prediction is given."""
         return self.window
 
     @property
     def excited(self) -> bool:
-        """Return whether there is an excitation of its own."""
+        """Whether there is an excitation of its own."""
         return False
 
     def tensor_shapes(self) -> Shapes:
-        """Return the name and shape of every tensor in a texture file; linear maps are (outputs, inputs)."""
+        """Name and shape of every tensor in a texture file; linear maps are (outputs, inputs)."""
         return {}
 
-    def multiply_adds(self) -> int:
-        """Return the multiplications and additions in pairs that a rendered sample costs; refuse a graph, whose card has them.
-
-        Raises:
-            ValueError: it is run as a graph, whose card has them.
-        """
-        raise ValueError("what a graph costs is in its card, under metrics")
+    def multiply_adds(self) -> int | None:
+        """Multiplications and additions in pairs that a rendered sample costs; None where the card alone knows."""
+        return None
 
     def to_card(self) -> dict[str, Any]:
-        """Return the sizes as plain JSON values."""
+        """The sizes as plain JSON values."""
         return {name: list(size) if isinstance(size, tuple) else size for name, size in asdict(self).items()}
 
 
-def check_count(name: str, value: object, minimum: int, maximum: int = LARGEST_COUNT) -> None:
+def check_count(name: str, value: object, minimum: int, maximum: int = MAX_COUNT) -> None:
     """Refuse what is no whole number from `minimum` to `maximum`, by default the largest of any model."""
     if type(value) is not int or value < minimum:
         raise ValueError(f"{name} is {shortened(value)}, expected a whole number, {minimum} or more")
@@ -73,7 +67,7 @@ def check_heads(width: int, n_heads: int) -> None:
 
 
 def shortened(value: object) -> str:
-    """Return a value for an error message, at most 40 characters of it."""
+    """A value for an error message, at most 40 characters of it."""
     try:
         text = repr(value)
     except ValueError:  # an integer of more digits than Python writes

@@ -1,44 +1,42 @@
-"""The families of models, free of any framework, one file each: sizes, tensor shapes, cost, limits."""
+"""The models that the kernel runs, by the key that names each on the command line and in a card; and the sizes of any file."""
+
+from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-from foten.baselines import sizes as graphs
-from foten.models.foten.sizes import FotenSizes
-from foten.models.foten.ten_sizes import TenSizes
+from foten.models.foten.sizes import FotenSizes, TenSizes
 from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.models.model_sizes import Sizes, shortened
+from foten.models.graph_sizes import GraphSizes
+from foten.models.model_sizes import ModelSizes
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
 
-FAMILIES: dict[str, type[Sizes]] = {
+MODELS: dict[str, type[ModelSizes]] = {
     "foten-plus": FotenPlusSizes,
     "foten": FotenSizes,
     "ten": TenSizes,
     "ar": PiecewiseArSizes,
-    "ten-mfcc": graphs.TenMfccSizes,
-    "ten-wavelet": graphs.TenWaveletSizes,
-    "foten-d": graphs.FotenDSizes,
-    "fnn": graphs.FnnSizes,
-    "dstn": graphs.DstnSizes,
-    "hapinf": graphs.HapinfSizes,
-    "ldhtd": graphs.LdhtdSizes,
-    "dftnet": graphs.DftnetSizes,
-    "gan": graphs.GanSizes,
 }
-"""By the key that names a model on the command line and in a card."""
 
 
-def sizes_of(model: str, card: Mapping[str, Any]) -> Sizes:
-    """Return the sizes that a card gives for a model.
+def sizes_of(model: str, card: Mapping[str, Any]) -> ModelSizes:
+    """The sizes that a card gives for a model; one that the kernel does not run is a graph's.
 
     Raises:
-        ValueError: the model or a size is unknown, or a size is out of range.
+        ValueError: a size is unknown or out of range.
     """
-    if model not in FAMILIES:
-        raise ValueError(f"unknown model {shortened(model)}, expected one of {', '.join(FAMILIES)}")
-    known = [field.name for field in fields(FAMILIES[model])]
+    return checked_sizes(model, MODELS.get(model, GraphSizes), card)
+
+
+def checked_sizes(model: str, kind: type[ModelSizes], card: Mapping[str, Any]) -> ModelSizes:
+    """Sizes of a kind from values by name.
+
+    Raises:
+        ValueError: a size is unknown or out of range.
+    """
+    known = [field.name for field in fields(kind)]
     unknown = set(card) - set(known)
     if unknown:
         raise ValueError(f"{model} has no size {min(unknown)!r}, expected one of {', '.join(known)}")
-    return FAMILIES[model](**card)
+    return kind(**card)

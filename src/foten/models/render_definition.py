@@ -6,9 +6,9 @@ import numpy as np
 
 from foten.dsp import Array
 from foten.dsp.noise import gaussian
-from foten.models.conditions import FADE_FORCE, FADE_SPEED, FURTHEST
+from foten.models.conditions import EXTRAPOLATION_LIMIT, FADE_FORCE, FADE_SPEED
 from foten.models.definitions import model_of
-from foten.models.stream import run
+from foten.models.stream import Model, run
 from foten.models.texture_file import Texture
 
 FIRST_INITIAL = 2**63  # the first of the noise numbers that streams begin with: no rendering lasts that long
@@ -21,9 +21,9 @@ def render(
     seed: int = 0,
     n_streams: int = 1,
     excitation: bool = True,
-    network: object = None,
+    model: Model | None = None,
 ) -> Array:
-    """Return the acceleration of a stroke from its beginning [m/s²], shape (n_streams, n).
+    """Acceleration of a stroke from its beginning [m/s²], shape (n_streams, n).
 
     The closed loop times a fade that falls linearly to zero, with speed below the trained range (at least below 5 mm/s) and with
     force likewise (at least below 0.1 N): a still pen does not buzz, whatever was recorded. Where the gain comes before the
@@ -40,17 +40,17 @@ def render(
         speed, force: at the texture's rate [mm/s, N], shape (n,).
         seed, n_streams: of the noise; stream k of it is stream k here.
         excitation: False runs the deterministic loop from the warm start.
-        network: of a graph, as `model_of` has it.
+        model: of a graph; the definition of the texture's own by default.
     """
     names = ("speed", "force")
     low, high = np.array([texture.trained_range(name) for name in names]).T
-    exponents = np.array([texture.beyond_exponent(name) for name in names])
-    scaling, sizes = texture.scaling, texture.sizes
+    exponents = np.array([texture.extrapolation_exponent(name) for name in names])
+    scaling = texture.scaling
     physical = np.stack([speed, force], axis=1)
-    kept = np.minimum(physical, FURTHEST * high)
+    extrapolated = np.minimum(physical, EXTRAPOLATION_LIMIT * high)
     scaled = (np.clip(physical, low, high) - scaling.mean[1:]) / np.array(scaling.sd[1:])
-    condition = np.repeat(np.concatenate([scaled, kept[:, :1]], axis=1)[None], n_streams, axis=0)
-    model = model_of(sizes, texture.tensors, network)  # type: ignore[arg-type]
+    condition = np.repeat(np.concatenate([scaled, extrapolated[:, :1]], axis=1)[None], n_streams, axis=0)
+    model = model or model_of(texture.sizes, texture.tensors)
     warm_start = texture.tensors["warm_start"].astype(np.float64)
     stream = model.start(np.repeat(warm_start[None], n_streams, axis=0))
     random = excitation and texture.has_excitation
@@ -63,5 +63,5 @@ def render(
         stream.begin(condition[:, 0], noise(FIRST_INITIAL, stream.n_initial), float(fade[0]))
     drawn = noise(0, len(speed)) if random else None
     vibration = run(stream, condition, drawn, float(texture.card["saturation"]), fade)
-    growth = (np.maximum(kept / high, 1.0) ** exponents).prod(axis=1)
+    growth = (np.maximum(extrapolated / high, 1.0) ** exponents).prod(axis=1)
     return (vibration * scaling.sd[0] + scaling.mean[0] * fade) * growth

@@ -1,4 +1,4 @@
-"""What a model in NumPy offers, and its closed loop (Sec. V); all scaled."""
+"""What the definition of a model offers, and its closed loop (Sec. V); all scaled."""
 
 from __future__ import annotations
 
@@ -7,8 +7,16 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from foten.dsp import Array
-from foten.dsp.noise import heavy_tailed
-from foten.models.foten_plus.innovation_network import Mixture
+
+
+class Distribution(Protocol):
+    """How the next innovation of s streams is distributed."""
+
+    def expected(self) -> Array:
+        """Its means, (s,)."""
+
+    def quantile(self, noise: Array) -> Array:
+        """The values below which lies Φ(z), for standard normal numbers z (s,)."""
 
 
 class Prediction(NamedTuple):
@@ -16,29 +24,28 @@ class Prediction(NamedTuple):
 
     sample: Array
     scale: Array | None = None  # by how much a unit of excitation moves it; None for no excitation
-    tail: Array | None = None  # h of z·exp(h z²/2); None for Gaussian noise
-    largest: tuple[float, float] = (np.inf, np.inf)  # excitation, in units of the scale and of scaled acceleration
-    mixture: Mixture | None = None  # of the excitation, in units of the scale, its mean in the sample; None for noise
+    innovation_limit: tuple[float, float] = (np.inf, np.inf)  # in units of the scale, and of scaled acceleration
+    mixture: Distribution | None = (
+        None  # of the innovation, in units of the scale, its mean in the sample; None for noise
+    )
     # Where near rest what enters a lattice fades, and not what leaves it: the sample without innovation, and the tones in it.
     linear: Array | None = None
     tone: Array | float = 0.0
 
     def excited(self, noise: Array) -> Array:
-        """Return the sample with excitation from standard normal noise, shape (s,)."""
+        """The sample with excitation from standard normal noise, shape (s,)."""
         if self.scale is None:
             return self.sample
-        if self.tail is None:
-            return self.sample + self.scale * noise
-        limit = largest_of(self.largest, self.scale)
-        if self.mixture is not None:
-            drawn, expected = (
-                np.clip(of, -limit, limit) for of in (self.mixture.quantile(noise), self.mixture.expected())
-            )
-            return self.sample + self.scale * (drawn - expected)
-        return self.sample + self.scale * heavy_tailed(noise, self.tail, limit)
+        limit = limit_of(self.innovation_limit, self.scale)
+        if self.mixture is None:
+            return self.sample + self.scale * np.clip(noise, -limit, limit)
+        drawn, expected = (
+            np.clip(values, -limit, limit) for values in (self.mixture.quantile(noise), self.mixture.expected())
+        )
+        return self.sample + self.scale * (drawn - expected)
 
     def faded(self, noise: Array | None, fade: Array | float) -> tuple[Array, Array]:
-        """Return what leaves with a fade near rest, and what the stream goes on from, (s,) each; of noise or None."""
+        """What leaves with a fade near rest, and what the stream goes on from, (s,) each; of noise or None."""
         sample = self.sample if noise is None else self.excited(noise)
         if self.linear is None:
             return fade * sample, sample
@@ -46,9 +53,9 @@ class Prediction(NamedTuple):
         return residual + fade * self.tone, residual + self.tone
 
 
-def largest_of(largest: tuple[float, float], scale: Array) -> Array:
-    """Return the largest excitation in units of its scale, (s,), from that and that of scaled acceleration."""
-    return np.minimum(largest[0], largest[1] / scale)
+def limit_of(innovation_limit: tuple[float, float], scale: Array) -> Array:
+    """The largest innovation in units of its scale, (s,), from that and that of scaled acceleration."""
+    return np.minimum(innovation_limit[0], innovation_limit[1] / scale)
 
 
 class Stream(Protocol):
@@ -59,17 +66,17 @@ class Stream(Protocol):
 
     @property
     def bounded(self) -> bool:
-        """Return whether they stay within bounds on their own output, however speed and force move."""
+        """Whether they stay within bounds in the closed loop, however speed and force move."""
 
     @property
     def n_initial(self) -> int:
-        """Return how many numbers of noise a stream takes to `begin`."""
+        """How many numbers of noise a stream takes to `begin`."""
 
     def begin(self, condition: Array, noise: Array, fade: float = 1.0) -> None:
         """Take a state as after a long time under one condition (s, 3), whatever was before; standard normal (s, n_initial)."""
 
     def predict(self) -> Prediction:
-        """Return the next samples, shape (s,)."""
+        """The next samples, shape (s,)."""
 
     def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
         """Take in the next samples (s,), the condition (s, 3) that goes with them, and the noise in them."""
@@ -79,16 +86,16 @@ class Model(Protocol):
     """A model: one step ahead from windows, and streams of it."""
 
     def predict(self, windows: Array) -> Array:
-        """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
+        """The next samples: windows (b, m, 3) scaled → (b,) scaled."""
 
     def start(self, windows: Array) -> Stream:
-        """Return streams that go on from scaled windows, shape (s, m, 3)."""
+        """Streams that go on from scaled windows, shape (s, m, 3)."""
 
 
 def run(
     stream: Stream, condition: Array, noise: Array | None, limit: float = np.inf, fade: Array | None = None
 ) -> Array:
-    """Return n samples of each stream's closed loop, shape (s, n).
+    """n samples of each stream's closed loop, shape (s, n).
 
     A sample is predicted under the condition of the one before (Eq. 1). What the saturator cuts off is cut from what leaves; a
     bounded stream goes on from its uncut sample, since the innovation of a cut one would be as large as the cut over the gain of

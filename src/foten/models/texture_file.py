@@ -5,11 +5,11 @@ Header metadata: ``{"foten": "<card as JSON>"}``. Never pickle. Beside the netwo
 =====================  ============  =======================================================================
 ``warm_start``         (m, 3)        scaled window that the closed loop starts from
 ``golden.windows``     (k, m, 3)     scaled windows
-``golden.one_step``    (k,)          what the reference predicted from them, in float64
+``golden.one_step``    (k,)          what the definition predicted from them, in float64
 ``golden.sigma``       (k,)          by how much a unit of excitation moves the next sample (where there is one)
 ``golden.condition``   (64, 2)       scaled speed and force of a closed loop from ``warm_start``
 ``golden.closed_loop`` (64,)         its scaled output in float64, with excitation of seed 0 (where there is one)
-``graph``              (k,)          bytes of an ONNX graph, of a model that ONNX Runtime runs, in place of the network's tensors
+``graph``              (k,)          bytes of a network that the kernel has no code for, in place of its tensors
 =====================  ============  =======================================================================
 
 What renders and cannot reproduce them within `ONE_STEP_TOLERANCE` and `CLOSED_LOOP_TOLERANCE` refuses the file.
@@ -29,26 +29,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.atomic_write import atomic_write
-from foten.models.model_sizes import Sizes, shortened
-from foten.models.registry import sizes_of
+from foten.models.graph_sizes import GRAPH
+from foten.models.model_sizes import ModelSizes, shortened
+from foten.models.registry import MODELS, sizes_of
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
 from foten.untrusted import check_numbers, check_regular, parse_json
 
-FORMAT_VERSION = 4
+FORMAT_VERSION = 5
 ONE_STEP_TOLERANCE = 1e-5  # scaled; float32 arithmetic of the network
 CLOSED_LOOP_TOLERANCE = 1e-4  # scaled, after 64 steps
 MIN_GOLDEN = 8  # windows
-HIGHEST_HZ = 1e6
-LARGEST = 1e9  # of a number in a tensor; squares of it are finite in float32
+MAX_RATE_HZ = 1e6
+MAX_NUMBER = 1e9  # of a number in a tensor; squares of it are finite in float32
 _MAX_HEADER = 100_000_000  # bytes; the safetensors limit
 
 _CARD: Mapping[type | tuple[type, ...], str] = {
     int: "format_version window",
     (int, float): "rate_hz saturation lowpass_hz delay_ms",
     str: "model texture tool sensors notes licence recording_sha256 split_sha256",
-    dict: "sizes units scaling trained_range beyond_exponents warm_start preprocess training metrics",
+    dict: "sizes units scaling trained_range extrapolation_exponents warm_start preprocess training metrics",
     (dict, type(None)): "split",
 }
 """What a card must hold, by JSON type; a texture that was not trained here has no split."""
@@ -67,52 +68,52 @@ class Texture:
 
     @property
     def rate_hz(self) -> float:
-        """Return the model's rate [Hz]."""
+        """The model's rate [Hz]."""
         return float(self.card["rate_hz"])
 
     @property
     def window(self) -> int:
-        """Return m, how many samples a prediction is given."""
+        """m, how many samples a prediction is given."""
         return int(self.card["window"])
 
     @property
-    def sizes(self) -> Sizes:
-        """Return the model's sizes."""
+    def sizes(self) -> ModelSizes:
+        """The model's sizes."""
         return sizes_of(self.card["model"], self.card["sizes"])
 
     @property
     def scaling(self) -> Scaling:
-        """Return the scaling of acceleration, speed and force."""
+        """The scaling of acceleration, speed and force."""
         fields = self.card["scaling"]
         return Scaling(mean=tuple(fields["mean"]), sd=tuple(fields["sd"]))
 
     @property
     def unit(self) -> str:
-        """Return the unit of the acceleration as people read it: m/s², or relative to the recording's RMS."""
+        """The unit of the acceleration as people read it: m/s², or relative to the recording's RMS."""
         return self.card["units"].get("acceleration", "m/s^2").replace("^2", "²")
 
     @property
     def has_excitation(self) -> bool:
-        """Return whether there is a random part."""
+        """Whether there is a random part."""
         return self.sizes.excited or not self.predicts_samples
 
     @property
     def predicts_samples(self) -> bool:
-        """Return whether the model predicts samples; one of spectra makes them from noise, and predicts none."""
+        """Whether the model predicts samples; one of spectra makes them from noise, and predicts none."""
         return self.card["split"] is None or self.card["metrics"].get("validation_mae_scaled") is not None
 
     def trained_range(self, channel: str) -> tuple[float, float]:
-        """Return the lowest and highest trained `speed` [mm/s] or `force` [N]."""
+        """Lowest and highest trained `speed` [mm/s] or `force` [N]."""
         low, high = self.card["trained_range"][channel]
         return float(low), float(high)
 
-    def beyond_exponent(self, channel: str) -> float:
-        """Return the power of `speed` or `force` that the level grows with above its trained range."""
-        return float(self.card["beyond_exponents"][channel])
+    def extrapolation_exponent(self, channel: str) -> float:
+        """The power of `speed` or `force` that the level grows with above its trained range."""
+        return float(self.card["extrapolation_exponents"][channel])
 
-    def beyond_in_words(self) -> str:
-        """Return how the level goes on above the trained range: where it grows, and where and why it is held."""
-        powers = {name: self.beyond_exponent(name) for name in ("speed", "force")}
+    def extrapolation_in_words(self) -> str:
+        """How the level goes on above the trained range: where it grows, and where and why it is held."""
+        powers = {name: self.extrapolation_exponent(name) for name in ("speed", "force")}
         grows = " and ".join(f"{name}^{power:.2g}" for name, power in powers.items() if power)
         held = " and ".join(name for name, power in powers.items() if not power)
         ours = self.card["model"] == "foten-plus"
@@ -123,7 +124,7 @@ class Texture:
         return f"{text}; with {held} it is held: {why}" if held else text
 
     def to_bytes(self) -> bytes:
-        """Return the file's bytes; the same texture gives the same bytes."""
+        """The file's bytes; the same texture gives the same bytes."""
         from safetensors.numpy import save
 
         check_card(self.card)
@@ -132,7 +133,7 @@ class Texture:
         return bytes(save(tensors, metadata={"foten": card}))
 
     def sha256(self) -> str:
-        """Return the digest of the file's bytes."""
+        """The digest of the file's bytes."""
         return hashlib.sha256(self.to_bytes()).hexdigest()
 
 
@@ -143,7 +144,7 @@ def write_texture(texture: Texture, path: Path) -> None:
 
 
 def read_texture(path: Path | str) -> Texture:
-    """Return the texture in a file.
+    """The texture in a file.
 
     Raises:
         OSError: there is none, or it cannot be read.
@@ -158,7 +159,7 @@ def read_texture(path: Path | str) -> Texture:
 
 
 def texture_from_bytes(data: bytes) -> Texture:
-    """Return the texture in a file's bytes; errors as `read_texture`."""
+    """The texture in a file's bytes; errors as `read_texture`."""
     from safetensors import SafetensorError
     from safetensors.numpy import load
 
@@ -214,13 +215,13 @@ def check_card(card: Any) -> None:
     for key in ("rate_hz", "saturation", "lowpass_hz"):
         if not (_are_numbers([card[key]], 1) and card[key] > 0):
             raise ValueError(f"{key!r} in the card is {card[key]}, expected a positive number")
-    if not (card["rate_hz"] <= HIGHEST_HZ and 1e-3 <= card["lowpass_hz"] < card["rate_hz"] / 2):
+    if not (card["rate_hz"] <= MAX_RATE_HZ and 1e-3 <= card["lowpass_hz"] < card["rate_hz"] / 2):
         raise ValueError(
             f"the card has a rate of {card['rate_hz']} Hz and a low-pass of {card['lowpass_hz']} Hz, expected up to "
-            f"{HIGHEST_HZ:g} Hz, and from 0.001 Hz to half of that"
+            f"{MAX_RATE_HZ:g} Hz, and from 0.001 Hz to half of that"
         )
     for channel in ("speed", "force"):
-        bounds, exponent = card["trained_range"].get(channel), card["beyond_exponents"].get(channel)
+        bounds, exponent = card["trained_range"].get(channel), card["extrapolation_exponents"].get(channel)
         if not (_are_numbers(bounds, 2) and 0 <= bounds[0] <= bounds[1]):
             raise ValueError(f"the trained range of {channel} is {bounds!r}, expected [low, high]")
         if not (_are_numbers([exponent], 1) and 0 <= exponent <= 2):
@@ -229,13 +230,13 @@ def check_card(card: Any) -> None:
         raise ValueError("the scaling in the card is not three means and three standard deviations")
     Scaling(mean=tuple(card["scaling"]["mean"]), sd=tuple(card["scaling"]["sd"]))
     try:
-        made = PreprocessConfig(**card["preprocess"])
+        preprocess = PreprocessConfig(**card["preprocess"])
         if card["split"] is not None:
             Split.from_fields(card["split"])
     except (TypeError, KeyError, AttributeError, OverflowError) as error:
         raise ValueError(f"the preprocessing or the split in the card is incomplete ({error})") from error
-    if made.rate_hz != card["rate_hz"]:
-        raise ValueError(f"the card has a rate of {card['rate_hz']} Hz and preprocessing to {made.rate_hz} Hz")
+    if preprocess.rate_hz != card["rate_hz"]:
+        raise ValueError(f"the card has a rate of {card['rate_hz']} Hz and preprocessing to {preprocess.rate_hz} Hz")
     if card["split"] is None:
         return
     if not any(_are_numbers([card["metrics"].get(name)], 1) for name in _VALIDATED):
@@ -247,7 +248,7 @@ def check_card(card: Any) -> None:
 
 
 def _are_numbers(values: Any, n: int) -> bool:
-    """Return whether a JSON value is a list of n numbers that a float64 or an int64 holds."""
+    """Whether a JSON value is a list of n numbers that a float64 or an int64 holds."""
     if not isinstance(values, list) or len(values) != n:
         return False
     return all(type(v) in (int, float) and abs(v) < 2**63 for v in values)  # NaN compares false
@@ -256,14 +257,14 @@ def _are_numbers(values: Any, n: int) -> bool:
 def _check_tensors(texture: Texture) -> None:
     sizes = texture.sizes
     for name, tensor in texture.tensors.items():
-        if sizes.in_graph and name == "graph" and tensor.dtype == np.uint8 and tensor.ndim == 1:
+        if name == GRAPH and tensor.dtype == np.uint8:
             continue
         if tensor.dtype not in (np.float32, np.float64):
             raise ValueError(f"tensor {name!r} is {tensor.dtype}, expected float32 or float64")
         if not np.isfinite(tensor).all():
             raise ValueError(f"tensor {name!r} holds NaN or infinity")
-        if tensor.size and np.abs(tensor).max() > LARGEST:
-            raise ValueError(f"tensor {name!r} holds {np.abs(tensor).max():g}, expected {LARGEST:g} at most")
+        if tensor.size and np.abs(tensor).max() > MAX_NUMBER:
+            raise ValueError(f"tensor {name!r} holds {np.abs(tensor).max():g}, expected {MAX_NUMBER:g} at most")
     m, n_golden = texture.window, len(texture.tensors.get("golden.one_step", ()))
     if n_golden < MIN_GOLDEN:
         raise ValueError(f"the file holds {n_golden} golden windows, expected {MIN_GOLDEN} or more: it proves nothing")
@@ -275,12 +276,15 @@ def _check_tensors(texture: Texture) -> None:
         "golden.condition": (64, 2),
         "golden.closed_loop": (64,),
         **({"golden.sigma": (n_golden,)} if sizes.excited else {}),
-        **({"graph": np.shape(texture.tensors.get("graph", ()))} if sizes.in_graph else {}),
     }
+    if GRAPH in shapes and GRAPH not in texture.tensors:
+        raise ValueError(
+            f"unknown model {shortened(texture.card['model'])}, expected one of {', '.join(MODELS)}, or a graph"
+        )
     for name, shape in shapes.items():
-        given = texture.tensors[name].shape if name in texture.tensors else None
-        if given != shape:
-            raise ValueError(f"tensor {name!r} has shape {given}, expected {shape}")
+        actual = texture.tensors[name].shape if name in texture.tensors else ()
+        if len(actual) != len(shape) or any(n not in (None, m) for n, m in zip(shape, actual, strict=True)):
+            raise ValueError(f"tensor {name!r} has shape {actual}, expected {shape}")
     unknown = set(texture.tensors) - set(shapes)
     if unknown:
         raise ValueError(f"the file holds a tensor {min(unknown)!r} that {texture.card['model']!r} does not have")

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
-from foten.models.model_sizes import Sizes
+from foten.models.graph_sizes import GRAPH
+from foten.models.model_sizes import ModelSizes
 
-GRAPH = "graph"  # the tensor that holds one, as bytes
 INPUT, NOISE, OUTPUT = "windows", "noise", "next"
 # What our networks are made of. A file is not trusted: nothing that repeats, branches, reads other files or is somebody's own.
 _OPERATORS = re.compile(
@@ -31,7 +31,7 @@ class OnnxPredictor:
         ValueError: onnxruntime is not installed, or the graph is damaged or another one.
     """
 
-    def __init__(self, sizes: Sizes, tensors: Mapping[str, NDArray[Any]]) -> None:
+    def __init__(self, sizes: ModelSizes, tensors: Mapping[str, NDArray[Any]]) -> None:
         self.window = sizes.history
         self._session = _session(tensors[GRAPH].tobytes())
         inputs, outputs = self._session.get_inputs(), self._session.get_outputs()

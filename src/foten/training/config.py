@@ -18,7 +18,7 @@ class TrainConfig:
     epochs: int = 12  # at most
     patience: int = 10  # epochs without a better validation loss; Sec. IV-e
     probation: int = 3  # epochs in which a network has to gain something; more than `epochs` for none
-    least_gain: float = 1e-3  # of the one-step validation error, over the network before training
+    min_gain: float = 1e-3  # of the one-step validation error, over the network before training
     batch: int = 128  # windows
     optimiser: str = "muon"  # orthogonalised momentum for matrices (`training.optimiser`); or "adamw" for all
     matrix_learning_rate: float = 3e-3  # of that, at its highest
@@ -35,9 +35,9 @@ class TrainConfig:
     table: bool = True  # try reflection coefficients that follow speed and force
     gain_before_filter: bool = True  # try the level before the lattice as well as after it
     tones: bool = True  # try tones of the path
-    tails: bool = True  # try an excitation with heavy tails
-    volatility: bool = True  # give the excitation volatility, where the recording is spikier than the free run
-    own_output: bool = True  # train the network of a rendering on its own output, once it is fitted by likelihood
+    closed_loop_training: bool = (
+        True  # train the network of a rendering in its closed loop, once it is fitted by likelihood
+    )
     seed: int = 0  # of the initial weights, the order of windows and dropout
     threads: int = 2  # each takes a share of every batch; part of what makes a file reproducible
 
@@ -104,10 +104,10 @@ OWN_RECIPES: dict[str, dict[str, Any]] = {
 }
 """What a model changes of a recipe: losses of Sec. VI-d for TEN's variants, and for the others, where nothing is stated, ours."""
 UNUSED: dict[str, tuple[str, ...]] = {
-    "foten-plus": ("loss", "delta", "dropout", "matrix_learning_rate", "probation", "least_gain"),
+    "foten-plus": ("loss", "delta", "dropout", "matrix_learning_rate", "probation", "min_gain"),
     "gan": (
         *("loss", "delta", "dropout", "threads", "weight_decay", "schedule", "clip_norm"),
-        *("optimiser", "matrix_learning_rate", "probation", "least_gain"),
+        *("optimiser", "matrix_learning_rate", "probation", "min_gain"),
     ),
 }
 """Settings that are nothing to a model: foten-plus has a likelihood for a loss, the GAN what judges it."""

@@ -33,15 +33,15 @@ from foten.dsp.bands import BAND_FRAME_MS, N_BANDS, envelope_edges
 
 LAGS = (1, 2, 3, 4, 6, 8, 12)  # frames over which a band may go on
 POOLED = (1, 2, 4, 8, 16, 32)  # frames of a stretch of all bands
-STRETCHES = 0.3  # weight of these beside the statistics
+STRETCH_WEIGHT = 0.3  # weight of these beside the statistics
 FLOOR = 1e-4  # of the mean energy of a band, as a listener's
-LEAST_FRAMES = 8  # of a stroke in an excerpt, for its statistics to be any
-_LEAST_VARIANCE, _LEAST_SQUARE = 1e-3, 1e-4
+MIN_FRAMES = 8  # of a stroke in an excerpt, for its statistics to be any
+_MIN_VARIANCE, _MIN_SQUARE = 1e-3, 1e-4
 
 
 @lru_cache(maxsize=4)
 def _responses(n: int, rate_hz: float) -> Tensor:
-    """Return the band-passes of `dsp.bands` at the frequencies of a transform of n samples, (N_BANDS, n // 2 + 1)."""
+    """The band-passes of `dsp.bands` at the frequencies of a transform of n samples, (N_BANDS, n // 2 + 1)."""
     from scipy.signal import butter, sosfreqz
 
     frequencies = np.fft.rfftfreq(n, 1 / rate_hz)
@@ -53,7 +53,7 @@ def _responses(n: int, rate_hz: float) -> Tensor:
 
 
 def energies(signals: Tensor, rate_hz: float) -> Tensor:
-    """Return what `dsp.bands.band_energies` does, but for what rings on: signals (…, n) → (…, N_BANDS, n_frames)."""
+    """What `dsp.bands.band_energies` does, but for what rings on: signals (…, n) → (…, N_BANDS, n_frames)."""
     n, frame = signals.shape[-1], round(BAND_FRAME_MS * rate_hz / 1000)
     length = n + round(0.25 * rate_hz)  # in which the lowest band rings out, and does not come round
     spectra = torch.fft.rfft(signals, length)[..., None, :] * _responses(length, rate_hz)
@@ -61,7 +61,7 @@ def energies(signals: Tensor, rate_hz: float) -> Tensor:
     return bands.reshape(*bands.shape[:-1], n // frame, frame).square().mean(dim=-1)
 
 
-class Likeness:
+class EnvelopeEnergyDistance:
     """A loss of renderings against what was recorded, in units of how much recorded excerpts vary."""
 
     def __init__(self, recorded: Array, moving: NDArray[np.bool_], rate_hz: float) -> None:
@@ -75,7 +75,7 @@ class Likeness:
         self._unit = self._statistics(known, counted).std(dim=0).clamp_min(1e-6)
 
     def __call__(self, drawn: Tensor, recorded: Tensor, prefix: Tensor, moving: Tensor) -> Tensor:
-        """Return the loss of two renderings each (2, k, n) of excerpts (k, n), both after what was recorded before (k, m).
+        """The loss of two renderings each (2, k, n) of excerpts (k, n), both after what was recorded before (k, m).
 
         Args:
             moving: the frames of the excerpts that are of a stroke, (k, f).
@@ -87,10 +87,10 @@ class Likeness:
         of_statistics = [self._statistics(one, moving) / self._unit for one in (first, second, truth)]
         loss = _energy_distance(*(one[..., None] for one in of_statistics))
         stretches = zip(*(self._stretches(one, moving) for one in (first, second, truth)), strict=True)
-        return loss + STRETCHES * torch.stack([_energy_distance(*one) for one in stretches]).mean()
+        return loss + STRETCH_WEIGHT * torch.stack([_energy_distance(*one) for one in stretches]).mean()
 
     def _statistics(self, energy: Tensor, moving: Tensor) -> Tensor:
-        """Return what describes excerpts (k, N_BANDS, f) whose frames move or rest (k, f): (k, n_statistics).
+        """What describes excerpts (k, N_BANDS, f) whose frames move or rest (k, f): (k, n_statistics).
 
         All zero where an excerpt is too short.
         """
@@ -99,7 +99,7 @@ class Likeness:
         n = counts.sum(dim=-1).clamp_min(1)
         mean = logs.sum(dim=-1) / n
         off = counts * (logs - mean[..., None])
-        variance = off.square().sum(dim=-1) / n + _LEAST_VARIANCE
+        variance = off.square().sum(dim=-1) / n + _MIN_VARIANCE
         sd = variance.sqrt()
 
         def pairs(lag: int) -> Tensor:
@@ -117,10 +117,10 @@ class Likeness:
         leads = later - later.transpose(-1, -2)
         asymmetry = unit.pow(3).sum(dim=-1) / n
         described = torch.cat([mean, sd, *goes_on, asymmetry, alike[..., row, column], leads[..., row, column]], dim=-1)
-        return described * (n >= LEAST_FRAMES)
+        return described * (n >= MIN_FRAMES)
 
     def _stretches(self, energy: Tensor, moving: Tensor) -> list[Tensor]:
-        """Return log energies of all bands over two stretches in a row, for stretches of several lengths: (k, any, 2 N_BANDS).
+        """Log energies of all bands over two stretches in a row, for stretches of several lengths: (k, any, 2 N_BANDS).
 
         Zero where all of a stretch is at rest.
         """
@@ -139,11 +139,11 @@ class Likeness:
 
 
 def _energy_distance(first: Tensor, second: Tensor, recorded: Tensor) -> Tensor:
-    """Return the mean of |x − y| − ½ |x − x'| over vectors along the last axis, equal shapes."""
+    """The mean of |x − y| − ½ |x − x'| over vectors along the last axis, equal shapes."""
 
     def distance(a: Tensor, b: Tensor) -> Tensor:
         if a.shape[-1] == 1:
             return (a - b).abs().mean()
-        return (a - b).square().sum(dim=-1).add(_LEAST_SQUARE).sqrt().mean()
+        return (a - b).square().sum(dim=-1).add(_MIN_SQUARE).sqrt().mean()
 
     return 0.5 * (distance(first, recorded) + distance(second, recorded) - distance(first, second))

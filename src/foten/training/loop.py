@@ -1,13 +1,17 @@
-"""The loop of epochs: the best validation loss kept, a checkpoint after each, and when to stop."""
+"""The one training loop: gradients that threads share, clipped, averaged; the best weights kept, early stop, checkpoints."""
 
 from __future__ import annotations
 
+import copy
 import csv
 import io
 import math
+import os
 import pickle
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -17,15 +21,16 @@ from torch import Tensor, nn
 
 from foten.atomic_write import atomic_write, reason
 from foten.training.config import TrainConfig
+from foten.training.optimiser import Optimiser
 
 
 @dataclass(frozen=True)
 class Epoch:
     """One line of the log; epoch 0 is the network before training.
 
-    Losses are one-step, of the target's errors (foten-plus: in units of the lattice's innovation, so that a slow light stroke is
-    predicted as carefully as a fast hard one); `validation_mae` is of scaled acceleration, or of what else is the target: log
-    magnitudes [nat] of a model of spectra.
+    Losses are one-step, of the target's errors (foten-plus: of innovations [nat], so that a slow light stroke is predicted as
+    carefully as a fast hard one); `validation_mae` is of scaled acceleration, or of what else is the target: log magnitudes
+    [nat] of a model of spectra.
     """
 
     epoch: int
@@ -38,17 +43,17 @@ class Epoch:
 
 @dataclass
 class Progress:
-    """Everything that a run needs to go on where it stopped."""
+    """Log of a loop, its best weights, and what a run needs to go on where it stopped."""
 
     epochs: list[Epoch] = field(default_factory=list)
     best_loss: float = math.inf
     best_state: dict[str, Tensor] = field(default_factory=dict)
     interrupted: bool = False
-    notes: list[str] = field(default_factory=list)  # what is to be said of the training beside its log, a line each
+    notes: list[str] = field(default_factory=list)  # about the training, beside its log, a line each
 
     @property
     def best(self) -> Epoch:
-        """Return the epoch whose weights are kept."""
+        """The epoch whose weights are kept."""
         return next(line for line in reversed(self.epochs) if line.best)
 
     def add(self, network: nn.Module, epoch: int, train_loss: float, loss: float, error: float, seconds: float) -> None:
@@ -61,63 +66,76 @@ class Progress:
 
 
 class Stateful(Protocol):
-    """What a checkpoint keeps: a network, an optimiser, a schedule."""
+    """What a checkpoint keeps: a network, an optimiser."""
 
     def state_dict(self) -> dict[str, Any]: ...
 
     def load_state_dict(self, state: dict[str, Any], /) -> Any: ...
 
 
-def goes_on(progress: Progress, config: TrainConfig) -> bool:
-    """Return whether another epoch may gain anything; where none has, the progress says so in a note.
+@dataclass(frozen=True)
+class Loop:
+    """What a loop trains, and by which steps."""
 
-    None does where the last `patience` epochs brought no better loss, or where the first `probation` ones lowered the error by
-    less than `least_gain`: what a lattice leaves of a linear process is noise, and a network learns nothing from it however long.
-    """
-    epoch, first = progress.epochs[-1].epoch, progress.epochs[0].validation_mae
-    if epoch - progress.best.epoch >= config.patience:
-        return False
-    gained = 1 - min(line.validation_mae for line in progress.epochs) / first if first > 0 else 0.0
-    if epoch != config.probation or gained >= config.least_gain:
-        return True
-    progress.notes.append(
-        f"the network gains {100 * gained:.2f} % on the validation blocks in {epoch} epochs, less than "
-        f"{100 * config.least_gain:g} %: its training stops there"
+    name: str  # in a checkpoint
+    network: nn.Module  # trained in place, left at its lowest validation loss
+    n_steps: int  # of an epoch
+    step: Callable[[int, int], Tensor]  # moves the weights at epoch 1, 2, … and step 0, 1, …, and gives the loss
+    validate: Callable[
+        [nn.Module], tuple[float, float]
+    ]  # validation loss, and the error of the log (`Epoch.validation_mae`)
+    parts: Mapping[str, Stateful]  # of a checkpoint, beside the network
+    averaging: float = (
+        0.0  # share of the averaged weights that a step leaves; these are validated and kept. 0: no average
     )
-    return False
 
 
-def run_epochs(
-    network: nn.Module,
-    config: TrainConfig,
-    parts: Mapping[str, Stateful],
-    one_epoch: Callable[[int], float],
-    validate: Callable[[], tuple[float, float]],
-    on_epoch: Callable[[Epoch], None],
-    checkpoint: Path | None,
-    resume: bool,
+@dataclass(frozen=True)
+class Monitor:
+    """Who is told of a training while it runs, and where its state is kept."""
+
+    on_stage: Callable[[str], None] = lambda stage: None
+    on_epoch: Callable[[Epoch], None] = lambda epoch: None
+    on_playable: Callable[[Any], None] = lambda texture: None  # a valid texture, long before its network is fitted
+    checkpoint: Checkpoint | None = None  # to go on from, and written after each epoch
+
+
+def run_loop(
+    loop: Loop, config: TrainConfig, monitor: Monitor, on_epoch: Callable[[Epoch], None] | None = None
 ) -> Progress:
-    """Run epochs until there are enough, none gains, or Ctrl-C; leave a network at its best validation loss.
+    """Epochs until there are enough, none gains, or Ctrl-C; the network is left at its best.
+
+    The network before training is epoch 0: one that starts from a linear predictor never has a higher validation loss. Ctrl-C
+    ends the loop and keeps the best so far; before there is one, it goes on to the caller.
 
     Args:
-        parts: what a checkpoint holds.
-        one_epoch: trains for the epoch of that number, and returns its loss.
-        validate: returns the validation loss and the error of the log [`Epoch.validation_mae`].
+        on_epoch: in place of the monitor's.
 
     Raises:
         ValueError: a loss is not finite, or the checkpoint is another run's.
         KeyboardInterrupt: before anything was validated.
     """
-    progress = Progress()
-    if checkpoint is not None and resume:
-        progress = load_progress(checkpoint, config, parts)
-        for line in progress.epochs:
-            on_epoch(line)
+    network, on_epoch = loop.network, on_epoch or monitor.on_epoch
+    averaged = copy.deepcopy(network) if loop.averaging else network
+    parts = {"network": network, **({"averaged": averaged} if loop.averaging else {}), **loop.parts}
+    progress = Progress() if monitor.checkpoint is None else monitor.checkpoint.load(loop.name, parts)
+    for line in progress.epochs:
+        on_epoch(line)
+
+    def train(epoch: int) -> float:
+        network.train()
+        total: Tensor | float = 0.0
+        for number in range(loop.n_steps):
+            total = total + loop.step(epoch, number)
+            if loop.averaging:
+                n = loop.n_steps * (epoch - 1) + number + 1
+                _average(averaged, network, min(loop.averaging, n / (n + 9)))
+        return float(total) / loop.n_steps
 
     def finish(epoch: int, train_loss: float, started: float) -> None:
-        network.eval()
-        loss, error = validate()
-        progress.add(network, epoch, train_loss, loss, error, time.perf_counter() - started)
+        averaged.eval()
+        loss, error = loop.validate(averaged)
+        progress.add(averaged, epoch, train_loss, loss, error, time.perf_counter() - started)
         on_epoch(progress.epochs[-1])
 
     try:
@@ -128,16 +146,11 @@ def run_epochs(
             if not progress.best_state or not goes_on(progress, config):
                 break
             started = time.perf_counter()
-            network.train()
-            finish(epoch, one_epoch(epoch), started)
+            finish(epoch, train(epoch), started)
             if not math.isfinite(progress.epochs[-1].train_loss):
                 raise ValueError("the training loss is not finite; is the acceleration full of outliers?")
-            if checkpoint is not None:
-                try:
-                    save_progress(checkpoint, config, parts, progress)
-                except OSError as error:  # of a full disk, say: the training is worth more, and one note enough
-                    if not progress.notes:
-                        progress.notes.append(f"{reason(error)}; the training went on without its checkpoint")
+            if monitor.checkpoint is not None:
+                monitor.checkpoint.save(loop.name, parts, progress)
     except KeyboardInterrupt:
         if not progress.best_state:
             raise
@@ -149,6 +162,118 @@ def run_epochs(
     return progress
 
 
+def goes_on(progress: Progress, config: TrainConfig) -> bool:
+    """Whether another epoch may gain anything; where none has, the progress says so in a note.
+
+    None does where the last `patience` epochs brought no better loss, or where the first `probation` ones lowered the error by
+    less than `min_gain`: what a lattice leaves of a linear process is noise, and a network learns nothing from it however long.
+    """
+    epoch, first = progress.epochs[-1].epoch, progress.epochs[0].validation_mae
+    if epoch - progress.best.epoch >= config.patience:
+        return False
+    gain = 1 - min(line.validation_mae for line in progress.epochs) / first if first > 0 else 0.0
+    if epoch != config.probation or gain >= config.min_gain:
+        return True
+    progress.notes.append(
+        f"the network gains {100 * gain:.2f} % on the validation blocks in {epoch} epochs, less than "
+        f"{100 * config.min_gain:g} %: its training stops there"
+    )
+    return False
+
+
+@torch.no_grad()
+def _average(averaged: nn.Module, network: nn.Module, share: float) -> None:
+    for mean, weight in zip(averaged.parameters(), network.parameters(), strict=True):
+        mean.lerp_(weight, 1 - share)
+
+
+class GradientStep:
+    """A step down a loss: its gradients, clipped, taken by the optimiser at the schedule's rate."""
+
+    def __init__(
+        self,
+        network: nn.Module,
+        optimiser: Optimiser,
+        gradients: Callable[[int, int], tuple[Tensor, Sequence[Tensor]]],  # of an epoch's step, by parameter
+        clip_norm: float,
+        rate: Callable[[int, int], float],  # share of the highest learning rate at an epoch's step
+    ) -> None:
+        self._parameters = list(network.parameters())
+        self._optimiser, self._gradients, self._clip_norm, self._rate = optimiser, gradients, clip_norm, rate
+
+    def __call__(self, epoch: int, number: int) -> Tensor:
+        loss, gradients = self._gradients(epoch, number)
+        for parameter, gradient in zip(self._parameters, gradients, strict=True):
+            parameter.grad = gradient
+        if self._clip_norm > 0:
+            nn.utils.clip_grad_norm_(self._parameters, self._clip_norm)
+        self._optimiser.step(self._rate(epoch, number))
+        return loss
+
+
+class SharedGradients:
+    """Gradients of a loss that threads share out among them, added in the order of the shares: whichever thread was first."""
+
+    def __init__(self, network: nn.Module, pool: ThreadPoolExecutor) -> None:
+        self._parameters, self._pool = list(network.parameters()), pool
+
+    def __call__(self, loss_of_share: Callable[[int], Tensor], n_shares: int) -> tuple[Tensor, list[Tensor]]:
+        """Loss and gradients, of the losses of share 0 … n_shares − 1, whose sum is the batch's."""
+
+        def gradients(share: int) -> tuple[Tensor, tuple[Tensor, ...]]:
+            loss = loss_of_share(share)
+            return loss.detach(), torch.autograd.grad(loss, self._parameters)
+
+        losses, pieces = zip(*self._pool.map(gradients, range(n_shares)), strict=True)
+        return torch.stack(losses).sum(), [sum(rest, start=first) for first, *rest in zip(*pieces, strict=True)]
+
+
+def schedule(config: TrainConfig, n_steps: int) -> Callable[[int, int], float]:
+    """Learning rate over its highest at an epoch's step: a linear rise over the first tenth of all steps, then half a cosine."""
+    n_all = n_steps * config.epochs
+    rise = max(1, n_all // 10)
+
+    def rate(epoch: int, number: int) -> float:
+        step = n_steps * (epoch - 1) + number
+        if config.schedule == "constant":
+            return 1.0
+        return (step + 1) / rise if step < rise else 0.5 * (1 + math.cos(math.pi * ((step - rise) / (n_all - rise))))
+
+    return rate
+
+
+def epoch_seed(seed: int, epoch: int) -> int:
+    """Seed of what an epoch draws, so that a resumed run draws the same."""
+    return seed * 100_003 + epoch
+
+
+def pick_device() -> torch.device:
+    """The GPU where there is one, else the CPU."""
+    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+
+@contextmanager
+def reproducible() -> Iterator[None]:
+    """Fix the algorithms, so that one seed gives one network, and PyTorch's own threads to one; restored afterwards.
+
+    The matrices are too small to share among threads: two gained 15 % on two idle cores, and lost a factor of ten when
+    another program kept one of them busy. `SharedGradients` shares out the batch instead.
+    """
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # else sums on a GPU come in any order
+    n_threads, deterministic = torch.get_num_threads(), torch.are_deterministic_algorithms_enabled()
+    torch.set_num_threads(1)
+    # On the CPU one thread adds up in one order anyway, and the call takes a second, for it loads a compiler.
+    on_gpu = torch.cuda.is_available()
+    if on_gpu:
+        torch.use_deterministic_algorithms(True, warn_only=True)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(n_threads)
+        if on_gpu:
+            torch.use_deterministic_algorithms(deterministic)
+
+
 def write_log(path: Path, epochs: list[Epoch]) -> None:
     """Write the log as CSV."""
     with atomic_write(path) as part, part.open("w", newline="") as file:
@@ -157,37 +282,52 @@ def write_log(path: Path, epochs: list[Epoch]) -> None:
         writer.writerows(asdict(epoch) for epoch in epochs)
 
 
-def save_progress(path: Path, config: TrainConfig, parts: Mapping[str, Stateful], progress: Progress) -> None:
-    """Write a checkpoint: the state of every part, and the log."""
-    saved = io.BytesIO()  # PyTorch's own writer says of a full disk only that its archive is inconsistent
-    torch.save(
-        {
-            "config": asdict(config),
-            "parts": {name: one.state_dict() for name, one in parts.items()},
+class Checkpoint:
+    """State of a training, written after each epoch: of one loop, or of several in turn by their names.
+
+    Raises:
+        ValueError: there is one to go on from, and it is damaged or was written under another configuration.
+    """
+
+    def __init__(self, path: Path, config: TrainConfig, resume: bool = False) -> None:
+        self._path, self._config, self._loops = path, asdict(config), dict[str, Any]()
+        if not resume:
+            return
+        try:
+            content = torch.load(path, weights_only=True, map_location="cpu")
+        except (pickle.UnpicklingError, RuntimeError, EOFError, OSError) as error:
+            raise ValueError(f"{path.name} is damaged and cannot be resumed; delete it and start again") from error
+        if content.get("config") != self._config:
+            raise ValueError(f"{path.name} was written by a run with other settings; resume with the same ones")
+        self._loops = dict(content["loops"])
+
+    def load(self, name: str, parts: Mapping[str, Stateful]) -> Progress:
+        """Log of a loop, every part put into its state; an empty one where the loop had not begun."""
+        if name not in self._loops:
+            return Progress()
+        state = self._loops[name]
+        if set(state["parts"]) != set(parts):
+            raise ValueError(f"{self._path.name} is of another version of foten; delete it and start again")
+        for key, part in parts.items():
+            part.load_state_dict(state["parts"][key])
+        return Progress([Epoch(**line) for line in state["epochs"]], state["best_loss"], state["best_state"])
+
+    def save(self, name: str, parts: Mapping[str, Stateful], progress: Progress) -> None:
+        """Write the state of every part of a loop, and its log, beside those of the loops before it.
+
+        Of a full disk, say, one note is enough: the training is worth more.
+        """
+        self._loops[name] = {
+            "parts": {key: part.state_dict() for key, part in parts.items()},
             "epochs": [asdict(epoch) for epoch in progress.epochs],
             "best_loss": progress.best_loss,
             "best_state": progress.best_state,
-        },
-        saved,
-    )
-    with atomic_write(path) as part:
-        part.write_bytes(saved.getbuffer())
-
-
-def load_progress(path: Path, config: TrainConfig, parts: Mapping[str, Stateful]) -> Progress:
-    """Return the log of a checkpoint, and put every part into its state; refuse one that is damaged or of other settings.
-
-    Raises:
-        ValueError: it is damaged, or was written under another configuration.
-    """
-    try:
-        saved = torch.load(path, weights_only=True, map_location="cpu")
-    except (pickle.UnpicklingError, RuntimeError, EOFError, OSError) as error:
-        raise ValueError(f"{path.name} is damaged and cannot be resumed; delete it and start again") from error
-    if saved.get("config") != asdict(config):
-        raise ValueError(f"{path.name} was written by a run with other settings; resume with the same ones")
-    if set(saved.get("parts", ())) != set(parts):
-        raise ValueError(f"{path.name} is of another version of foten; delete it and start again")
-    for name, one in parts.items():
-        one.load_state_dict(saved["parts"][name])
-    return Progress([Epoch(**line) for line in saved["epochs"]], saved["best_loss"], saved["best_state"])
+        }
+        content = io.BytesIO()  # PyTorch's own writer says of a full disk only that its archive is inconsistent
+        torch.save({"config": self._config, "loops": self._loops}, content)
+        try:
+            with atomic_write(self._path) as part:
+                part.write_bytes(content.getbuffer())
+        except OSError as error:
+            if not progress.notes:
+                progress.notes.append(f"{reason(error)}; the training went on without its checkpoint")

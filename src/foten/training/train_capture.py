@@ -26,7 +26,7 @@ from foten.datasets.hdf5 import write_recording
 from foten.datasets.importing import import_capture
 from foten.datasets.options import ImportOptions
 from foten.dsp.perception import smallest_rate
-from foten.models.registry import sizes_of
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture, write_texture
 from foten.recording.captured import ABOUT, PEN, SOUND, About, file_name
 from foten.recording.inspection import inspect_recording
@@ -36,7 +36,7 @@ from foten.recording.recording import Recording
 from foten.runtime.stylus import PressureCalibration
 from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
-from foten.training.loop import Epoch
+from foten.training.loop import Epoch, Monitor
 from foten.training.pipeline import train
 
 MODEL = "foten-plus"
@@ -96,7 +96,7 @@ def train_recording(recording: Recording, carried: Mapping[float, float], output
     job = TrainingJob(
         recording,
         MODEL,
-        sizes_of(MODEL, {}),
+        FotenPlusSizes(),
         config,
         PreprocessConfig(rate_hz=rate_hz, trim_ms=0.0, block_ms=block_ms),
         texture_name=recording.texture,
@@ -119,7 +119,7 @@ def train_recording(recording: Recording, carried: Mapping[float, float], output
         share = PLAYABLE_SHARE + (FITTED_SHARE - PLAYABLE_SHARE) * line.epoch / config.epochs
         _say(stage="training its network", share=share)
 
-    trained = train(job, on_epoch, on_stage=on_stage, on_playable=on_playable)
+    trained = train(job, Monitor(on_stage, on_epoch, on_playable))
     write_texture(trained.texture, output)
     _say(done=output.name, network_in_loop=bool(trained.texture.card["sizes"].get("network_in_loop")))
 

@@ -22,7 +22,7 @@ Floats = NDArray[np.float32]
 PADDED = 16  # numbers that rows are padded to a multiple of
 GATES = 3
 
-_ARRAY, _DOUBLES = c_void_p, ("turned", "phase")
+_ARRAY, _DOUBLES = c_void_p, ("phase_increment", "phase")
 
 
 def _fields(**groups: tuple[str, Any]) -> list[tuple[str, Any]]:
@@ -32,38 +32,42 @@ def _fields(**groups: tuple[str, Any]) -> list[tuple[str, Any]]:
 class RecurrentUnit(Structure):
     """recurrent_unit."""
 
-    _fields_ = _fields(counts=("n s n_hidden", c_int), arrays=("weight bias of_input hidden gates kept", _ARRAY))
-
-
-class RollOutOfBatch(Structure):
-    """roll_out."""
-
     _fields_ = _fields(
-        counts=("n s p n_inputs n_hidden head_width n_components n_out gain_before_filter with_phase", c_int),
-        numbers=("largest leak", c_float),
-        weights=("from_input input_bias from_hidden hidden_bias head head_bias out out_bias", _ARRAY),
-        given=("reflections cosines level logs chosen normal", _ARRAY),
-        path=("turned", _ARRAY),
-        motion=("jitter drawn_back largest_jitter", c_double),
-        states=("states", _ARRAY),
-        phase=("phase", _ARRAY),
-        made=("network head_made out_made gates kept innovation played", _ARRAY),
+        counts=("n s n_hidden", c_int), arrays=("weight bias from_input hidden gates candidate_preactivation", _ARRAY)
     )
 
 
-class RollGradients(Structure):
-    """roll_out_gradients."""
+class RolloutBatch(Structure):
+    """rollout_batch."""
 
-    _fields_ = _fields(given=("of_played drawn", _ARRAY), most=("most", c_float), made=("by_head by_out", _ARRAY))
+    _fields_ = _fields(
+        counts=("n s p n_inputs n_hidden head_width n_components n_out gain_before_filter with_phase", c_int),
+        numbers=("innovation_limit leak", c_float),
+        weights=("from_input input_bias from_hidden hidden_bias head head_bias out out_bias", _ARRAY),
+        inputs=("reflections cosines level logs chosen normal", _ARRAY),
+        path=("phase_increment", _ARRAY),
+        phase_params=("period_jitter phase_leak max_jitter_drive", c_double),
+        states=("states", _ARRAY),
+        phase=("phase", _ARRAY),
+        outputs=("network head_output out_output gates candidate_preactivation innovation residual", _ARRAY),
+    )
+
+
+class RolloutGradients(Structure):
+    """rollout_gradients."""
+
+    _fields_ = _fields(
+        inputs=("by_residual drawn", _ARRAY), limit=("adjoint_limit", c_float), outputs=("by_head by_out", _ARRAY)
+    )
 
 
 def structure_of(kind: type[Structure], **values: Any) -> Any:
-    """Return a structure of numbers and arrays, which it keeps alive."""
-    made: Any = kind()
-    made.arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+    """A structure of numbers and arrays, which it keeps alive."""
+    structure: Any = kind()
+    structure.arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
     for name, value in values.items():
-        setattr(made, name, _at(value, name) if name in made.arrays else value)
-    return made
+        setattr(structure, name, _at(value, name) if name in structure.arrays else value)
+    return structure
 
 
 def _at(array: NDArray[Any], name: str = "") -> int:
@@ -89,53 +93,53 @@ def _function(name: str) -> Callable[..., int]:
 
 
 def padded(n: int) -> int:
-    """Return how many numbers a row of n lies in."""
+    """How many numbers a row of n lies in."""
     return -(-n // PADDED) * PADDED
 
 
 def widened(array: NDArray[Any], *shape: int) -> Floats:
-    """Return an array with zeros at the ends of its axes, in float32."""
+    """An array with zeros at the ends of its axes, in float32."""
     out = np.zeros(shape, np.float32)
     out[tuple(slice(n) for n in array.shape)] = array
     return out
 
 
 def recurrent_weights(weights: Mapping[str, NDArray[Any]]) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return weights and biases of a unit's gates, from inputs and from hidden numbers, padded gate by gate and row by row."""
+    """Weights and biases of a unit's gates, from inputs and from hidden states, padded gate by gate and row by row."""
     of_input, of_hidden, input_bias, hidden_bias = (
         weights[name] for name in ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
     )
     h, n_inputs = of_hidden.shape[1], of_input.shape[1]
     wide = padded(h)
 
-    def laid(one: NDArray[Any], *row: int) -> Floats:
-        return widened(one.reshape(GATES, h, *one.shape[1:]), GATES, wide, *row).reshape(GATES * wide, *row)
+    def laid(weight: NDArray[Any], *row: int) -> Floats:
+        return widened(weight.reshape(GATES, h, *weight.shape[1:]), GATES, wide, *row).reshape(GATES * wide, *row)
 
     return laid(of_input, padded(n_inputs)), laid(of_hidden, wide), laid(input_bias), laid(hidden_bias)
 
 
 def of_gates(by_gates: Floats, h: int) -> Floats:
-    """Return gradients by the weights of gates without their padding: (3 · padded h, …) → (3h, …)."""
+    """Gradients by the weights of gates without their padding: (3 · padded h, …) → (3h, …)."""
     return np.ascontiguousarray(by_gates.reshape(GATES, -1, *by_gates.shape[1:])[:, :h]).reshape(
         -1, *by_gates.shape[1:]
     )
 
 
-def of_recurrent(by_input: Floats, by_kept: Floats, inputs: Floats, hidden: Floats) -> tuple[Floats, ...]:
-    """Return gradients by weights from inputs and from hidden numbers, and by both biases, padded.
+def of_recurrent(by_input: Floats, by_preactivation: Floats, inputs: Floats, hidden: Floats) -> tuple[Floats, ...]:
+    """Gradients by weights from inputs and from hidden states, and by both biases, padded.
 
     From those by what goes into the gates, (n, s, 3h), and by what the reset multiplies, (n, s, h), and from inputs and hidden
     numbers that were given, (n · s, …).
     """
-    gates, kept = (one.reshape(len(inputs), -1) for one in (by_input, by_kept))
-    two = 2 * kept.shape[1]
-    of_hidden = np.concatenate([gates[:, :two].T @ hidden, kept.T @ hidden])
+    gates, candidate = (gradient.reshape(len(inputs), -1) for gradient in (by_input, by_preactivation))
+    two = 2 * candidate.shape[1]
+    of_hidden = np.concatenate([gates[:, :two].T @ hidden, candidate.T @ hidden])
     sums = gates.sum(axis=0)
-    return gates.T @ inputs, of_hidden, sums, np.concatenate([sums[:two], kept.sum(axis=0)])
+    return gates.T @ inputs, of_hidden, sums, np.concatenate([sums[:two], candidate.sum(axis=0)])
 
 
 def hidden_states(unit: nn.GRU, inputs: Tensor) -> Tensor:
-    """Return what a unit's hidden numbers are after each sample, from zeros: (b, n, n_inputs) → (b, n, h), with a gradient.
+    """What a unit's hidden states are after each sample, from zeros: (b, n, n_inputs) → (b, n, h), with a gradient.
 
     Of its weights, not of the inputs. On another device than the CPU, and in another precision, it is PyTorch's.
     """
@@ -151,33 +155,38 @@ class _Hidden(torch.autograd.Function):
     def forward(ctx: Any, inputs: Tensor, *weights: Tensor) -> Tensor:
         names = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
         of_input, of_hidden, input_bias, hidden_bias = recurrent_weights(
-            {name: one.detach().numpy() for name, one in zip(names, weights, strict=True)}
+            {name: weight.detach().numpy() for name, weight in zip(names, weights, strict=True)}
         )
         s, n, n_inputs = inputs.shape
         h, wide = weights[1].shape[1], of_hidden.shape[1]
-        given = widened(inputs.detach().numpy().transpose(1, 0, 2), n, s, of_input.shape[1])
-        gates = given.reshape(n * s, -1) @ of_input.T
-        gates += input_bias
+        samples = widened(inputs.detach().numpy().transpose(1, 0, 2), n, s, of_input.shape[1])
+        from_input = samples.reshape(n * s, -1) @ of_input.T
+        from_input += input_bias
         hidden = np.zeros((n + 1, s, wide), np.float32)
-        arrays = {"of_input": gates, "hidden": hidden, "kept": np.empty((n, s, wide), np.float32)}
+        arrays = {
+            "from_input": from_input,
+            "hidden": hidden,
+            "candidate_preactivation": np.empty((n, s, wide), np.float32),
+        }
         arrays["gates"] = np.empty((n, s, GATES * wide), np.float32)
         ctx.unit = structure_of(RecurrentUnit, n=n, s=s, n_hidden=wide, weight=of_hidden, bias=hidden_bias, **arrays)
         run_in_c("foten_train_unit", byref(ctx.unit))
-        ctx.given, ctx.n_inputs = given, n_inputs
+        ctx.samples, ctx.n_inputs = samples, n_inputs
         return torch.from_numpy(np.ascontiguousarray(hidden[1:, :, :h].transpose(1, 0, 2)))
 
     @staticmethod
     def backward(ctx: Any, *of_outputs: Tensor) -> tuple[Tensor | None, ...]:
-        given, hidden, gates, kept = ctx.given, *(ctx.unit.arrays[name] for name in ("hidden", "gates", "kept"))
+        names = ("hidden", "gates", "candidate_preactivation")
+        samples, hidden, gates, candidate = ctx.samples, *(ctx.unit.arrays[name] for name in names)
         n, s, wide = hidden.shape[0] - 1, hidden.shape[1], hidden.shape[2]
         h = of_outputs[0].shape[2]
         by_hidden = widened(of_outputs[0].numpy().transpose(1, 0, 2), n, s, wide)
         run_in_c("foten_train_unit_back", byref(ctx.unit), c_void_p(_at(by_hidden)))
         ctx.unit = None  # its gates are gradients now
-        weights = of_recurrent(gates, kept, given.reshape(n * s, -1), hidden[:-1].reshape(n * s, -1))
+        weights = of_recurrent(gates, candidate, samples.reshape(n * s, -1), hidden[:-1].reshape(n * s, -1))
         sums = (
             of_gates(weights[0], h)[:, : ctx.n_inputs],
             of_gates(weights[1], h)[:, :h],
-            *(of_gates(one, h) for one in weights[2:]),
+            *(of_gates(bias, h) for bias in weights[2:]),
         )
-        return None, *(torch.from_numpy(np.ascontiguousarray(one)) for one in sums)
+        return None, *(torch.from_numpy(np.ascontiguousarray(gradient)) for gradient in sums)

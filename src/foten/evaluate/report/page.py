@@ -71,7 +71,7 @@ def _header(document: Mapping[str, Any], texture: Texture, name: str) -> str:
         "seed": document["seed"],
         "recorded sd": f"{document['sd_m_s2']:.4g} {document['unit']}",
         "trained range": f"{slow:.0f}–{fast:.0f} mm/s, {light:.2f}–{heavy:.2f} N",
-        "above it": texture.beyond_in_words(),
+        "above it": texture.extrapolation_in_words(),
         "tool": card["tool"] or "not stated",
         "sensors": card["sensors"] or "not stated",
         "notes": card["notes"] or "none",

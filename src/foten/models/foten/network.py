@@ -7,12 +7,9 @@ import math
 import torch
 from torch import Tensor, nn
 
-from foten.baselines.features import MfccBranch, WaveletBranch
-from foten.baselines.sizes import FotenDSizes, TenMfccSizes, TenWaveletSizes
 from foten.dsp.spectrum import WEAKEST_BIN, dft_matrices, last_sample_row, position_encoding
-from foten.models.foten.sizes import SpectralSizes
-from foten.models.foten.ten_sizes import TransformerSizes
-from foten.models.foten.transformer import DecoderLayer, EncoderLayer
+from foten.models.foten.sizes import SpectralSizes, TransformerSizes
+from foten.models.foten.transformer import EncoderLayer
 from foten.training.dropout import Dropout
 
 
@@ -31,7 +28,7 @@ class TemporalBranch(nn.Module):
         self.register_buffer("positions", torch.from_numpy(position_encoding(sizes.window, d)), persistent=False)
 
     def forward(self, samples: Tensor, last_only: bool = True) -> Tensor:
-        """Return E_t, or its last token alone: (b, m, 1) scaled → (b, m or 1, d_model)."""
+        """E_t, or its last token alone: (b, m, 1) scaled → (b, m or 1, d_model)."""
         tokens = self.dropout(self.embedding(samples) + self.positions.to(samples.dtype))
         for layer in self.layers[:-1]:
             tokens = layer(tokens)
@@ -56,7 +53,7 @@ class SpectralBranch(nn.Module):
             self.register_buffer(name, torch.from_numpy(matrix), persistent=False)
 
     def forward(self, acceleration: Tensor) -> Tensor:
-        """Return Re a_spec[m−1], the only sample that the head sees: (b, m) scaled → (b, 1)."""
+        """Re a_spec[m−1], the only sample that the head sees: (b, m) scaled → (b, 1)."""
         dtype = acceleration.dtype
         real = acceleration @ self.real.to(dtype)
         # −0 would turn the angle of a negative real bin from π to −π.
@@ -64,8 +61,8 @@ class SpectralBranch(nn.Module):
         power = real * real + imaginary * imaginary
         # What is nothing but rounding is zero: its phase, or by its sign that of a negative real part (π or −π), would differ
         # from one processor to the next.
-        least = WEAKEST_BIN * power.sum(dim=1, keepdim=True)
-        real, imaginary = torch.where(real**2 > least, real, 0.0), torch.where(imaginary**2 > least, imaginary, 0.0)
+        weakest = WEAKEST_BIN * power.sum(dim=1, keepdim=True)
+        real, imaginary = torch.where(real**2 > weakest, real, 0.0), torch.where(imaginary**2 > weakest, imaginary, 0.0)
         magnitude = self._encode("magnitude", torch.sqrt(power + 1e-16))
         phase = self._encode("phase", _angle(real, imaginary))
         last_row = self.cosine.to(dtype) * torch.cos(phase) + self.sine.to(dtype) * torch.sin(phase)
@@ -77,7 +74,7 @@ class SpectralBranch(nn.Module):
 
 
 def _angle(real: Tensor, imaginary: Tensor) -> Tensor:
-    """Return the angle, π of what is real and negative, 0 of nothing."""
+    """The angle, π of what is real and negative, 0 of nothing."""
     if not torch.onnx.is_in_onnx_export():
         return torch.atan2(imaginary, real)
     # ONNX has no such function; the exporter's stand-in divides by nothing, and gives −π where nothing is imaginary.
@@ -89,42 +86,35 @@ def _angle(real: Tensor, imaginary: Tensor) -> Tensor:
 class Foten(nn.Module):
     """FoTEN: both branches, fused with speed and force at the last token, and a dense head (Eq. 10, 11).
 
-    Of a `TransformerSizes` it is TEN, the same without the Fourier branch, and of what is derived from that, the other rows of
-    Table II: with cepstral or wavelet coefficients in place of a_spec, and, FoTEN-D, with a decoder layer in which one learned
-    query attends to all temporal tokens and to the single spectral one, where the others take the last.
+    Of sizes without a Fourier branch it is TEN, the same without it. Other rows of Table II give another branch in its place:
+    acceleration (b, m) → (b, branch_width).
     """
 
-    def __init__(self, sizes: TransformerSizes) -> None:
+    def __init__(self, sizes: TransformerSizes, branch: nn.Module | None = None, branch_width: int = 1) -> None:
         super().__init__()
         self.sizes = sizes
         d, (first, second) = sizes.d_model, sizes.head
         self.temporal = TemporalBranch(sizes)
-        self.spectral = self.spectral_embedding = self.decoder = None
-        if isinstance(sizes, SpectralSizes):
-            self.spectral, self.spectral_embedding = SpectralBranch(sizes), nn.Linear(1, d)
-        elif isinstance(sizes, TenMfccSizes):
-            self.spectral, self.spectral_embedding = MfccBranch(sizes), nn.Linear(sizes.n_coefficients, d)
-        elif isinstance(sizes, TenWaveletSizes):
-            self.spectral = WaveletBranch(sizes)
-            self.spectral_embedding = nn.Linear(self.spectral.transform.shape[1], d)
-        if isinstance(sizes, FotenDSizes):
-            self.decoder = DecoderLayer(d, sizes.n_heads, sizes.d_feedforward)
-            self.decoded = nn.LayerNorm(d)
-            self.query = nn.Parameter(0.02 * torch.randn(1, 1, d))
+        self.spectral = SpectralBranch(sizes) if branch is None and isinstance(sizes, SpectralSizes) else branch
+        self.spectral_embedding = None if self.spectral is None else nn.Linear(branch_width, d)
         self.head_1 = nn.Linear(sizes.n_features + 2, first)
         self.head_2 = nn.Linear(first, second)
         self.head_3 = nn.Linear(second, 1)
         self.dropout = Dropout()
 
+    def tokens(self, windows: Tensor) -> Tensor:
+        """What the head is given of the branches: (b, m, 3) scaled → (b, n_branches, d_model)."""
+        return torch.cat([self.temporal(windows[:, :, :1]), *self.spectral_tokens(windows)], dim=1)
+
+    def spectral_tokens(self, windows: Tensor) -> list[Tensor]:
+        """The single token of the other branch, (b, 1, d_model), where there is one."""
+        if self.spectral is None or self.spectral_embedding is None:
+            return []
+        return [self.spectral_embedding(self.spectral(windows[:, :, 0]))[:, None]]
+
     def forward(self, windows: Tensor) -> Tensor:
-        """Return the next samples: windows (b, m, 3) of scaled acceleration, speed, force → (b,) scaled."""
-        tokens = self.temporal(windows[:, :, :1], last_only=self.decoder is None)
-        if self.spectral is not None and self.spectral_embedding is not None:
-            tokens = torch.cat([tokens, self.spectral_embedding(self.spectral(windows[:, :, 0]))[:, None]], dim=1)
-        if self.decoder is not None:
-            asked = self.query + torch.zeros_like(tokens[:, :1])  # a length would be a constant of the exported graph
-            tokens = torch.cat([self.decoded(self.decoder(asked, tokens)), tokens[:, -1:]], dim=1)
-        fused = torch.cat([tokens.flatten(1), windows[:, -1, 1:3]], dim=1)
+        """The next samples: windows (b, m, 3) of scaled acceleration, speed, force → (b,) scaled."""
+        fused = torch.cat([self.tokens(windows).flatten(1), windows[:, -1, 1:3]], dim=1)
         hidden = self.dropout(torch.relu(self.head_1(fused)))
         hidden = self.dropout(torch.relu(self.head_2(hidden)))
         return self.head_3(hidden)[:, 0]

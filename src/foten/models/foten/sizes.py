@@ -1,13 +1,77 @@
-"""FoTEN, the paper's network (Sec. IV): TEN with a Fourier branch."""
+"""FoTEN, the paper's network (Sec. IV), and TEN, the same without its Fourier branch (Table II)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import ClassVar
 
-from foten.models.foten.ten_sizes import TenSizes, TransformerSizes, encoder_cost, encoder_shapes
-from foten.models.model_sizes import Shapes, check_heads, shortened
-from foten.models.tensor_shapes import linear_shapes
+from foten.models.excitation import WithExcitation, linear_shapes, scale_cost
+from foten.models.model_sizes import ModelSizes, Shapes, check_count, check_heads, shortened
+
+
+@dataclass(frozen=True)
+class TransformerSizes(ModelSizes):
+    """A temporal branch and a head.
+
+    Differs from the paper where it is silent: layers normalise before attention (Fig. 3 shows it so).
+    """
+
+    window: int = 25  # m, samples; Table II
+    d_model: int = 32  # Sec. IV-c
+    n_heads: int = 4  # Sec. IV-c
+    n_layers: int = 3  # temporal encoder layers; Sec. IV-c
+    d_feedforward: int = 128  # Sec. IV-c
+    head: tuple[int, int] = (256, 64)  # dense layers before the output; Sec. IV-e
+    pre_norm: bool = True  # False normalises after each sub-layer, as [17]
+    n_branches: ClassVar[int] = 1  # each of which gives the head d_model numbers
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not isinstance(self.head, list | tuple) or len(self.head) != 2:
+            raise ValueError("head is not a pair, expected the widths of two layers, such as [256,64]")
+        for width in self.head:
+            check_count("head", width, 1)
+        check_heads(self.d_model, self.n_heads)
+        object.__setattr__(self, "head", tuple(self.head))
+
+    @property
+    def n_features(self) -> int:
+        """Return how many numbers the branches give the head."""
+        return self.n_branches * self.d_model
+
+    def network_shapes(self) -> Shapes:
+        """Return the tensors of the temporal branch and the head."""
+        d, (first, second) = self.d_model, self.head
+        shapes = linear_shapes("temporal.embedding", d, 1)
+        for layer in range(self.n_layers):
+            shapes |= encoder_shapes(f"temporal.layers.{layer}", d, self.d_feedforward)
+        if self.pre_norm:
+            shapes |= {"temporal.norm.weight": (d,), "temporal.norm.bias": (d,)}
+        shapes |= linear_shapes("head_1", first, self.n_features + 2)
+        return shapes | linear_shapes("head_2", second, first) | linear_shapes("head_3", 1, second)
+
+    def network_cost(self) -> int:
+        """Return the multiply-adds of a step of the network.
+
+        Of the last temporal layer one query counts: the others change nothing.
+        """
+        m, d, (first, second) = self.window, self.d_model, self.head
+        temporal = m * d + encoder_cost(m, 1, d, self.d_feedforward)
+        temporal += (self.n_layers - 1) * encoder_cost(m, m, d, self.d_feedforward)
+        return temporal + (self.n_features + 2) * first + first * second + second
+
+
+@dataclass(frozen=True)
+class TenSizes(TransformerSizes, WithExcitation):
+    """TEN, Table II."""
+
+    def tensor_shapes(self) -> Shapes:
+        """Return the network's, and those of the excitation where there is one."""
+        return self.network_shapes() | WithExcitation.tensor_shapes(self)
+
+    def multiply_adds(self) -> int:
+        """Return the cost of the network, and of the excitation where there is one."""
+        return self.network_cost() + self.excitation * (scale_cost(self.excitation_width) + 5)
 
 
 @dataclass(frozen=True)
@@ -63,3 +127,20 @@ class SpectralSizes(TransformerSizes):
 @dataclass(frozen=True)
 class FotenSizes(SpectralSizes, TenSizes):
     """The paper's network, the row "FoTEN" of every table."""
+
+
+def encoder_shapes(name: str, width: int, d_feedforward: int) -> Shapes:
+    """Return the tensors of an encoder layer."""
+    shapes = linear_shapes(f"{name}.attention_in", 3 * width, width)
+    shapes |= linear_shapes(f"{name}.attention_out", width, width)
+    shapes |= linear_shapes(f"{name}.feedforward_in", d_feedforward, width)
+    shapes |= linear_shapes(f"{name}.feedforward_out", width, d_feedforward)
+    norms = [f"{name}.{norm}.{part}" for norm in ("norm_1", "norm_2") for part in ("weight", "bias")]
+    return shapes | {norm: (width,) for norm in norms}
+
+
+def encoder_cost(n_tokens: int, n_queries: int, width: int, d_feedforward: int) -> int:
+    """Return the multiply-adds of an encoder layer."""
+    projected = 2 * n_tokens * width * width + n_queries * width * width
+    attended = 2 * n_queries * n_tokens * width + n_queries * width * width
+    return projected + attended + 2 * n_queries * width * d_feedforward

@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 
 from foten.dsp import Array
 from foten.dsp.lattice import check_reflections, predict, push
-from foten.dsp.noise import heavy_tailed_rms
 from foten.dsp.speed_force_table import SpeedForceTable
-from foten.dsp.tones import LARGEST_JITTER, audible_share, fitted_phase, tone
+from foten.dsp.tones import MAX_JITTER_DRIVE, anti_alias_gain, fitted_phase, tone
 from foten.models.excitation import Excitation, Scale
-from foten.models.foten.definition import Weights
 from foten.models.foten_plus.innovation_network import InnovationNetwork, innovation_inputs, phase_inputs
 from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.models.stream import Prediction, largest_of
+from foten.models.stream import Prediction, limit_of
+from foten.models.weights import Weights
 
 
 class Lattice:
@@ -28,14 +27,14 @@ class Lattice:
         check_reflections(w["reflections"])
         self.order, self.gain_before_filter = w["reflections"].shape[1], gain_before_filter
         self._table = SpeedForceTable(w["speed_knots"], w["force_knots"], w["reflections"])
-        self.level = Scale(tensors, f"{prefix}level.")
+        self.level = Scale.of(tensors, f"{prefix}level.")
 
     def reflections(self, condition: Array) -> Array:
-        """Return k: speed and force (s, 2) scaled → (p, s)."""
+        """k: speed and force (s, 2) scaled → (p, s)."""
         return self._table.at(*self.level.physical(condition).T).T
 
     def gains(self, level: Array) -> tuple[Array, Array]:
-        """Return what multiplies the innovation before the filter, and what multiplies the sample after it."""
+        """What multiplies the innovation before the filter, and what multiplies the sample after it."""
         ones = np.ones_like(level)
         return (level, ones) if self.gain_before_filter else (ones, level)
 
@@ -47,17 +46,17 @@ class Tones:
         w = Weights(tensors, "tones.")
         self._table = SpeedForceTable(w["speed_knots"], w["force_knots"], w["values"])
         self._level = level
-        self._increment, self.jitter, self.drawn_back = (float(value) for value in w["motion"])
+        self._increment, self.period_jitter, self.phase_leak = (float(value) for value in w["phase_params"])
 
-    def increment(self, condition: Array) -> Array:
-        """Return by how much the path moves the phase in a sample [rad]: (…, 3) → (…)."""
+    def phase_increment(self, condition: Array) -> Array:
+        """By how much the path moves the phase in a sample [rad]: (…, 3) → (…)."""
         return self._increment * condition[..., 2]
 
     def coefficients(self, condition: Array) -> Array:
-        """Return ℓA and ℓB in turn, as far as the rate holds their frequencies: (s, 3) → (s, 2 n_tones)."""
+        """ℓA and ℓB in turn, as far as the rate holds their frequencies: (s, 3) → (s, 2 n_tones)."""
         values = self._table.at(*self._level.physical(condition[:, :2]).T)
-        share = audible_share(values.shape[1] // 2, self.increment(condition))
-        return values * self._level(condition[:, :2])[:, None] * share
+        gain = anti_alias_gain(values.shape[1] // 2, self.phase_increment(condition))
+        return values * self._level(condition[:, :2])[:, None] * gain
 
 
 class FotenPlus:
@@ -65,7 +64,7 @@ class FotenPlus:
 
     def __init__(self, sizes: FotenPlusSizes, tensors: Mapping[str, NDArray[Any]]) -> None:
         self.sizes, self.window = sizes, sizes.history
-        self.excitation = Excitation(tensors)
+        self.excitation = Excitation.of(tensors)
         self.lattice = self.excited_lattice = Lattice(tensors, "lattice.", sizes.gain_before_filter)
         self.network = InnovationNetwork(tensors, "network.")
         self.network_in_loop = InnovationNetwork(tensors, "rendering_network.") if sizes.network_in_loop else None
@@ -75,11 +74,11 @@ class FotenPlus:
             self.tones = Tones(tensors, self.lattice.level)
 
     def predict(self, windows: Array) -> Array:
-        """Return the next samples: windows (b, m, 3) scaled → (b,) scaled, by the lattice and the network."""
-        return self._analysed(windows, self.lattice, self.network, settled=False).predict().sample
+        """The next samples: windows (b, m, 3) scaled → (b,) scaled, by the lattice and the network."""
+        return self._analysed(windows, self.lattice, self.network, calibrated=False).predict().sample
 
     def start(self, windows: Array) -> FotenPlusStream:
-        """Return streams that go on from scaled windows, shape (s, m, 3).
+        """Streams that go on from scaled windows, shape (s, m, 3).
 
         Their first sample is not what `predict` gives where the network is not in the loop, where there are tones, or where σ
         is not 1.
@@ -90,12 +89,12 @@ class FotenPlus:
         flat = condition.reshape(-1, 3)
         level = self.lattice.level(flat[:, :2]).reshape(condition.shape[:2])
         coefficients = self.tones.coefficients(flat).reshape(*level.shape, -1) / level[..., None]
-        travelled = np.cumsum(self.tones.increment(condition), axis=1)
+        travelled = np.cumsum(self.tones.phase_increment(condition), axis=1)
         phase = fitted_phase(windows[:, 1:, 0] / level, coefficients, travelled)
         residual = windows.copy()
         residual[:, 1:, 0] -= level * tone(coefficients, travelled + phase[:, None])
         follow = travelled + phase[:, None]
-        last = follow[:, -1:] + self.tones.increment(self.with_path(windows[:, -1:, 1:]))
+        last = follow[:, -1:] + self.tones.phase_increment(self.with_path(windows[:, -1:, 1:]))
         follow = np.concatenate([follow, last], axis=1)  # of each sample the phase of the next
         stream = self._analysed(residual, self.excited_lattice, self.network_in_loop, self.tones, follow)
         phase = follow[:, -1]
@@ -104,7 +103,7 @@ class FotenPlus:
         return stream
 
     def with_path(self, condition: Array) -> Array:
-        """Return conditions (…, 2) scaled with the speed that they stand for [mm/s], (…, 3)."""
+        """Conditions (…, 2) scaled with the speed that they stand for [mm/s], (…, 3)."""
         return np.concatenate([condition, self.lattice.level.physical(condition)[..., :1]], axis=-1)
 
     def _analysed(
@@ -114,27 +113,29 @@ class FotenPlus:
         network: InnovationNetwork | None,
         tones: Tones | None = None,
         phase: Array | None = None,
-        settled: bool = True,
+        calibrated: bool = True,
     ) -> FotenPlusStream:
-        """Return streams after windows of what a lattice is of, with the phase of tones after each sample (s, n).
+        """Streams after windows of what a lattice is of, with the phase of tones after each sample (s, n).
 
         The network takes in the last samples.
         """
         conditions = self.with_path(windows[:, :, 1:])
-        stream = FotenPlusStream(self, lattice, network, conditions[:, 0], tones, settled)
+        stream = FotenPlusStream(self, lattice, network, conditions[:, 0], tones, calibrated)
         n = windows.shape[1]
         for i in range(1, n):
             e = stream.analyse(windows[:, i, 0])
             if phase is not None:
                 stream.phase = phase[:, i]
-            stream.follow(e, windows[:, i, 0] / stream.level, conditions[:, i], taken_in=i >= n - self.sizes.window)
+            stream.follow(
+                e, windows[:, i, 0] / stream.level, conditions[:, i], update_network=i >= n - self.sizes.window
+            )
         return stream
 
 
 class FotenPlusStream:
     """Streams of foten-plus: of a lattice, with a network or without, and of tones or none.
 
-    Where they are not `settled`, σ does not scale what the network draws: as in a recording, which it was trained on.
+    Where they are not `calibrated`, σ does not scale what the network draws: as in a recording, which it was trained on.
     """
 
     bounded: ClassVar[bool] = True
@@ -146,13 +147,12 @@ class FotenPlusStream:
         network: InnovationNetwork | None,
         condition: Array,
         tones: Tones | None = None,
-        settled: bool = True,
+        calibrated: bool = True,
     ) -> None:
         s = len(condition)
-        self.model, self.lattice, self.network, self.tones, self.settled = model, lattice, network, tones, settled
+        self.model, self.lattice, self.network, self.tones, self.calibrated = model, lattice, network, tones, calibrated
         self.states = np.zeros((lattice.order, s))  # b₀ … b_{p−1} of the lattice
-        self.hidden = np.zeros((s, network.n_hidden if network else 0))  # of the network, after the last sample
-        self.volatility = model.excitation.volatility(s)
+        self.hidden_state = np.zeros((s, network.n_hidden if network else 0))  # of the network, after the last sample
         # Phase of the tones at the next sample [rad], the same without jitter, r of `dsp.tones`, and T; 0 without tones.
         self.phase = self.path = self.rate = self.tone = np.zeros(s)
         self.set_condition(condition)
@@ -166,7 +166,7 @@ class FotenPlusStream:
         self.reflections = self.lattice.reflections(condition[:, :2])
 
     def _inputs(self, innovation: Array, x: Array) -> Array:
-        """Return what the network is given of a sample: its innovation and x, (s,) each, and the phase of the next."""
+        """What the network is given of a sample: its innovation and x, (s,) each, and the phase of the next."""
         inputs = innovation_inputs(innovation, x, self.logs)
         return inputs if self.tones is None else np.concatenate([inputs, phase_inputs(self.phase)], axis=1)
 
@@ -177,12 +177,12 @@ class FotenPlusStream:
 
     @property
     def n_initial(self) -> int:
-        """Return a number for each state and the volatility; two for a phase; one for each sample of a network's window."""
+        """A number for each state; two for a phase; one for each sample of a network's window."""
         warm_up = self.model.sizes.window if self.network else 0
-        return len(self.states) + 1 + (2 if self.tones else 0) + warm_up
+        return len(self.states) + (2 if self.tones else 0) + warm_up
 
     def begin(self, condition: Array, noise: Array, fade: float = 1.0) -> None:
-        """Draw the states, the volatility and where in its period a surface is touched; run the network for its window.
+        """Draw the states and where in its period a surface is touched; run the network for its window.
 
         Under a constant condition the states of a normalised lattice are uncorrelated and as large as what enters it, each a sum
         of many innovations, so Gaussian numbers of that size are a stream that was always there (but for the leak): level,
@@ -193,39 +193,39 @@ class FotenPlusStream:
         self.set_condition(condition)
         p, excitation, known = len(self.states), self.model.excitation, condition[:, :2]
         before, _ = self.lattice.gains(self.level)
-        size = before * excitation.sigma(known) * heavy_tailed_rms(excitation.tail(known))
+        size = before * excitation.sigma(known)
         if self.lattice.gain_before_filter:
             size = fade * size
         self.states = size * noise[:, :p].T
-        self.volatility.draw(noise[:, p])
-        p += 1
         if self.tones:
             phase = np.arctan2(noise[:, p], noise[:, p + 1])
             self.begin_path(self.tones, phase, phase)
             p += 2
         zero = np.zeros(len(noise))
-        self.hidden, self.inputs = np.zeros_like(self.hidden), self._inputs(zero, zero)
+        self.hidden_state, self.inputs = np.zeros_like(self.hidden_state), self._inputs(zero, zero)
         for z in noise[:, p:].T:
             self.push(self.predict().faded(z, fade)[1], condition, z)
 
     def predict(self) -> Prediction:
-        """Return what lattice, tones and network predict, with the excitation."""
+        """What lattice, tones and network predict, with the excitation."""
         x, cosines = predict(self.states, self.reflections)
-        unit, known = cosines * self.level, self.condition[:, :2]
+        innovation_gain, known = cosines * self.level, self.condition[:, :2]
         sample = x * self.lattice.gains(self.level)[1] + self.tone
         if self.network is None:
-            return self._fading(self.model.excitation.added_to(sample, unit * self.volatility.factor(), known), sample)
-        mixture = self.network.mixture(self.hidden, self.inputs)
-        if not self.settled:
-            return Prediction(sample + unit * mixture.expected(), unit, mixture=mixture)
-        scale = unit * self.model.excitation.sigma(known)
-        limit = largest_of(self.model.excitation.largest, scale)
+            return self._fading(self.model.excitation.added_to(sample, innovation_gain, known), sample)
+        mixture = self.network.mixture(self.hidden_state, self.inputs)
+        if not self.calibrated:
+            return Prediction(sample + innovation_gain * mixture.expected(), innovation_gain, mixture=mixture)
+        scale, innovation_limit = (
+            innovation_gain * self.model.excitation.sigma(known),
+            self.model.excitation.innovation_limit,
+        )
+        limit = limit_of(innovation_limit, scale)
         expected = sample + scale * np.clip(mixture.expected(), -limit, limit)
-        tail, largest = self.model.excitation.tail(known), self.model.excitation.largest
-        return self._fading(Prediction(expected, scale, tail, largest, mixture), sample)
+        return self._fading(Prediction(expected, scale, innovation_limit, mixture), sample)
 
     def _fading(self, prediction: Prediction, linear: Array) -> Prediction:
-        """Return a prediction that says what of it fades near rest, from its sample without innovation (s,)."""
+        """A prediction that says what of it fades near rest, from its sample without innovation (s,)."""
         before = self.lattice.gain_before_filter
         return prediction._replace(linear=linear - self.tone, tone=self.tone) if before else prediction
 
@@ -235,12 +235,12 @@ class FotenPlusStream:
         self.states, e = push(self.states, self.reflections, sample / after)
         return e / before
 
-    def follow(self, innovation: Array, x: Array, condition: Array, taken_in: bool = True) -> None:
+    def follow(self, innovation: Array, x: Array, condition: Array, update_network: bool = True) -> None:
         """Go on to the condition (s, 3) of a sample; the network takes in its innovation and x, (s,) each."""
         self.set_condition(condition)
-        if self.network is not None and taken_in:
+        if self.network is not None and update_network:
             self.inputs = self._inputs(innovation, x)
-            self.hidden = self.network.push(self.hidden, self.inputs)
+            self.hidden_state = self.network.push(self.hidden_state, self.inputs)
 
     def push(self, sample: Array, condition: Array, noise: Array | None) -> None:
         """Take in the next samples.
@@ -250,18 +250,17 @@ class FotenPlusStream:
         so a rendering forgets where it started. Drawn to the nearest turn, two on either side of half a turn were drawn apart:
         on simulated jeans, whose periods are uneven, they had not met in 12 s.
         """
-        self.volatility.push(noise)
         before, tones, sigma = self.condition, self.tones, self.model.excitation.sigma(self.condition[:, :2])
         level = self.level * sigma
         x = sample - self.tone
         e = self.analyse(x)
         if tones is not None:
-            increment = tones.increment(before)
-            kept = np.exp(-increment / np.pi)
-            jitter = tones.jitter * np.clip(e, -LARGEST_JITTER, LARGEST_JITTER)
-            self.rate = kept * self.rate + np.sqrt(1 - kept * kept) * jitter
-            self.phase = self.phase - tones.drawn_back * (self.phase - self.path) + increment * self.rate
-            self.phase = self.phase + tones.increment(condition)
-            self.path = self.path + tones.increment(condition)
+            increment = tones.phase_increment(before)
+            memory = np.exp(-increment / np.pi)
+            jitter = tones.period_jitter * np.clip(e, -MAX_JITTER_DRIVE, MAX_JITTER_DRIVE)
+            self.rate = memory * self.rate + np.sqrt(1 - memory * memory) * jitter
+            self.phase = self.phase - tones.phase_leak * (self.phase - self.path) + increment * self.rate
+            self.phase = self.phase + tones.phase_increment(condition)
+            self.path = self.path + tones.phase_increment(condition)
             self.tone = tone(tones.coefficients(condition), self.phase)
         self.follow(e / sigma, x / level, condition)

@@ -24,12 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
-from foten.models.foten.definition import Weights
 from foten.models.foten_plus.sizes import LOG_SCALE_LIMIT
+from foten.models.weights import Weights
 
 _erfc = np.vectorize(math.erfc, otypes=[float])
-MOST_STEPS = 60  # of Newton's method, which takes about six
-_PRECISION = 1e-14
+MAX_NEWTON_STEPS = 60  # of Newton's method, which takes about six
+NEWTON_PRECISION = 1e-14
 
 
 @dataclass(frozen=True)
@@ -41,23 +41,23 @@ class Mixture:
     scale: Array
 
     def expected(self) -> Array:
-        """Return their means, (s,)."""
+        """Their means, (s,)."""
         return np.asarray((self.weight * self.mean).sum(axis=1))
 
     def sd(self) -> Array:
-        """Return their standard deviations, (s,)."""
-        missed = self.mean - self.expected()[:, None]
-        return np.sqrt((self.weight * (missed**2 + self.scale**2)).sum(axis=1))
+        """Their standard deviations, (s,)."""
+        deviation = self.mean - self.expected()[:, None]
+        return np.sqrt((self.weight * (deviation**2 + self.scale**2)).sum(axis=1))
 
     def log_density(self, values: Array) -> Array:
-        """Return log p of values (s,) [nat]."""
+        """Log p of values (s,) [nat]."""
         z = (values[:, None] - self.mean) / self.scale
         terms = np.log(self.weight) - np.log(self.scale) - 0.5 * z * z
-        most = terms.max(axis=1)
-        return most + np.log(np.exp(terms - most[:, None]).sum(axis=1)) - 0.5 * np.log(2 * np.pi)
+        largest = terms.max(axis=1)
+        return largest + np.log(np.exp(terms - largest[:, None]).sum(axis=1)) - 0.5 * np.log(2 * np.pi)
 
     def quantile(self, noise: Array) -> Array:
-        """Return the values below which lies Φ(z), for standard normal numbers z (s,).
+        """The values below which lies Φ(z), for standard normal numbers z (s,).
 
         Newton's method on log F, within the smallest and the largest of the components' own quantiles, from their mean; the
         upper half by the mirror image, since only small probabilities are known to many digits.
@@ -65,31 +65,31 @@ class Mixture:
         sign = np.where(noise > 0, -1.0, 1.0)
         z, mean = -np.abs(noise), sign[:, None] * self.mean
         log_p = np.log(0.5 * _erfc(-z / np.sqrt(2)))
-        own = mean + self.scale * z[:, None]
-        low, high, x = own.min(axis=1), own.max(axis=1), (self.weight * own).sum(axis=1)
-        for _ in range(MOST_STEPS):
-            of = (x[:, None] - mean) / self.scale
-            below = (self.weight * 0.5 * _erfc(-of / np.sqrt(2))).sum(axis=1)
-            density = (self.weight * np.exp(-0.5 * of * of) / self.scale).sum(axis=1) / np.sqrt(2 * np.pi)
+        quantiles = mean + self.scale * z[:, None]  # of each component by itself
+        low, high, x = quantiles.min(axis=1), quantiles.max(axis=1), (self.weight * quantiles).sum(axis=1)
+        for _ in range(MAX_NEWTON_STEPS):
+            deviation = (x[:, None] - mean) / self.scale
+            below = (self.weight * 0.5 * _erfc(-deviation / np.sqrt(2))).sum(axis=1)
+            density = (self.weight * np.exp(-0.5 * deviation * deviation) / self.scale).sum(axis=1) / np.sqrt(2 * np.pi)
             with np.errstate(all="ignore"):
-                missed = np.log(below) - log_p
-                low, high = np.where(missed < 0, x, low), np.where(missed < 0, high, x)
-                moved = x - missed * below / density
-            moved = np.where((moved >= low) & (moved <= high), moved, 0.5 * (low + high))
-            done, x = np.abs(moved - x) <= _PRECISION * (1 + np.abs(x)), moved
-            if done.all():
+                error = np.log(below) - log_p
+                low, high = np.where(error < 0, x, low), np.where(error < 0, high, x)
+                step = x - error * below / density
+            step = np.where((step >= low) & (step <= high), step, 0.5 * (low + high))
+            converged, x = np.abs(step - x) <= NEWTON_PRECISION * (1 + np.abs(x)), step
+            if converged.all():
                 break
         return sign * x
 
 
 def innovation_inputs(innovation: Array, sample: Array, logs: Array) -> Array:
-    """Return u: innovations (s,), samples over the level (s,), log speed and force re their means (s, 2) → (s, 5)."""
+    """u: innovations (s,), samples over the level (s,), log speed and force re their means (s, 2) → (s, 5)."""
     size = np.arcsinh(3 * np.abs(innovation)) - 1
     return np.column_stack([np.arcsinh(innovation), size, sample / 2, logs])
 
 
 def phase_inputs(phase: Array) -> Array:
-    """Return what a network is given of the phase of the next sample [rad]: cosine and sine, and of twice it: (…,) → (…, 4)."""
+    """What a network is given of the phase of the next sample [rad]: cosine and sine, and of twice it: (…,) → (…, 4)."""
     return np.stack([np.cos(phase), np.sin(phase), np.cos(2 * phase), np.sin(2 * phase)], axis=-1)
 
 
@@ -101,16 +101,16 @@ class InnovationNetwork:
         self.n_hidden = self._w["recurrent.weight_hh_l0"].shape[1]
 
     def push(self, hidden: Array, inputs: Array) -> Array:
-        """Return h after inputs (s, 5 or 9): (s, h) → (s, h)."""
-        given = inputs @ self._w["recurrent.weight_ih_l0"].T + self._w["recurrent.bias_ih_l0"]
-        kept = hidden @ self._w["recurrent.weight_hh_l0"].T + self._w["recurrent.bias_hh_l0"]
-        (r, z, n), (kr, kz, kn) = (np.split(part, 3, axis=1) for part in (given, kept))
-        reset, update = (0.5 + 0.5 * np.tanh(0.5 * gate) for gate in (r + kr, z + kz))  # the logistic function
-        candidate = np.tanh(n + reset * kn)
+        """h after inputs (s, 5 or 9): (s, h) → (s, h)."""
+        from_inputs = inputs @ self._w["recurrent.weight_ih_l0"].T + self._w["recurrent.bias_ih_l0"]
+        from_hidden = hidden @ self._w["recurrent.weight_hh_l0"].T + self._w["recurrent.bias_hh_l0"]
+        (r, z, n), (hr, hz, candidate_preactivation) = (np.split(x, 3, axis=1) for x in (from_inputs, from_hidden))
+        reset, update = (0.5 + 0.5 * np.tanh(0.5 * gate) for gate in (r + hr, z + hz))  # the logistic function
+        candidate = np.tanh(n + reset * candidate_preactivation)
         return (1 - update) * candidate + update * hidden
 
     def mixture(self, hidden: Array, inputs: Array) -> Mixture:
-        """Return the distributions after h (s, h) and the last inputs (s, 5 or 9)."""
+        """The distributions after h (s, h) and the last inputs (s, 5 or 9)."""
         out = self._w.linear("out", np.tanh(self._w.linear("head", np.concatenate([hidden, inputs], axis=1))))
         logit, mean, log_scale = np.split(out, 3, axis=1)
         weight = np.exp(logit - logit.max(axis=1, keepdims=True))

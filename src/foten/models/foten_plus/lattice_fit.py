@@ -18,16 +18,18 @@ from foten.dsp.lattice import MAX_REFLECTION, delayed, rotate_back
 from foten.dsp.speed_force_table import SpeedForceTable, spanning
 
 ORDERS = (10, 20, 40, 80, 160, 240)  # tried, as far as a block allows
-SHORT = 80  # longer ones take three times as long, and are tried of the kinds that are best up to this one,
-FALLS = 0.008  # where the error falls by this share up to it. Where 240 are best by 11 in 1000 at least, elsewhere by 6 at most
+SHORT_ORDER = 80  # longer ones take three times as long, and are tried of the kinds that are best up to this one,
+MIN_FALL = 0.008  # where the error falls by this share up to it. Where 240 are best by 11 in 1000 at least, elsewhere by 6 at most
 N_SPEED, N_FORCE = 12, 3  # vertices
 CORRELATION = 0.5  # of the range of speed, and of log force, over which reflections are alike beforehand
 SCALES = (0.0, 0.01, 0.03, 0.1, 0.3, 1.0)  # standard deviations that a reflection may be given over speed and force
 N_FOLDS = 8  # into which training and validation blocks are divided to choose a kind, or as many as there are blocks
 N_FOLDS_OF_MANY, MANY_BLOCKS = 4, 16  # of so many blocks fewer folds tell kinds apart as well
-WEIGHED = 241  # samples that a level is averaged over for the gain before the filter
+LEVEL_SAMPLES = 241  # samples that a level is averaged over for the gain before the filter
 NEIGHBOURS = 10  # sections on each side that say how much of a reflection is chance
-WORTH = 1e-3  # a longer lattice, one with the gain before the filter or with a table must lower the error by this share
+MIN_GAIN = (
+    1e-3  # share: a longer lattice, one with the gain before the filter or with a table must lower the error by it
+)
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class LatticeData:
     """What a lattice is fitted to; all arrays of shape (n_blocks, block)."""
 
     x: Array  # what the lattice is of: acceleration over its level, or acceleration
-    unit: Array  # what one of x is in the acceleration that is scored
+    gain: Array  # what an x of 1 is in the acceleration that is scored
     speed: Array  # that each prediction may know: of the sample before [mm/s]
     force: Array  # and [N]
     train: tuple[int, ...]  # numbers of blocks
@@ -43,15 +45,15 @@ class LatticeData:
     weight: Array | None = None  # of each sample's squared errors; None for all alike
 
     def with_gain_before_filter(self) -> LatticeData:
-        """Return the same for a lattice of the acceleration itself.
+        """The same for a lattice of the acceleration itself.
 
-        Weighted by 1/level², its mean over `WEIGHED` samples: unweighted, soft strokes would count nothing, and weights that
+        Weighted by 1/level², its mean over `LEVEL_SAMPLES` samples: unweighted, soft strokes would count nothing, and weights that
         change within the memory bias Burg's method towards too long a ringing. One-step error of one lattice for all speeds,
         linear cloth, hum and twin, seed 0, validation, re the levelled one: 0.986, 0.995, 0.998; weighted block by block 0.989,
         0.999, 1.001.
         """
-        weight = 1 / uniform_filter1d(np.square(self.unit), WEIGHED, axis=1)
-        return replace(self, x=self.x * self.unit, unit=np.ones_like(self.unit), weight=weight)
+        weight = 1 / uniform_filter1d(np.square(self.gain), LEVEL_SAMPLES, axis=1)
+        return replace(self, x=self.x * self.gain, gain=np.ones_like(self.gain), weight=weight)
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class FittedReflections:
 
 
 def fit_lattice(data: LatticeData, max_order: int, tables: bool = True, both_gains: bool = True) -> FittedReflections:
-    """Return the lattice of the training blocks whose kind predicts best, in absolute one-step error.
+    """The lattice of the training blocks whose kind predicts best, in absolute one-step error.
 
     Tried: the `ORDERS` up to `max_order`, with one set of reflections for all speeds and forces and, unless `tables` is
     False, with a table of them; of the acceleration over its level and, unless `both_gains` is False, of the acceleration itself.
@@ -82,7 +84,7 @@ def fit_lattice(data: LatticeData, max_order: int, tables: bool = True, both_gai
     kinds = list(product(sizes, gains))
 
     def errors_of(among: list[tuple[tuple[int, int], bool]], longest: int) -> list[list[float]]:
-        """Return the errors of some kinds, of each by order."""
+        """The errors of some kinds, of each by order."""
         shorter = [order for order in orders if order <= longest]
 
         def of_fold(vertices: tuple[int, int], fold: LatticeData) -> list[float]:
@@ -93,11 +95,11 @@ def fit_lattice(data: LatticeData, max_order: int, tables: bool = True, both_gai
             each = np.array(list(pool.map(of_fold, *zip(*tasks, strict=True))))
         return np.average(each.reshape(len(among), len(weights), -1), axis=1, weights=weights).tolist()
 
-    errors = dict(zip(kinds, errors_of(kinds, min(SHORT, orders[-1])), strict=True))
-    if orders[-1] > SHORT:
-        least = min(errors.values(), key=lambda of_kind: of_kind[-1])
-        if least[-1] < least[-2] * (1 - FALLS):
-            near = [kind for kind in kinds if errors[kind][-1] <= least[-1] * (1 + WORTH)]
+    errors = dict(zip(kinds, errors_of(kinds, min(SHORT_ORDER, orders[-1])), strict=True))
+    if orders[-1] > SHORT_ORDER:
+        lowest_errors = min(errors.values(), key=lambda of_kind: of_kind[-1])
+        if lowest_errors[-1] < lowest_errors[-2] * (1 - MIN_FALL):
+            near = [kind for kind in kinds if errors[kind][-1] <= lowest_errors[-1] * (1 + MIN_GAIN)]
             errors |= zip(near, errors_of(near, orders[-1]), strict=True)
     tried: list[dict[str, float]] = []
     lowest, best = np.inf, (orders[0], *kinds[0])
@@ -105,14 +107,14 @@ def fit_lattice(data: LatticeData, max_order: int, tables: bool = True, both_gai
         n_vertices = len(spanning(data.speed, data.force, *vertices).values)
         for order, error in zip(orders, of_kind, strict=False):
             tried.append({"order": order, "vertices": n_vertices, "gain_before_filter": gain, "mae_scaled": error})
-            if error < lowest * (1 - WORTH):
+            if error < lowest * (1 - MIN_GAIN):
                 lowest, best = error, (order, vertices, gain)
     order, vertices, gain = best
     return FittedReflections(fit_lattice_of(of_gain[gain], order, *vertices), gain, tried)
 
 
 def _folds(data: LatticeData) -> list[LatticeData]:
-    """Return the training and validation blocks divided anew, so that each of them is in one validation set."""
+    """The training and validation blocks divided anew, so that each of them is in one validation set."""
     known = sorted((*data.train, *data.validation))
     n = min(N_FOLDS if len(known) <= MANY_BLOCKS else N_FOLDS_OF_MANY, len(known))
     parts = [tuple(known[first::n]) for first in range(n)]
@@ -120,26 +122,26 @@ def _folds(data: LatticeData) -> list[LatticeData]:
 
 
 def validation_errors(reflections: SpeedForceTable, data: LatticeData, orders: Sequence[int]) -> list[float]:
-    """Return the mean absolute one-step errors of the first sections alone, by their number, on the validation blocks [scaled].
+    """The mean absolute one-step errors of the first sections alone, by their number, on the validation blocks [scaled].
 
     The first samples of each block are left out, of the longest order, for all alike.
     """
     scored = slice(min(orders[-1], data.x.shape[1] // 2), None)
-    missed = np.zeros(len(orders))
+    error = np.zeros(len(orders))
     for block in data.validation:  # one by one: reflections of a minute at 10 kHz would take gigabytes
         k = reflections.at(data.speed[block], data.force[block])
         f = b = data.x[block]
-        unit = data.unit[block]
+        gain = data.gain[block]
         for i in range(orders[-1]):
             f, b, cosine = rotate_back(f, delayed(b), k[:, i])
-            unit = unit * cosine
+            gain = gain * cosine
             if i + 1 in orders:
-                missed[orders.index(i + 1)] += np.abs(f * unit)[scored].mean()
-    return (missed / len(data.validation)).tolist()
+                error[orders.index(i + 1)] += np.abs(f * gain)[scored].mean()
+    return (error / len(data.validation)).tolist()
 
 
 def fit_lattice_of(data: LatticeData, order: int, n_speed: int, n_force: int) -> SpeedForceTable:
-    """Return the reflections that make forward and backward errors of each section least, over the training blocks.
+    """The reflections that make forward and backward errors of each section least, over the training blocks.
 
     Section i minimises Σ w ((f_{i−1} + k b)² + (b + k f_{i−1})²) over k at the vertices: Burg's method, a least-squares
     problem in as many unknowns as there are vertices. What the vertices differ by has a Gaussian prior in three parts,
@@ -156,7 +158,7 @@ def fit_lattice_of(data: LatticeData, order: int, n_speed: int, n_force: int) ->
     n_vertices = near.by_vertex.shape[0]
     parts = _covariances(len(table.speed_knots), len(table.force_knots))
     weight = np.ones_like(speed) if data.weight is None else data.weight[chosen]
-    kept = _kept_of_noise(x, weight, order)
+    shares = _share_beyond_chance(x, weight, order)
     f = b = x
     reflections = np.zeros((n_vertices, order))
     for i in range(order):
@@ -166,7 +168,7 @@ def fit_lattice_of(data: LatticeData, order: int, n_speed: int, n_force: int) ->
         upper = (near.by_pair @ power.ravel()).reshape(n_vertices, n_vertices)
         gram = upper + upper.T - np.diag(np.diag(upper))
         moment = -(near.by_vertex @ correlation.ravel())
-        everywhere = kept[i] * moment.sum() / gram.sum()
+        everywhere = shares[i] * moment.sum() / gram.sum()
         # In units of a section's own error: a reflection is known to within √((1 − k²)/n).
         noise = max(1e-4, 1 - everywhere**2) * power[:, i + 1 :].mean()
         k = everywhere + _shrunk(gram / noise, (moment - gram.sum(axis=1) * everywhere) / noise, parts)
@@ -187,14 +189,14 @@ class VertexWeights:
 
 
 def vertex_weights(table: SpeedForceTable, speed: Array, force: Array) -> VertexWeights:
-    """Return what the vertices of a table count at the samples of blocks, speed and force (n_blocks, block) each."""
+    """What the vertices of a table count at the samples of blocks, speed and force (n_blocks, block) each."""
     by_block = [sparse.csr_array(table.weights(*block)) for block in zip(speed, force, strict=True)]
     by_pair = [_pairs(block) for block in by_block]
     return VertexWeights(sparse.vstack(by_block, format="csr").T, sparse.vstack(by_pair, format="csr").T)
 
 
 def _pairs(weights: sparse.csr_array) -> sparse.csr_array:
-    """Return the products of each row's weights, (n, k) → (n, k²): of vertices i ≤ j, in column i·k + j."""
+    """The products of each row's weights, (n, k) → (n, k²): of vertices i ≤ j, in column i·k + j."""
     n, k = weights.shape
     counts = np.diff(weights.indptr)
     rows = np.repeat(np.arange(n), counts)
@@ -209,8 +211,8 @@ def _pairs(weights: sparse.csr_array) -> sparse.csr_array:
     return sparse.csr_array((products[nonzero], (at, columns[nonzero].astype(np.int64))), shape=(n, k * k))
 
 
-def _kept_of_noise(x: Array, weight: Array, order: int) -> Array:
-    """Return the share of each section's common reflection that is kept, shape (order,).
+def _share_beyond_chance(x: Array, weight: Array, order: int) -> Array:
+    """The share of each section's common reflection that is kept, shape (order,).
 
     Reflections of far sections are mostly chance; unshrunk, 160 of them from a second at 10 kHz draw ripples into the
     spectrum that a free run plays back. The share is Wiener's, τ²/(τ² + v), with v the variance between blocks and τ² what
@@ -243,7 +245,7 @@ def _kept_of_noise(x: Array, weight: Array, order: int) -> Array:
 
 
 def _covariances(n_speed: int, n_force: int) -> list[NDArray[Any]]:
-    """Return the prior covariances, of unit variance, of what vertices differ by: over speed, over force, over both."""
+    """The prior covariances, of unit variance, of what vertices differ by: over speed, over force, over both."""
     if n_speed * n_force == 1:
         return []
     at = (np.arange(n) / max(1, n - 1) for n in (n_speed, n_force))
@@ -252,7 +254,7 @@ def _covariances(n_speed: int, n_force: int) -> list[NDArray[Any]]:
 
 
 def _shrunk(information: Array, score: Array, parts: list[NDArray[Any]]) -> NDArray[Any]:
-    """Return the posterior mean of deviations with likelihood exp(score·d − d·information·d/2), prior scales by evidence."""
+    """The posterior mean of deviations with likelihood exp(score·d − d·information·d/2), prior scales by evidence."""
     if not parts:
         return np.zeros_like(score)
     identity = np.eye(len(score))

@@ -5,8 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from foten.models.foten_plus.sizes import LOG_SCALE_LIMIT, FotenPlusSizes
-from foten.models.tensor_shapes import N_INNOVATION_INPUTS
+from foten.models.foten_plus.sizes import LOG_SCALE_LIMIT, N_INPUTS, FotenPlusSizes
 
 
 class InnovationNetwork(nn.Module):
@@ -15,7 +14,7 @@ class InnovationNetwork(nn.Module):
     Before training its means are zero: what it predicts is what the lattice does.
     """
 
-    def __init__(self, sizes: FotenPlusSizes, n_inputs: int = N_INNOVATION_INPUTS) -> None:
+    def __init__(self, sizes: FotenPlusSizes, n_inputs: int = N_INPUTS) -> None:
         super().__init__()
         k = self.n_components = sizes.n_components
         self.recurrent = nn.GRU(n_inputs, sizes.n_hidden, batch_first=True)
@@ -33,7 +32,7 @@ class InnovationNetwork(nn.Module):
         return self.mixture(hidden, inputs)
 
     def mixture(self, hidden: Tensor, inputs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return log w, μ and log s of the next innovation: from hidden numbers after a sample (…, n_hidden), and its inputs."""
+        """Return log w, μ and log s of the next innovation: from the hidden state after a sample (…, n_hidden), and its inputs."""
         out = self.out(torch.tanh(self.head(torch.cat([hidden, inputs], dim=-1))))
         logit, mean, log_scale = out.split(self.n_components, dim=-1)
         return torch.log_softmax(logit, dim=-1), mean, LOG_SCALE_LIMIT * torch.tanh(log_scale / LOG_SCALE_LIMIT)

@@ -17,10 +17,10 @@ What enters the lattice is at most E = σ · (largest innovation), times the lar
 whatever the network says; the lattice's energy stays below E²/(1 − leak²), however speed and force move (`dsp.lattice`), and the
 network's state within ±1 by its gates.
 
-Where validation says that the network brings nothing, e is σ(v, f) times heavy-tailed noise of a volatility.
+Where validation says that the network brings nothing, e is σ(v, f) times Gaussian noise.
 
-A rendering draws from a network of its own (`rendering_network.`), which begins as the other and is trained on its own output
-(`models.foten_plus.closed_loop_training`). A surface that repeats is rendered otherwise: tones of the path (`dsp.tones`), plus a lattice of the
+A rendering draws from a network of its own (`rendering_network.`), which begins as the other and is trained in its closed loop
+(`closed_loop_training`). A surface that repeats is rendered otherwise: tones of the path (`dsp.tones`), plus a lattice of the
 residual's own, and a network that is given the phase of the tones as well. Its next sample is still predicted as above.
 
 The network is given e because what a tool does after an impact depends on the impact, which is one large innovation that the
@@ -35,22 +35,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from foten.models.model_sizes import Shapes, Sizes
-from foten.models.tensor_shapes import (
-    N_INNOVATION_INPUTS,
-    excitation_shapes,
-    innovation_cost,
-    innovation_shapes,
-    scale_cost,
-    scale_shapes,
-)
+from foten.models.excitation import excitation_shapes, linear_shapes, scale_cost, scale_shapes
+from foten.models.model_sizes import ModelSizes, Shapes
 
+N_INPUTS = 5  # of the innovation network: the innovation and its size, the sample, log speed and log force
 N_PHASE_INPUTS = 4  # cosine and sine of the phase of tones and of twice it, to the network of a rendering
 LOG_SCALE_LIMIT = 6.0  # of log s, in size
 
 
 @dataclass(frozen=True)
-class FotenPlusSizes(Sizes):
+class FotenPlusSizes(ModelSizes):
     """The sizes of foten-plus; those of lattices and tones are chosen in training."""
 
     window: int = 40  # samples that the network takes in before it is asked
@@ -80,14 +74,14 @@ class FotenPlusSizes(Sizes):
     def tensor_shapes(self) -> Shapes:
         """Return the tensors of networks, lattices, tones and excitation."""
         width = self.excitation_width
-        shapes = self.network_shapes("network", N_INNOVATION_INPUTS)
+        shapes = self.network_shapes("network", N_INPUTS)
         if self.network_in_loop:
             shapes |= self.network_shapes("rendering_network", self.n_rendering_inputs)
         shapes |= excitation_shapes(width)
         shapes |= lattice_shapes("lattice", self.n_speed, self.n_force, self.order, width)
         if self.n_tones:
             shapes |= table_shapes("tones", self.n_tone_speed, self.n_tone_force, "values", 2 * self.n_tones)
-            shapes["tones.motion"] = (3,)
+            shapes["tones.phase_params"] = (3,)
             n_speed, n_force = self.n_residual_speed, self.n_residual_force
             shapes |= lattice_shapes("residual", n_speed, n_force, self.residual_order, width)
         return shapes
@@ -95,7 +89,7 @@ class FotenPlusSizes(Sizes):
     @property
     def n_rendering_inputs(self) -> int:
         """Return how many numbers the network of a rendering is given of a sample."""
-        return N_INNOVATION_INPUTS + (N_PHASE_INPUTS if self.n_tones else 0)
+        return N_INPUTS + (N_PHASE_INPUTS if self.n_tones else 0)
 
     def network_shapes(self, name: str, inputs: int) -> Shapes:
         """Return the tensors of a network of innovations."""
@@ -121,3 +115,17 @@ def table_shapes(name: str, n_speed: int, n_force: int, values: str, k: int) -> 
     """Return the tensors of a table of k numbers over speed and force."""
     knots: Shapes = {f"{name}.speed_knots": (n_speed,), f"{name}.force_knots": (n_force,)}
     return knots | {f"{name}.{values}": (n_speed * n_force, k)}
+
+
+def innovation_shapes(name: str, n_inputs: int, n_hidden: int, head_width: int, n_components: int) -> Shapes:
+    """Tensors of an innovation network."""
+    h, width = n_hidden, head_width
+    recurrent = {"weight_ih": (3 * h, n_inputs), "weight_hh": (3 * h, h), "bias_ih": (3 * h,), "bias_hh": (3 * h,)}
+    shapes: Shapes = {f"{name}.recurrent.{part}_l0": shape for part, shape in recurrent.items()}
+    shapes |= linear_shapes(f"{name}.head", width, h + n_inputs)
+    return shapes | linear_shapes(f"{name}.out", 3 * n_components, width)
+
+
+def innovation_cost(n_inputs: int, n_hidden: int, head_width: int, n_components: int) -> int:
+    """Multiply-adds of a step of an innovation network."""
+    return 3 * n_hidden * (n_inputs + n_hidden) + head_width * (n_hidden + n_inputs) + 3 * n_components * head_width

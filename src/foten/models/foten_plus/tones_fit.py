@@ -16,24 +16,24 @@ from foten.dsp.speed_force_table import SpeedForceTable, spanning
 from foten.dsp.tones import tone, tone_slope
 from foten.models.foten_plus.lattice_fit import LatticeData, VertexWeights, fit_lattice_of, vertex_weights
 
-SHORTEST_MM = 0.2
-LEAST_PERIODS = 3.0  # in a stretch: so many of a window's own lobes lie at the lowest spatial frequencies
+MIN_WAVELENGTH_MM = 0.2
+MIN_PERIODS = 3.0  # in a stretch: so many of a window's own lobes lie at the lowest spatial frequencies
 # Times its surroundings, for a wavelength to be tried; irregular cloth has 4, surfaces without one 1.3.
-STANDS_OUT = 3.0
-TWICE_CHANCE = 2.0  # the largest that noise would reach
-OF_THE_PATH = 1.2  # times what stands out over time: a hum at a steady speed repeats over both
+MIN_PEAK_RATIO = 3.0
+MIN_CHANCE_RATIO = 2.0  # the largest that noise would reach
+MIN_PATH_RATIO = 1.2  # times what stands out over time: a hum at a steady speed repeats over both
 MAX_TONES = 6
 N_SPEED, N_FORCE = 32, 2  # vertices: the tool turns a tone's phase by π within 30 mm/s
-ROUNDS = 8
-ROUGHNESS = 0.005  # how much neighbouring vertices are held together, as a share of what one vertex knows
-SMOOTHING = 0.6  # wavelengths over which a phase is taken to deviate evenly
-TRUST = 3.0  # of the path, against what the samples of such a stretch say [1/rad²]
+N_ROUNDS = 8
+NEIGHBOUR_BOND = 0.005  # how much neighbouring vertices are held together, as a share of what one vertex knows
+SMOOTHING_WAVELENGTHS = 0.6  # wavelengths over which a phase is taken to deviate evenly
+PATH_PRECISION = 3.0  # of the path, against what the samples of such a stretch say [1/rad²]
 WHITENING = 20  # order
 USABLE_BAND = 0.45  # of the rate, that tones keep to
 
 
 def wavelength(data: LatticeData, rate_hz: float) -> float | None:
-    """Return the length that a surface repeats itself after [mm], or None where none stands out.
+    """The length that a surface repeats itself after [mm], or None where none stands out.
 
     The vibration over its level is cut into stretches of some millimetres, and each one's power is taken at spatial frequencies,
     with the path for time: mean over stretches, against the median of its surroundings. What stands out as much with time for the
@@ -51,7 +51,7 @@ def wavelength(data: LatticeData, rate_hz: float) -> float | None:
     if len(stretches) > 200:
         stretches = [stretches[i] for i in np.linspace(0, len(stretches) - 1, 200).astype(int)]
     step = 0.25 / span
-    cycles = np.arange(LEAST_PERIODS / span, 1 / SHORTEST_MM, step)
+    cycles = np.arange(MIN_PERIODS / span, 1 / MIN_WAVELENGTH_MM, step)
     coarse = cycles[::16, None]  # e^(−2πi(c + d)w) is a product: exponentials of 16 + n/16 frequencies in place of n
     fine = step * np.arange(16)[:, None]
     usual_step = float(np.mean([travelled[-1] / (len(travelled) - 1) for travelled, _ in stretches]))
@@ -75,9 +75,9 @@ def wavelength(data: LatticeData, rate_hz: float) -> float | None:
     # of 5 mm, and a fixed threshold gave tones in three splits of five.
     half_freedom = 0.6 * len(stretches)
     largest_by_chance = float(gammainccinv(half_freedom, 0.05 / len(cycles)) / half_freedom)
-    enough = max(STANDS_OUT, TWICE_CHANCE * largest_by_chance)
+    enough = max(MIN_PEAK_RATIO, MIN_CHANCE_RATIO * largest_by_chance)
     like_it = np.abs(cycles - cycles[peak]) <= 0.1 * cycles[peak]
-    if ratio[peak] < max(enough, OF_THE_PATH * over_time[like_it].max()):
+    if ratio[peak] < max(enough, MIN_PATH_RATIO * over_time[like_it].max()):
         return None
     # The tool may make a multiple louder than the fundamental.
     half = int(np.argmin(np.abs(cycles - cycles[peak] / 2)))
@@ -88,7 +88,7 @@ def wavelength(data: LatticeData, rate_hz: float) -> float | None:
 
 
 def _stretches(path: Array, span: float) -> Iterator[slice]:
-    """Return the samples of half-overlapping stretches of a path [mm], without those of fewer than 30 samples."""
+    """The samples of half-overlapping stretches of a path [mm], without those of fewer than 30 samples."""
     first = 0
     while (last := int(np.searchsorted(path, path[first] + span))) < len(path):
         if last - first > 30:
@@ -97,7 +97,7 @@ def _stretches(path: Array, span: float) -> Iterator[slice]:
 
 
 def n_tones(wavelength_mm: float, speed: Array, rate_hz: float) -> int:
-    """Return how many multiples the rate holds at the median speed [mm/s], at least one."""
+    """How many multiples the rate holds at the median speed [mm/s], at least one."""
     fundamental_hz = float(np.median(speed)) / wavelength_mm
     return int(np.clip(USABLE_BAND * rate_hz / max(fundamental_hz, 1e-9), 1, MAX_TONES))
 
@@ -110,11 +110,11 @@ class FittedTones:
     table: SpeedForceTable  # coefficients over speed and force, in units of the vibration's level
     phase: Array  # of the fundamental at every sample [rad], shape (n_blocks, block)
     played: Array  # T at every sample, in units of the level, same shape
-    unevenness: float  # standard deviation of a period's length, as a share of it
+    period_jitter: float  # standard deviation of a period's length, as a share of it
 
 
 def fit_tones(data: LatticeData, wavelength_mm: float, rate_hz: float) -> FittedTones:
-    """Return the tones of a surface that seems to repeat.
+    """The tones of a surface that seems to repeat.
 
     In turn, least squares for the coefficients given the phases, and a step of Gauss and Newton for the phases given the
     coefficients, which may deviate from the path by an even amount over about a wavelength. Errors are whitened: the tool's
@@ -129,27 +129,28 @@ def fit_tones(data: LatticeData, wavelength_mm: float, rate_hz: float) -> Fitted
     fastest = USABLE_BAND * rate_hz * wavelength_mm
     whitener = np.ones(1)
     near = vertex_weights(table, speed, force)
-    for _ in range(ROUNDS):
+    for _ in range(N_ROUNDS):
         table = _fitted(data, table, phase, whitener, fastest, near)
         coefficients = _coefficients(data, table)
         x = data.x - tone(coefficients, phase)
         whitener = polynomial(fit_lattice_of(replace(data, x=x), WHITENING, 1, 1).values[0])
-        missed, turned = (lfilter(whitener, [1.0], signal) for signal in (x, tone_slope(coefficients, phase)))
-        noise = float(np.square(missed[chosen]).mean())
+        residual, slope = (lfilter(whitener, [1.0], signal) for signal in (x, tone_slope(coefficients, phase)))
+        noise = float(np.square(residual[chosen]).mean())
         score, known = (
-            _smoothed(path, turned * signal / noise, wavelength_mm, SMOOTHING) for signal in (missed, turned)
+            _smoothed(path, slope * signal / noise, wavelength_mm, SMOOTHING_WAVELENGTHS)
+            for signal in (residual, slope)
         )
-        phase = phase + np.clip(score / (known + TRUST), -0.4, 0.4)
+        phase = phase + np.clip(score / (known + PATH_PRECISION), -0.4, 0.4)
     periods = (phase[chosen, -1] - phase[chosen, 0]).sum() / (2 * np.pi)
     length = float((path[chosen, -1] - path[chosen, 0]).sum() / periods)
     deviation = phase - 2 * np.pi * path / length
-    unevenness = _unevenness(path[chosen], deviation[chosen], speed, length)
+    period_jitter = _period_jitter(path[chosen], deviation[chosen], speed, length)
     table = _fitted(data, table, phase, whitener, fastest, near)
-    return FittedTones(length, table, phase, tone(_coefficients(data, table), phase), unevenness)
+    return FittedTones(length, table, phase, tone(_coefficients(data, table), phase), period_jitter)
 
 
-def _unevenness(path: Array, deviation: Array, speed: Array, wavelength_mm: float) -> float:
-    """Return the standard deviation of a period's length, as a share of it, from how the phase's variance grows on the path.
+def _period_jitter(path: Array, deviation: Array, speed: Array, wavelength_mm: float) -> float:
+    """The standard deviation of a period's length, as a share of it, from how the phase's variance grows on the path.
 
     From 4 to 12 wavelengths: what is unsure of each phase by itself is the same at both distances and drops out. Only the
     quarter of places is compared where the hand was about as fast: the tool turns the phase by itself as speed changes, and of
@@ -161,25 +162,25 @@ def _unevenness(path: Array, deviation: Array, speed: Array, wavelength_mm: floa
         for place, *rows in zip(path, deviation, speed, strict=True):
             at = np.arange(place[0], place[-1] - away, wavelength_mm / 2)
             differences.append([np.interp(at + away, place, row) - np.interp(at, place, row) for row in rows])
-        moved, faster = np.abs(np.concatenate(differences, axis=1))
-        if not faster.size:
+        change, acceleration = np.abs(np.concatenate(differences, axis=1))
+        if not acceleration.size:
             return 0.0
-        return float(np.square(moved[faster <= np.quantile(faster, 0.25)]).mean())
+        return float(np.square(change[acceleration <= np.quantile(acceleration, 0.25)]).mean())
 
     near, far = 4, 12
     return math.sqrt(max(0.0, (variance(far) - variance(near)) / (far - near))) / (2 * math.pi)
 
 
 def _demodulated(x: Array, path: Array, wavelength_mm: float) -> Array:
-    """Return the phase of the fundamental at every sample: the path's, and what is left once it is taken out, smoothed."""
-    turned = 2 * np.pi * path / wavelength_mm
-    carried = x * np.exp(-1j * turned) * np.diff(path, axis=1, prepend=0.0)
+    """The phase of the fundamental at every sample: the path's, and what is left once it is taken out, smoothed."""
+    carrier = 2 * np.pi * path / wavelength_mm
+    carried = x * np.exp(-1j * carrier) * np.diff(path, axis=1, prepend=0.0)
     real, imaginary = (_smoothed(path, part, wavelength_mm, 1.0) for part in (carried.real, carried.imag))
-    return turned + np.unwrap(np.angle(real + 1j * imaginary), axis=1)
+    return carrier + np.unwrap(np.angle(real + 1j * imaginary), axis=1)
 
 
 def _smoothed(path: Array, values: Array, wavelength_mm: float, width: float) -> Array:
-    """Return sums under a Gaussian of `width` wavelengths of path around every sample, each block by itself."""
+    """Sums under a Gaussian of `width` wavelengths of path around every sample, each block by itself."""
     step = wavelength_mm / 8
     reach = int(4 * width * 8)
     bell = np.exp(-0.5 * (np.arange(-reach, reach + 1) / (width * 8)) ** 2)
@@ -198,7 +199,7 @@ def _coefficients(data: LatticeData, table: SpeedForceTable) -> Array:
 def _fitted(
     data: LatticeData, table: SpeedForceTable, phase: Array, whitener: Array, fastest: float, near: VertexWeights
 ) -> SpeedForceTable:
-    """Return the coefficients that leave the least whitened error, neighbours held together.
+    """The coefficients that leave the least whitened error, neighbours held together.
 
     The weights of vertices change little within the whitener's length, so waves are whitened first and weighted then:
     in the normal equations a sample counts at the ten pairs of its four vertices alone.
@@ -228,7 +229,7 @@ def _fitted(
         [np.kron(np.diff(over_speed, axis=0), over_force), np.kron(over_speed, np.diff(over_force, axis=0))]
     )  # from each vertex to its neighbours
     bonds = steps.T @ steps
-    gram += np.kron(ROUGHNESS * bonds + 1e-5 * np.eye(n_vertices), np.diag(known))
+    gram += np.kron(NEIGHBOUR_BOND * bonds + 1e-5 * np.eye(n_vertices), np.diag(known))
     vertex_speeds = np.repeat(table.speed_knots, len(table.force_knots))
     held = (vertex_speeds[:, None] * np.repeat(multiples, 2) <= fastest).ravel()
     values = np.zeros(n_vertices * n_columns)

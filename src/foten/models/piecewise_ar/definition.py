@@ -24,12 +24,12 @@ from foten.dsp import Array
 from foten.dsp.lattice import predict, push, reflections_of
 from foten.dsp.lsf import polynomial_of
 from foten.dsp.mesh import Mesh
-from foten.models.foten.definition import Weights
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
 from foten.models.stream import Prediction
+from foten.models.weights import Weights
 
-LARGEST_INNOVATION = 100.0  # standard deviations, of those inferred from a recorded window
-SETTLED_AFTER = 256  # samples that a stream begins with, where there are zeros
+MAX_INNOVATION = 100.0  # standard deviations, of those inferred from a recorded window
+SETTLING_SAMPLES = 256  # samples that a stream begins with, where there are zeros
 
 
 class PiecewiseAr:
@@ -47,7 +47,7 @@ class PiecewiseAr:
         self._table = np.concatenate([w["lsf"], zeros, before[:, None] ** 2], axis=1)
 
     def mixed(self, condition: Array) -> tuple[Array, Array, Array]:
-        """Return reflection coefficients (p, b), b₁ … b_q (q, b) and the scaled gain before the lattice (b,).
+        """Reflection coefficients (p, b), b₁ … b_q (q, b) and the scaled gain before the lattice (b,).
 
         Of the model under a speed and force, scaled (b, 2).
         """
@@ -59,14 +59,14 @@ class PiecewiseAr:
         return reflections_of(polynomial_of(mixed[:, :p])).T, zeros, np.sqrt(mixed[:, -1])
 
     def start(self, windows: Array) -> PiecewiseArStream:
-        """Return streams that go on from scaled windows, shape (s, m, 3); innovations are inferred once p samples are known."""
+        """Streams that go on from scaled windows, shape (s, m, 3); innovations are inferred once p samples are known."""
         stream = PiecewiseArStream(self, windows[:, 0, 1:])
         for n in range(1, windows.shape[1]):
             stream.infer(windows[:, n, 0], windows[:, n, 1:], known=n > self.sizes.order)
         return stream
 
     def predict(self, windows: Array) -> Array:
-        """Return the next samples: windows (b, m, 3) scaled → (b,) scaled."""
+        """The next samples: windows (b, m, 3) scaled → (b,) scaled."""
         return self.start(windows).predict().sample
 
 
@@ -86,9 +86,9 @@ class PiecewiseArStream:
 
     @property
     def n_initial(self) -> int:
-        """Return a number for each state and, with zeros, for each past innovation and each sample until it has settled."""
+        """A number for each state and, with zeros, for each past innovation and each sample until it has settled."""
         q = len(self._past)
-        return len(self.states) + (q + SETTLED_AFTER if q else 0)
+        return len(self.states) + (q + SETTLING_SAMPLES if q else 0)
 
     def begin(self, condition: Array, noise: Array, fade: float = 1.0) -> None:
         """Draw states and innovations; with zeros, which colour what enters the lattice, run until it has settled."""
@@ -100,7 +100,7 @@ class PiecewiseArStream:
             self.push(self.predict().excited(z), condition, z)
 
     def predict(self) -> Prediction:
-        """Return what lattice and past innovations predict."""
+        """What lattice and past innovations predict."""
         sample, cosines = predict(self.states, self.reflections)
         unit = self._gain * cosines
         return Prediction(sample + unit * (self._zeros * self._past).sum(axis=0), unit)
@@ -113,9 +113,9 @@ class PiecewiseArStream:
         """Take in recorded samples (s,) and the innovations that they tell of, where all samples before are known."""
         expected = self.predict()
         assert expected.scale is not None
-        missed = known * (sample - expected.sample)
-        innovation = np.divide(missed, expected.scale, out=np.zeros_like(missed), where=expected.scale > 0)
-        self._take_in(sample, condition, np.clip(innovation, -LARGEST_INNOVATION, LARGEST_INNOVATION))
+        residual = known * (sample - expected.sample)
+        innovation = np.divide(residual, expected.scale, out=np.zeros_like(residual), where=expected.scale > 0)
+        self._take_in(sample, condition, np.clip(innovation, -MAX_INNOVATION, MAX_INNOVATION))
 
     def _take_in(self, sample: Array, condition: Array, innovation: Array) -> None:
         self.states, _ = push(self.states, self.reflections, sample)

@@ -20,21 +20,22 @@ from foten.models.piecewise_ar.local_models import LocalModels, local_texture
 from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeTexture
 from foten.training.blocks import ScaledBlocks
-from foten.training.job import Stage, Task, TrainingJob, versions
+from foten.training.job import Trained, TrainingJob, versions
+from foten.training.loop import Monitor, Progress
 from foten.training.texture_builder import ProvedTexture
 
 ORDERS = (4, 6, 8, 10, 12, 14, 16, 18, 20)  # tried for all models of a texture alike
-GRID_S, LONGEST_S = 0.05, 1.0  # between places that a cut is tried at; of a piece, over which a hand changes
-LEAST_SAMPLES = 100  # of a piece that is fitted
-LEAST_POWER = 1e-6  # of a piece, as a share of that of the training blocks: a sensor that dropped out is no texture
-LEAST_LEFT = 1e-9  # of a piece by its filter, as a share: one that hung, or a tone that somebody fed in
-SAME = 0.02  # standard deviations between models that are one
+GRID_S, MAX_PIECE_S = 0.05, 1.0  # between places that a cut is tried at; of a piece, over which a hand changes
+MIN_SAMPLES = 100  # of a piece that is fitted
+MIN_POWER = 1e-6  # of a piece, as a share of that of the training blocks: a sensor that dropped out is no texture
+MIN_RESIDUAL = 1e-9  # of a piece by its filter, as a share: one that hung, or a tone that somebody fed in
+MERGE_DISTANCE = 0.02  # standard deviations between models that are one
 _GRID = 50  # samples between places, at the least
 _SHARES = (0.0, 0.5, 1.0)  # of the way along the trained range, where models stand around it
 
 
-def prepare_piecewise_ar(job: TrainingJob, on_stage: Stage) -> Task:
-    """Return a texture of local linear models learned from a recording, its order chosen on the validation blocks.
+def fit(job: TrainingJob, monitor: Monitor) -> Trained:
+    """A texture of local linear models learned from a recording, its order chosen on the validation blocks.
 
     Raises:
         ValueError: the recording does not fit the configuration, or holds too little to fit models to.
@@ -45,21 +46,21 @@ def prepare_piecewise_ar(job: TrainingJob, on_stage: Stage) -> Task:
             f"a block of {blocks.trace.block} samples is too short for filters of order {MAX_ORDER}, expected twice as many: "
             "use a longer --block"
         )
-    on_stage("cutting the training blocks into pieces")
+    monitor.on_stage("cutting the training blocks into pieces")
     all_pieces = list(_pieces(blocks))
     pieces = [piece for piece in all_pieces if _is_of_a_texture(piece[:, 0], blocks.scaling.sd[0])]
     if len(pieces) < 3:
         raise ValueError(
-            f"the training blocks hold {len(pieces)} pieces of {LEAST_SAMPLES} samples or more above {FADE_SPEED:g} mm/s and "
+            f"the training blocks hold {len(pieces)} pieces of {MIN_SAMPLES} samples or more above {FADE_SPEED:g} mm/s and "
             f"{FADE_FORCE:g} N that vibrate, expected 3 or more: record longer, faster or firmer"
         )
     card = {**job.card(blocks, "cpu"), "training": {"versions": versions()}}
-    del card["beyond_exponents"]  # those of the mesh
+    del card["extrapolation_exponents"]  # those of the mesh
 
     def texture_of(order: int, metrics: dict[str, Any]) -> ProvedTexture:
-        return local_texture(fitted(pieces, blocks, order), blocks.scaling, {**card, "metrics": metrics})
+        return local_texture(local_models(pieces, blocks, order), blocks.scaling, {**card, "metrics": metrics})
 
-    on_stage("choosing the order")
+    monitor.on_stage("choosing the order")
     errors = {
         order: _validation_error(texture_of(order, {"validation_mae_scaled": 0.0}).kernel, blocks) for order in ORDERS
     }
@@ -71,13 +72,13 @@ def prepare_piecewise_ar(job: TrainingJob, on_stage: Stage) -> Task:
         "n_pieces_left_out": len(all_pieces) - len(pieces),
         "recorded_peak_sd": blocks.peak_sd,
     }
-    return Task(job=job, blocks=blocks, playable=texture_of(best, metrics).texture)
+    return Trained(texture_of(best, metrics).texture, blocks.trace, blocks.split, Progress())
 
 
-def fitted(pieces: list[Array], blocks: ScaledBlocks, order: int) -> LocalModels:
-    """Return a model for each piece (n, 3) of acceleration [m/s²], speed [mm/s] and force [N], merged, and others around.
+def local_models(pieces: list[Array], blocks: ScaledBlocks, order: int) -> LocalModels:
+    """A model for each piece (n, 3) of acceleration [m/s²], speed [mm/s] and force [N], merged, and others around.
 
-    Labels are medians. Models nearer than `SAME` are merged. Around the trained range stand models as loud as the nearest, and
+    Labels are medians. Models nearer than `MERGE_DISTANCE` are merged. Around the trained range stand models as loud as the nearest, and
     silent ones at rest and without force, all with the angles of the nearest.
     """
     angles, variances = [], []
@@ -93,7 +94,7 @@ def fitted(pieces: list[Array], blocks: ScaledBlocks, order: int) -> LocalModels
     share = np.zeros((model.max() + 1, len(model)))
     share[model, np.arange(len(model))] = [len(piece) for piece in pieces]
     share /= share.sum(axis=1, keepdims=True)
-    own = share @ points
+    centres = share @ points
     # Of the training blocks, where a rendering does not fade.
     trained, fading = blocks.training_blocks()[..., 1:], [FADE_SPEED, FADE_FORCE]
     low, high = (np.maximum(end(trained, axis=(0, 1)), fading) for end in (np.min, np.max))
@@ -101,10 +102,10 @@ def fitted(pieces: list[Array], blocks: ScaledBlocks, order: int) -> LocalModels
     loud = np.array([low + (high - low) * shares for shares in product(_SHARES, _SHARES)])
     silent = np.array([[v * high[0], 0.0] for v in _SHARES] + [[0.0, f * high[1]] for f in _SHARES[1:]])
     edge = np.concatenate([loud[(loud == low).any(axis=1) | (loud == high).any(axis=1)], silent])
-    nearest = np.square((edge[:, None] - own) / scale).sum(axis=2).argmin(axis=1)
+    nearest = np.square((edge[:, None] - centres) / scale).sum(axis=2).argmin(axis=1)
     lsf, variance = share @ np.array(angles), share @ np.array(variances)
     return _meshed(
-        np.concatenate([own, edge]),
+        np.concatenate([centres, edge]),
         np.concatenate([lsf, lsf[nearest]]),
         np.concatenate([variance, np.where((edge > 0).all(axis=1), variance[nearest], 0.0)]),
         scale,
@@ -112,36 +113,36 @@ def fitted(pieces: list[Array], blocks: ScaledBlocks, order: int) -> LocalModels
 
 
 def _is_of_a_texture(x: Array, sd: float) -> bool:
-    """Return whether a piece vibrates, and not for ever the same."""
+    """Whether a piece vibrates, and not for ever the same."""
     power = float(np.square(x - x.mean()).mean())
-    if power <= LEAST_POWER * sd * sd:
+    if power <= MIN_POWER * sd * sd:
         return False
     _, left = burg(x - x.mean(), max(ORDERS))
-    return left > LEAST_LEFT * power
+    return left > MIN_RESIDUAL * power
 
 
 def _pieces(blocks: ScaledBlocks) -> Iterator[Array]:
-    """Return the pieces of the training blocks that are fitted, each of shape (n, 3)."""
+    """The pieces of the training blocks that are fitted, each of shape (n, 3)."""
     trace, rate = blocks.trace, blocks.trace.rate_hz
     stacked = trace.stacked()
     train = np.array(sorted(blocks.split.train))
-    grid, longest = max(_GRID, round(GRID_S * rate)), round(LONGEST_S * rate)
+    grid, longest = max(_GRID, round(GRID_S * rate)), round(MAX_PIECE_S * rate)
     for run in np.split(train, np.flatnonzero(np.diff(train) > 1) + 1):
         samples = stacked[run[0] * trace.block : (run[-1] + 1) * trace.block]
         x = samples[:, 0] - blocks.scaling.mean[0]
         cuts = pieces_of(x, MAX_ORDER, min(grid, len(x) // 2), longest)[0]
         for piece in np.split(samples, cuts):
             speed, force = np.median(piece[:, 1:], axis=0)
-            if len(piece) >= LEAST_SAMPLES and speed >= FADE_SPEED and force >= FADE_FORCE:
+            if len(piece) >= MIN_SAMPLES and speed >= FADE_SPEED and force >= FADE_FORCE:
                 yield piece
 
 
 def _merged(points: Array, scale: Array) -> NDArray[np.int64]:
-    """Return which model each piece belongs to: one that begins near enough, or one of its own."""
+    """Which model each piece belongs to: one that begins near enough, or one of its own."""
     seeds: list[Array] = []
     numbers = []
     for point in points / scale:
-        near = int(np.argmin([*(float(np.hypot(*(point - seed))) for seed in seeds), SAME]))
+        near = int(np.argmin([*(float(np.hypot(*(point - seed))) for seed in seeds), MERGE_DISTANCE]))
         if near == len(seeds):
             seeds.append(point)
         numbers.append(near)
@@ -149,7 +150,7 @@ def _merged(points: Array, scale: Array) -> NDArray[np.int64]:
 
 
 def _meshed(points: Array, lsf: Array, variance: Array, scale: Array) -> LocalModels:
-    """Return models with Delaunay's triangles over the scaled points, those left out that no triangle has a corner at."""
+    """Models with Delaunay's triangles over the scaled points, those left out that no triangle has a corner at."""
     from scipy.spatial import Delaunay
 
     triangles = Delaunay(points / scale).simplices.astype(np.int64)
@@ -161,7 +162,7 @@ def _meshed(points: Array, lsf: Array, variance: Array, scale: Array) -> LocalMo
 
 
 def _validation_error(kernel: NativeTexture, blocks: ScaledBlocks) -> float:
-    """Return the one-step error on the validation blocks, the same samples whatever the order, scaled."""
+    """The one-step error on the validation blocks, the same samples whatever the order, scaled."""
     recorded = blocks.samples[list(blocks.split.validation)]
     first = MAX_ORDER + 1
     predicted = predict_blocks(kernel, recorded).sample[:, first - kernel.info.window :]

@@ -15,7 +15,7 @@ from foten.dsp.ar import MAX_POLE, stabilised
 from foten.dsp.lattice import LEAK
 from foten.dsp.lsf import line_spectral_frequencies, polynomial_of, spread_out
 from foten.dsp.noise import gaussian
-from foten.models.piecewise_ar.sizes import HIGHEST_ORDER, PiecewiseArSizes
+from foten.models.piecewise_ar.sizes import MAX_AR_ORDER, PiecewiseArSizes
 from foten.models.texture_file import MIN_GOLDEN, Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.scaling import Scaling
@@ -46,14 +46,14 @@ class LocalModels:
     gain: Array  # shape (n,)
 
     def of_mesh(self) -> LocalModels:
-        """Return those that a triangle has a corner at."""
+        """Those that a triangle has a corner at."""
         used, numbered = np.unique(self.triangles, return_inverse=True)
         per_model = {name: getattr(self, name)[used] for name in ("points", "lsf", "variance", "ma_lsf", "gain")}
         return replace(self, triangles=numbered.reshape(self.triangles.shape), **per_model)
 
 
 def local_texture(models: LocalModels, scaling: Scaling, card: dict[str, Any]) -> ProvedTexture:
-    """Return local models, in physical units, as a texture.
+    """Local models, in physical units, as a texture.
 
     The proof is each model's own difference equation in direct form, which the kernel, a lattice, has to reproduce.
 
@@ -96,7 +96,7 @@ def local_texture(models: LocalModels, scaling: Scaling, card: dict[str, Any]) -
     low, high = models.points.min(axis=0).tolist(), models.points.max(axis=0).tolist()
     own = {
         "trained_range": {"speed": [low[0], high[0]], "force": [low[1], high[1]]},
-        "beyond_exponents": {"speed": 0.0, "force": 0.0},
+        "extrapolation_exponents": {"speed": 0.0, "force": 0.0},
         "warm_start": warm_start_entry(models.points[warm]),
     }
     return with_golden("ar", sizes, tensors, scaling, {**own, **card})
@@ -119,12 +119,12 @@ def _direct_form(models: LocalModels, i: int, sd: float) -> tuple[Array, Array]:
 
 
 def _played(b_a: tuple[Array, Array], n: int, stream: int) -> Array:
-    """Return n samples of a filter under a stream of noise."""
+    """N samples of a filter under a stream of noise."""
     return lfilter(*b_a, gaussian(1, stream, 0, _SETTLED + n))[-n:]
 
 
 def _after(b_a: tuple[Array, Array], samples: Array, noise: Array) -> Array:
-    """Return what follows samples under noise; their first is not looked at, and before them was rest."""
+    """What follows samples under noise; their first is not looked at, and before them was rest."""
     b, a = b_a
     if b[0] == 0:
         return np.zeros(noise.size)
@@ -136,7 +136,7 @@ def _after(b_a: tuple[Array, Array], samples: Array, noise: Array) -> Array:
 
 
 def imported_texture(models: HattModels, digest: str, name: str = "", notes: str = "") -> tuple[Texture, list[str]]:
-    """Return models of a file as a texture, and what was decided on the way.
+    """Models of a file as a texture, and what was decided on the way.
 
     A pole that would ring for seconds, or grow, is pulled in, with the others of its model. Zeros outside the unit circle are
     reflected into it, which leaves the spectrum as it was. The recording behind the file is not known: there is no split, and a
@@ -149,8 +149,8 @@ def imported_texture(models: HattModels, digest: str, name: str = "", notes: str
     """
     n, p, q = len(models.points), models.ar.shape[1] - 1, models.ma.shape[1] - 1
     for what, order in (("AR", p), ("MA", q)):
-        if order > HIGHEST_ORDER:
-            raise ValueError(f"the {what} order is {order}, expected at most {HIGHEST_ORDER}")
+        if order > MAX_AR_ORDER:
+            raise ValueError(f"the {what} order is {order}, expected at most {MAX_AR_ORDER}")
     reflected = [_reflected(row) for row in models.ma]
     gain = models.gain * np.array([size for _, size in reflected])
     ar = np.array([_pulled_in(row) for row in models.ar])
@@ -194,7 +194,7 @@ def imported_texture(models: HattModels, digest: str, name: str = "", notes: str
 
 
 def _reflected(polynomial: Array) -> tuple[Array, float]:
-    """Return a polynomial, 1 first, with its zeros reflected into the unit circle, and the gain that keeps its spectrum."""
+    """A polynomial, 1 first, with its zeros reflected into the unit circle, and the gain that keeps its spectrum."""
     zeros = np.roots(polynomial)
     outside = np.abs(zeros) > 1
     if not outside.any():
@@ -205,5 +205,5 @@ def _reflected(polynomial: Array) -> tuple[Array, float]:
 
 
 def _pulled_in(polynomial: Array) -> Array:
-    """Return a polynomial, 1 first, with its zeros within `MAX_POLE`."""
+    """A polynomial, 1 first, with its zeros within `MAX_POLE`."""
     return np.append(1.0, -stabilised(-polynomial[:0:-1], MAX_POLE)[::-1])

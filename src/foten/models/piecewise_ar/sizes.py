@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from foten.models.model_sizes import Shapes, Sizes, check_count
+from foten.models.model_sizes import ModelSizes, Shapes, check_count
 
-HIGHEST_ORDER = 40  # beyond it line spectral frequencies no longer give the filter in float64
+MAX_AR_ORDER = 40  # beyond it line spectral frequencies no longer give the filter in float64
 
 
 @dataclass(frozen=True)
-class PiecewiseArSizes(Sizes):
+class PiecewiseArSizes(ModelSizes):
     """The sizes of local models. Where `ma` is 0 each is an autoregression; Penn's texture toolkit has zeros as well."""
 
     window: int = 21  # samples that a prediction is given, p + 1 or more; more to infer the innovations before zeros
@@ -24,7 +24,7 @@ class PiecewiseArSizes(Sizes):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("order", "ma"):
-            check_count(name, getattr(self, name), 0, HIGHEST_ORDER)
+            check_count(name, getattr(self, name), 0, MAX_AR_ORDER)
         check_count("window", self.window, self.order + 1)
 
     def tensor_shapes(self) -> Shapes:

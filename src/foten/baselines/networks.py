@@ -1,4 +1,4 @@
-"""The networks, in PyTorch, one a file: windows (b, m, 3) → next samples (b,)."""
+"""Every network in PyTorch by its model's key: windows (b, m, 3) → next samples (b,)."""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,13 +11,18 @@ from foten.baselines.fnn import Fnn
 from foten.baselines.gan import Gan
 from foten.baselines.hapinf import Hapinf
 from foten.baselines.ldhtd import Ldhtd
+from foten.baselines.ten_variants import FotenD, TenMfcc, TenWavelet
 from foten.models.foten.network import Foten
 from foten.models.foten_plus.network import InnovationNetwork
-from foten.models.model_sizes import Sizes
+from foten.models.model_sizes import ModelSizes
 
 NETWORKS: dict[str, Callable[[Any], nn.Module]] = {
     "foten-plus": InnovationNetwork,
-    **dict.fromkeys(("foten", "ten", "ten-mfcc", "ten-wavelet", "foten-d"), Foten),
+    "foten": Foten,
+    "ten": Foten,
+    "ten-mfcc": TenMfcc,
+    "ten-wavelet": TenWavelet,
+    "foten-d": FotenD,
     "fnn": Fnn,
     "dstn": Dstn,
     "hapinf": Hapinf,
@@ -27,6 +32,6 @@ NETWORKS: dict[str, Callable[[Any], nn.Module]] = {
 }
 
 
-def build(model: str, sizes: Sizes) -> nn.Module:
-    """Return a new network of the given model and sizes, drawn from PyTorch's current seed."""
+def build(model: str, sizes: ModelSizes) -> nn.Module:
+    """A new network of the given model and sizes, drawn from PyTorch's current seed."""
     return NETWORKS[model](sizes)

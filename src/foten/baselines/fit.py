@@ -1,0 +1,122 @@
+"""The baselines fitted to a recording: one step ahead, to spectra, by a teacher, or against a discriminator."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from foten.baselines.gan_fit import fit_adversarial
+from foten.baselines.graph import graph_of, in_float64, multiply_adds
+from foten.baselines.graph_model import NoiseModel
+from foten.baselines.networks import build
+from foten.baselines.noise_filter import log_magnitudes
+from foten.baselines.sizes import BaselineSizes, HapinfSizes, NoiseModelSizes
+from foten.models.excitation import Excitation
+from foten.models.graph_sizes import GRAPH
+from foten.models.model_sizes import ModelSizes
+from foten.models.stream import Model
+from foten.models.window_model import WindowModel
+from foten.runtime.onnx_predictor import INPUT, NOISE
+from foten.training.blocks import ScaledBlocks
+from foten.training.config import TrainConfig
+from foten.training.job import Trained, TrainingJob, check_block
+from foten.training.loop import Monitor, pick_device
+from foten.training.one_step import Packed, fit_one_step, one_step_texture, one_step_windows
+from foten.training.texture_builder import Tensors
+from foten.training.window_fit import TrainingWindows, fit_windows, predict
+
+_AT_ONCE = 65536  # frames
+
+
+def fit(job: TrainingJob, monitor: Monitor) -> Trained:
+    """A texture of a baseline learned from a recording.
+
+    Raises:
+        ImportError: ONNX or ONNX Runtime is not installed: that is said before training, not after.
+    """
+    import onnx  # noqa: F401
+    import onnxruntime  # noqa: F401
+
+    blocks, m = job.blocks(), job.sizes.window
+    check_block(blocks, m)
+    torch.manual_seed(job.config.seed)
+    windows = one_step_windows(blocks, m)
+    if job.model == "ldhtd":
+        windows = distilled(windows, m, job.config, monitor)
+    network = build(job.model, job.sizes)
+    if job.model == "gan":  # stays on the CPU
+        progress = fit_adversarial(network, m, blocks, job.config, monitor)
+        packed = noise_graph(network, job.sizes, progress.best.validation_mae)
+        return one_step_texture(job, blocks, network, progress, packed, monitor)
+    network.to(pick_device())
+    if job.model == "dftnet":
+        progress = fit_windows(network.spectrum, log_spectra(windows, blocks), job.config, monitor)
+        packed = noise_graph(network, job.sizes, progress.best.validation_mae)
+        return one_step_texture(job, blocks, network, progress, packed, monitor)
+    return fit_one_step(job, blocks, network, windows, lambda trained: one_step_graph(trained, job.sizes), monitor)
+
+
+def one_step_graph(network: nn.Module, sizes: ModelSizes) -> Packed:
+    """A one-step network as the graph of a texture file, which the network in float64 proves."""
+    assert isinstance(sizes, BaselineSizes)
+    in_double = in_float64(network)
+
+    def definition(in_file: ModelSizes, tensors: Tensors) -> Model:
+        return WindowModel(in_double, in_file.window, Excitation.of(tensors) if in_file.excited else None)
+
+    graph, cost = graph_of(network, sizes.window, name=INPUT), multiply_adds(network, sizes.window)
+    return Packed(sizes.in_file(), {GRAPH: graph}, definition, {"multiply_adds": cost})
+
+
+def noise_graph(network: nn.Module, sizes: ModelSizes, distance_nat: float) -> Packed:
+    """A network that makes samples from noise as the graph of a texture file; its spectra miss the recorded by a distance."""
+    assert isinstance(sizes, NoiseModelSizes)
+    in_double = in_float64(network)
+
+    def definition(in_file: ModelSizes, tensors: Tensors) -> Model:
+        return NoiseModel(in_double, in_file.window)
+
+    metrics: dict[str, Any] = {
+        "validation_mae_scaled": None,
+        "validation_spectrum_db": 20 / math.log(10) * distance_nat,
+    }
+    metrics["multiply_adds"] = multiply_adds(network, sizes.window)
+    return Packed(sizes.in_file(), {GRAPH: graph_of(network, sizes.window, name=NOISE)}, definition, metrics)
+
+
+def distilled(windows: TrainingWindows, m: int, config: TrainConfig, monitor: Monitor) -> TrainingWindows:
+    """Windows whose targets in training lie half-way to what a teacher predicts, those of validation as they were.
+
+    The mean of the squared errors against the recording and against the teacher, 0.5 (y − s)² + 0.5 (t − s)², differs from the
+    squared error against their mean by what s has no part in.
+    """
+    monitor.on_stage("training the teacher, hapinf")
+    teacher = build("hapinf", HapinfSizes(window=m, n_start=min(10, m))).to(pick_device())
+    if fit_windows(teacher, windows, config, Monitor()).interrupted:
+        raise KeyboardInterrupt  # of a half-distilled student nothing is kept
+    target = windows.samples[:, 0].copy()
+    target[windows.train] = 0.5 * (target[windows.train] + predict(teacher, windows, windows.train))
+    return replace(windows, target=target)
+
+
+def log_spectra(windows: TrainingWindows, blocks: ScaledBlocks) -> TrainingWindows:
+    """Windows whose targets are the log magnitudes of frames around every fourth sample or so, (n, m // 2 + 1), float32.
+
+    A window ends before the middle of its frame.
+    """
+    m, block = windows.window, blocks.trace.block
+    acceleration = torch.from_numpy(blocks.samples[..., 0]).float()
+    target = np.zeros((len(windows.samples), m // 2 + 1), dtype=np.float32)
+    framed = []
+    for n in (windows.train, windows.validation):
+        within = n % block
+        framed.append(n[((within - m) % max(1, m // 25) == 0) & (within - m // 2 + m <= block)])
+        for some in np.split(framed[-1], range(_AT_ONCE, len(framed[-1]), _AT_ONCE)):
+            around = torch.from_numpy(some % block - m // 2)[:, None] + torch.arange(m)
+            target[some] = log_magnitudes(acceleration[torch.from_numpy(some // block)[:, None], around]).numpy()
+    return replace(windows, train=framed[0], validation=framed[1], target=target)

@@ -1,0 +1,83 @@
+"""Networks of PyTorch as ONNX graphs, and what a graph costs."""
+
+from __future__ import annotations
+
+import copy
+import io
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+from torch.utils.flop_counter import FlopCounterMode
+
+from foten.baselines.networks import NETWORKS, build
+from foten.dsp import Array
+from foten.models.foten_plus.network import InnovationNetwork, NextInnovation
+from foten.models.foten_plus.sizes import N_INPUTS, FotenPlusSizes
+from foten.models.graph_sizes import GRAPH
+from foten.models.texture_file import Texture
+from foten.runtime.onnx_predictor import INPUT, OUTPUT
+
+
+def in_float64(network: nn.Module) -> Callable[[Array], Array]:
+    """A copy of a network as a function of arrays, in float64 on the CPU."""
+    network = copy.deepcopy(network).cpu().double().eval()
+
+    def predict(windows: Array) -> Array:
+        with torch.no_grad():
+            return np.asarray(network(torch.from_numpy(np.ascontiguousarray(windows))).numpy())
+
+    return predict
+
+
+def graph_of_texture(texture: Texture) -> bytes:
+    """A texture's one-step network as an ONNX graph, as `graph_of` makes it; that of foten-plus is `NextInnovation`.
+
+    Raises:
+        ValueError: the model has no network.
+    """
+    model, sizes, tensors = texture.card["model"], texture.sizes, texture.tensors
+    if GRAPH in tensors:
+        return tensors[GRAPH].tobytes()
+    if model not in NETWORKS:
+        raise ValueError(f"{model} has no network, expected one of {', '.join(NETWORKS)}")
+    network, prefix = build(model, sizes), "network." if isinstance(sizes, FotenPlusSizes) else ""
+    network.load_state_dict(
+        {key: torch.from_numpy(np.array(tensors[f"{prefix}{key}"])) for key in network.state_dict()}
+    )
+    if isinstance(network, InnovationNetwork):
+        return graph_of(NextInnovation(network), sizes.window, N_INPUTS).tobytes()
+    return graph_of(network, sizes.window).tobytes()
+
+
+def graph_of(network: nn.Module, m: int, n_channels: int = 3, name: str = INPUT) -> NDArray[np.uint8]:
+    """A network as the bytes of an ONNX graph: windows (b, m, n_channels) under a name → (b,) or (b, k), float32."""
+    file = io.BytesIO()
+    network = copy.deepcopy(network).cpu().float().eval()
+    with warnings.catch_warnings():
+        # The exporter by tracing: the other takes fifteen seconds for what this does in half a one, and needs two packages more.
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            network,
+            (torch.zeros(2, m, n_channels),),
+            file,
+            dynamo=False,
+            opset_version=17,
+            input_names=[name],
+            output_names=[OUTPUT],
+            dynamic_axes={name: {0: "b"}, OUTPUT: {0: "b"}},
+        )
+    return np.frombuffer(file.getvalue(), dtype=np.uint8)
+
+
+def multiply_adds(network: nn.Module, m: int) -> int:
+    """What a forward pass costs in multiplications and additions in pairs."""
+    # Without oneDNN, whose recurrent layers are one operation that nobody counts; and without what it says of other processors.
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with torch.no_grad(), torch.backends.mkldnn.flags(enabled=False), FlopCounterMode(display=False) as counter:
+            copy.deepcopy(network).cpu().float().eval().requires_grad_(False)(torch.zeros(1, m, 3))
+    return int(counter.get_total_flops()) // 2
