@@ -26,14 +26,15 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import torch
+from foten.training.networks import build
 
 from foten.baselines.dftnet import Dftnet
 from foten.baselines.gan import Gan
 from foten.baselines.gan_fit import STEPS, fit_adversarial
+from foten.baselines.sizes import TRAINABLE
 from foten.datasets.simulate import simulate
 from foten.experiments.results import PAPER
 from foten.models.foten.fit import log_spectra
-from foten.models.registry import FAMILIES
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
@@ -43,7 +44,6 @@ from foten.runtime.onnx_predictor import GRAPH, OnnxPredictor
 from foten.training.blocks import ScaledBlocks, scaled_blocks
 from foten.training.config import OWN_RECIPES, RECIPES
 from foten.training.job import TrainingJob
-from foten.training.networks import build
 from foten.training.texture_builder import graph_of, proved, tensors_of
 from foten.training.window_fit import TrainingWindows, fit, reproducible
 from report import add_csv, report
@@ -67,7 +67,7 @@ def p50_us(step: Callable[[], object], n: int) -> float:
 def steps(model: str, n: int, texture: Texture | None) -> dict[str, float]:
     """Return the median time of a step of each runtime [µs]."""
     torch.manual_seed(0)
-    sizes = FAMILIES[model]()
+    sizes = TRAINABLE[model]()
     network = build(model, sizes).eval()
     window = torch.randn(1, sizes.history, 3)
     predictor = OnnxPredictor(sizes, {GRAPH: graph_of(network, sizes.history)})
@@ -89,7 +89,7 @@ def steps(model: str, n: int, texture: Texture | None) -> dict[str, float]:
 def epoch_s(model: str, blocks: ScaledBlocks, recipe: str) -> float:
     """Return how long an epoch takes with its validation, the quicker of two [s]; of the GAN, as many spectrograms as windows."""
     own = {**OWN_RECIPES.get(model, {}), "epochs": 2, "threads": 1, "batch": RECIPES[recipe].batch}
-    config, sizes = dataclasses.replace(RECIPES[recipe], **own), FAMILIES[model]()
+    config, sizes = dataclasses.replace(RECIPES[recipe], **own), TRAINABLE[model]()
     windows = TrainingWindows(blocks.flat, *blocks.targets(sizes.window), sizes.window)
     with reproducible():
         torch.manual_seed(0)
@@ -106,7 +106,7 @@ def epoch_s(model: str, blocks: ScaledBlocks, recipe: str) -> float:
 
 def untrained(model: str, recording: Recording, blocks: ScaledBlocks, config: PreprocessConfig) -> Texture:
     """Return a texture that the kernel runs, its network untrained."""
-    sizes = FAMILIES[model]()
+    sizes = TRAINABLE[model]()
     card = TrainingJob(recording, model, sizes, RECIPES["default"], config, texture_name="towel").card(blocks, "cpu")
     card |= {"warm_start": {}, "metrics": {"validation_mae_scaled": 1.0}}
     windows = np.random.default_rng(0).standard_normal((64, sizes.window, 3))
@@ -122,7 +122,7 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
     blocks = scaled_blocks(trace, split_blocks(trace))
     models: dict[str, Any] = {}
     for model in arguments.models:
-        sizes = FAMILIES[model]()
+        sizes = TRAINABLE[model]()
         texture = None if sizes.in_graph else untrained(model, recording, blocks, config)
         models[model] = {
             "window": sizes.window,

@@ -27,21 +27,21 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from foten.baselines.sizes import trainable_sizes
 from foten.datasets.simulate import simulate
 from foten.models.foten_plus.closed_loop_training import EXCERPT_S, N_EXCERPTS
 from foten.models.foten_plus.likelihood import CHUNK, mixtures
 from foten.models.foten_plus.network import InnovationNetwork, negative_log_likelihood
 from foten.models.foten_plus.sizes import FotenPlusSizes
-from foten.models.registry import sizes_of
 from foten.runtime.bench import time_steps
 from foten.runtime.native import NativeState, NativeTexture
 from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
 from foten.training.pipeline import train
-from foten.training.rollout import PARTS, Beginning, RollOut, Surroundings
+from foten.training.rollout import PARTS, Beginning, Rollout, RolloutInputs
 from report import add_csv, report
 
-METHODS = {"noise": {"epochs": 0}, "network": {"own_output": False}, "on its own output": {}}
+METHODS = {"noise": {"epochs": 0}, "network": {"closed_loop_training": False}, "on its own output": {}}
 N_STEPS, N_BLOCKS, BLOCK_S = 20_000, 1000, 0.01
 N_TIMED = 20
 HEADING = (
@@ -73,7 +73,7 @@ def block_us(path: Path) -> float:
 def step_ms() -> list[tuple[str, ...]]:
     """Return a table of what steps of training take [ms]: batches as `models.foten_plus.likelihood` and `models.foten_plus.closed_loop_training` have them."""
     torch.set_num_threads(1)
-    sizes, batch = sizes_of("foten-plus", {}), recipe_of("foten-plus").batch
+    sizes, batch = trainable_sizes("foten-plus", {}), recipe_of("foten-plus").batch
     assert isinstance(sizes, FotenPlusSizes)
     network = InnovationNetwork(sizes)
     inputs, follows = torch.randn(batch, sizes.window + CHUNK, 5), torch.randn(batch, sizes.window + CHUNK)
@@ -83,14 +83,14 @@ def step_ms() -> list[tuple[str, ...]]:
 
     rng, s, n, p = np.random.default_rng(0), 2 * N_EXCERPTS, round(1000 * EXCERPT_S), 40
     given = (rng.uniform(-0.5, 0.5, (s, n, p)), np.ones((s, n)), np.zeros((s, n, 2)))
-    around = Surroundings(*(one.astype(np.float32) for one in given), False, 20.0)
+    around = RolloutInputs(*(one.astype(np.float32) for one in given), False, 20.0)
     begin = Beginning(*(np.zeros((s, k), np.float32) for k in (p, sizes.n_hidden, 5)))
     weights = {name: dict(network.named_parameters())[name].detach().numpy() for name in PARTS}
     loss = np.ones((s, n), np.float32)
     steps: dict[str, Callable[[], object]] = {
         "likelihood, PyTorch's unit": lambda: likelihood(lambda: network(inputs)),
         "likelihood, the kernel's": lambda: likelihood(lambda: mixtures(network, inputs)),
-        "roll-outs": lambda: RollOut(weights, around, begin, rng).gradients(loss),
+        "roll-outs": lambda: Rollout(weights, around, begin, rng).gradients(loss),
     }
     times: dict[str, list[float]] = {name: [] for name in steps}
     for _ in range(N_TIMED):
@@ -121,7 +121,7 @@ def main() -> None:
                 config = recipe_of("foten-plus", threads=asked.threads, seed=1, **changed)
                 print(f"{key}: {name} …", file=sys.stderr, flush=True)
                 began = time.perf_counter()
-                job = TrainingJob(recording, "foten-plus", sizes_of("foten-plus", {}), config, split_seed=1)
+                job = TrainingJob(recording, "foten-plus", trainable_sizes("foten-plus", {}), config, split_seed=1)
                 trained = train(job)
                 seconds = time.perf_counter() - began
                 path = Path(folder) / f"{key}.foten"

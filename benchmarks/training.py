@@ -24,17 +24,17 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "2")
 
 import torch
+from foten.training.networks import build
 
+from foten.baselines.sizes import TRAINABLE
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
-from foten.models.registry import FAMILIES
 from foten.recording.preprocess import preprocess
 from foten.recording.recording import Recording
 from foten.recording.split import split_blocks
 from foten.training.blocks import scaled_blocks
 from foten.training.config import RECIPES, TrainConfig
 from foten.training.loop import Epoch
-from foten.training.networks import build
 from foten.training.window_fit import TrainingWindows, fit, pick_device, reproducible
 from report import add_csv, report
 
@@ -43,7 +43,7 @@ def history(name: str, model: str, windows: TrainingWindows, config: TrainConfig
     """Return the log of one training from the same initial weights."""
     with reproducible():
         torch.manual_seed(config.seed)
-        network = build(model, FAMILIES[model]()).to(pick_device())
+        network = build(model, TRAINABLE[model]()).to(pick_device())
 
         def say(line: Epoch) -> None:
             print(
@@ -76,7 +76,7 @@ def main() -> None:
     arguments = parser.parse_args()
     recording = simulate(arguments.texture, arguments.seconds + 4.0)
     trace = preprocess(recording)
-    blocks, m = scaled_blocks(trace, split_blocks(trace)), FAMILIES[arguments.model]().window
+    blocks, m = scaled_blocks(trace, split_blocks(trace)), TRAINABLE[arguments.model]().window
     windows = TrainingWindows(blocks.flat, *blocks.targets(m), m)
     paper = dataclasses.replace(RECIPES["paper"], epochs=arguments.paper_epochs)
     arms = {

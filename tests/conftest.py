@@ -11,8 +11,11 @@ import numpy as np
 import pytest
 import torch
 
-from foten.models.model_sizes import Sizes
-from foten.models.registry import FAMILIES, FotenPlusSizes, PiecewiseArSizes
+from foten.baselines.sizes import TRAINABLE, BaselineSizes, NoiseModelSizes
+from foten.models.excitation import Excitation, Scale
+from foten.models.foten_plus.sizes import FotenPlusSizes
+from foten.models.model_sizes import ModelSizes
+from foten.models.piecewise_ar.sizes import PiecewiseArSizes
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.scaling import Scaling
@@ -20,6 +23,7 @@ from foten.recording.split import Split
 
 if TYPE_CHECKING:
     from foten.models.piecewise_ar.local_models import LocalModels
+    from foten.training.one_step import Packed
 
 torch.set_num_threads(1)  # small matrices only lose by more
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as a shell sets it for what runs in its background
@@ -33,23 +37,23 @@ SMALL: dict[str, Any] = {
     "head": (10, 6),
     "spectral_width": 4,
 }
-"""Sizes of a network that is quick to run and has every part."""
+"""ModelSizes of a network that is quick to run and has every part."""
 
 PLUS: dict[str, Any] = {"window": 12, "n_hidden": 6, "head_width": 5, "n_components": 3}
 """The same of foten-plus."""
 
 
-def sizes_with(model: str, wanted: dict[str, Any]) -> Sizes:
+def sizes_with(model: str, wanted: dict[str, Any]) -> ModelSizes:
     """Return a model's sizes with those that are wanted and that it has."""
-    has = {field.name for field in fields(FAMILIES[model])}
-    return FAMILIES[model](**{name: value for name, value in wanted.items() if name in has})
+    has = {field.name for field in fields(TRAINABLE[model])}
+    return TRAINABLE[model](**{name: value for name, value in wanted.items() if name in has})
 
 
 SCALING = Scaling(mean=(0.1, 100.0, 1.0), sd=(2.0, 60.0, 0.5))
 CARD: dict[str, Any] = {
     "rate_hz": 1000.0,
     "trained_range": {"speed": [8.0, 220.0], "force": [0.3, 2.5]},
-    "beyond_exponents": {"speed": 0.7, "force": 0.4},
+    "extrapolation_exponents": {"speed": 0.7, "force": 0.4},
     "saturation": 12.0,
     "lowpass_hz": 20.0,
     "delay_ms": 11.3,
@@ -81,14 +85,14 @@ def reflections_of(taps: np.ndarray) -> np.ndarray:
     return np.array([first / (1 + second), second])
 
 
-def untrained(model: str, sizes: Sizes | None = None, seed: int = 0) -> Any:
+def untrained(model: str, sizes: ModelSizes | None = None, seed: int = 0) -> Any:
     """Return a seeded network in PyTorch whose every parameter matters."""
     import torch
 
-    from foten.training.networks import build
+    from foten.baselines.networks import build
 
     torch.manual_seed(seed)
-    return perturbed(build(model, sizes or FAMILIES[model]()))
+    return perturbed(build(model, sizes or TRAINABLE[model]()))
 
 
 def perturbed(network: Any) -> Any:
@@ -99,31 +103,30 @@ def perturbed(network: Any) -> Any:
     return network.eval()
 
 
-def untrained_tensors(model: str, sizes: Sizes, network: Any, seed: int = 0) -> dict[str, np.ndarray]:
+def scale(width: int, level: float, seed: int) -> Scale:
+    """Return a seeded scale over speed and force that grows with both."""
+    rng = np.random.default_rng(seed)
+    return Scale(
+        hidden_weight=rng.uniform(-0.6, 0.6, (width, 4)),
+        hidden_bias=rng.uniform(-0.6, 0.6, width),
+        out_weight=0.1 * rng.standard_normal((1, width)),
+        out_bias=np.array([level]),
+        exponents=np.array([0.7, 0.4, 0.0, 0.0, 0.0]),
+        sigma_max=np.array([1e6]),
+        mean=np.array(SCALING.mean[1:]),
+        sd=np.array(SCALING.sd[1:]),
+        floor=np.array([2.0, 0.05]),
+    )
+
+
+def untrained_tensors(model: str, sizes: ModelSizes, network: Any, seed: int = 0) -> dict[str, np.ndarray]:
     """Return a network's tensors and seeded ones of all else; foten-plus resonates near 120 Hz through its lattice."""
     from foten.models.foten_plus.network import InnovationNetwork
-    from foten.runtime.onnx_predictor import GRAPH, INPUT, NOISE
-    from foten.training.scale import Excitation, Scale
-    from foten.training.texture_builder import graph_of, tensors_of
+    from foten.training.tensors import tensors_of
 
-    torch.manual_seed(seed + 1)
-
-    def filled(scale: Scale, level: float) -> Scale:
-        with torch.no_grad():
-            for parameter in scale.parameters():
-                parameter += 0.1 * torch.randn_like(parameter)
-            scale.mean.copy_(torch.tensor(SCALING.mean[1:]))
-            scale.sd.copy_(torch.tensor(SCALING.sd[1:]))
-            scale.out.weight *= 0.3
-            scale.out.bias.fill_(level)
-            scale.power_law.weight.copy_(torch.tensor([[0.7, 0.4, 0.0, 0.0, 0.0]]))
-            if isinstance(scale, Excitation):
-                scale.volatility.copy_(torch.tensor([0.98, 0.3]))
-        return scale
-
-    tensors: dict[str, np.ndarray]
-    if sizes.in_graph:
-        tensors = {GRAPH: graph_of(network, sizes.window, name=NOISE if sizes.from_noise else INPUT)}
+    tensors: dict[str, np.ndarray] = {}
+    if isinstance(sizes, BaselineSizes | NoiseModelSizes):
+        tensors = packed(network, sizes).tensors
     else:
         tensors = tensors_of(network, "network." if model == "foten-plus" else "")
         if isinstance(sizes, FotenPlusSizes) and sizes.network_in_loop:
@@ -132,13 +135,13 @@ def untrained_tensors(model: str, sizes: Sizes, network: Any, seed: int = 0) -> 
             # Without tones as if it had not been trained further: it draws from what is predicted.
             tensors |= tensors_of(drawing if sizes.n_tones else network, "rendering_network.")
     if sizes.excited:
-        width = sizes.excitation_width
-        tensors |= tensors_of(filled(Excitation(width), 0.0), "excitation.")
+        width = sizes.excitation_width  # type: ignore[attr-defined]
+        tensors |= Excitation(scale(width, 0.0, seed), (1e6, 1e6)).tensors()
     if isinstance(sizes, FotenPlusSizes):
         rng = np.random.default_rng(seed)
         prefixes = ["lattice.", *(["residual."] if sizes.n_tones else [])]
         for prefix in prefixes:
-            tensors |= tensors_of(filled(Scale(width), float(np.log(0.3))), f"{prefix}level.")
+            tensors |= scale(width, float(np.log(0.3)), seed + 1).tensors(f"{prefix}level.")
         for prefix in [*prefixes, *(["tones."] if sizes.n_tones else [])]:
             for name, shape in sizes.tensor_shapes().items():
                 if name == f"{prefix}speed_knots":
@@ -151,7 +154,7 @@ def untrained_tensors(model: str, sizes: Sizes, network: Any, seed: int = 0) -> 
                         tensors[name][:, :2] += reflections_of(resonance(120.0, 0.95, 2))
                 elif name == "tones.values":
                     tensors[name] = rng.standard_normal(shape)
-                elif name == "tones.motion":
+                elif name == "tones.phase_params":
                     tensors[name] = np.array([2 * np.pi / 2.5 / 1000, 0.03, 2e-3])
     return tensors
 
@@ -180,7 +183,7 @@ def local_models(sizes: PiecewiseArSizes) -> LocalModels:
 
 
 def exported(
-    model: str, sizes: Sizes | None = None, tensors: dict[str, np.ndarray] | None = None, **card: Any
+    model: str, sizes: ModelSizes | None = None, tensors: dict[str, np.ndarray] | None = None, **card: Any
 ) -> Texture:
     """Return an untrained network, or local models that nobody fitted, as a proved texture.
 
@@ -190,40 +193,45 @@ def exported(
         tensors: in place of some of its tensors.
         card: in place of some entries of `CARD`.
     """
+    from foten.models.definitions import model_of
     from foten.models.piecewise_ar.local_models import local_texture
-    from foten.training.texture_builder import in_float64, proved
+    from foten.training.texture_builder import proved
 
     if model == "ar":
-        sizes = sizes or FAMILIES[model](n_models=9, n_triangles=8)
+        sizes = sizes or TRAINABLE[model](n_models=9, n_triangles=8)  # type: ignore[call-arg]
         assert isinstance(sizes, PiecewiseArSizes)
         return local_texture(local_models(sizes), SCALING, {**CARD, **card}).texture
-    sizes = sizes or FAMILIES[model]()
+    sizes = sizes or TRAINABLE[model]()
     network = untrained(model, sizes)
-    made = {**untrained_tensors(model, sizes, network), **(tensors or {})}
+    all_tensors = {**untrained_tensors(model, sizes, network), **(tensors or {})}
     rng = np.random.default_rng(1)
     windows = rng.standard_normal((32, sizes.history, 3))
     warm_start = 0.5 * rng.standard_normal((sizes.history, 3))
-    predict = in_float64(network) if sizes.in_graph else None
-    metrics = (
-        {"validation_mae_scaled": None, "validation_spectrum_db": 5.0}
-        if sizes.from_noise
-        else {"validation_mae_scaled": 0.5}
-    )
-    return proved(
-        model, sizes, made, SCALING, windows, warm_start, {**CARD, "metrics": metrics, **card}, predict
-    ).texture
+    in_file, definition, metrics = sizes, model_of, CARD["metrics"]
+    if isinstance(sizes, BaselineSizes | NoiseModelSizes):
+        graph = packed(network, sizes)
+        in_file, definition, metrics = graph.sizes, graph.definition, {**metrics, **graph.metrics}
+    card = {**CARD, "metrics": metrics, **card}
+    return proved(model, in_file, all_tensors, SCALING, windows, warm_start, card, definition).texture
+
+
+def packed(network: Any, sizes: BaselineSizes | NoiseModelSizes) -> Packed:
+    """Return a baseline's network as its texture file holds it."""
+    from foten.baselines.fit import noise_graph, one_step_graph
+
+    return noise_graph(network, sizes, 0.5) if isinstance(sizes, NoiseModelSizes) else one_step_graph(network, sizes)
 
 
 @pytest.fixture(scope="session")
 def texture() -> Texture:
     """Return a foten-plus texture: rings at 120 Hz, excited, trained for 8–220 mm/s and 0.3–2.5 N."""
-    return exported("foten-plus", FAMILIES["foten-plus"](**PLUS, order=6, n_speed=3, n_force=2))
+    return exported("foten-plus", TRAINABLE["foten-plus"](**PLUS, order=6, n_speed=3, n_force=2))
 
 
 @pytest.fixture(scope="session")
 def plain_texture() -> Texture:
     """Return a texture of the paper's network, without excitation."""
-    return exported("foten", FAMILIES["foten"](**SMALL))
+    return exported("foten", TRAINABLE["foten"](**SMALL))
 
 
 TINY = """

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from conftest import exported
-from foten.models.registry import FAMILIES
+from foten.baselines.sizes import TRAINABLE
 from foten.models.texture_file import Texture
 
 TINY = {"window": 3, "d_model": 1, "n_heads": 1, "n_layers": 1, "d_feedforward": 1, "head": (1, 1), "spectral_width": 1}
@@ -42,7 +42,7 @@ def write_corpus(folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, (key, sizes) in KINDS.items():
-        texture = exported(key, FAMILIES[key](**sizes))
+        texture = exported(key, TRAINABLE[key](**sizes))
         if "graph" in texture.tensors:  # which the kernel does not read
             texture = Texture(texture.card, {**texture.tensors, "graph": np.zeros(4, dtype=np.uint8)})
         paths.append(folder / f"{name}.foten")

@@ -136,7 +136,7 @@ MUTANTS = (
         "clip(innovation, FOTEN_LARGEST_JITTER)",
         "innovation",
     ),
-    Mutant("tones forget nothing", NATIVE + "tones.c", "s->phase -= t->drawn_back * (s->phase - s->path);", ""),
+    Mutant("tones forget nothing", NATIVE + "tones.c", "s->phase -= t->phase_leak * (s->phase - s->path);", ""),
     Mutant(
         "tones stand still",
         NATIVE + "tones.c",
@@ -249,7 +249,7 @@ MUTANTS = (
     Mutant(
         "the level is never settled",
         PACKAGE + "training/excitation_fit.py",
-        "errors = settle_level(loop, excitation, config.seed)\n    if config.volatility",
+        "errors = calibrate_level(loop, excitation, config.seed)\n    if config.volatility",
         "errors = [0.0]",
         ("tests/test_closed_loop_training.py", "tests/test_excitation.py", "tests/test_pipeline.py"),
     ),
@@ -298,7 +298,7 @@ MUTANTS = (
     Mutant(
         "a training that gains nothing goes on",
         PACKAGE + "training/loop.py",
-        "if epoch != config.probation or gained >= config.least_gain:",
+        "if epoch != config.probation or gained >= config.min_gain:",
         "if True:",
         ("tests/test_fit.py", "tests/test_pipeline.py"),
     ),
@@ -452,7 +452,7 @@ MUTANTS = (
     Mutant(
         "a network whose innovations are no likelier is in the loop",
         PACKAGE + "models/foten_plus/fit.py",
-        "if best.epoch and before - likelihood >= LEAST_GAIN_NAT:",
+        "if best.epoch and before - likelihood >= MIN_GAIN_NAT:",
         "if best.epoch:",
         ("tests/test_foten_plus_training.py",),
     ),
@@ -508,8 +508,8 @@ MUTANTS = (
     Mutant(
         "a window may be of any length",
         PACKAGE + "models/model_sizes.py",
-        "LONGEST_WINDOW = 512",
-        "LONGEST_WINDOW = 51200",
+        "MAX_WINDOW = 512",
+        "MAX_WINDOW = 51200",
         ("tests/test_cli.py",),
     ),
     Mutant(

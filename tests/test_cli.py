@@ -151,16 +151,16 @@ def test_ctrl_c_after_the_last_epoch_is_one_too_and_says_how_to_go_on(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """While the network is trained on its own output, here in name only: the blocks are too short for it."""
-    from foten.models.foten_plus.closed_loop_training import OwnOutput
+    from foten.models.foten_plus.closed_loop_training import ClosedLoopResult
     from foten.models.foten_plus.fit import FotenPlusTask
 
-    monkeypatch.setattr("foten.models.foten_plus.fit.LEAST_GAIN_NAT", -1e3)
-    monkeypatch.setattr(FotenPlusTask, "_on_own_output", lambda *_: OwnOutput(1.0, 1.0, interrupted=True))
+    monkeypatch.setattr("foten.models.foten_plus.fit.MIN_GAIN_NAT", -1e3)
+    monkeypatch.setattr(FotenPlusTask, "_on_own_output", lambda *_: ClosedLoopResult(1.0, 1.0, interrupted=True))
     out = tmp_path / "o.foten"
     command = ["train", str(recording), "-o", str(out), *FAST, *TINY]
     assert _status(command) == 130
     assert "next: the same command with --resume" in capsys.readouterr().out
-    monkeypatch.setattr(FotenPlusTask, "_on_own_output", lambda *_: OwnOutput(1.0, 1.0))
+    monkeypatch.setattr(FotenPlusTask, "_on_own_output", lambda *_: ClosedLoopResult(1.0, 1.0))
     assert _status([*command, "--resume"]) == 0
     assert "next: foten evaluate" in capsys.readouterr().out
 
@@ -240,7 +240,7 @@ def test_settings_change_the_network(recording: Path, tmp_path: Path, capsys: py
     assert (sizes["n_hidden"], sizes["head_width"], sizes["n_components"]) == (7, 6, 4)
     printed = capsys.readouterr().out
     assert re.search(r"warm start recorded at \d+ mm/s and .* N, the nearest to the paper's 45 mm/s", printed)
-    assert f"\nabove the trained range {read_texture(out).beyond_in_words()}\n" in printed
+    assert f"\nabove the trained range {read_texture(out).extrapolation_in_words()}\n" in printed
     assert _status(["train", str(recording), "-o", str(out), *FAST, "--set", "depth=3"]) == 2
     assert "depth" in one_line(capsys)
 
@@ -294,7 +294,7 @@ def test_info_shows_units(texture: Path, capsys: pytest.CaptureFixture[str]) -> 
     out = capsys.readouterr().out
     assert "mm/s" in out
     assert "m/s²" in out
-    assert read_texture(texture).beyond_in_words() in out
+    assert read_texture(texture).extrapolation_in_words() in out
     sizes = read_texture(texture).card["sizes"]
     history = sizes["window"] + max(sizes["order"], sizes["residual_order"]) + 1
     assert (
@@ -339,7 +339,7 @@ def test_render_says_what_became_of_samples_outside_the_range(
     whole = read_texture(texture)
     held, path = tmp_path / "held.foten", str(tmp_path / "o.csv")
     entries = {"trained_range": {"speed": [0.0026, 150.0], "force": [0.3, 1.5]}}
-    entries["beyond_exponents"] = {"speed": 0.0, "force": 0.0}
+    entries["extrapolation_exponents"] = {"speed": 0.0, "force": 0.0}
     write_texture(dataclasses.replace(whole, card={**whole.card, **entries}), held)
     for speed, said in (
         ("1", "speed was below 5 mm/s or force below 0.3 N for 100.0 %; the vibration fades there"),

@@ -8,14 +8,15 @@ import math
 import numpy as np
 import pytest
 import torch
+from foten.training.scale import Excitation
 from scipy.signal import lfilter
 
 from conftest import CARD, PLUS, SCALING, untrained, untrained_tensors
 from foten.dsp.lattice import polynomial
 from foten.dsp.noise import gaussian
 from foten.models.definitions import model_of
-from foten.models.foten_plus.linear_model import LinearPart
-from foten.models.registry import FotenPlusSizes
+from foten.models.foten_plus.linear_model import LinearModel
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.stream import run
 from foten.recording.split import Split
 from foten.recording.trace import Trace
@@ -30,13 +31,12 @@ from foten.training.calibration import (
     _jackknifed,
     _lasts_s,
     _level_variance,
+    calibrate_level,
+    calibrate_network_gain,
+    distance,
     fit_volatility,
-    free_run_distance,
-    settle_level,
 )
 from foten.training.config import TrainConfig
-from foten.training.excitation_fit import settle_gain
-from foten.training.scale import Excitation
 from foten.training.texture_builder import Tensors, proved, tensors_of
 
 BLOCK, N_BLOCKS = 1000, 24
@@ -77,7 +77,7 @@ def loop_of(before: bool = False, louder: float = 1.0) -> tuple[ClosedLoop, Exci
     trace = Trace(SCALING.unscale_acceleration(stacked[:, 0]), speed, force, 1000.0, BLOCK)
     split = Split(tuple(range(16)), tuple(range(16, 20)), tuple(range(20, 24)), 24, BLOCK, "contiguous", 0)
     blocks = ScaledBlocks(trace, split, SCALING, stacked.reshape(N_BLOCKS, BLOCK, 3))
-    part = LinearPart(sizes, tensors, None, {})
+    part = LinearModel(sizes, tensors, None, {})
     return ClosedLoop(blocks, m, kernel, part.power, part.response(BLOCK - m)), excitation
 
 
@@ -102,9 +102,9 @@ def test_a_level_is_settled_in_the_closed_loop(before: bool) -> None:
     """An excitation twice too strong is 6 dB too loud, since the lattice is linear; two adjustments later it is not."""
     loop, excitation = loop_of(before)
     true = float(excitation.out.bias)
-    chance = settle_level(loop, excitation_of(model(before)[1]), 0)[0]
+    chance = calibrate_level(loop, excitation_of(model(before)[1]), 0)[0]
     excitation.out.bias += math.log(2)
-    errors = settle_level(loop, excitation, 0)
+    errors = calibrate_level(loop, excitation, 0)
     assert errors[0] - chance == pytest.approx(6.02, abs=0.05)
     # What is left is less than twenty seconds tell: half a dB.
     assert abs(errors[-1]) < 0.5
@@ -116,15 +116,15 @@ def test_a_slope_over_speed_is_settled_too() -> None:
     loop, excitation = loop_of()
     true = excitation.power_law.weight[0, 0].item()
     excitation.power_law.weight[0, 0] = 0.0
-    before = free_run_distance(loop, excitation, 0)[1]
-    settle_level(loop, excitation, 0)
+    before = distance(loop, excitation, 0)[1]
+    calibrate_level(loop, excitation, 0)
     assert excitation.power_law.weight[0, 0].item() == pytest.approx(true, abs=0.25)
-    assert free_run_distance(loop, excitation, 0)[1] < before - 0.5
+    assert distance(loop, excitation, 0)[1] < before - 0.5
 
 
 def test_the_scale_stays_within_that_of_the_trained_range() -> None:
     loop, excitation = loop_of()
-    settle_level(loop, excitation, 0)
+    calibrate_level(loop, excitation, 0)
     n, _ = loop.blocks.targets(loop.history)
     within = torch.from_numpy(loop.blocks.flat[n - 1, 1:]).float()
     with torch.no_grad():
@@ -137,7 +137,7 @@ def test_the_scale_stays_within_that_of_the_trained_range() -> None:
 def test_a_network_s_innovations_are_bounded_by_no_more_than_they_need(settled: bool) -> None:
     """σ of a network that settled its own level had a limit of 10⁶, and so had the bound that is proven of its file."""
     loop, _ = loop_of()
-    fitted = settle_gain(16, [5.0, 3.0], loop, TrainConfig(), None, settled).excitation
+    fitted = calibrate_network_gain(16, [5.0, 3.0], loop, TrainConfig(), None, settled).excitation
     n, _ = loop.blocks.targets(loop.history)
     with torch.no_grad():
         sigma = fitted(torch.from_numpy(loop.blocks.flat[n - 1, 1:]).float())
@@ -146,7 +146,7 @@ def test_a_network_s_innovations_are_bounded_by_no_more_than_they_need(settled: 
 
 
 def test_a_free_run_is_as_far_as_it_is_too_loud() -> None:
-    near, louder = (free_run_distance(*loop_of(louder=factor), seed=0) for factor in (1.0, 2.0))
+    near, louder = (distance(*loop_of(louder=factor), seed=0) for factor in (1.0, 2.0))
     # Of what the model itself made: chance alone. In a frame of 40 ms a resonance 16 Hz wide is known to 3 dB.
     assert near[0] < 3.0
     assert near[1] < 3.5
@@ -264,7 +264,7 @@ def test_power_that_enters_a_lattice_rings_on(before: bool) -> None:
     """Oracle: the mean square of what a lattice makes of noise whose power jumps, over 4000 runs."""
     k = np.array([-0.9, 0.95])
     sizes = FotenPlusSizes(**PLUS, order=2, gain_before_filter=before)
-    response = LinearPart(sizes, {"lattice.reflections": k[None]}, None, {}).response(200)
+    response = LinearModel(sizes, {"lattice.reflections": k[None]}, None, {}).response(200)
     power = np.concatenate([np.full(100, 4.0), np.full(100, 0.01)])
     leaving = _filtered(power[None, :, None], response)[0, :, 0]
     if not before:

@@ -14,12 +14,12 @@ import pytest
 from torch import Tensor, nn
 
 from conftest import sizes_with
+from foten.baselines.sizes import TRAINABLE
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.report.tables import to_text
-from foten.models.registry import FAMILIES
 from foten.models.render_definition import render
 from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, Texture, texture_from_bytes, write_texture
 from foten.recording.preprocess import PreprocessConfig
@@ -34,8 +34,8 @@ from foten.training.job import TrainingJob
 from foten.training.pipeline import train
 from foten.training.texture_builder import graph_of
 
-IN_GRAPHS = [key for key, kind in FAMILIES.items() if kind.in_graph]
-FROM_NOISE = [key for key, kind in FAMILIES.items() if kind.from_noise]
+IN_GRAPHS = [key for key, kind in TRAINABLE.items() if kind.in_graph]
+FROM_NOISE = [key for key, kind in TRAINABLE.items() if kind.from_noise]
 
 SMALL = {
     **{"d_model": 8, "n_heads": 2, "n_layers": 1, "d_feedforward": 16, "head": (16, 8), "spectral_width": 8},
@@ -55,9 +55,9 @@ def textures(recording: Recording) -> dict[str, Texture]:
     """Return every model, trained for a moment; few closed loops settle its level, which take graphs seconds."""
     made = {}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(closed_loop, "N_SETTLING", 1)
+        patch.setattr(closed_loop, "N_CALIBRATIONS", 1)
         patch.setattr(closed_loop, "N_RUNS", 2)
-        for key in FAMILIES:
+        for key in TRAINABLE:
             short = {"epochs": 2, "batch": 64, "threads": 1, "max_order": 8, "tones": False}
             short |= {"volatility": key in ("foten-plus", "foten", "fnn")} | ({"batch": 8} if key == "gan" else {})
             own = {"window": 42, "frame": 16, "stride": 1} if key == "gan" else SMALL
@@ -107,7 +107,7 @@ print(json.dumps(judged))
     done = subprocess.run([sys.executable, "-c", program, str(tmp_path)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     judged = json.loads(done.stdout)
-    assert set(judged) == set(FAMILIES)
+    assert set(judged) == set(TRAINABLE)
     for key, of in judged.items():
         texture = textures[key]
         bound = texture.card["saturation"] * texture.scaling.sd[0]
@@ -116,7 +116,7 @@ print(json.dumps(judged))
         # The change of rate lets a cut wave overshoot a little.
         assert of["peak"] < 1.3 * bound, key
         assert np.isfinite(of["free_run"]), key
-        if FAMILIES[key].from_noise:  # it predicts no sample
+        if TRAINABLE[key].from_noise:  # it predicts no sample
             assert of["one_step"] is None, key
             assert of["nll"] is None, key
         else:
@@ -124,7 +124,7 @@ print(json.dumps(judged))
             assert np.isfinite(of["nll"]), key
 
 
-@pytest.mark.parametrize("key", FAMILIES)
+@pytest.mark.parametrize("key", TRAINABLE)
 def test_the_kernel_renders_what_the_reference_renders(textures: dict[str, Texture], key: str) -> None:
     """Seam: ONNX Runtime called from the kernel's loop, beside it in the reference's.
 
@@ -139,7 +139,7 @@ def test_the_kernel_renders_what_the_reference_renders(textures: dict[str, Textu
     assert np.abs(expected).max() > 0
 
 
-@pytest.mark.parametrize("key", FAMILIES)
+@pytest.mark.parametrize("key", TRAINABLE)
 def test_blocks_of_any_size_give_the_same_bytes(textures: dict[str, Texture], key: str) -> None:
     at_once, pieces = (Renderer(textures[key], rate=3000, seed=2) for _ in range(2))
     expected = at_once.render(speed_mm_s=70.0, force_n=1.0, n=300)
@@ -149,7 +149,7 @@ def test_blocks_of_any_size_give_the_same_bytes(textures: dict[str, Texture], ke
     np.testing.assert_array_equal(at_once.render(speed_mm_s=70.0, force_n=1.0, n=300), expected)
 
 
-@pytest.mark.parametrize("key", FAMILIES)
+@pytest.mark.parametrize("key", TRAINABLE)
 def test_what_is_bad_is_refused(textures: dict[str, Texture], key: str) -> None:
     data = textures[key].to_bytes()
     renderer = Renderer(data)
@@ -230,7 +230,7 @@ def test_what_goes_wrong_while_the_kernel_asks_is_raised(
     assert np.isfinite(renderer.render(speed_mm_s=80.0, force_n=1.0, n=10)).all()
 
 
-@pytest.mark.parametrize("key", FAMILIES)
+@pytest.mark.parametrize("key", TRAINABLE)
 def test_info_says_what_is_in_a_file(
     textures: dict[str, Texture], key: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -8,22 +8,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from foten.training.scale import Excitation, Scale
 from scipy.stats import norm
 
 from conftest import untrained_tensors
 from foten.dsp.noise import heavy_tailed
 from foten.models.conditions import FADE_SPEED
+from foten.models.excitation import HEAVIEST_TAIL
 from foten.models.excitation import Excitation as ReferenceExcitation
 from foten.models.excitation import Scale as ReferenceScale
-from foten.models.registry import FotenPlusSizes
-from foten.models.tensor_shapes import HEAVIEST_TAIL
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.recording.scaling import Scaling
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.training.blocks import ScaledBlocks
-from foten.training.calibration import ClosedLoop
-from foten.training.config import TrainConfig
-from foten.training.excitation_fit import (
+from foten.training.calibration import (
+    ClosedLoop,
     FittedExcitation,
     _likelihood_of,
     fit_excitation,
@@ -31,7 +31,7 @@ from foten.training.excitation_fit import (
     fit_tail,
     gaussianised,
 )
-from foten.training.scale import Excitation, Scale
+from foten.training.config import TrainConfig
 from foten.training.texture_builder import tensors_of
 from foten.training.window_fit import TrainingWindows
 from test_closed_loop_training import loop_of

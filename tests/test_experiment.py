@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from foten.experiments.innovations import KINDS, innovations
 from scipy.integrate import quad
 
 from conftest import TINY, experiment, exported
@@ -14,12 +15,11 @@ from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
 from foten.datasets.simulate import simulate
 from foten.experiments.experiment import MEASURES, Experiment, Method, experiment_path, read_experiment
-from foten.experiments.innovations import KINDS, innovations
 from foten.experiments.onset import onset
 from foten.experiments.results import by_recipe, read_records
 from foten.experiments.run import _judged, _measures
 from foten.experiments.stability import into, proven, stability
-from foten.models.registry import FotenPlusSizes
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
 from foten.recording.trace import Trace
 

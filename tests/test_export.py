@@ -13,7 +13,7 @@ from foten.recording.windows import windows
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeTexture
 from foten.training.blocks import ScaledBlocks, scaled_blocks
-from foten.training.texture_builder import Draft, pick_warm_start, proved
+from foten.training.texture_builder import TextureBuilder, pick_warm_start, proved
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,7 @@ def test_a_draft_goes_on_from_its_warm_start_and_is_proved_on_validation_windows
     blocks, sizes = speeding_up, sizes_with("foten", SMALL)
     tensors = untrained_tensors("foten", sizes, untrained("foten", sizes))
     card = {name: value for name, value in CARD.items() if name not in ("warm_start", "metrics")}
-    texture = Draft("foten", blocks, card).texture(sizes, tensors, CARD["metrics"]).texture
+    texture = TextureBuilder("foten", blocks, card).texture(sizes, tensors, CARD["metrics"]).texture
     window, condition = pick_warm_start(blocks, sizes.window)
     assert texture.card["warm_start"] == condition
     np.testing.assert_allclose(texture.tensors["warm_start"], window, rtol=1e-6)

@@ -5,11 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from foten.training.networks import NETWORKS
 
 from conftest import exported, sizes_with, untrained, untrained_tensors
-from foten.models.model_sizes import LONGEST_GRAPH_WINDOW, LONGEST_WINDOW
-from foten.models.registry import FAMILIES, FotenPlusSizes, FotenSizes, PiecewiseArSizes, sizes_of
-from foten.training.networks import NETWORKS
+from foten.baselines.sizes import TRAINABLE, trainable_sizes
+from foten.models.foten.sizes import FotenSizes
+from foten.models.foten_plus.sizes import FotenPlusSizes
+from foten.models.model_sizes import MAX_GRAPH_WINDOW, MAX_WINDOW
+from foten.models.piecewise_ar.sizes import PiecewiseArSizes
 from foten.training.texture_builder import multiply_adds
 
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -23,11 +26,11 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "tones": {"n_tones": 3, "n_tone_speed": 5, "residual_order": 8, "n_residual_force": 2},
     "with-an-excitation": {"excitation": True, "excitation_width": 5},
 }
-RUN_BY_THE_KERNEL = [key for key, kind in FAMILIES.items() if not kind.in_graph]
+RUN_BY_THE_KERNEL = [key for key, kind in TRAINABLE.items() if not kind.in_graph]
 
 
 def test_every_family_but_the_piecewise_has_a_network() -> None:
-    assert set(NETWORKS) == set(FAMILIES) - {"ar"}
+    assert set(NETWORKS) == set(TRAINABLE) - {"ar"}
 
 
 @pytest.mark.parametrize("key", [key for key in RUN_BY_THE_KERNEL if key != "ar"])
@@ -47,18 +50,18 @@ def test_tensor_shapes_are_those_of_local_models(ma: int) -> None:
     assert sizes.tensor_shapes() == result
 
 
-@pytest.mark.parametrize("key", FAMILIES)
+@pytest.mark.parametrize("key", TRAINABLE)
 def test_sizes_round_trip(key: str) -> None:
     own = {"window": 296, "frame": 88} if key == "gan" else {"window": 99}
     sizes = sizes_with(key, {**own, "head": (12, 5), "order": 4, "excitation": True})
-    assert sizes_of(key, sizes.to_card()) == sizes
+    assert trainable_sizes(key, sizes.to_card()) == sizes
 
 
 @pytest.mark.parametrize(
     ("change", "match"),
     [
         ({"window": 1}, "window is 1"),
-        ({"window": LONGEST_WINDOW + 1}, "window is 513, expected .*512"),
+        ({"window": MAX_WINDOW + 1}, "window is 513, expected .*512"),
         ({"n_hidden": 0}, "n_hidden is 0"),
         ({"n_hidden": 2.0}, "n_hidden is 2.0"),
         ({"n_hidden": True}, "n_hidden is True"),
@@ -77,7 +80,7 @@ def test_sizes_round_trip(key: str) -> None:
 )
 def test_impossible_sizes_are_refused(change: dict[str, Any], match: str) -> None:
     with pytest.raises(ValueError, match=match):
-        sizes_of("foten-plus", change)
+        trainable_sizes("foten-plus", change)
 
 
 @pytest.mark.parametrize(
@@ -102,17 +105,17 @@ def test_impossible_sizes_are_refused(change: dict[str, Any], match: str) -> Non
 )
 def test_impossible_sizes_of_the_papers_network_are_refused(change: dict[str, Any], match: str) -> None:
     with pytest.raises(ValueError, match=match):
-        sizes_of("foten", change)
+        trainable_sizes("foten", change)
 
 
 def test_unknown_models_are_refused() -> None:
     with pytest.raises(ValueError, match="unknown model 'fotan', expected one of foten-plus, foten, ten, ar"):
-        sizes_of("fotan", {})
+        trainable_sizes("fotan", {})
 
 
 def test_no_window_is_longer_than_what_renders_it_takes() -> None:
-    for key, kind in FAMILIES.items():
-        longest = LONGEST_GRAPH_WINDOW if kind.in_graph else LONGEST_WINDOW
+    for key, kind in TRAINABLE.items():
+        longest = MAX_GRAPH_WINDOW if kind.in_graph else MAX_WINDOW
         own = {"frame": longest - 26 * 8 + 8, "stride": 8} if key == "gan" else {}
         with pytest.raises(ValueError, match=f"window is {longest + 8}, expected .*{longest}"):
             kind(window=longest + 8, **own)
@@ -128,13 +131,13 @@ def test_our_network_costs_no_more_than_the_papers() -> None:
     # 3 gates of 48 from 5 inputs and 48, a layer of 48 from 53, and 12 numbers of it.
     assert FotenPlusSizes().network_cost() == 3 * 48 * 53 + 48 * 53 + 12 * 48
     with pytest.raises(ValueError, match="in its card"):
-        FAMILIES["fnn"]().multiply_adds()
+        TRAINABLE["fnn"]().multiply_adds()
 
 
 def test_what_a_network_costs_is_near_what_pytorch_counts() -> None:
     """Oracle: PyTorch's own counter, which counts all of Eq. 9 and no symmetry of the magnitudes, so more."""
     for key in ("foten", "ten"):
-        sizes = FAMILIES[key]()
+        sizes = TRAINABLE[key]()
         counted = multiply_adds(untrained(key, sizes), sizes.window)
         assert 0.6 * counted < sizes.multiply_adds() <= counted, key
 

@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from foten.training.networks import build
 
-from foten.models.registry import FAMILIES, FotenSizes
+from foten.baselines.sizes import TRAINABLE
+from foten.models.foten.sizes import FotenSizes
 from foten.training.config import OWN_RECIPES, RECIPES, UNUSED, TrainConfig, check_used
 from foten.training.dropout import Dropout, set_dropout
 from foten.training.loop import Epoch, Progress, goes_on, load_progress
-from foten.training.networks import build
 from foten.training.window_fit import TrainingWindows, fit, loss_of, predict
 
 SIZES = FotenSizes(window=12, d_model=8, n_heads=2, n_layers=2, d_feedforward=16, head=(16, 8), spectral_width=8)
@@ -174,7 +175,7 @@ def test_a_checkpoint_that_is_another_runs_is_refused(tmp_path: Path) -> None:
         load_progress(path, QUICK, {"network": network})
 
 
-CONFIG = replace(RECIPES["default"], probation=3, least_gain=1e-3, patience=4)
+CONFIG = replace(RECIPES["default"], probation=3, min_gain=1e-3, patience=4)
 
 
 def progress(errors: list[float]) -> Progress:
@@ -242,7 +243,7 @@ def test_what_cannot_be_is_refused(change: dict[str, object], match: str) -> Non
 
 def test_recipes_change_what_a_config_has() -> None:
     for model, changed in (OWN_RECIPES | UNUSED).items():
-        assert model in FAMILIES
+        assert model in TRAINABLE
         assert set(changed) <= set(vars(RECIPES["paper"]))
 
 

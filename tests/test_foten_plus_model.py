@@ -11,7 +11,7 @@ from conftest import PLUS, reflections_of, untrained, untrained_tensors
 from foten.dsp.lattice import LEAK
 from foten.models.definitions import model_of
 from foten.models.foten_plus.definition import FotenPlus
-from foten.models.registry import FotenPlusSizes
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.training.texture_builder import Tensors
 
 

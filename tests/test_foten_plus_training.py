@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from foten.training.scale import Excitation
 
 from conftest import PLUS, SMALL, sizes_with
 from foten.datasets.simulate import simulate
 from foten.models.definitions import model_of
-from foten.models.foten_plus.fit import FotenPlusTask, Rendering, _beyond_exponents, _chosen, prepare_foten_plus
-from foten.models.foten_plus.linear_model import LinearPart
-from foten.models.registry import FotenPlusSizes
+from foten.models.foten_plus.fit import FotenPlusTask, Rendering, _chosen, extrapolation_exponents, prepare_foten_plus
+from foten.models.foten_plus.linear_model import LinearModel
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.recording.split import Split
@@ -24,12 +25,11 @@ from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeTexture
 from foten.runtime.renderer import Renderer
 from foten.training.blocks import scaled_blocks
+from foten.training.calibration import FittedExcitation
 from foten.training.config import TrainConfig
-from foten.training.excitation_fit import FittedExcitation
 from foten.training.job import TrainingJob
 from foten.training.loop import Epoch, Progress
 from foten.training.pipeline import prepare, train
-from foten.training.scale import Excitation
 
 QUICK = TrainConfig(epochs=0, batch=512, threads=1, max_order=20, table=False, tones=False)
 SHORT = PreprocessConfig(trim_ms=0, block_ms=500)
@@ -142,7 +142,7 @@ def test_a_playable_texture_leaves_the_network_on_its_device(
 
 
 def rendering(name: str, distance: tuple[float, float]) -> Rendering:
-    part = LinearPart(FotenPlusSizes(), {}, None, {"lattices": name})
+    part = LinearModel(FotenPlusSizes(), {}, None, {"lattices": name})
     return Rendering(part, FittedExcitation(Excitation(1), distance, [], 0.0, None))
 
 
@@ -174,7 +174,7 @@ def test_growth_beyond_the_range_is_that_of_the_texture_however_quiet_it_is() ->
     exponents = []
     for loudness in (1.0, 0.005):
         trace = Trace(loudness * acceleration, speed, force, 1000.0, 1000)
-        exponents.append(_beyond_exponents(scaled_blocks(trace, split)))
+        exponents.append(extrapolation_exponents(scaled_blocks(trace, split)))
     # Four seeds came within 0.041; a reference of 1 m/s² gave 0.26 and 0.04 to a texture of 20 mm/s².
     assert exponents[0] == pytest.approx({"speed": 1.0, "force": 0.5}, abs=0.1)
     assert exponents[1] == pytest.approx(exponents[0], rel=1e-9)
@@ -192,7 +192,7 @@ def test_no_growth_is_learned_where_the_recording_shows_none(why: str) -> None:
     trace = Trace((speed / 100) ** power * rng.standard_normal(t.size), speed, force, 1000.0, block)
     train, rest = tuple(range(n_blocks - 2)), (n_blocks - 2, n_blocks - 1)
     split = Split(train, rest[:1], rest[1:], n_blocks, block, "contiguous", 0)
-    exponent = _beyond_exponents(scaled_blocks(trace, split))["speed"]
+    exponent = extrapolation_exponents(scaled_blocks(trace, split))["speed"]
     assert exponent == (pytest.approx(1.0, abs=0.1) if why == "nothing" else 0.0)
 
 
@@ -200,10 +200,10 @@ def test_the_growth_of_foten_plus_is_in_its_card_and_the_papers_network_clamps(
     recording: Recording, prepared: FotenPlusTask
 ) -> None:
     assert prepared.playable is not None
-    assert prepared.playable.card["beyond_exponents"] == _beyond_exponents(prepared.blocks)
-    assert prepared.playable.card["beyond_exponents"] != {"speed": 0.0, "force": 0.0}
+    assert prepared.playable.card["extrapolation_exponents"] == extrapolation_exponents(prepared.blocks)
+    assert prepared.playable.card["extrapolation_exponents"] != {"speed": 0.0, "force": 0.0}
     job = TrainingJob(recording, "foten", sizes_with("foten", SMALL), QUICK, SHORT)
-    assert train(job).texture.card["beyond_exponents"] == {"speed": 0.0, "force": 0.0}
+    assert train(job).texture.card["extrapolation_exponents"] == {"speed": 0.0, "force": 0.0}
 
 
 @pytest.mark.parametrize("before", [True, False])

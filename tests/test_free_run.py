@@ -9,7 +9,7 @@ from scipy.special import polygamma
 from conftest import PLUS, SCALING, exported, resonance
 from foten.evaluate.free_run import free_run, nearest_training_blocks, scored, synthesize, synthesize_linear
 from foten.evaluate.one_step import Linear, fit_linear
-from foten.models.registry import FotenPlusSizes
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import ONE_STEP_TOLERANCE, Texture
 from foten.recording.scaling import Scaling
 from foten.recording.trace import Trace

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from conftest import exported
-from foten.models.registry import FAMILIES
+from foten.baselines.sizes import TRAINABLE
 from foten.models.texture_file import Texture
 from hostile import KINDS, Generator, run_commands, run_hostile
 
@@ -14,7 +14,7 @@ N_ALWAYS, N_SLOW, BATCH = 100, 2000, 200
 
 @pytest.fixture(scope="module")
 def generator(texture: Texture, plain_texture: Texture, tmp_path_factory: pytest.TempPathFactory) -> Generator:
-    local = exported("ar", FAMILIES["ar"](n_models=9, n_triangles=8))
+    local = exported("ar", TRAINABLE["ar"](n_models=9, n_triangles=8))
     return Generator([texture, plain_texture, local], tmp_path_factory.mktemp("valid"))
 
 

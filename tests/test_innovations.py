@@ -29,7 +29,7 @@ from foten.models.foten_plus.likelihood import (
     validated,
 )
 from foten.models.foten_plus.network import InnovationNetwork, NextInnovation, negative_log_likelihood
-from foten.models.registry import FotenPlusSizes
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.runtime.binding import library
@@ -89,8 +89,8 @@ def test_hidden_states_in_double_are_pytorch_s_own() -> None:
     ("name", "structure"),
     [
         ("recurrent_unit", kernel.RecurrentUnit),
-        ("roll_out", kernel.RollOutOfBatch),
-        ("roll_out_gradients", kernel.RollGradients),
+        ("roll_out", kernel.RolloutBatch),
+        ("roll_out_gradients", kernel.RolloutGradients),
     ],
 )
 def test_structures_are_laid_out_as_in_c(name: str, structure: type[ctypes.Structure]) -> None:

@@ -11,8 +11,8 @@ from conftest import PLUS, SCALING, exported, untrained, untrained_tensors
 from foten.datasets.simulate import TEXTURES, simulate
 from foten.dsp.tones import tone
 from foten.models.foten_plus.definition import Tones
-from foten.models.foten_plus.linear_model import LinearPart, fit_linear_parts
-from foten.models.registry import FotenPlusSizes
+from foten.models.foten_plus.linear_model import LinearModel, fit_linear_parts
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.split import Split, split_blocks
 from foten.recording.trace import Trace
@@ -49,7 +49,7 @@ def test_innovations_are_what_the_kernel_misses(before: bool) -> None:
     sizes = FotenPlusSizes(**PLUS, order=6, n_speed=3, n_force=2, gain_before_filter=before)
     tensors = untrained_tensors("foten-plus", sizes, untrained("foten-plus", sizes))
     blocks, m = moving_blocks(), sizes.history
-    x, e, unit = LinearPart(sizes, tensors, None, {}).innovations(blocks)
+    x, e, unit = LinearModel(sizes, tensors, None, {}).innovations(blocks)
     assert x.shape == e.shape == unit.shape == (5, 300)
     assert not e[:, 0].any()
     kernel = NativeTexture(exported("foten-plus", sizes, tensors).to_bytes())
@@ -59,7 +59,7 @@ def test_innovations_are_what_the_kernel_misses(before: bool) -> None:
     np.testing.assert_allclose(
         (e * unit)[:, m:][:, settled], (blocks.samples[:, m:, 0] - predicted)[:, settled], atol=1e-5
     )
-    level = LinearPart(sizes, tensors, None, {}).excited_lattice.level
+    level = LinearModel(sizes, tensors, None, {}).excited_lattice.level
     under = level(blocks.condition_before()[2]).reshape(5, 300)
     np.testing.assert_allclose((x * under)[:, 1:], blocks.samples[:, 1:, 0], atol=1e-9)
 
@@ -69,7 +69,7 @@ def test_innovations_beside_tones_are_of_what_the_tones_leave() -> None:
     sizes = FotenPlusSizes(**PLUS, order=4, n_tones=2, residual_order=3, network_in_loop=False)
     tensors = untrained_tensors("foten-plus", sizes, untrained("foten-plus", sizes))
     blocks = moving_blocks()
-    part = LinearPart(sizes, tensors, None, {})
+    part = LinearModel(sizes, tensors, None, {})
     model = Tones(tensors, part.excited_lattice.level)
     path = blocks.path_conditions()
     phase = np.cumsum(model.increment(path), axis=1) - model.increment(path)[:, :1]
@@ -87,11 +87,11 @@ def test_a_steady_power_is_that_of_excitation_and_tones() -> None:
     """Oracle: a tone's mean square over many periods."""
     sizes = FotenPlusSizes(**PLUS, order=4, n_tones=2, residual_order=3, network_in_loop=False)
     tensors = untrained_tensors("foten-plus", sizes, untrained("foten-plus", sizes))
-    part = LinearPart(sizes, tensors, np.zeros((1, 1)), {})
+    part = LinearModel(sizes, tensors, np.zeros((1, 1)), {})
     condition = np.array([[-0.5, 0.2], [0.7, -0.3]])
     unit, tones = part.power(condition)
     np.testing.assert_allclose(unit, part.excited_lattice.level(condition) ** 2)
-    lattice = LinearPart(sizes, tensors, None, {}).excited_lattice
+    lattice = LinearModel(sizes, tensors, None, {}).excited_lattice
     speed = lattice.level.physical(condition)[:, :1]
     coefficients = Tones(tensors, lattice.level).coefficients(np.concatenate([condition, speed], axis=1))
     turns = np.linspace(0, 2 * np.pi, 1000, endpoint=False)

@@ -11,14 +11,16 @@ import pytest
 from scipy.signal import lfilter
 
 from conftest import PLUS, SCALING, exported, sizes_with, untrained
+from foten.baselines.sizes import TRAINABLE
 from foten.dsp.lattice import LEAK, polynomial
 from foten.dsp.noise import innovation_likelihood
 from foten.models.definitions import model_of
 from foten.models.excitation import Excitation
 from foten.models.foten_plus.definition import FotenPlus
-from foten.models.model_sizes import Sizes
+from foten.models.foten_plus.sizes import FotenPlusSizes
+from foten.models.model_sizes import ModelSizes
 from foten.models.piecewise_ar.definition import PiecewiseAr
-from foten.models.registry import FAMILIES, FotenPlusSizes, PiecewiseArSizes
+from foten.models.piecewise_ar.sizes import PiecewiseArSizes
 from foten.models.stream import Model, run
 from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, ONE_STEP_TOLERANCE, Texture
 from foten.runtime.loops import predict_blocks, run_loops
@@ -54,7 +56,7 @@ def case(key: str, variant: str) -> tuple[Texture, Model]:
     return texture, model_of(sizes, texture.tensors, network)
 
 
-def in_float64_alone(sizes: Sizes) -> bool:
+def in_float64_alone(sizes: ModelSizes) -> bool:
     """Return whether the kernel does all of a loop in float64: no network of windows is in it."""
     return isinstance(sizes, FotenPlusSizes | PiecewiseArSizes)
 
@@ -76,7 +78,7 @@ def recorded(n_streams: int, n: int, seed: int = 1) -> np.ndarray:
     return np.concatenate([samples, moving(n_streams, n, seed)[..., :2]], axis=2)
 
 
-def rounding(sizes: Sizes) -> float:
+def rounding(sizes: ModelSizes) -> float:
     """Return what float64 rounds in sums of another order, as a share of a sample."""
     if isinstance(sizes, PiecewiseArSizes):
         return 1e-9 if sizes.order < 40 else 1e-6  # from forty angles to a polynomial digits are lost
@@ -100,7 +102,7 @@ def test_the_kernels_loop_is_the_references(key: str, variant: str) -> None:
             error = np.abs(out - expected) / np.maximum(1.0, np.abs(expected))
             assert error[:, :64].max() < first, (noise is None, limit)
             assert error.max() < later, (noise is None, limit)
-            assert np.abs(expected).max() > 0.01 or (FAMILIES[key].from_noise and noise is None)
+            assert np.abs(expected).max() > 0.01 or (TRAINABLE[key].from_noise and noise is None)
 
 
 def followed(
@@ -161,7 +163,9 @@ class Volatilities:
         return 1.0
 
 
-@pytest.mark.parametrize(("key", "variant"), [(key, variant) for key, variant in EVERY if not FAMILIES[key].from_noise])
+@pytest.mark.parametrize(
+    ("key", "variant"), [(key, variant) for key, variant in EVERY if not TRAINABLE[key].from_noise]
+)
 def test_the_kernel_predicts_recorded_samples_as_the_reference(key: str, variant: str) -> None:
     """Seam: sample, scale of what is random, and how likely what came was, each part of the model by itself."""
     texture, model = case(key, variant)

@@ -26,10 +26,12 @@ from scipy.signal import butter, lfilter, lfilter_zi
 
 import foten
 from conftest import PLUS, SCALING, SMALL, exported, untrained
+from foten.baselines.sizes import TRAINABLE
 from foten.dsp.noise import gaussian
 from foten.models import render_definition as reference
 from foten.models.definitions import model_of
-from foten.models.registry import FAMILIES, FotenPlusSizes, FotenSizes
+from foten.models.foten.sizes import FotenSizes
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.stream import run
 from foten.models.texture_file import CLOSED_LOOP_TOLERANCE, Texture
 from foten.runtime.binding import _SIGNATURES, NativeActuator, Options, isa, library
@@ -88,7 +90,7 @@ def test_a_stroke_of_a_network_that_grows_begins_within_bounds() -> None:
 def files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Return a texture file of every family."""
     folder = tmp_path_factory.mktemp("families")
-    for key in FAMILIES:
+    for key in TRAINABLE:
         (folder / f"{key}.foten").write_bytes(exported(key).to_bytes())
     return sorted(folder.iterdir())
 
@@ -573,7 +575,7 @@ def test_what_is_wrong_in_a_file_is_named(texture: Texture) -> None:
         (bytes_of({"lowpass_hz": 600.0}), "lowpass_hz"),
         (bytes_of({"scaling": {"mean": [0, 0, 0], "sd": [1, 0, 1]}}), "standard deviation"),
         (bytes_of({"trained_range": {"speed": [5, 1], "force": [0, 1]}}), "trained range of speed"),
-        (bytes_of({"beyond_exponents": {"speed": 1, "force": 9}}), "exponent of force"),
+        (bytes_of({"extrapolation_exponents": {"speed": 1, "force": 9}}), "exponent of force"),
         (bytes_of({"sizes": {**sizes, "n_hidden": 0}}), "n_hidden"),
         (bytes_of({"sizes": {**sizes, "network_in_loop": 1}}), "network_in_loop"),
         (bytes_of({"sizes": {**sizes, "colour": 1}}), "size that this library does not know"),

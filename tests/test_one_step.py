@@ -9,7 +9,8 @@ from conftest import PLUS, SCALING, SMALL, exported
 from foten.evaluate.metrics import goodness_of_fit
 from foten.evaluate.one_step import excitation_scores, one_step, predict
 from foten.models.definitions import model_of
-from foten.models.registry import FotenPlusSizes, FotenSizes
+from foten.models.foten.sizes import FotenSizes
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import ONE_STEP_TOLERANCE, Texture
 from foten.recording.windows import windows
 from foten.runtime.loops import predict_blocks, run_loops

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from foten.training.networks import build
 from scipy.fft import dct
 from scipy.signal import welch
 
@@ -16,19 +17,17 @@ from foten.baselines.fnn import EDGES, lagged_bands
 from foten.baselines.gan import Gan
 from foten.baselines.gan_fit import fit_adversarial
 from foten.baselines.noise_filter import NoiseFilter, log_magnitudes
-from foten.baselines.sizes import DftnetSizes, GanSizes, TenMfccSizes, TenWaveletSizes
+from foten.baselines.sizes import TRAINABLE, DftnetSizes, GanSizes, TenMfccSizes, TenWaveletSizes, trainable_sizes
 from foten.models.foten.fit import distilled, log_spectra
-from foten.models.registry import FAMILIES, sizes_of
 from foten.recording.split import Split
 from foten.recording.trace import Trace
 from foten.training.blocks import ScaledBlocks, scaled_blocks
 from foten.training.config import TrainConfig
 from foten.training.loop import Epoch, Progress
-from foten.training.networks import build
 from foten.training.texture_builder import multiply_adds
 from foten.training.window_fit import TrainingWindows, fit
 
-GRAPHS = [model for model, sizes in FAMILIES.items() if sizes.in_graph]
+GRAPHS = [model for model, sizes in TRAINABLE.items() if sizes.in_graph]
 
 
 def test_bands_add_up_to_the_vibration() -> None:
@@ -89,7 +88,7 @@ def test_wavelets_keep_what_is_smooth_out_of_the_details() -> None:
 def test_every_window_is_predicted_by_itself(model: str) -> None:
     """No window's prediction depends on the others in its batch, nor on dropout once trained."""
     torch.manual_seed(0)
-    sizes = FAMILIES[model]()
+    sizes = TRAINABLE[model]()
     network = build(model, sizes).double().eval()
     windows = torch.from_numpy(np.random.default_rng(4).standard_normal((6, sizes.history, 3)))
     with torch.no_grad():
@@ -103,12 +102,12 @@ def test_every_window_is_predicted_by_itself(model: str) -> None:
 @pytest.mark.parametrize("model", GRAPHS)
 def test_a_size_that_cannot_be_is_refused(model: str) -> None:
     with pytest.raises(ValueError, match="window is 1"):
-        sizes_of(model, {"window": 1})
-    what = "has no size 'excitation'" if FAMILIES[model].from_noise else "excitation is 1"
+        trainable_sizes(model, {"window": 1})
+    what = "has no size 'excitation'" if TRAINABLE[model].from_noise else "excitation is 1"
     with pytest.raises(ValueError, match=what):
-        sizes_of(model, {"excitation": 1})
+        trainable_sizes(model, {"excitation": 1})
     with pytest.raises(ValueError, match="has no size 'colour'"):
-        sizes_of(model, {"colour": 3})
+        trainable_sizes(model, {"colour": 3})
 
 
 @pytest.mark.parametrize(
@@ -132,7 +131,7 @@ def test_a_size_that_cannot_be_is_refused(model: str) -> None:
 )
 def test_what_does_not_fit_is_refused(model: str, sizes: dict[str, int], match: str) -> None:
     with pytest.raises(ValueError, match=match):
-        sizes_of(model, sizes)
+        trainable_sizes(model, sizes)
 
 
 def test_the_student_learns_half_from_its_teacher() -> None:

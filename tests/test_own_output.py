@@ -16,20 +16,20 @@ from foten.datasets.simulate import simulate
 from foten.dsp.bands import band_energies
 from foten.dsp.lattice import analyse
 from foten.models.definitions import model_of
-from foten.models.foten_plus import closed_loop_training as own_output
+from foten.models.foten_plus import closed_loop_training as closed_loop_training
 from foten.models.foten_plus.closed_loop_training import Excerpts, excerpts_of, fit_own_output
 from foten.models.foten_plus.fit import FotenPlusTask, prepare_foten_plus
 from foten.models.foten_plus.innovation_network import Mixture
 from foten.models.foten_plus.linear_model import phase_alone
-from foten.models.registry import FotenPlusSizes
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.recording.preprocess import PreprocessConfig
 from foten.runtime.binding import library
 from foten.training import training_kernel as kernel
 from foten.training.config import TrainConfig
-from foten.training.envelope_loss import Likeness, energies
+from foten.training.envelope_loss import EnvelopeEnergyDistance, energies
 from foten.training.job import TrainingJob
 from foten.training.loop import Epoch, Progress
-from foten.training.rollout import LARGEST_ADJOINT, PARTS, Beginning, RollOut, Surroundings, repeated
+from foten.training.rollout import MAX_ADJOINT, PARTS, Beginning, Rollout, RolloutInputs, repeated
 from foten.training.texture_builder import tensors_of
 
 RATE = 1000.0
@@ -71,7 +71,7 @@ def test_a_roll_out_is_the_reference_s_closed_loop(task: FotenPlusTask) -> None:
     excitation = tensors_of(task.plain.fitted.excitation, "excitation.")
     for name in ("out.weight", "out.bias", "power_law.weight"):
         excitation[f"excitation.{name}"] = np.zeros_like(excitation[f"excitation.{name}"])  # σ of 1
-    sizes = dataclasses.replace(part.sizes, network_in_loop=True, window=own_output.WARM_UP)
+    sizes = dataclasses.replace(part.sizes, network_in_loop=True, window=closed_loop_training.WARM_UP)
     model = model_of(sizes, {**part.tensors, **weights, **excitation})
     rows, history = block[:, None], sizes.history
     windows = task.blocks.samples[rows, start[:, None] + np.arange(-history, 0)]
@@ -82,7 +82,7 @@ def test_a_roll_out_is_the_reference_s_closed_loop(task: FotenPlusTask) -> None:
         reflections, level = lattice_of(of, block, start, history)
         _, after = part.excited_lattice.gains(level)
         stream.states = analyse(residual / after, reflections)[2]
-        inputs = of.of.inputs[rows, start[:, None] + np.arange(-own_output.WARM_UP, 0)]
+        inputs = of.of.inputs[rows, start[:, None] + np.arange(-closed_loop_training.WARM_UP, 0)]
         stream.hidden = np.zeros_like(stream.hidden)
         for i in range(inputs.shape[1]):
             stream.hidden = stream.network.push(stream.hidden, inputs[:, i])
@@ -117,7 +117,7 @@ def lattice_of(of: Excerpts, block: np.ndarray, start: np.ndarray, n: int) -> tu
     return lattice.reflections(before).T.reshape(*at.shape, -1), lattice.level(before).reshape(at.shape)
 
 
-def around(s: int, n: int, p: int, rng: np.random.Generator, gain_before: bool) -> tuple[Surroundings, Beginning]:
+def around(s: int, n: int, p: int, rng: np.random.Generator, gain_before: bool) -> tuple[RolloutInputs, Beginning]:
     def single(values: np.ndarray) -> np.ndarray:
         return values.astype(np.float32)
 
@@ -126,7 +126,7 @@ def around(s: int, n: int, p: int, rng: np.random.Generator, gain_before: bool) 
     begin = Beginning(
         *(single(rng.standard_normal(shape)) for shape in ((s, p), (s, 6), (s, 5)))  # type: ignore[arg-type]
     )
-    return Surroundings(reflections, level, logs, gain_before, 50.0), begin
+    return RolloutInputs(reflections, level, logs, gain_before, 50.0), begin
 
 
 def weights(k: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
@@ -152,9 +152,9 @@ def test_gradients_are_those_of_finite_differences(
     at, of = weights(1, rng), rng.standard_normal((3, 12)).astype(np.float32)
 
     def loss(changed: dict[str, np.ndarray]) -> float:
-        return float((RollOut(changed, given, begin, np.random.default_rng(4)).residual.astype(float) * of).sum())
+        return float((Rollout(changed, given, begin, np.random.default_rng(4)).residual.astype(float) * of).sum())
 
-    gradients = RollOut(at, given, begin, np.random.default_rng(4)).gradients(of, np.inf)
+    gradients = Rollout(at, given, begin, np.random.default_rng(4)).gradients(of, np.inf)
     for name, gradient in gradients.items():
         largest = float(np.abs(gradient).max())
         for number in rng.choice(gradient.size, min(6, gradient.size), replace=False):
@@ -173,8 +173,8 @@ def test_a_chaotic_stream_does_not_drown_the_others() -> None:
     at = {name: 8 * one for name, one in weights(1, rng).items()}
     of = np.ones((3, 400), np.float32)
     free, held = (
-        float(max(np.abs(one).max() for one in RollOut(at, given, begin, drawn).gradients(of, most).values()))
-        for most, drawn in ((np.inf, np.random.default_rng(1)), (LARGEST_ADJOINT, np.random.default_rng(1)))
+        float(max(np.abs(one).max() for one in Rollout(at, given, begin, drawn).gradients(of, most).values()))
+        for most, drawn in ((np.inf, np.random.default_rng(1)), (MAX_ADJOINT, np.random.default_rng(1)))
     )
     assert free > 1e6
     assert held < 1e4
@@ -184,7 +184,7 @@ def test_a_draw_moves_as_its_quantile_does() -> None:
     """∂e/∂θ at one probability, against the reference's quantile at the same z."""
     rng = np.random.default_rng(5)
     given, begin = around(40, 1, 3, rng, False)
-    run = RollOut(weights(4, rng), given, begin, rng)
+    run = Rollout(weights(4, rng), given, begin, rng)
     derivative, out = run._of_draws()[0], run._out[0].astype(float)
 
     def mixture(raw: np.ndarray) -> Mixture:
@@ -206,7 +206,7 @@ def test_draws_are_distributed_as_the_network_says() -> None:
     """Kolmogorov and Smirnov's distance of 20,000 draws from one mixture of four; 1.95 / √n is its 0.1 % quantile."""
     n, rng = 20_000, np.random.default_rng(9)
     given, begin = around(1, 1, 1, rng, False)
-    run = RollOut(weights(4, rng), repeated(given, n), repeated(begin, n), rng)
+    run = Rollout(weights(4, rng), repeated(given, n), repeated(begin, n), rng)
     logit, mean, raw = np.split(run._out[0, 0].astype(float), 3)
     weight, scale = np.exp(logit) / np.exp(logit).sum(), np.exp(6 * np.tanh(raw / 6))
     assert 1 - (weight**2).sum() > 0.5  # which no component alone is
@@ -233,7 +233,7 @@ def test_the_score_is_lowest_for_the_distribution_that_was_recorded(wrong: float
     rng = np.random.default_rng(7)
     recorded = bursts(rng, 300, 0.6)
     moving = np.ones((300, 96), dtype=bool)
-    likeness = Likeness(recorded, moving, RATE)
+    likeness = EnvelopeEnergyDistance(recorded, moving, RATE)
 
     def score(deep: float) -> float:
         first, second, prefix = bursts(rng, 300, deep), bursts(rng, 300, deep), np.zeros((300, 0))
@@ -253,7 +253,7 @@ def test_what_is_at_rest_does_not_count() -> None:
     moving = np.ones((60, 96), dtype=bool)
     moving[:, 72:] = False
     moving[50:] = False
-    likeness = Likeness(recorded, moving, RATE)
+    likeness = EnvelopeEnergyDistance(recorded, moving, RATE)
     drawn, noisy = (torch.from_numpy(bursts(rng, 120, 0.6)).float().unflatten(0, (2, 60)) for _ in range(2))
     truth, before = torch.from_numpy(recorded).float(), torch.zeros(60, 0)
     at_rest = drawn.clone()
@@ -269,13 +269,13 @@ def test_what_is_at_rest_does_not_count() -> None:
 
 
 def test_what_does_not_gain_is_left_as_it_was(task: FotenPlusTask, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(own_output, "JUDGED_EVERY", 3)
-    monkeypatch.setattr(own_output, "N_JUDGED", 1)
+    monkeypatch.setattr(closed_loop_training, "JUDGED_EVERY", 3)
+    monkeypatch.setattr(closed_loop_training, "N_JUDGED", 1)
     of, network = excerpts_of(task.blocks, (task.phased or task.plain.part), excerpts(task, 0).of, 5.0), drawing(task)
     assert of is not None
 
     def fitted(rate: float) -> tuple[Any, Any]:
-        monkeypatch.setattr(own_output, "RATE", rate)
+        monkeypatch.setattr(closed_loop_training, "RATE", rate)
         changed = copy.deepcopy(network)
         return changed, fit_own_output(changed, of, lambda one, rng: sum(p.sum() * 0 for p in one.parameters()), 3, 0)
 
@@ -308,8 +308,8 @@ def test_the_level_is_settled_only_where_own_output_gained_nothing(
     task: FotenPlusTask, monkeypatch: pytest.MonkeyPatch, gained: bool
 ) -> None:
     """Settled once more, ribbed plastic was told apart in 0.91 and not 0.87."""
-    monkeypatch.setattr("foten.models.foten_plus.fit.LEAST_GAIN_NAT", -1e3)
-    result = own_output.OwnOutput(1.0, 0.5 if gained else 1.0)
+    monkeypatch.setattr("foten.models.foten_plus.fit.MIN_GAIN_NAT", -1e3)
+    result = closed_loop_training.ClosedLoopResult(1.0, 0.5 if gained else 1.0)
     monkeypatch.setattr(FotenPlusTask, "_on_own_output", lambda self, *given: result)
     texture = task.finish(Progress([Epoch(1, 1.0, 1.0, 1.0, 1.0, True)]), lambda stage: None)
     errors = texture.card["metrics"]["renderings"]["with network"]["level_errors_db"]
@@ -317,9 +317,9 @@ def test_the_level_is_settled_only_where_own_output_gained_nothing(
 
 
 def test_interrupted_what_is_best_so_far_is_kept(task: FotenPlusTask, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(own_output, "N_JUDGED", 1)
-    monkeypatch.setattr(own_output, "JUDGED_EVERY", 2)
-    monkeypatch.setattr(own_output, "RATE", 2e-2)
+    monkeypatch.setattr(closed_loop_training, "N_JUDGED", 1)
+    monkeypatch.setattr(closed_loop_training, "JUDGED_EVERY", 2)
+    monkeypatch.setattr(closed_loop_training, "RATE", 2e-2)
     of, network = excerpts_of(task.blocks, (task.phased or task.plain.part), excerpts(task, 0).of, 5.0), drawing(task)
     assert of is not None
 
@@ -340,8 +340,8 @@ def test_a_training_that_was_interrupted_on_own_output_says_so(
     task: FotenPlusTask, monkeypatch: pytest.MonkeyPatch, interrupted: bool
 ) -> None:
     """A sweep would take it for done else, and a checkpoint would be deleted."""
-    monkeypatch.setattr("foten.models.foten_plus.fit.LEAST_GAIN_NAT", -1e3)
-    result = own_output.OwnOutput(1.0, 0.5, interrupted)
+    monkeypatch.setattr("foten.models.foten_plus.fit.MIN_GAIN_NAT", -1e3)
+    result = closed_loop_training.ClosedLoopResult(1.0, 0.5, interrupted)
     monkeypatch.setattr(FotenPlusTask, "_on_own_output", lambda self, *given: result)
     progress = Progress([Epoch(1, 1.0, 1.0, 1.0, 1.0, True)])
     task.finish(progress, lambda stage: None)

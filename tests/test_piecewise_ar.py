@@ -13,7 +13,7 @@ from foten.dsp.lattice import LEAK, predict, push, reflections_of
 from foten.dsp.lsf import line_spectral_frequencies, polynomial_of
 from foten.models.piecewise_ar.definition import PiecewiseAr
 from foten.models.piecewise_ar.local_models import LocalModels, local_texture
-from foten.models.registry import PiecewiseArSizes
+from foten.models.piecewise_ar.sizes import PiecewiseArSizes
 from foten.models.render_definition import render
 from foten.models.texture_file import Texture
 from foten.runtime.loops import run_loops

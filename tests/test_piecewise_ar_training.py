@@ -16,7 +16,7 @@ from foten.dsp.segmentation import MAX_ORDER
 from foten.evaluate.evaluate import evaluate
 from foten.experiments.truth import truth_for
 from foten.models.piecewise_ar.fit import ORDERS, fitted
-from foten.models.registry import PiecewiseArSizes
+from foten.models.piecewise_ar.sizes import PiecewiseArSizes
 from foten.models.texture_file import read_texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Channel, Recording

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from conftest import PLUS, sizes_with
+from foten.baselines.sizes import TRAINABLE
 from foten.datasets.simulate import simulate
-from foten.models.foten_plus import closed_loop_training as own_output
+from foten.models.foten.sizes import FotenSizes
+from foten.models.foten_plus import closed_loop_training as closed_loop_training
 from foten.models.foten_plus import fit as foten_plus
-from foten.models.registry import FAMILIES, FotenSizes
 from foten.models.texture_file import Texture, texture_from_bytes
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
@@ -35,9 +36,9 @@ SHORT = PreprocessConfig(trim_ms=0, block_ms=500)
 def brief() -> Iterator[None]:
     """Train on own output for a few steps."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (own_output, foten_plus):
+        for module in (closed_loop_training, foten_plus):
             patch.setattr(module, "JUDGED_EVERY", 4)
-        patch.setattr(own_output, "N_JUDGED", 2)
+        patch.setattr(closed_loop_training, "N_JUDGED", 2)
         yield
 
 
@@ -64,7 +65,7 @@ def rendered(texture: Texture) -> np.ndarray:
 
 
 def test_every_family_is_prepared() -> None:
-    assert set(PREPARE) == set(FAMILIES)
+    assert set(PREPARE) == set(TRAINABLE)
 
 
 def test_the_network_starts_at_the_linear_part(recording: Recording) -> None:
@@ -147,7 +148,7 @@ def test_a_training_interrupted_before_its_first_epoch_has_given_a_playable_text
 def test_only_what_needs_no_network_is_playable_before(recording: Recording, model: str, n: int) -> None:
     given: list[Texture] = []
     config = TrainConfig(epochs=0, threads=1, max_order=10, table=False, tones=False)
-    sizes = sizes_with(model, SMALL) if model == "foten-plus" else FAMILIES[model]()
+    sizes = sizes_with(model, SMALL) if model == "foten-plus" else TRAINABLE[model]()
     preprocess = PreprocessConfig(trim_ms=0, block_ms=1000)
     train(TrainingJob(recording, model, sizes, config, preprocess), on_playable=given.append)
     assert len(given) == n
@@ -193,7 +194,7 @@ def test_blocks_shorter_than_five_windows_are_refused(recording: Recording) -> N
 def test_the_test_blocks_have_no_say(recording: Recording, monkeypatch: pytest.MonkeyPatch, model: str) -> None:
     """Their samples are others, a hundred times as loud, under another hand: the texture is the same to the last digit."""
     config = dataclasses.replace(QUICK, epochs=1)
-    sizes = sizes_with(model, SMALL) if model == "foten-plus" else FAMILIES[model]()
+    sizes = sizes_with(model, SMALL) if model == "foten-plus" else TRAINABLE[model]()
     job = TrainingJob(recording, model, sizes, config, PreprocessConfig(trim_ms=0, block_ms=1000))
     expected = train(job).texture
     blocks_of = TrainingJob.blocks

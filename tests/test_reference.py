@@ -11,10 +11,11 @@ import torch
 from scipy.signal import lfilter
 
 from conftest import PLUS, SMALL, exported, resonance, sizes_with, untrained
+from foten.baselines.sizes import TRAINABLE
 from foten.models.definitions import model_of
 from foten.models.foten.definition import Network
-from foten.models.foten.ten_sizes import TransformerSizes
-from foten.models.registry import FAMILIES, FotenPlusSizes
+from foten.models.foten.sizes import TransformerSizes
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.stream import Prediction, run
 from foten.training.texture_builder import tensors_of
 
@@ -52,7 +53,7 @@ def cases() -> list[tuple[str, str]]:
     """Return each family that the kernel runs but the piecewise one, with each variant that it has."""
     pairs = []
     for key in ("foten", "ten"):
-        known = {one.name for one in fields(FAMILIES[key])}
+        known = {one.name for one in fields(TRAINABLE[key])}
         pairs += [(key, name) for name, wanted in VARIANTS.items() if set(wanted) - set(SMALL) <= known]
     pairs = [(key, name) for key, name in pairs if key != "ten" or "literal" not in name]
     return [*pairs, *(("foten-plus", name) for name in ("default", *PLUS_VARIANTS))]

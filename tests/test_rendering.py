@@ -15,11 +15,12 @@ from hypothesis import strategies as st
 
 from conftest import PLUS, SCALING, SMALL, exported
 from foten.dsp.lattice import polynomial
-from foten.models.conditions import FADE_FORCE, FADE_SPEED, FURTHEST
+from foten.models.conditions import EXTRAPOLATION_LIMIT, FADE_FORCE, FADE_SPEED
 from foten.models.definitions import model_of
+from foten.models.excitation import HEAVIEST_TAIL
+from foten.models.foten.sizes import FotenSizes
 from foten.models.foten_plus.definition import FotenPlus
-from foten.models.registry import FotenPlusSizes, FotenSizes
-from foten.models.tensor_shapes import HEAVIEST_TAIL
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.runtime.loops import run_loops
@@ -212,7 +213,7 @@ def test_what_lies_beyond_the_range_is_counted(texture: Texture) -> None:
 
 
 def test_above_the_range_the_level_grows_by_its_power_law_and_no_further_than_twice_the_range(texture: Texture) -> None:
-    assert FURTHEST == 2
+    assert EXTRAPOLATION_LIMIT == 2
     speed, force = np.linspace(100.0, 900.0, 200), np.linspace(1.0, 9.0, 200)
     inside = rendered(texture, np.minimum(speed, HIGH[0]), np.minimum(force, HIGH[1]))
     growth = np.clip(speed / HIGH[0], 1, 2) ** 0.7 * np.clip(force / HIGH[1], 1, 2) ** 0.4
@@ -220,7 +221,7 @@ def test_above_the_range_the_level_grows_by_its_power_law_and_no_further_than_tw
 
 
 def test_the_papers_network_clamps(plain_texture: Texture) -> None:
-    plain = with_card(plain_texture, beyond_exponents={"speed": 0.0, "force": 0.0})
+    plain = with_card(plain_texture, extrapolation_exponents={"speed": 0.0, "force": 0.0})
     inside = rendered(plain, *steady(50, *HIGH))
     np.testing.assert_array_equal(rendered(plain, *steady(50, 900.0, 9.0)), inside)
 
@@ -247,8 +248,8 @@ def test_any_stroke_gives_a_finite_bounded_vibration(
             # What leaves the loop is cut; growth beyond the trained range comes after it.
             growth = np.ones(n)
             for name, channel in (("speed", speed), ("force", force)):
-                share = np.clip(channel / used.trained_range(name)[1], 1.0, FURTHEST)
-                growth *= share ** used.beyond_exponent(name)
+                share = np.clip(channel / used.trained_range(name)[1], 1.0, EXTRAPOLATION_LIMIT)
+                growth *= share ** used.extrapolation_exponent(name)
             assert (np.abs(out) <= bound * growth * (1 + FLOAT32)).all()
 
 

@@ -103,7 +103,7 @@ def _judgement(rate_hz=1000.0, block=2000):
 def _texture(**card):
     fields = {
         "model": "foten-plus",
-        "beyond_exponents": {"speed": 0.0, "force": 0.4},
+        "extrapolation_exponents": {"speed": 0.0, "force": 0.4},
         "tool": "steel ball",
         "sensors": "",
         "notes": "",

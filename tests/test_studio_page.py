@@ -21,9 +21,9 @@ import pytest
 import scipy.io.wavfile
 
 from conftest import exported
+from foten.baselines.sizes import TRAINABLE
 from foten.datasets.importing import read_stroke
 from foten.dsp import Array
-from foten.models.registry import FAMILIES
 from foten.models.texture_file import read_texture, write_texture
 from foten.runtime.actuator import ActuatorProfile, write_profile
 from foten.runtime.renderer import EXAMPLE, Renderer
@@ -481,7 +481,7 @@ def test_it_is_accessible_and_looks_as_the_screenshots_show(browser: Any, link: 
 
 def test_a_network_that_only_the_server_runs_is_heard_in_the_page(browser: Any, tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
-    sizes = FAMILIES["dstn"](excitation=True)
+    sizes = TRAINABLE["dstn"](excitation=True)
     write_texture(exported("dstn", sizes, texture="network"), tmp_path / "network.foten")
     process, link = started(str(tmp_path))
     with opened(browser, link, tap=False) as page:

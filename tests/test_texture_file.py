@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from safetensors.numpy import save
 
 from conftest import PLUS, SCALING, exported
-from foten.models.registry import FAMILIES, FotenPlusSizes
+from foten.baselines.sizes import TRAINABLE
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture, read_texture, texture_from_bytes, write_texture
 from foten.runtime.native import NativeTexture
 
@@ -91,8 +92,8 @@ NONE = "no growth could be learned from the recording"
     ],
 )
 def test_it_says_how_the_level_goes_on_above_its_range(model: str, speed: float, force: float, words: str) -> None:
-    card = {"model": model, "beyond_exponents": {"force": force, "speed": speed}}
-    assert Texture(card=card, tensors={}).beyond_in_words() == words
+    card = {"model": model, "extrapolation_exponents": {"force": force, "speed": speed}}
+    assert Texture(card=card, tensors={}).extrapolation_in_words() == words
 
 
 def test_every_truncation_is_refused(texture: Texture) -> None:
@@ -261,7 +262,7 @@ def test_an_unknown_tensor_is_refused(plain_texture: Texture) -> None:
         texture_from_bytes(raw(dict(plain_texture.card), tensors))
 
 
-@pytest.mark.parametrize("key", FAMILIES)
+@pytest.mark.parametrize("key", TRAINABLE)
 def test_every_tensor_is_needed(key: str) -> None:
     """By whoever reads the file, and by the kernel."""
     texture = exported(key)

@@ -8,12 +8,12 @@ from scipy.signal import lfilter
 
 from conftest import PLUS, SCALING, exported
 from foten.datasets.simulate import simulate
-from foten.dsp.tones import audible_share, fitted_phase, tone, tone_slope
+from foten.dsp.tones import anti_alias_gain, fitted_phase, tone, tone_slope
 from foten.models.definitions import model_of
 from foten.models.foten_plus.definition import FotenPlus
 from foten.models.foten_plus.lattice_fit import LatticeData
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.foten_plus.tones_fit import _unevenness, fit_tones, n_tones, wavelength
-from foten.models.registry import FotenPlusSizes
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
 from foten.runtime.loops import run_loops
@@ -99,16 +99,16 @@ def test_tones_are_recovered_under_noise_and_jitter() -> None:
     # A spectrum that says 1 % too much: the phases of twelve strokes of 150 mm put it right.
     assert fitted.wavelength_mm == pytest.approx(LENGTH, rel=1e-3)
     # The variance grows by 0.04 to 0.12 rad² on what is compared, and a few hundred such places scatter by a fifth.
-    assert 4 * np.pi**2 * fitted.unevenness**2 / LENGTH == pytest.approx(3e-3, rel=0.5)
+    assert 4 * np.pi**2 * fitted.period_jitter**2 / LENGTH == pytest.approx(3e-3, rel=0.5)
     held = list(data.validation)  # its phases are fitted, its amplitudes are not
     missed = np.square(fitted.played - true)[held, 100:-100].mean() / np.square(true)[held, 100:-100].mean()
     # Noise of a third of the tones' power, and a phase known from about a wavelength: 17 periods of 3 multiples a second.
     assert missed < 0.1
 
 
-def with_tones(unevenness: float = 0.03) -> tuple[Texture, FotenPlus]:
+def with_tones(period_jitter: float = 0.03) -> tuple[Texture, FotenPlus]:
     """Return an untrained texture of three tones, 2.5 mm long, and its model in the reference."""
-    motion = np.array([2 * np.pi / 2.5 / RATE, unevenness, 2e-3])
+    motion = np.array([2 * np.pi / 2.5 / RATE, period_jitter, 2e-3])
     texture = exported("foten-plus", WITH_TONES, {"tones.motion": motion})
     model = model_of(WITH_TONES, texture.tensors)
     assert isinstance(model, FotenPlus)
@@ -143,17 +143,17 @@ def test_tones_keep_to_the_path_above_the_trained_speed_too_and_never_alias(spee
     near = multiples[:, None] + np.arange(-4, 5)
     assert power[near].sum() > 0.999 * power.sum()
     assert (power[near].sum(axis=1) > 0.001 * power.sum()).all()
-    assert audible_share(3, np.array([2 * np.pi * 0.151]))[0] == pytest.approx([1, 1, 1, 1, 0.94, 0.94])
-    assert audible_share(3, np.array([2 * np.pi * 0.17]))[0, 4:] == pytest.approx([0, 0])
+    assert anti_alias_gain(3, np.array([2 * np.pi * 0.151]))[0] == pytest.approx([1, 1, 1, 1, 0.94, 0.94])
+    assert anti_alias_gain(3, np.array([2 * np.pi * 0.17]))[0, 4:] == pytest.approx([0, 0])
 
 
-@pytest.mark.parametrize("unevenness", [0.03, 0.3])
-def test_a_rendering_forgets_the_window_that_it_started_from(unevenness: float) -> None:
+@pytest.mark.parametrize("period_jitter", [0.03, 0.3])
+def test_a_rendering_forgets_the_window_that_it_started_from(period_jitter: float) -> None:
     """Other phases of the surface, ±50 standard deviations: under the same noise they meet within four seconds.
 
     With 0.3 the phase leaves the path by several turns.
     """
-    texture, model = with_tones(unevenness)
+    texture, model = with_tones(period_jitter)
     rng = np.random.default_rng(1)
     windows = rng.standard_normal((3, texture.window, 3))
     windows[1, :, 0] *= 50

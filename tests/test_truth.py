@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from conftest import PLUS, exported
+from foten.baselines.sizes import trainable_sizes
 from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.listener import N_LISTENERS
 from foten.experiments.truth import VALIDATION_HAND, long_strokes, truth_for, validation_listener
-from foten.models.registry import FotenPlusSizes, sizes_of
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import texture_from_bytes
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
@@ -116,7 +117,7 @@ def test_the_area_of_a_linear_process_is_near_chance_and_of_a_louder_one_certain
     """Of 60 s the area scatters by 0.07, as in `test_listener`; twice as loud is plain."""
     recording = simulate("linear-cloth", 30, seed=1)
     config = recipe_of("foten-plus", threads=1, epochs=0, volatility=False, tails=False)
-    texture = train(TrainingJob(recording, "foten-plus", sizes_of("foten-plus", {}), config)).texture
+    texture = train(TrainingJob(recording, "foten-plus", trainable_sizes("foten-plus", {}), config)).texture
     assert validation_listener(texture, recording)["area"] < 0.75
     scaling = texture.card["scaling"]["sd"]
     louder = dataclasses.replace(

@@ -28,7 +28,7 @@ from foten.datasets.stroking import Stroking, stroking
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
 from foten.experiments.stability import rendered_strokes
 from foten.experiments.tables import written
-from foten.models.registry import FotenPlusSizes
+from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Channel, Recording
@@ -131,7 +131,10 @@ def judge(key: str) -> dict[str, Any]:
         "80 ms from a jump": (jumps, (since_jump < 2 * FRAME_MS) | (since_jump > 500 - FRAME_MS)),
         "later": (jumps, (since_jump >= 4 * FRAME_MS) & (since_jump <= 500 - 2 * FRAME_MS)),
     }
-    result: dict[str, Any] = {"beyond_exponents": dict(texture.card["beyond_exponents"]), "trained_to": high}
+    result: dict[str, Any] = {
+        "extrapolation_exponents": dict(texture.card["extrapolation_exponents"]),
+        "trained_to": high,
+    }
     signals = {id(trace): rendered(texture, trace) for trace in (inside, jumps)}
     for policy in POLICIES:
         result[policy] = {

@@ -29,6 +29,7 @@ from matplotlib.patches import FancyBboxPatch
 from PIL import Image
 from scipy.signal import spectrogram, welch
 
+from foten.baselines.sizes import TRAINABLE
 from foten.datasets.contact import CONTACT
 from foten.datasets.hdf5 import load_recording
 from foten.datasets.linear_family import LINEAR_FAMILY
@@ -46,7 +47,6 @@ from foten.experiments.experiment import experiment_path, read_experiment
 from foten.experiments.figures import waveforms
 from foten.experiments.results import chosen_results, read_records, read_results
 from foten.experiments.truth import linear_bounds
-from foten.models.registry import FAMILIES
 from foten.models.texture_file import Texture, read_texture, write_texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.scaling import fit_scaling
@@ -88,7 +88,7 @@ def texture_of(key: str, model: str) -> Texture:
     path = BUILD / f"{key}-{model}-{SEED}.foten"
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        job = TrainingJob(simulate(key, 64.0, seed=SEED), model, FAMILIES[model](), recipe_of(model), split_seed=SEED)
+        job = TrainingJob(simulate(key, 64.0, seed=SEED), model, TRAINABLE[model](), recipe_of(model), split_seed=SEED)
         write_texture(train(job).texture, path)
     return read_texture(path)
 
@@ -514,7 +514,7 @@ def noise_of(key: str) -> Texture:
         job = TrainingJob(
             simulate(key, 64.0, seed=SEED),
             "foten-plus",
-            FAMILIES["foten-plus"](),
+            TRAINABLE["foten-plus"](),
             recipe_of("foten-plus", epochs=0),
             split_seed=SEED,
         )

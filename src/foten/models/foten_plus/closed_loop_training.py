@@ -43,7 +43,13 @@ LIKELIHOOD_WEIGHT = 0.2  # beside the envelope loss, so that what was learned by
 AVERAGING = 0.97  # of the weights, from step to step
 N_KNOWN = 400  # excerpts of the recording that say how much statistics vary
 N_VALIDATIONS = 8  # draws of excerpts of the validation blocks that a network is validated by
-RECIPE: dict[str, Any] = {"optimiser": "adamw", "learning_rate": 2e-3, "weight_decay": 0.0, "clip_norm": 1.0, "schedule": "one_cycle"}
+RECIPE: dict[str, Any] = {
+    "optimiser": "adamw",
+    "learning_rate": 2e-3,
+    "weight_decay": 0.0,
+    "clip_norm": 1.0,
+    "schedule": "one_cycle",
+}
 
 
 @dataclass(frozen=True)
@@ -130,9 +136,7 @@ class Excerpts:
             hidden = hidden_states(network.recurrent, torch.from_numpy(inputs).float().to(device))
         logs = lattice.level.logarithms(conditions[rows, at[:, p:], :2].reshape(-1, 2)).reshape(len(block), self.n, 2)
         arrays = (reflections[:, p:], level[:, p:], logs, states, hidden[:, -1].cpu().numpy(), inputs[:, -1])
-        k, of_level, of_logs, of_lattice, of_network, last = (
-            np.ascontiguousarray(x, dtype=np.float32) for x in arrays
-        )
+        k, of_level, of_logs, of_lattice, of_network, last = (np.ascontiguousarray(x, dtype=np.float32) for x in arrays)
         limit, before_filter = self.innovation_limit, lattice.gain_before_filter
         rollout = RolloutInputs(k, of_level, of_logs, before_filter, limit, tones, phase_increment)
         return rollout, RolloutState(of_lattice, of_network, last, phase), coefficients
