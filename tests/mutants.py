@@ -389,7 +389,7 @@ MUTANTS = (
     Mutant(
         "the excitation has no bound",
         PACKAGE + "training/excitation_fit.py",
-        "excitation.largest.copy_(torch.tensor([float(np.abs(values).max()) for values in left]))",
+        "excitation.innovation_limit.copy_(torch.tensor([float(np.abs(values).max()) for values in left]))",
         "pass",
         ("tests/test_excitation.py",),
     ),

@@ -7,8 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from foten.experiments.innovations import KINDS, innovations
-from scipy.integrate import quad
 
 from conftest import TINY, experiment, exported
 from foten.cli.command_line import _status
@@ -21,7 +19,6 @@ from foten.experiments.run import _judged, _measures
 from foten.experiments.stability import into, proven, stability
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
-from foten.recording.trace import Trace
 
 
 def test_ar_is_run_once_whatever_the_grid(tmp_path: Path) -> None:
@@ -222,27 +219,6 @@ def test_a_first_stroke_is_as_a_settled_one(texture: Texture) -> None:
             assert abs(figures[name][start]) < 1.5 * figures[name]["settled"] + 0.2
     excess = figures["click_share"] - figures["settled_share"]
     assert abs(excess) < 4 * figures["click_standard_error"]
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_density_integrates_to_one(kind: str) -> None:
-    density, start = KINDS[kind]
-    total, _ = quad(lambda u: float(np.exp(density(np.array([u]), *start))[0]), -60, 60, limit=400, points=[0.0])
-    assert total == pytest.approx(1.0, abs=1e-4)  # a Student t of 4.7 degrees of freedom has 3e-7 beyond
-
-
-def test_innovations_are_of_excited_textures_without_tones(texture: Texture) -> None:
-    rng = np.random.default_rng(0)
-    n = texture.card["split"]["n_blocks"] * texture.card["split"]["block"]
-    low, high = texture.trained_range("speed")
-    trace = Trace(
-        texture.scaling.sd[0] * rng.standard_normal(n), np.full(n, (low + high) / 2), np.ones(n), 1000.0,
-        texture.card["split"]["block"],
-    )  # fmt: skip
-    nats = innovations(texture, trace)
-    assert set(nats) == set(KINDS)
-    assert nats["heavy_tailed"] == pytest.approx(nats["gaussian"], abs=0.02)  # Gaussian noise has no tails to gain by
-    assert innovations(exported("foten"), trace) == {}
 
 
 def test_every_measure_that_a_file_may_name_is_there(texture: Texture, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -67,7 +67,7 @@ def test_it_starts_as_its_lattice() -> None:
 def test_what_the_network_draws_is_bounded(noise: float | None) -> None:
     """In the unit that σ has, whatever the network says; without noise as well."""
     sizes, tensors = made(order=6)
-    tensors["excitation.largest"] = np.array([2.5, 1e6])
+    tensors["excitation.innovation_limit"] = np.array([2.5, 1e6])
     given = windows(200, sizes.history)
     silent = {**tensors, "rendering_network.out.weight": 0 * tensors["rendering_network.out.weight"]}
     silent["rendering_network.out.bias"] = tensors["rendering_network.out.bias"] * 0

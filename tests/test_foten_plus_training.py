@@ -117,7 +117,7 @@ def test_with_the_network_in_the_loop_the_level_is_settled_from_one(prepared: Fo
     assert abs(errors[-1]) < 0.3 * abs(errors[0])
     of, train = task.innovations["network"], list(task.blocks.split.train)
     largest = 1.3 * np.abs(of.innovation[train, of.first + 1 :]).max()
-    assert texture.tensors["excitation.largest"][0] == pytest.approx(largest)
+    assert texture.tensors["excitation.innovation_limit"][0] == pytest.approx(largest)
     assert texture.tensors["excitation.volatility"][1] == 0
     model = model_of(texture.sizes, texture.tensors)
     assert model.excitation.tail(np.zeros((1, 2))) < 1e-9  # type: ignore[attr-defined]

@@ -109,7 +109,7 @@ def test_tones_are_recovered_under_noise_and_jitter() -> None:
 def with_tones(period_jitter: float = 0.03) -> tuple[Texture, FotenPlus]:
     """Return an untrained texture of three tones, 2.5 mm long, and its model in the reference."""
     motion = np.array([2 * np.pi / 2.5 / RATE, period_jitter, 2e-3])
-    texture = exported("foten-plus", WITH_TONES, {"tones.motion": motion})
+    texture = exported("foten-plus", WITH_TONES, {"tones.phase_params": motion})
     model = model_of(WITH_TONES, texture.tensors)
     assert isinstance(model, FotenPlus)
     return texture, model

@@ -282,8 +282,8 @@ def _check_tensors(texture: Texture) -> None:
             f"unknown model {shortened(texture.card['model'])}, expected one of {', '.join(MODELS)}, or a graph"
         )
     for name, shape in shapes.items():
-        actual = texture.tensors[name].shape if name in texture.tensors else ()
-        if len(actual) != len(shape) or any(n not in (None, m) for n, m in zip(shape, actual, strict=True)):
+        actual = texture.tensors[name].shape if name in texture.tensors else None
+        if actual is None or len(actual) != len(shape) or any(n not in (None, m) for n, m in zip(shape, actual, strict=True)):
             raise ValueError(f"tensor {name!r} has shape {actual}, expected {shape}")
     unknown = set(texture.tensors) - set(shapes)
     if unknown:
