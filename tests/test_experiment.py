@@ -201,7 +201,7 @@ def test_a_texture_is_bounded_and_forgets(texture: Texture) -> None:
 
 
 def test_the_proven_bound_grows_with_the_level(texture: Texture) -> None:
-    tensors = {**texture.tensors, "lattice.level.highest": 2 * texture.tensors["lattice.level.highest"]}
+    tensors = {**texture.tensors, "lattice.level.sigma_max": 2 * texture.tensors["lattice.level.sigma_max"]}
     assert proven(dataclasses.replace(texture, tensors=tensors)) == pytest.approx(2 * proven(texture))
     assert proven(exported("foten")) is None
 
