@@ -23,11 +23,11 @@ import numpy as np
 import torch
 from torch import nn
 
-from foten.datasets.simulate import TEXTURES, simulate
 from foten.families import FAMILIES
 from foten.networks import build
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.split import split_blocks
+from foten.simulation.simulate import TEXTURES, simulate
 from foten.train.batched import BATCHED, fit_batched
 from foten.train.blocks import scaled_blocks
 from foten.train.config import RECIPES

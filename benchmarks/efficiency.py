@@ -27,7 +27,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import torch
 
-from foten.datasets.simulate import simulate
 from foten.experiments.results import PAPER
 from foten.families import FAMILIES
 from foten.families.texture_file import Texture
@@ -39,6 +38,7 @@ from foten.recording.recording import Recording
 from foten.recording.split import split_blocks
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.onnx_predictor import GRAPH, OnnxPredictor
+from foten.simulation.simulate import simulate
 from foten.train.adversarial import STEPS, fit_adversarial
 from foten.train.blocks import ScaledBlocks, scaled_blocks
 from foten.train.config import OWN_RECIPES, RECIPES

@@ -27,12 +27,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from foten.datasets.simulate import simulate
 from foten.families import sizes_of
 from foten.families.foten_plus import FotenPlusSizes
 from foten.networks.innovation import InnovationNetwork, negative_log_likelihood
 from foten.runtime.bench import time_steps
 from foten.runtime.native import NativeState, NativeTexture
+from foten.simulation.simulate import simulate
 from foten.train.config import recipe_of
 from foten.train.innovations import CHUNK, mixtures
 from foten.train.job import TrainingJob

@@ -26,12 +26,12 @@ os.environ.setdefault("OMP_NUM_THREADS", "2")
 import torch
 
 from foten.datasets.hdf5 import write_recording
-from foten.datasets.simulate import simulate
 from foten.families import FAMILIES
 from foten.networks import build
 from foten.recording.preprocess import preprocess
 from foten.recording.recording import Recording
 from foten.recording.split import split_blocks
+from foten.simulation.simulate import simulate
 from foten.train.blocks import scaled_blocks
 from foten.train.config import RECIPES, TrainConfig
 from foten.train.epochs import Epoch

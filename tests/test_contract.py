@@ -16,7 +16,6 @@ import pytest
 from conftest import sizes_with
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
-from foten.datasets.simulate import simulate
 from foten.dsp.noise import gaussian
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.report.tables import to_text
@@ -31,6 +30,7 @@ from foten.runtime.bench import INSTRUCTION_SETS, time_all
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.onnx_predictor import OnnxPredictor
 from foten.runtime.renderer import Renderer
+from foten.simulation.simulate import simulate
 from foten.train import closed_loop
 from foten.train.config import OWN_RECIPES, TrainConfig
 from foten.train.job import TrainingJob

@@ -12,7 +12,6 @@ from scipy.integrate import quad
 from conftest import TINY, experiment, exported
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
-from foten.datasets.simulate import simulate
 from foten.experiments.experiment import MEASURES, Experiment, Method, experiment_path, read_experiment
 from foten.experiments.innovations import KINDS, innovations
 from foten.experiments.onset import onset
@@ -22,6 +21,7 @@ from foten.experiments.stability import into, proven, stability
 from foten.families import FotenPlusSizes
 from foten.families.texture_file import Texture
 from foten.recording.trace import Trace
+from foten.simulation.simulate import simulate
 
 
 def test_ar_is_run_once_whatever_the_grid(tmp_path: Path) -> None:

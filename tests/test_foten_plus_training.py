@@ -11,7 +11,6 @@ import pytest
 import torch
 
 from conftest import PLUS, SMALL, sizes_with
-from foten.datasets.simulate import simulate
 from foten.families import FotenPlusSizes
 from foten.networks.scale import Excitation
 from foten.recording.preprocess import PreprocessConfig
@@ -22,6 +21,7 @@ from foten.reference import model_of
 from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeTexture
 from foten.runtime.renderer import Renderer
+from foten.simulation.simulate import simulate
 from foten.train.blocks import scaled_blocks
 from foten.train.config import TrainConfig
 from foten.train.epochs import Epoch, Progress

@@ -12,10 +12,10 @@ from scipy.signal import lfilter, welch
 
 from foten.cli.command_line import _status
 from foten.datasets.hatt import read_models
-from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.families.texture_file import read_texture
 from foten.runtime.renderer import Renderer
+from foten.simulation.simulate import simulate
 from foten.train.piecewise_ar_texture import imported_texture
 
 CORNERS = [(0.0, 0.0), (200.0, 0.0), (0.0, 4.0), (200.0, 4.0), (90.0, 1.0)]

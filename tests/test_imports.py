@@ -27,6 +27,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "recording": {"dsp"},
     "families": {"dsp", "recording"},
     "datasets": {"dsp", "recording"},
+    "simulation": {"dsp", "recording"},
     "reference": {"dsp", "families", "recording"},
     "runtime": {"dsp", "families", "recording"},
     "networks": {"dsp", "families"},

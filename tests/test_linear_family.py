@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.signal import butter, freqz, lfilter
 
-from foten.datasets.linear_family import LINEAR_FAMILY, LinearParameters, linear_truth, one_step_bounds
-from foten.datasets.simulate import simulate
+from foten.simulation.linear_family import LINEAR_FAMILY, LinearParameters, linear_truth, one_step_bounds
+from foten.simulation.simulate import simulate
 
 KEYS = list(LINEAR_FAMILY)
 HIGHPASS = butter(2, 20, "high", fs=1000)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from conftest import PLUS, SCALING, exported, untrained, untrained_tensors
-from foten.datasets.simulate import TEXTURES, simulate
 from foten.dsp.tones import tone
 from foten.families import FotenPlusSizes
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -17,6 +16,7 @@ from foten.recording.trace import Trace
 from foten.reference.foten_plus import Tones
 from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeTexture
+from foten.simulation.simulate import TEXTURES, simulate
 from foten.train.blocks import ScaledBlocks, scaled_blocks
 from foten.train.config import TrainConfig
 from foten.train.linear_part import LinearPart, fit_linear_parts

@@ -12,7 +12,6 @@ import torch
 from scipy.stats import norm
 
 from conftest import PLUS
-from foten.datasets.simulate import simulate
 from foten.dsp.bands import band_energies
 from foten.dsp.lattice import analyse
 from foten.families import FotenPlusSizes
@@ -20,6 +19,7 @@ from foten.recording.preprocess import PreprocessConfig
 from foten.reference import model_of
 from foten.reference.innovation import Mixture
 from foten.runtime.binding import library
+from foten.simulation.simulate import simulate
 from foten.train import kernel, own_output
 from foten.train.config import TrainConfig
 from foten.train.epochs import Epoch, Progress

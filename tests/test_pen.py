@@ -12,10 +12,11 @@ from foten.cli.command_line import _status
 from foten.datasets.hdf5 import load_recording
 from foten.datasets.importing import import_capture
 from foten.datasets.options import ImportOptions
-from foten.datasets.pen import PenEvents, joined, knocks_of, landings_of, pen_channels
-from foten.datasets.simulated_capture import simulate_capture
+from foten.datasets.pen import joined, knocks_of, landings_of, pen_channels
 from foten.dsp import Array
+from foten.recording.capture_folder import PenEvents
 from foten.runtime.stylus import PressureCalibration
+from foten.simulation.simulated_capture import simulate_capture
 
 RATE_HZ = 48_000.0
 TAPS = (0.8, 1.3, 1.9, 20.4, 20.9, 21.5)  # by the pen's clock [s]

@@ -10,7 +10,6 @@ import pytest
 
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
-from foten.datasets.simulate import simulate
 from foten.dsp.lsf import LEAST_GAP
 from foten.dsp.segmentation import MAX_ORDER
 from foten.evaluate.evaluate import evaluate
@@ -22,6 +21,7 @@ from foten.recording.recording import Channel, Recording
 from foten.recording.split import split_blocks
 from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeState, NativeTexture
+from foten.simulation.simulate import simulate
 from foten.train.blocks import scaled_blocks
 from foten.train.config import TrainConfig
 from foten.train.job import Trained, TrainingJob

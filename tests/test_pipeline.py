@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from conftest import PLUS, sizes_with
-from foten.datasets.simulate import simulate
 from foten.families import FAMILIES, FotenSizes
 from foten.families.texture_file import Texture, texture_from_bytes
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.runtime.renderer import Renderer
+from foten.simulation.simulate import simulate
 from foten.train import foten_plus, own_output
 from foten.train.blocks import ScaledBlocks
 from foten.train.config import TrainConfig

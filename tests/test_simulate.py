@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt, welch
 
-from foten.datasets.simulate import (
+from foten.recording.recording import AXES, Recording
+from foten.simulation.simulate import (
     CONTACT,
     GRID_MM,
     LINEAR_FAMILY,
@@ -19,8 +20,7 @@ from foten.datasets.simulate import (
     simulate,
     vibration,
 )
-from foten.datasets.stroking import Stroking, stroking
-from foten.recording.recording import AXES, Recording
+from foten.simulation.stroking import Stroking, stroking
 
 GRAVITY = 9.81
 

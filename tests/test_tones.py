@@ -7,7 +7,6 @@ import pytest
 from scipy.signal import lfilter
 
 from conftest import PLUS, SCALING, exported
-from foten.datasets.simulate import simulate
 from foten.dsp.tones import audible_share, fitted_phase, tone, tone_slope
 from foten.families import FotenPlusSizes
 from foten.families.texture_file import Texture
@@ -17,6 +16,7 @@ from foten.reference.foten_plus import FotenPlus
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeTexture
 from foten.runtime.renderer import Renderer
+from foten.simulation.simulate import simulate
 from foten.train.config import TrainConfig
 from foten.train.job import TrainingJob
 from foten.train.lattice import LatticeData

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from conftest import PLUS, exported
-from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.listener import N_LISTENERS
 from foten.experiments.truth import VALIDATION_HAND, long_strokes, truth_for, validation_listener
@@ -17,6 +16,7 @@ from foten.families import FotenPlusSizes, sizes_of
 from foten.families.texture_file import texture_from_bytes
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
+from foten.simulation.simulate import simulate
 from foten.train.config import TrainConfig, recipe_of
 from foten.train.job import Trained, TrainingJob
 from foten.train.pipeline import train

@@ -18,11 +18,12 @@ from foten.datasets.bounds import check_hand, check_overlap
 from foten.datasets.columns import Column
 from foten.datasets.mapping import clocks_of, column_of, guessed_mapping, names_of, stroke_columns
 from foten.datasets.options import ImportOptions
-from foten.datasets.pen import PenClock, PenEvents, joined, pen_channels
+from foten.datasets.pen import PenClock, joined, pen_channels
 from foten.datasets.table import read_delimited, read_excel
 from foten.datasets.timing import bridged, filled, irregular, rate_and_source, times_of
 from foten.datasets.units import factor_of, quantity, split_header
 from foten.dsp import Array
+from foten.recording.capture_folder import PenEvents
 from foten.recording.inspection.one_channel import check_units
 from foten.recording.inspection.values import counted
 from foten.recording.recording import UNITS, Channel, Recording

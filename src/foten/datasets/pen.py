@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from foten.dsp import Array
 from foten.dsp.filters import butterworth, filter_recorded
+from foten.recording.capture_folder import PenEvents
 from foten.recording.recording import Channel
 
 TAP_S, TAP_MM = 0.3, 3.0  # at most: how long a tap touches, and how far it moves
@@ -26,28 +27,6 @@ WIDE_S, NARROW_S = 0.03, 0.012  # between a tap and its knock, before and after 
 MOST_DRIFT, USUAL_DRIFT = 1e-3, 1e-4  # of two quartzes and whatever lies between
 MOST_GAP_S = 0.12  # between events of a stroke, over which a hand is still smooth
 LEAST_TAPS, LEAST_SHARE = 3, 0.6  # that have to be in the sound
-
-
-@dataclass(frozen=True)
-class PenEvents:
-    """What a tablet tells of a pen; all shapes (n,)."""
-
-    times_s: Array  # by the pen's clock, increasing
-    x_mm: Array
-    y_mm: Array
-    pressure: Array  # 0 … 1; 0 is lifted
-
-    def touches(self) -> NDArray[np.int64]:
-        """Return the first event of each touch and the one after its last, shape (k, 2)."""
-        down = np.concatenate([[False], self.pressure > 0, [False]])
-        return np.stack([np.flatnonzero(~down[:-1] & down[1:]), np.flatnonzero(down[:-1] & ~down[1:])], axis=1)
-
-    @property
-    def usual_step_s(self) -> float:
-        """Return the usual time between two events of a touch [s]."""
-        touching = (self.pressure[1:] > 0) & (self.pressure[:-1] > 0)
-        steps = np.diff(self.times_s)[touching]
-        return float(np.median(steps)) if steps.size else 0.01
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from foten.datasets.hdf5 import load_recording
-from foten.datasets.simulate import CONTACT, LINEAR_FAMILY, TEXTURES, simulate
 from foten.families import FAMILIES, sizes_of
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
+from foten.simulation.simulate import CONTACT, LINEAR_FAMILY, TEXTURES, simulate
 from foten.train.config import OWN_RECIPES, RECIPES, TrainConfig, check_used
 
 RECORDED = (".h5", ".hdf5")

@@ -22,7 +22,6 @@ from typing import Any
 
 import numpy as np
 
-from foten.datasets.stroking import stroking
 from foten.dsp import Array
 from foten.dsp.lattice import LEAK
 from foten.dsp.noise import LARGEST_VOLATILITY
@@ -33,6 +32,7 @@ from foten.reference import model_of
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.onnx_predictor import OnnxPredictor
+from foten.simulation.stroking import stroking
 
 BOUNDED = ("foten-plus", "ar", "gan", "dftnet")  # models that no sample of their own drives further than their bound
 LARGEST_NOISE = 5.68  # standard deviations, of the counter-based generator

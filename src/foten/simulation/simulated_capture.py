@@ -13,13 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from foten.atomic_write import atomic_write
-from foten.datasets.pen import PenEvents
-from foten.datasets.simulate import TEXTURES, vibration
-from foten.datasets.stroking import Stroking, stroking
 from foten.dsp import Array
 from foten.dsp.resample import interpolate, rate_ratio
-from foten.recording.captured import About
+from foten.recording.capture_folder import PEN, SOUND, About, PenEvents
 from foten.recording.recording import Channel, Recording
+from foten.simulation.simulate import TEXTURES, vibration
+from foten.simulation.stroking import Stroking, stroking
 
 RATE_HZ, SOUND_HZ, PLAN_HZ = 10_000.0, 48_000.0, 1000.0
 FULL_SCALE = 60.0  # m/s² of a sample of 1
@@ -57,7 +56,7 @@ class SimulatedCapture:
         import scipy.io.wavfile
 
         folder.mkdir(parents=True, exist_ok=True)
-        sound, pen = folder / "sound.wav", folder / "pen.csv"
+        sound, pen = folder / SOUND, folder / PEN
         with atomic_write(sound) as part:
             samples = np.clip(np.round(32767 * self.sound), -32768, 32767).astype(np.int16)
             scipy.io.wavfile.write(part, round(SOUND_HZ), samples)

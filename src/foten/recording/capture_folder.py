@@ -7,6 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.dsp import Array
+
 SOUND, PEN, ABOUT = "sound.wav", "pen.csv", "capture.json"
 
 
@@ -26,6 +31,28 @@ class About:
     def of(cls, message: Mapping[str, Any]) -> About:
         """Return what a checked `begin` says."""
         return cls(**{name: value for name, value in message.items() if name != "do"})
+
+
+@dataclass(frozen=True)
+class PenEvents:
+    """What a tablet tells of a pen; all shapes (n,)."""
+
+    times_s: Array  # by the pen's clock, increasing
+    x_mm: Array
+    y_mm: Array
+    pressure: Array  # 0 … 1; 0 is lifted
+
+    def touches(self) -> NDArray[np.int64]:
+        """Return the first event of each touch and the one after its last, shape (k, 2)."""
+        down = np.concatenate([[False], self.pressure > 0, [False]])
+        return np.stack([np.flatnonzero(~down[:-1] & down[1:]), np.flatnonzero(down[:-1] & ~down[1:])], axis=1)
+
+    @property
+    def usual_step_s(self) -> float:
+        """Return the usual time between two events of a touch [s]."""
+        touching = (self.pressure[1:] > 0) & (self.pressure[:-1] > 0)
+        steps = np.diff(self.times_s)[touching]
+        return float(np.median(steps)) if steps.size else 0.01
 
 
 def file_name(name: str) -> str:

@@ -5,10 +5,18 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from foten.datasets import contact
-from foten.datasets.contact import CONTACT, GRID_MM, LOOP_MM, ContactParameters, contact_vibration, profile, under_ball
-from foten.datasets.simulate import second_realisation, simulate
-from foten.datasets.stroking import Stroking, stroking
+from foten.simulation import contact_mechanics
+from foten.simulation.contact_mechanics import (
+    CONTACT,
+    GRID_MM,
+    LOOP_MM,
+    ContactParameters,
+    contact_vibration,
+    profile,
+    under_ball,
+)
+from foten.simulation.simulate import second_realisation, simulate
+from foten.simulation.stroking import Stroking, stroking
 
 RATE_HZ = 10_000.0
 FLAT = replace(
@@ -34,7 +42,7 @@ def forces(
     """Return contact force and friction of one long piece over a surface [mm]."""
     n = round(seconds * RATE_HZ)
     place = np.arange(1, n + 1) * speed / RATE_HZ
-    found = contact._integrate(
+    found = contact_mechanics._integrate(
         parameters, surface, place[None], np.full((1, n), speed), np.full((1, n), force), RATE_HZ
     )
     return found[0][0], found[1][0]
@@ -49,12 +57,16 @@ def test_a_ramp_rises_evenly_from_step_to_step() -> None:
     """Two pieces at 100 and 50 mm/s over a slope of 0.2: the steps of a sample lie between it and the one before."""
     surface = 0.2 * GRID_MM * np.arange(20_000)
     places = 1.0 + np.arange(50)[:, None] * np.array([0.1, 0.05])  # mm, at 1 kHz
-    passed = list(contact._passed(surface, places, 1e-3 / contact.SUBSTEPS))
+    passed = list(contact_mechanics._passed(surface, places, 1e-3 / contact_mechanics.SUBSTEPS))
     heights, rates = (np.concatenate(part) for part in zip(*passed, strict=True))
-    rising = np.broadcast_to([0.02, 0.01], rates[contact.SUBSTEPS :].shape)  # m/s: slope times speed
-    np.testing.assert_allclose(rates[contact.SUBSTEPS :], rising, atol=1e-9)  # of heights near 1e-3 m, over 0.25 ms
-    np.testing.assert_allclose(heights[contact.SUBSTEPS - 1 :: contact.SUBSTEPS], 0.2e-3 * places, atol=1e-12)
-    assert not rates[: contact.SUBSTEPS].any()  # nothing is known before the first
+    rising = np.broadcast_to([0.02, 0.01], rates[contact_mechanics.SUBSTEPS :].shape)  # m/s: slope times speed
+    np.testing.assert_allclose(
+        rates[contact_mechanics.SUBSTEPS :], rising, atol=1e-9
+    )  # of heights near 1e-3 m, over 0.25 ms
+    np.testing.assert_allclose(
+        heights[contact_mechanics.SUBSTEPS - 1 :: contact_mechanics.SUBSTEPS], 0.2e-3 * places, atol=1e-12
+    )
+    assert not rates[: contact_mechanics.SUBSTEPS].any()  # nothing is known before the first
 
 
 def test_on_a_flat_nothing_moves() -> None:
@@ -192,8 +204,10 @@ def test_pieces_side_by_side_are_one_long_integration() -> None:
     p, key = CONTACT["leather"], "leather"
     stroke = steady(80.0, 1.0, seconds=1.2)
     place = 7.0 + np.cumsum(stroke.speed) / RATE_HZ
-    pieces = contact._pieces(p, key, place, stroke.speed, stroke.force, RATE_HZ)
-    whole = contact._integrate(p, under_ball(p, key), place[None], stroke.speed[None], stroke.force[None], RATE_HZ)
+    pieces = contact_mechanics._pieces(p, key, place, stroke.speed, stroke.force, RATE_HZ)
+    whole = contact_mechanics._integrate(
+        p, under_ball(p, key), place[None], stroke.speed[None], stroke.force[None], RATE_HZ
+    )
     for ours, expected in zip(pieces, whole, strict=True):
         apart = np.abs(ours - expected[0])[3000:]
         assert apart.max() < 0.02 * expected[0].std()

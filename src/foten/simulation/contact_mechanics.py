@@ -24,9 +24,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from foten.datasets.linear_family import check_parameters
-from foten.datasets.stroking import Stroking
 from foten.dsp import Array
+from foten.simulation.linear_family import check_parameters
+from foten.simulation.stroking import Stroking
 
 GRID_MM = 0.01  # of a profile
 LOOP_MM = 4000.0  # after which a profile begins again: half a minute at the usual speed

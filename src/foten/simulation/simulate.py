@@ -22,17 +22,17 @@ from typing import Any
 
 import numpy as np
 
-from foten.datasets.contact import CONTACT, RATE_HZ, ContactParameters, contact_vibration
-from foten.datasets.linear_family import (
+from foten.dsp import Array
+from foten.recording.recording import AXES, Channel, Recording
+from foten.simulation.contact_mechanics import CONTACT, RATE_HZ, ContactParameters, contact_vibration
+from foten.simulation.linear_family import (
     LINEAR_FAMILY,
     REFERENCE_SPEED,
     LinearParameters,
     check_parameters,
     linear_signal,
 )
-from foten.datasets.stroking import Stroking, stroking
-from foten.dsp import Array
-from foten.recording.recording import AXES, Channel, Recording
+from foten.simulation.stroking import Stroking, stroking
 
 _LOCK = threading.Lock()
 VERSION = 2  # of the model; a change that moves a sample raises it
