@@ -26,7 +26,7 @@ FLAT = replace(
     grains_per_mm=0.0,
     friction=0.0,
     stick=0.0,
-    hand_n_s_m=6.0,
+    hand_damping_n_s_m=6.0,
 )
 
 
@@ -82,7 +82,7 @@ def test_a_tip_that_follows_a_wave_is_pushed_with_mass_times_its_acceleration(he
     amplitude_um, wavelength_mm = 5.0, 1.0
     force, _ = forces(FLAT, wave(amplitude_um, wavelength_mm), hertz * wavelength_mm, 1.0)
     omega = 2 * np.pi * hertz
-    expected = 1e-6 * amplitude_um * np.hypot(FLAT.mass_kg * omega**2, FLAT.hand_n_s_m * omega)
+    expected = 1e-6 * amplitude_um * np.hypot(FLAT.mass_kg * omega**2, FLAT.hand_damping_n_s_m * omega)
     settled = force[3000:]
     # A contact of 1.3 MN/m gives by some thousandths of that; kinks of the grid of 10 µm are smoothed by the mass.
     assert np.sqrt(2) * settled.std() == pytest.approx(expected, rel=0.03)
@@ -99,7 +99,7 @@ def test_contact_is_lost_where_the_surface_falls_away_faster_than_the_hand_press
 
 def test_a_flying_tip_comes_down_by_the_hands_force_alone() -> None:
     """Over a step down of h it flies √(2 h m / P) s, without damping by the hand."""
-    p = replace(FLAT, hand_n_s_m=0.0)
+    p = replace(FLAT, hand_damping_n_s_m=0.0)
     drop_mm, force_n = 0.5, 0.5
     n_points = 40_000
     surface = np.where(np.arange(n_points) < 1000, 0.0, -drop_mm)  # met at 10 mm
@@ -117,7 +117,7 @@ def test_a_bounce_loses_what_its_damping_says() -> None:
     surface = np.where(np.arange(40_000) < 1000, 0.0, -0.3)
 
     def impacts(damping: float) -> int:
-        force, _ = forces(replace(FLAT, hand_n_s_m=0.0, damping_s_m=damping), surface, 100.0, 0.5, seconds=0.4)
+        force, _ = forces(replace(FLAT, hand_damping_n_s_m=0.0, damping_s_m=damping), surface, 100.0, 0.5, seconds=0.4)
         return int(np.sum((force[1:] > 0) & (force[:-1] == 0)))
 
     assert impacts(0.2) > impacts(2.0) >= 1
@@ -126,7 +126,7 @@ def test_a_bounce_loses_what_its_damping_says() -> None:
 def test_a_contact_pushes_and_never_pulls() -> None:
     """However fast a tip leaves: Hunt and Crossley's damping alone would pull it back from 1/D on, here 0.1 m/s."""
     surface = np.where(np.arange(40_000) < 1000, 0.0, 0.5)  # a step up, from which it is thrown
-    force, _ = forces(replace(FLAT, hand_n_s_m=0.0, damping_s_m=10.0), surface, 100.0, 0.5, seconds=0.3)
+    force, _ = forces(replace(FLAT, hand_damping_n_s_m=0.0, damping_s_m=10.0), surface, 100.0, 0.5, seconds=0.3)
     assert force.min() == 0.0
     assert force.max() > 5.0
 

@@ -90,7 +90,7 @@ def test_the_tone_of_a_mesh_moves_with_speed(key: str, speed: float) -> None:
 @pytest.mark.parametrize("key", ["steel-mesh-1", "jeans"])
 def test_the_waveform_of_a_cell_is_that_of_the_texture_in_every_realisation(key: str) -> None:
     parameters = TEXTURES[key]
-    regular = dataclasses.replace(parameters, lattice_share=1.0, jitter=0.0)
+    regular = dataclasses.replace(parameters, lattice_share=1.0, period_jitter=0.0)
 
     def coupling(seed: int) -> complex:
         """Return the phase of the second harmonic against that of the first, on which no start depends."""

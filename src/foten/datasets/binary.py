@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.datasets.columns import MOST_SAMPLES, Column, columns_of_array, with_units
+from foten.datasets.columns import MAX_SAMPLES, Column, columns_of_array, with_units
 from foten.datasets.hdf5 import FORMAT
 from foten.datasets.isolated import read_isolated
 from foten.datasets.units import FULL_SCALE
@@ -31,7 +31,7 @@ def read_numpy(path: Path) -> list[Column]:
     """Return the arrays of an .npz, or the columns of an .npy."""
     columns: list[Column] = []
     texts: dict[str, Any] = {}
-    left = MOST_SAMPLES
+    left = MAX_SAMPLES
     try:
         with path.open("rb") as file:
             if not zipfile.is_zipfile(file):

@@ -14,10 +14,10 @@ from foten.dsp import Array
 from foten.recording.inspection.values import counted
 from foten.recording.recording import LIMITS, UNITS, Channel
 
-LARGEST = 1e12  # of a sample in any unit; a converter of 32 bits counts to 4e9
-LONGEST_S = 14_400.0  # of a channel: four hours
-SHORTEST_S = 0.1
-FASTEST_HZ = 1e7
+MAX_SAMPLE = 1e12  # of a sample in any unit; a converter of 32 bits counts to 4e9
+MAX_DURATION_S = 14_400.0  # of a channel: four hours
+MIN_DURATION_S = 0.1
+MAX_RATE_HZ = 1e7
 
 _USUAL: Mapping[str, float] = {"speed": 400.0, "acceleration": 100.0, "force": 3.0, "position": 300.0}
 """What the largest value of a usual recording is about; only to guess which unit was meant."""
@@ -26,20 +26,20 @@ _OFTEN = ("mg", "mm/s^2", "um", "um/s", "mN", "gf")
 
 
 def check_size(where: str, samples: Array) -> None:
-    """Check that samples or times are not beyond `LARGEST`: their sums and squares stay finite."""
+    """Check that samples or times are not beyond `MAX_SAMPLE`: their sums and squares stay finite."""
     largest = int(np.abs(samples).argmax())
-    if abs(samples[largest]) > LARGEST:
-        raise ValueError(f"{where}: sample {largest} is {samples[largest]:.4g}, expected below {LARGEST:g}")
+    if abs(samples[largest]) > MAX_SAMPLE:
+        raise ValueError(f"{where}: sample {largest} is {samples[largest]:.4g}, expected below {MAX_SAMPLE:g}")
 
 
 def check_length(where: str, channel: Channel) -> None:
     """Check that a channel lasts no longer than a hand strokes, and has a rate that a sensor has."""
-    if channel.rate_hz > FASTEST_HZ:
-        raise ValueError(f"{where}: the rate is {channel.rate_hz:g} Hz, expected {FASTEST_HZ:g} at most; is it right?")
-    if not channel.duration_s <= LONGEST_S:
+    if channel.rate_hz > MAX_RATE_HZ:
+        raise ValueError(f"{where}: the rate is {channel.rate_hz:g} Hz, expected {MAX_RATE_HZ:g} at most; is it right?")
+    if not channel.duration_s <= MAX_DURATION_S:
         raise ValueError(
             f"{where}: {counted(channel.samples.size, 'sample')} at {channel.rate_hz:g} Hz, {channel.duration_s:.4g} s, expected "
-            f"{LONGEST_S:g} s at most; is the rate right, or was the time given in ms?"
+            f"{MAX_DURATION_S:g} s at most; is the rate right, or was the time given in ms?"
         )
 
 
@@ -75,10 +75,10 @@ def check_hand(channel: str, one: Channel, force_units: bool) -> str:
         if likely == unit:
             guess = f"a raw sensor reading? Give its sensitivity: --unit {channel}=V*FACTOR"
         raise ValueError(f"{what}, expected below {limit:g} {unit}; {guess} (--force-units imports it all the same)")
-    if one.duration_s < SHORTEST_S:
+    if one.duration_s < MIN_DURATION_S:
         raise ValueError(
             f"{channel} is too short: {counted(size.size, 'sample')} at {one.rate_hz:g} Hz, {one.duration_s * 1000:.3g} ms, "
-            f"expected {SHORTEST_S * 1000:g} ms or more; is the rate right?"
+            f"expected {MIN_DURATION_S * 1000:g} ms or more; is the rate right?"
         )
     return (
         f"{what}; {counted(n_beyond, 'sample')} beyond {limit:g} {unit} let through (--force-units)" if n_beyond else ""

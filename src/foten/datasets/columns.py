@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from foten.untrusted import printable
 
-MOST_SAMPLES = 200_000_000  # of a file: half an hour of ten channels at 10 kHz
-MOST_COLUMNS = 4096  # of a matrix
+MAX_SAMPLES = 200_000_000  # of a file: half an hour of ten channels at 10 kHz
+MAX_COLUMNS = 4096  # of a matrix
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,8 @@ def columns_of_array(name: str, array: NDArray[Any]) -> list[Column]:
         fault = f"holds {'complex numbers' if kind == 'c' else 'text or objects'}, expected real numbers"
     elif array.ndim > 2:
         fault = f"has shape {array.shape}, expected one or two axes"
-    elif array.ndim == 2 and min(array.shape) > MOST_COLUMNS:
-        fault = f"has shape {array.shape}, expected {MOST_COLUMNS} columns at most"
+    elif array.ndim == 2 and min(array.shape) > MAX_COLUMNS:
+        fault = f"has shape {array.shape}, expected {MAX_COLUMNS} columns at most"
     if fault:
         return [Column(name, np.zeros(0), fault=fault)]
     if array.ndim == 1:

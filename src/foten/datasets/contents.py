@@ -10,13 +10,13 @@ from typing import Any
 import h5py
 import numpy as np
 
-from foten.datasets.columns import MOST_SAMPLES, Column, columns_of_array
+from foten.datasets.columns import MAX_SAMPLES, Column, columns_of_array
 from foten.datasets.isolated import Contents, RefusedError
 from foten.dsp import Array
 from foten.untrusted import printable
 
-MOST_OBJECTS = 10_000  # groups and datasets of a file
-MOST_TEXTS = 64  # of an attribute or a dataset; those of units have one for each column
+MAX_OBJECTS = 10_000  # groups and datasets of a file
+MAX_TEXTS = 64  # of an attribute or a dataset; those of units have one for each column
 _ELSEWHERE = "keeps its samples in another place, which is not opened"
 
 
@@ -33,11 +33,11 @@ def hdf5_contents(path: Path) -> Contents:
         raise RefusedError(f"{path.name} is {fault}") from None
     arrays: list[Array] = []
     objects: list[dict[str, Any]] = []
-    left = MOST_SAMPLES
+    left = MAX_SAMPLES
     with file:
         for name, item in _objects(file):
-            if len(objects) == MOST_OBJECTS:
-                raise RefusedError(f"{path.name} holds more than {MOST_OBJECTS} groups and datasets")
+            if len(objects) == MAX_OBJECTS:
+                raise RefusedError(f"{path.name} holds more than {MAX_OBJECTS} groups and datasets")
             entry: dict[str, Any] = {"name": printable(name)}
             objects.append(entry)
             if item is None:
@@ -85,7 +85,7 @@ def _unread(item: Any, left: int) -> dict[str, Any]:
         kind, is_text = item.dtype.kind, h5py.check_string_dtype(item.dtype) is not None
     except TypeError:  # a type that NumPy does not have
         kind, is_text = "O", False
-    if is_text and item.shape is not None and item.size <= MOST_TEXTS:
+    if is_text and item.shape is not None and item.size <= MAX_TEXTS:
         return {"texts": [_plain(text) for text in np.atleast_1d(item[()]).ravel()]}
     if kind not in "biuf" or item.shape is None:
         return {"fault": "holds no plain numbers"}
@@ -108,7 +108,7 @@ def _plain(value: Any) -> Any:
     """Return a text, a number, or a list of a few texts; None for anything else."""
     if isinstance(value, np.ndarray):
         if value.size > 1 and value.dtype.kind in "OSU":
-            return [text for text in map(_plain, value.ravel()[:MOST_TEXTS]) if isinstance(text, str)]
+            return [text for text in map(_plain, value.ravel()[:MAX_TEXTS]) if isinstance(text, str)]
         return _plain(value.ravel()[0]) if value.size else ""
     if isinstance(value, bytes):
         value = value.decode("utf-8", errors="replace").rstrip("\0")
@@ -128,7 +128,7 @@ def matlab_contents(path: Path) -> Contents:
 
     columns: list[Column] = []
     texts: dict[str, Any] = {}
-    left = MOST_SAMPLES
+    left = MAX_SAMPLES
     waiting: list[tuple[str, Any]] = [("", read_mat(str(path)))]
     while waiting:
         name, value = waiting.pop()

@@ -41,7 +41,7 @@ from foten.untrusted import check_numbers, parse_json
 
 FORMAT = "foten-recording"
 VERSION = 1
-LONGEST_TEXT = 60_000  # bytes; HDF5 has room for 65,536 in an attribute and its name
+MAX_TEXT_BYTES = 60_000  # bytes; HDF5 has room for 65,536 in an attribute and its name
 _TEXTS = ("texture", "tool", "sensors", "notes")
 
 
@@ -58,8 +58,8 @@ def write_recording(recording: Recording, path: Path) -> None:
     if recording.simulation is not None:
         texts["simulation"] = json.dumps(dict(recording.simulation), sort_keys=True)
     for key, text in texts.items():
-        if len(text.encode()) > LONGEST_TEXT:
-            raise ValueError(f"{key} has {len(text.encode()):,} bytes, expected {LONGEST_TEXT:,} at most")
+        if len(text.encode()) > MAX_TEXT_BYTES:
+            raise ValueError(f"{key} has {len(text.encode()):,} bytes, expected {MAX_TEXT_BYTES:,} at most")
     # Made in memory, since HDF5 does not survive a full disk.
     with h5py.File("in memory", "w", driver="core", backing_store=False) as file:
         file.attrs.update({"format": FORMAT, "version": VERSION} | texts)

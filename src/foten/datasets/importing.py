@@ -43,8 +43,8 @@ DATASETS: dict[str, Callable[[Path], list[Column]]] = {
 STROKE = "t (s), and speed (mm/s) or x, y (mm), and force (N) or pressure (0 to 1)"
 """What a table of a stroke has to hold; units in its header come before these."""
 
-SLOWEST_HZ = 40.0  # of an acceleration: half of it is the lowest frequency that training keeps
-LOST_S = 0.005  # of zeros to the last digit in a sound, which no microphone gives
+MIN_ACCELERATION_HZ = 40.0  # of an acceleration: half of it is the lowest frequency that training keeps
+MIN_DROPOUT_S = 0.005  # of zeros to the last digit in a sound, which no microphone gives
 
 
 def read_columns(path: Path) -> list[Column]:
@@ -126,7 +126,7 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
             why = "states" if times is None else "has a time column,"
             unused = f"rate {overall:g} Hz not used: {path.name} {why} {rate_hz:g} Hz"
             decisions += [unused] if unused not in decisions else []
-        if quantity(channel) == "acceleration" and rate_hz < SLOWEST_HZ and not options.force_units:
+        if quantity(channel) == "acceleration" and rate_hz < MIN_ACCELERATION_HZ and not options.force_units:
             hint = "is the rate right?" if times is None else "was the time given in ms? Then: --unit time=ms"
             slow = f"{channel} has a rate of {rate_hz:g} Hz, too slow for any vibration"
             raise ValueError(f"{slow}; {hint} (--force-units imports it)")
@@ -201,7 +201,7 @@ def import_capture(
     events = read_stroke(pen, {name: unit for name, unit in options.units.items() if name != "acceleration"})
     if not {"position_x", "position_y", "pressure"} <= events.keys():
         raise ValueError(f"{pen.name} has no x, y and pressure, expected those of a pen")
-    lost_s = [n / rate_hz for n in _runs_of_zeros(column.samples) if n >= LOST_S * rate_hz]
+    lost_s = [n / rate_hz for n in _runs_of_zeros(column.samples) if n >= MIN_DROPOUT_S * rate_hz]
     if lost_s:
         decisions.append(
             f"the sound is zero to the last digit for {1000 * sum(lost_s):.0f} ms in {counted(len(lost_s), 'place')}: "

@@ -28,9 +28,9 @@ Contents = tuple[Any, list[Array]]
 READERS = {"HDF5": "foten.datasets.contents:hdf5_contents", "MATLAB": "foten.datasets.contents:matlab_contents"}
 """Functions from a path to `Contents`, by format; they run in the other process alone."""
 
-LONGEST_S = 15  # of processor time for one file, and one more for each
-BYTES_A_SECOND = 10 << 20  # in it; the slowest compression gives 20 MB
-LARGEST_BYTES = 8 << 30  # of memory for one file; the largest that is read takes 5
+MAX_CPU_S = 15  # of processor time for one file, and one more for each
+BYTES_PER_CPU_S = 10 << 20  # in it; the slowest compression gives 20 MB
+MAX_MEMORY_BYTES = 8 << 30  # of memory for one file; the largest that is read takes 5
 _FORKS = hasattr(os, "fork")
 _START = "import sys; sys.path[:] = {path!r}; from foten.datasets.isolated import serve; serve()"
 _LOCK = threading.Lock()
@@ -122,8 +122,8 @@ def _limit(file_bytes: int) -> None:
     """Limit this process, so that no file takes all time or memory of the machine."""
     import resource
 
-    longest_s = LONGEST_S + file_bytes // BYTES_A_SECOND
-    for what, most in ((resource.RLIMIT_CPU, longest_s), (resource.RLIMIT_AS, LARGEST_BYTES)):
+    max_cpu_s = MAX_CPU_S + file_bytes // BYTES_PER_CPU_S
+    for what, most in ((resource.RLIMIT_CPU, max_cpu_s), (resource.RLIMIT_AS, MAX_MEMORY_BYTES)):
         with contextlib.suppress(ValueError, OSError):  # a lower limit stands already
             resource.setrlimit(what, (most, most))
 

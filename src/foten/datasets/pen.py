@@ -18,15 +18,15 @@ from foten.dsp.filters import butterworth, filter_recorded
 from foten.recording.capture_folder import PenEvents
 from foten.recording.recording import Channel
 
-TAP_S, TAP_MM = 0.3, 3.0  # at most: how long a tap touches, and how far it moves
+MAX_TAP_S, MAX_TAP_MM = 0.3, 3.0  # at most: how long a tap touches, and how far it moves
 KNOCK_HZ = 200.0  # above which a knock is looked for: hums are below
 FRAME_S = 0.0005  # of the sound's level
-RISE = 4.0  # times what was there in the 60 ms before is a knock
+MIN_RISE = 4.0  # times what was there in the 60 ms before is a knock
 BEFORE_S, APART_S = 0.06, 0.04
 WIDE_S, NARROW_S = 0.03, 0.012  # between a tap and its knock, before and after the drift is known
-MOST_DRIFT, USUAL_DRIFT = 1e-3, 1e-4  # of two quartzes and whatever lies between
-MOST_GAP_S = 0.12  # between events of a stroke, over which a hand is still smooth
-LEAST_TAPS, LEAST_SHARE = 3, 0.6  # that have to be in the sound
+MAX_DRIFT, USUAL_DRIFT = 1e-3, 1e-4  # of two quartzes and whatever lies between
+MAX_GAP_S = 0.12  # between events of a stroke, over which a hand is still smooth
+MIN_TAPS, MIN_TAP_SHARE = 3, 0.6  # that have to be in the sound
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def landings_of(events: PenEvents) -> tuple[Array, Array, NDArray[np.bool_]]:
     gaps = np.where(since <= 2 * step, since, step)
     lasts = events.times_s[np.minimum(end, events.times_s.size - 1)] - events.times_s[first]
     paths = np.array([np.hypot(np.diff(events.x_mm[i:j]), np.diff(events.y_mm[i:j])).sum() for i, j in touches])
-    return events.times_s[first] - 0.5 * gaps, 0.5 * gaps, (lasts <= TAP_S) & (paths <= TAP_MM)
+    return events.times_s[first] - 0.5 * gaps, 0.5 * gaps, (lasts <= MAX_TAP_S) & (paths <= MAX_TAP_MM)
 
 
 def knocks_of(sound: Array, rate_hz: float) -> Array:
@@ -78,7 +78,7 @@ def knocks_of(sound: Array, rate_hz: float) -> Array:
     loudest = np.lib.stride_tricks.sliding_window_view(recent, before - 3)[: level.size].max(axis=1)
     ratio = level / np.maximum(loudest, floor)
     found: list[int] = []
-    for i in np.flatnonzero(ratio > RISE):
+    for i in np.flatnonzero(ratio > MIN_RISE):
         if not found or i - found[-1] > apart:
             found.append(int(i))
     return np.array(found, dtype=float) * n / rate_hz
@@ -92,16 +92,16 @@ def joined(events: PenEvents, sound: Array, rate_hz: float) -> PenClock:
     """
     landings, off_by, is_tap = landings_of(events)
     taps, knocks = landings[is_tap], knocks_of(sound, rate_hz)
-    if taps.size < LEAST_TAPS:
+    if taps.size < MIN_TAPS:
         raise ValueError(
-            f"the pen tapped {taps.size} times, expected {LEAST_TAPS} or more: tap three times before the strokes and three after"
+            f"the pen tapped {taps.size} times, expected {MIN_TAPS} or more: tap three times before the strokes and three after"
         )
-    least = max(LEAST_TAPS, int(np.ceil(LEAST_SHARE * taps.size)))
+    least = max(MIN_TAPS, int(np.ceil(MIN_TAP_SHARE * taps.size)))
     best = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     # By the first taps alone, near which the drift is nothing yet; then by all.
     reach = taps - taps[0]
-    for tried in (knocks[:, None] - taps[None, : LEAST_TAPS + 2]).ravel():
-        pairs = _pairs(taps + tried, knocks, WIDE_S + MOST_DRIFT * reach)
+    for tried in (knocks[:, None] - taps[None, : MIN_TAPS + 2]).ravel():
+        pairs = _pairs(taps + tried, knocks, WIDE_S + MAX_DRIFT * reach)
         if pairs[0].size > best[0].size or (
             pairs[0].size == best[0].size and _spread(taps, knocks, pairs) < _spread(taps, knocks, best)
         ):
@@ -145,7 +145,7 @@ def _line(taps: Array, knocks: Array) -> tuple[float, float]:
     """Return drift and delay; no drift where the taps are too near each other to tell."""
     if np.ptp(taps) < 2.0:
         return 0.0, float((knocks - taps).mean())
-    slope = float(np.clip(np.polyfit(taps, knocks - taps, 1)[0], -MOST_DRIFT, MOST_DRIFT))
+    slope = float(np.clip(np.polyfit(taps, knocks - taps, 1)[0], -MAX_DRIFT, MAX_DRIFT))
     return slope, float((knocks - taps * (1 + slope)).mean())
 
 
@@ -156,7 +156,7 @@ def _centre(landings: Array, knocks: Array, off_by: Array) -> tuple[float, float
     the one of least squares, and their middle is nearer (trials at 200 events a second in `tests/test_pen.py`).
     """
     usual = landings.mean()
-    drifts = np.arange(-MOST_DRIFT, MOST_DRIFT, 2e-6) if np.ptp(landings) >= 2.0 else np.zeros(1)
+    drifts = np.arange(-MAX_DRIFT, MAX_DRIFT, 2e-6) if np.ptp(landings) >= 2.0 else np.zeros(1)
     off = (knocks - landings)[None, :] - drifts[:, None] * (landings - usual)[None, :]
     reach = np.maximum(off_by, FRAME_S)
     while True:
@@ -182,7 +182,7 @@ def _strokes(events: PenEvents) -> list[tuple[int, int]]:
     """Return the first event of each stroke and the one after its last; where a tablet says nothing for long, one ends."""
     found: list[tuple[int, int]] = []
     for first, end in events.touches()[~landings_of(events)[2]]:
-        gaps = first + 1 + np.flatnonzero(np.diff(events.times_s[first:end]) > MOST_GAP_S)
+        gaps = first + 1 + np.flatnonzero(np.diff(events.times_s[first:end]) > MAX_GAP_S)
         edges = [int(first), *(int(gap) for gap in gaps), int(end)]
         found += [(i, j) for i, j in itertools.pairwise(edges) if j - i >= 2]
     return found
@@ -191,7 +191,7 @@ def _strokes(events: PenEvents) -> list[tuple[int, int]]:
 def pen_channels(events: PenEvents, clock: PenClock, force: Callable[[Array], Array]) -> dict[str, Channel]:
     """Return the position [mm] and force [N] of a pen by the sound's clock, evenly sampled, without the taps that joined them.
 
-    Gaps of up to `MOST_GAP_S` in a stroke are filled.
+    Gaps of up to `MAX_GAP_S` in a stroke are filled.
     In the air a tablet tells nothing: the force is 0 there, and the position stays where it was, so that no speed comes of it.
 
     Args:

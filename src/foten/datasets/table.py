@@ -24,8 +24,8 @@ from foten.untrusted import brief
 COMMENTS = ("#", "%", "//")  # that a line of comment begins with
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 _DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d+([eE][-+]?\d+)?")
-MOST_CELLS = 50_000_000  # of a sheet
-MOST_ROWS = 2_000_000  # of a sheet; a program of tables has 1,048,576
+MAX_CELLS = 50_000_000  # of a sheet
+MAX_ROWS = 2_000_000  # of a sheet; a program of tables has 1,048,576
 
 
 def read_delimited(path: Path) -> list[Column]:
@@ -79,9 +79,9 @@ def read_excel(path: Path) -> list[Column]:
         with contextlib.closing(openpyxl.load_workbook(path, read_only=True, data_only=True)) as book:
             for sheet in book.worksheets:
                 sheet.reset_dimensions()  # some writers state a wrong extent; trusting it loses rows
-                rows = [list(row) for row in itertools.islice(sheet.iter_rows(values_only=True), MOST_ROWS + 1)]
+                rows = [list(row) for row in itertools.islice(sheet.iter_rows(values_only=True), MAX_ROWS + 1)]
                 cells = len(rows) * max(map(len, rows), default=0)
-                if len(rows) > MOST_ROWS or cells > MOST_CELLS:
+                if len(rows) > MAX_ROWS or cells > MAX_CELLS:
                     raise ValueError(
                         f"sheet {sheet.title} says that it has {len(rows):,} rows or more, {cells:,} cells"
                     )

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from foten.dsp import Array
 
-LOWEST_HZ = 20.0  # below it the high-pass rules
-HIGHEST_HZ = 1000.0  # above it a hand feels nothing
+MIN_SCORED_HZ = 20.0  # below it the high-pass rules
+MAX_SCORED_HZ = 1000.0  # above it a hand feels nothing
 POWER_FLOOR = 1e-12  # of the recorded power in a bin: a silent synthesis is 120 dB off, not infinitely
 
 
@@ -27,21 +27,21 @@ def segment_length(block: int) -> int:
     return min(256, max(8, block // 4))
 
 
-def highest_scored(rate_hz: float) -> float:
+def max_scored_hz(rate_hz: float) -> float:
     """Return up to where spectra are scored [Hz]: the lower of 1 kHz and 0.45 of the rate."""
-    return min(HIGHEST_HZ, 0.45 * rate_hz)
+    return min(MAX_SCORED_HZ, 0.45 * rate_hz)
 
 
 def scored_bins(frequencies: Array, rate_hz: float) -> NDArray[np.bool_]:
     """Return which bins are scored, from 20 Hz on."""
-    return (frequencies >= LOWEST_HZ) & (frequencies <= highest_scored(rate_hz))
+    return (frequencies >= MIN_SCORED_HZ) & (frequencies <= max_scored_hz(rate_hz))
 
 
 def highest_with_power(frequencies: Array, density: Array, rate_hz: float, share: float = 0.999) -> float:
     """Return the frequency [Hz] below which a share of the power lies: densities (k,); never lower than what is scored."""
     power = np.cumsum(density)
     reached = float(frequencies[np.searchsorted(power, share * power[-1])])
-    return min(max(reached, highest_scored(rate_hz)), rate_hz / 2)
+    return min(max(reached, max_scored_hz(rate_hz)), rate_hz / 2)
 
 
 def log_spectral_distance(recorded: Array, synthesized: Array) -> Array:

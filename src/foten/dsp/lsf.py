@@ -21,7 +21,7 @@ import numpy as np
 
 from foten.dsp import Array
 
-LEAST_GAP = 0.005  # rad between neighbours, and from 0 and π: nearer ones ring for seconds at 1 kHz
+MIN_GAP_RAD = 0.005  # rad between neighbours, and from 0 and π: nearer ones ring for seconds at 1 kHz
 
 
 def line_spectral_frequencies(a: Array) -> Array:
@@ -64,8 +64,8 @@ def _times(polynomials: Array, factor: Sequence[float | Array]) -> Array:
 
 
 def spread_out(frequencies: Array) -> Array:
-    """Return the same angles, rising by at least `LEAST_GAP` and as far from 0 and π: (…, p) → (…, p)."""
-    steps = LEAST_GAP * np.arange(1, frequencies.shape[-1] + 1)
+    """Return the same angles, rising by at least `MIN_GAP_RAD` and as far from 0 and π: (…, p) → (…, p)."""
+    steps = MIN_GAP_RAD * np.arange(1, frequencies.shape[-1] + 1)
     up = np.maximum.accumulate(frequencies - steps, axis=-1).clip(min=0.0) + steps
     down = up + steps[::-1] - np.pi
     highest = np.minimum.accumulate(down[..., ::-1], axis=-1)[..., ::-1].clip(max=0.0)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from foten.dsp import Array
 
-LEAST_AREA = 1e-9  # of a triangle, scaled; a flatter one has no weights
+MIN_TRIANGLE_AREA = 1e-9  # of a triangle, scaled; a flatter one has no weights
 _INSIDE = -1e-12  # a weight above this is one of the triangle that a point lies in
 _AT_ONCE = 500_000  # points times triangles held in memory
 
@@ -28,7 +28,7 @@ class Mesh:
         if not ((self.triangles >= 0) & (self.triangles < len(self.points))).all():
             raise ValueError("a triangle of the mesh has a corner that no model is at")
         corners = (self.points / self.scale)[self.triangles]
-        if not (np.abs(_cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])) > LEAST_AREA).all():
+        if not (np.abs(_cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])) > MIN_TRIANGLE_AREA).all():
             raise ValueError("a triangle of the mesh is flat: three models in a line, or two in one place")
 
     def at(self, speed: Array, force: Array) -> tuple[NDArray[np.int64], Array]:

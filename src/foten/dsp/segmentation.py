@@ -22,9 +22,9 @@ from foten.dsp.ar import levinson
 Index = NDArray[np.int64]
 
 MAX_ORDER = 20
-LEAST_SPANS = np.array([10, 10, 12, 14, 16, 18, 20, *[25] * 4, *[50] * 10])
+MIN_PIECE_SAMPLES = np.array([10, 10, 12, 14, 16, 18, 20, *[25] * 4, *[50] * 10])
 """The fewest samples of a piece of each order; as in the source."""
-_QUIETEST = 1e-12  # of the signal's power, a piece's variance: a silent piece is not infinitely short to tell
+_MIN_VARIANCE = 1e-12  # of the signal's power, a piece's variance: a silent piece is not infinitely short to tell
 _PASSES = 5  # over all cuts, at most, when they are moved
 
 
@@ -64,18 +64,18 @@ class _Description:
         self._sums = np.zeros((max_order + 1, x.size + 1))
         for lag in range(max_order + 1):
             np.cumsum(x[lag:] * x[: x.size - lag], out=self._sums[lag, lag + 1 :])
-        self._quietest = _QUIETEST * max(float(np.square(x).mean()), np.finfo(float).tiny)
+        self._min_variance = _MIN_VARIANCE * max(float(np.square(x).mean()), np.finfo(float).tiny)
 
     def of(self, begin: Index, end: Index) -> Array:
         """Return the nats of pieces from samples `begin` to before `end`, each by its best order: (b,), (b,) → (b,)."""
         n = (end - begin).astype(float)
         p = np.arange(len(self._sums))[:, None]
         moments = (self._sums[p, end] - self._sums[p, np.minimum(begin + p, end)]) / n
-        moments[0] = np.maximum(moments[0], self._quietest)
+        moments[0] = np.maximum(moments[0], self._min_variance)
         _, errors = levinson(moments)
         nats = np.log(np.maximum(p, 1)) + (p + 2) / 2 * np.log(n)
-        nats = nats + n / 2 * np.log(2 * np.pi * np.maximum(errors, self._quietest))
-        return np.asarray(np.where(n >= LEAST_SPANS[p], nats, np.inf).min(axis=0))
+        nats = nats + n / 2 * np.log(2 * np.pi * np.maximum(errors, self._min_variance))
+        return np.asarray(np.where(n >= MIN_PIECE_SAMPLES[p], nats, np.inf).min(axis=0))
 
 
 def _best(costs: Array, each: float) -> Index:

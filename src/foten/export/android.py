@@ -29,10 +29,10 @@ from foten.dsp import Array
 from foten.export.clip import Clip, envelopes_of
 
 STEP_MS = 10  # of the waveform of amplitudes
-LEAST_MS = 20  # from one control point to the next; a phone may guarantee no less
+MIN_POINT_MS = 20  # from one control point to the next; a phone may guarantee no less
 KEEPS = (
-    f"Android's formats keep the envelope, not the waveform: control points at least {LEAST_MS} ms apart, which a phone takes "
-    "16 or more of at once (getMaxSize()); clamp their frequencies to its getFrequencyProfile()"
+    f"Android's formats keep the envelope, not the waveform: control points at least {MIN_POINT_MS} ms apart, of which a phone "
+    "takes 16 or more at once (getMaxSize()); clamp their frequencies to its getFrequencyProfile()"
 )
 
 
@@ -43,8 +43,8 @@ def write_android(clip: Clip, path: Path) -> None:
     n = max(1, int(np.ceil(1000 * clip.duration_s / STEP_MS)))
     middles = (np.arange(n) + 0.5) * STEP_MS / 1000
     amplitudes = np.round(255 * np.sqrt(np.interp(middles, times, levels))).astype(int)
-    last = max(LEAST_MS, round(1000 * clip.duration_s))
-    points = np.round(np.linspace(0, last, last // LEAST_MS + 1)).astype(int)[1:]
+    last = max(MIN_POINT_MS, round(1000 * clip.duration_s))
+    points = np.round(np.linspace(0, last, last // MIN_POINT_MS + 1)).astype(int)[1:]
     each_ms = (np.arange(last) + 0.5) / 1000
     document = {
         "format": "foten-android",

@@ -14,10 +14,10 @@ from foten.dsp.kinematics import at_rate, speed_of, velocity
 from foten.dsp.perception import RATES_HZ
 from foten.dsp.resample import decimate
 from foten.recording.recording import LIMITS, UNITS, Channel, Recording
-from foten.recording.split import FEWEST_BLOCKS
+from foten.recording.split import MIN_BLOCKS
 from foten.recording.trace import Trace
 
-HIGHEST_ORDER = 20  # of a high-pass; one of 20 already rings for longer than a window
+MAX_HIGHPASS_ORDER = 20  # of a high-pass; one of 20 already rings for longer than a window
 SHORT_BLOCKS_MS = (
     2000.0,
     1000.0,
@@ -63,8 +63,8 @@ class PreprocessConfig:
                 raise ValueError(
                     f"{name} is {getattr(self, name):g} Hz, expected between 0 and half the rate, {half:g} Hz"
                 )
-        if self.highpass_order > HIGHEST_ORDER:
-            raise ValueError(f"highpass_order is {self.highpass_order}, expected {HIGHEST_ORDER} at most")
+        if self.highpass_order > MAX_HIGHPASS_ORDER:
+            raise ValueError(f"highpass_order is {self.highpass_order}, expected {MAX_HIGHPASS_ORDER} at most")
         # The filters' own check, before a long recording is read.
         butterworth("highpass", self.highpass_hz, self.rate_hz, self.highpass_order)
 
@@ -76,7 +76,7 @@ class PreprocessConfig:
     @property
     def shortest_s(self) -> float:
         """Return what every channel has to cover for a training [s]."""
-        return (2 * self.trim_ms + FEWEST_BLOCKS * self.block_ms) / 1000
+        return (2 * self.trim_ms + MIN_BLOCKS * self.block_ms) / 1000
 
     @property
     def delay_ms(self) -> float:
@@ -99,7 +99,7 @@ def fitting_options(seconds: float, rate_hz: float, captured_hz: float | None = 
         rates = sorted({rate_hz, *(rate for rate in RATES_HZ if rate_hz < rate <= (captured_hz or 0))})
         rate, trim_ms = next((rate for rate in rates if rate * seconds >= ENOUGH_SAMPLES), rates[-1]), 0.0
         usable_ms = 1000 * (seconds - 1 / rate) - config.delay_ms  # which is whole samples
-        blocks_ms = [ms for n in (ENOUGH_BLOCKS, FEWEST_BLOCKS) for ms in SHORT_BLOCKS_MS if usable_ms >= n * ms]
+        blocks_ms = [ms for n in (ENOUGH_BLOCKS, MIN_BLOCKS) for ms in SHORT_BLOCKS_MS if usable_ms >= n * ms]
     if not blocks_ms:
         return ""
     named = "" if captured_hz is None else f"--rate {min(rate, captured_hz):g} "

@@ -32,7 +32,7 @@ GRID_MM = 0.01  # of a profile
 LOOP_MM = 4000.0  # after which a profile begins again: half a minute at the usual speed
 RATE_HZ = 10_000.0  # of both simulators' physics, of the force sensor, and of the accelerometer by default
 SUBSTEPS = 4  # of the mechanics in each sample of a stroke
-HARDEST_N = 50.0  # of an impact, for which steps must be short enough
+MAX_IMPACT_N = 50.0  # of an impact, for which steps must be short enough
 PIECE_S, OVERLAP_S, FADE_S = (
     0.25,
     0.15,
@@ -60,13 +60,13 @@ class ContactParameters:
     wavelength_mm: float  # of the periodic part
     depth_um: float  # of it, 0 for none
     sharpness: float  # 1 is a sine; more are narrower crests, as of wires
-    jitter: float  # standard deviation of a period, relative
+    period_jitter: float  # standard deviation of a period, relative
     alternating: float  # share by which every second period is lower, as of a weave
     tip_mm: float  # radius of the ball
     modulus_mpa: float  # E* of the contact
     damping_s_m: float  # D: how much of an impact is lost
     tip_mass_g: float  # of the tool, as the surface feels it
-    hand_n_s_m: float  # c: damping of its normal motion by the hand
+    hand_damping_n_s_m: float  # c: damping of its normal motion by the hand
     friction: float  # μ, kinetic
     stick: float  # s: how much more at rest
     shaft_hz: float  # of the tip on its tangential spring
@@ -90,9 +90,9 @@ class ContactParameters:
             "roughness_um",
             "grains_per_mm",
             "depth_um",
-            "jitter",
+            "period_jitter",
             "damping_s_m",
-            "hand_n_s_m",
+            "hand_damping_n_s_m",
             "friction",
             "stick",
         ):
@@ -109,7 +109,7 @@ class ContactParameters:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected at most {most:g}")
         if self.wavelength_mm < 10 * GRID_MM or self.grain_mm < 4 * GRID_MM or self.grains_per_mm > 1 / GRID_MM:
             raise ValueError(f"the profile has a point every {GRID_MM} mm: its parts are finer than it can hold")
-        stiffest = 1.5 * self.stiffness ** (2 / 3) * HARDEST_N ** (1 / 3)
+        stiffest = 1.5 * self.stiffness ** (2 / 3) * MAX_IMPACT_N ** (1 / 3)
         if stiffest / self.mass_kg > (0.5 * RATE_HZ * SUBSTEPS) ** 2:
             raise ValueError(
                 f"a contact of {self.modulus_mpa:g} MPa under {self.tip_mass_g:g} g is too stiff for steps of 25 µs"
@@ -194,7 +194,7 @@ def profile(parameters: ContactParameters, key: str) -> Array:
 def _periodic(parameters: ContactParameters, n: int, rng: np.random.Generator) -> Array:
     """Return crests of unit height with uneven periods, closed to a loop, (n,)."""
     periods = np.maximum(
-        0.3, 1 + parameters.jitter * rng.standard_normal(round(LOOP_MM / parameters.wavelength_mm / 2) * 2)
+        0.3, 1 + parameters.period_jitter * rng.standard_normal(round(LOOP_MM / parameters.wavelength_mm / 2) * 2)
     )
     edges = np.concatenate([[0.0], np.cumsum(periods)]) * LOOP_MM / periods.sum()
     phase = np.interp(np.arange(n) * GRID_MM, edges, np.arange(edges.size))
@@ -291,7 +291,7 @@ def _integrate(
         for j in range(SUBSTEPS):
             depth = np.maximum(heights[j] - z, 0.0)
             contact = np.maximum(stiffness * depth * np.sqrt(depth) * (1 + p.damping_s_m * (rates[j] - w)), 0.0)
-            w = w + dt / mass * (contact - presses[j] - p.hand_n_s_m * w)
+            w = w + dt / mass * (contact - presses[j] - p.hand_damping_n_s_m * w)
             z = z + dt * w
             # Along the stroke the tip slides over the surface at v + q̇, and friction is against that.
             if p.friction:

@@ -12,7 +12,7 @@ from foten.dsp import Array
 from foten.recording.recording import Recording
 
 REFERENCE_SPEED = 100.0  # mm/s
-MOST_NUMBERS, LARGEST = 64, 1e5  # of a texture's parameters
+MAX_NUMBERS, MAX_PARAMETER = 64, 1e5  # of a texture's parameters
 BURN_IN = 4000  # samples; a pole of radius 0.99 has decayed to 1e-17
 
 
@@ -28,10 +28,10 @@ def check_parameters(parameters: Any) -> None:
         if name == "description":
             continue
         numbers = value if isinstance(value, tuple) else (value,)
-        if not 0 < len(numbers) <= MOST_NUMBERS:
-            raise ValueError(f"{name} has {len(numbers)} numbers, expected 1 to {MOST_NUMBERS}")
-        if not all(type(number) in (int, float) and abs(number) <= LARGEST for number in numbers):
-            raise ValueError(f"{name} is not made of numbers of at most {LARGEST:g}")
+        if not 0 < len(numbers) <= MAX_NUMBERS:
+            raise ValueError(f"{name} has {len(numbers)} numbers, expected 1 to {MAX_NUMBERS}")
+        if not all(type(number) in (int, float) and abs(number) <= MAX_PARAMETER for number in numbers):
+            raise ValueError(f"{name} is not made of numbers of at most {MAX_PARAMETER:g}")
 
 
 @dataclass(frozen=True)

@@ -63,7 +63,7 @@ class TextureParameters:
     wavelength_mm: float  # cell of the lattice
     lattice_share: float  # of the roughness power, the rest is self-affine noise
     harmonics: tuple[float, ...]  # amplitudes of the lattice, any scale
-    jitter: float  # standard deviation of a cell's length, relative
+    period_jitter: float  # standard deviation of a cell's length, relative
     corner_per_mm: float  # where the self-affine noise begins to fall [cycles/mm]
     hurst: float  # its fall, power ~ c^-(1 + 2 hurst)
     impacts_per_mm: float  # asperities struck on a path; few of them crackle, many hiss
@@ -257,7 +257,7 @@ def _roughness(parameters: TextureParameters, length_mm: float, rng: np.random.G
         return noise
 
     n_cells = int(1.5 * n * GRID_MM / parameters.wavelength_mm) + 20
-    cells = parameters.wavelength_mm * np.maximum(0.3, 1 + parameters.jitter * rng.standard_normal(n_cells))
+    cells = parameters.wavelength_mm * np.maximum(0.3, 1 + parameters.period_jitter * rng.standard_normal(n_cells))
     edges = np.concatenate([[0.0], np.cumsum(cells)]) - rng.uniform(0, parameters.wavelength_mm)
     phase = 2 * np.pi * np.interp(np.arange(n) * GRID_MM, edges, np.arange(n_cells + 1))
     harmonics = enumerate(zip(parameters.harmonics, parameters.phases, strict=True), start=1)

@@ -16,7 +16,7 @@ from foten.families.sizes import Sizes
 from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
-from foten.recording.split import FEWEST_BLOCKS, Split, split_blocks
+from foten.recording.split import MIN_BLOCKS, Split, split_blocks
 from foten.recording.trace import Trace
 from foten.train.blocks import ScaledBlocks, scaled_blocks
 from foten.train.config import UNUSED, TrainConfig
@@ -46,7 +46,7 @@ class TrainingJob:
         Raises:
             ValueError: it does not fit the configuration; the message names the option.
         """
-        trace = preprocess(self.recording, self.preprocess, FEWEST_BLOCKS)
+        trace = preprocess(self.recording, self.preprocess, MIN_BLOCKS)
         return scaled_blocks(trace, split_blocks(trace, self.split_method, self.split_seed))
 
     def card(self, blocks: ScaledBlocks, device: str) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from foten.recording.recording import Recording
 
 CONTACT_N = 0.05  # less force is lift-off
 MOVING_MM_S = 5.0  # less speed is rest
-SHORTEST_LOSS_S = 0.005  # a shorter loss of contact is noise of the force sensor
+MIN_LOSS_S = 0.005  # a shorter loss of contact is noise of the force sensor
 HAND_HZ = 20.0  # a hand's movement holds nothing above; the low-pass of Sec. V-b
 TRAINING_HZ = PreprocessConfig().rate_hz  # at which training synchronises speed and force
 CELL_MM_S, CELL_N = 25.0, 0.5  # of the coverage
@@ -77,7 +77,7 @@ def check_contact(recording: Recording, hand: Hand | None) -> Iterable[Finding]:
             lost = lost & (np.interp(times, hand.times_s, hand.speed) > MOVING_MM_S)
         starts, ends = runs(lost)
         lengths = (ends - starts) / channel.rate_hz
-        lasting = lengths >= SHORTEST_LOSS_S
+        lasting = lengths >= MIN_LOSS_S
         starts, lengths = starts[lasting], lengths[lasting]
         if starts.size:
             longest = int(np.argmax(lengths))

@@ -12,7 +12,7 @@ from foten.recording.inspection.one_channel import slow_noise
 from foten.recording.inspection.values import NOTE, PROBLEM, Finding, counted, places, swing
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import UNITS, Channel, Recording
-from foten.recording.split import FEWEST_BLOCKS
+from foten.recording.split import MIN_BLOCKS
 
 
 def check_missing(recording: Recording) -> Iterable[Finding]:
@@ -59,7 +59,7 @@ def check_short(recording: Recording, options: str) -> Iterable[Finding]:
     config, common = PreprocessConfig(), common_s(recording)
     if common < config.shortest_s:
         text = (
-            f"it lasts {common:.2f} s, and trimming {config.trim_ms / 1000:g} s at both ends and {FEWEST_BLOCKS} blocks of "
+            f"it lasts {common:.2f} s, and trimming {config.trim_ms / 1000:g} s at both ends and {MIN_BLOCKS} blocks of "
             f"{config.block_ms / 1000:g} s take {config.shortest_s:g} s: "
             + (f"train with {options}" if options else "too short to learn from; record for longer")
         )
