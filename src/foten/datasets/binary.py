@@ -28,7 +28,7 @@ _UNITS = ("unit_string", "NI_UnitDescription", "NI_Unit", "unit", "units", "Unit
 
 
 def read_numpy(path: Path) -> list[Column]:
-    """Return the arrays of an .npz, or the columns of an .npy."""
+    """Arrays of an .npz, or the columns of an .npy."""
     columns: list[Column] = []
     texts: dict[str, Any] = {}
     left = MAX_SAMPLES
@@ -60,7 +60,7 @@ def read_numpy(path: Path) -> list[Column]:
 
 
 def _array(file: Any, size: int, left: int) -> NDArray[Any]:
-    """Return the array in an .npy file of so many bytes, if it holds what its header says: NumPy makes room before it reads."""
+    """Array in an .npy file of so many bytes, if it holds what its header says: NumPy makes room before it reads."""
     version = np.lib.format.read_magic(file)
     header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     shape, by_columns, dtype = header[min(version, (2, 0))](file)
@@ -76,7 +76,7 @@ def _array(file: Any, size: int, left: int) -> NDArray[Any]:
 
 
 def read_matlab(path: Path) -> list[Column]:
-    """Return the variables of a .mat file, v5 to v7.3; fields of structs are `struct.field`."""
+    """Variables of a .mat file, v5 to v7.3; fields of structs are `struct.field`."""
     contents, arrays = read_isolated("MATLAB", path)
     columns = [Column(samples=samples, **of_file) for of_file, samples in zip(contents["columns"], arrays, strict=True)]
     if not columns:
@@ -85,7 +85,7 @@ def read_matlab(path: Path) -> list[Column]:
 
 
 def read_hdf5(path: Path) -> list[Column]:
-    """Return every dataset of a foreign HDF5 file, by its path in the file; a recording of ours needs no import."""
+    """Datasets of a foreign HDF5 file, by its path in the file; a recording of ours needs no import."""
     contents, arrays = read_isolated("HDF5", path)
     if contents["attributes"].get("format") == FORMAT:
         raise ValueError(f"{path.name} is a foten recording already; nothing to import")
@@ -111,7 +111,7 @@ def read_hdf5(path: Path) -> list[Column]:
 
 
 def read_tdms(path: Path) -> list[Column]:
-    """Return the channels of a TDMS file: by their names, or `GROUP/CHANNEL` where two groups share a name.
+    """Channels of a TDMS file: by their names, or `GROUP/CHANNEL` where two groups share a name.
 
     The rate is the waveform's (`wf_increment`), the unit the channel's (`unit_string` or the like).
     """
@@ -144,7 +144,7 @@ def read_tdms(path: Path) -> list[Column]:
 
 
 def _rate(increment_s: Any) -> float | None:
-    """Return the rate of a waveform [Hz]; none where the file states no step, or one that cannot be."""
+    """Rate of a waveform [Hz]; none where the file states no step, or one that cannot be."""
     if not isinstance(increment_s, int | float | np.number) or not 1e-12 < increment_s < 1e12:
         return None
     rate = 1 / float(increment_s)
@@ -153,7 +153,7 @@ def _rate(increment_s: Any) -> float | None:
 
 
 def read_wav(path: Path) -> list[Column]:
-    """Return the tracks of a WAV file, named by number, with its rate: an accelerometer through a sound card.
+    """Tracks of a WAV file, named by number, with its rate: an accelerometer through a sound card.
 
     Integer samples become fractions of full scale; float samples stay as they are.
     """

@@ -37,16 +37,16 @@ class Column:
 
     @property
     def n_rows(self) -> int:
-        """Return the rows of the table that the column came from; columns with equal rows belong together."""
+        """Rows of the table that the column came from; columns with equal rows belong together."""
         return self.samples.size + self.n_blank
 
     def row_of(self, sample: int) -> str:
-        """Return the row that a sample stands in, as " (row 12)"; nothing where the file has no rows."""
+        """Row that a sample stands in, as " (row 12)"; nothing where the file has no rows."""
         return f" (row {self.row_numbers[sample]})" if sample < len(self.row_numbers) else ""
 
 
 def columns_of_array(name: str, array: NDArray[Any]) -> list[Column]:
-    """Return an array as columns: `name` for one, `name.0`, `name.1`, … for several.
+    """Array as columns: `name` for one, `name.0`, `name.1`, … for several.
 
     The longer axis of a matrix is taken as time, as both layouts are common; scalars come back as columns of one sample. Arrays
     that hold no numbers, or have more than two axes of length above 1, come back with a fault.
@@ -70,7 +70,7 @@ def columns_of_array(name: str, array: NDArray[Any]) -> list[Column]:
 
 
 def with_units(columns: list[Column], texts: Mapping[str, str | list[str]]) -> list[Column]:
-    """Return columns with the units that texts beside them state.
+    """Columns with the units that texts beside them state.
 
     A text `force_unit`, `force.units` or `units.force` is the unit of `force`; one that is called `unit` alone is that of
     everything beside it; `.` or `/` lead into a struct or a group. A list of texts has one for each column of a matrix.

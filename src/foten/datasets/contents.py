@@ -21,7 +21,7 @@ _ELSEWHERE = "keeps its samples in another place, which is not opened"
 
 
 def hdf5_contents(path: Path) -> Contents:
-    """Return `{"attributes": …, "objects": […]}` of an HDF5 file, objects in the order of their names.
+    """Contents of an HDF5 file, `{"attributes": …, "objects": […]}`, objects in the order of their names.
 
     An object has a name, attributes, and, where it is a dataset, the index and shape of its array, or its texts, or the fault for
     which it was not read. Links and samples in other files are never followed: they could lead to any file of this machine.
@@ -55,7 +55,7 @@ def hdf5_contents(path: Path) -> Contents:
 
 
 def _objects(file: Any) -> Iterator[tuple[str, Any]]:
-    """Return the names of all groups and datasets, each once, and None in place of those that are links."""
+    """Names of all groups and datasets, each once, and None in place of those that are links."""
     seen = {h5py.h5o.get_info(file.id).addr}
     waiting = [("", file)]
     while waiting:
@@ -78,7 +78,7 @@ def _objects(file: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _unread(item: Any, left: int) -> dict[str, Any]:
-    """Return the fault for which a dataset is not read, or its texts; nothing where it holds numbers."""
+    """Fault for which a dataset is not read, or its texts; nothing where it holds numbers."""
     if item.is_virtual or item.id.get_create_plist().get_external_count():
         return {"fault": _ELSEWHERE}
     try:
@@ -95,7 +95,7 @@ def _unread(item: Any, left: int) -> dict[str, Any]:
 
 
 def _attributes(item: Any) -> dict[str, Any]:
-    """Return the texts and numbers among the attributes of an object."""
+    """Texts and numbers among the attributes of an object."""
     plain = {}
     for name in item.attrs:
         if item.attrs.get_id(name).get_storage_size() <= 1 << 20:
@@ -105,7 +105,7 @@ def _attributes(item: Any) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Return a text, a number, or a list of a few texts; None for anything else."""
+    """An attribute as text, a number, or a list of a few texts; None for anything else."""
     if isinstance(value, np.ndarray):
         if value.size > 1 and value.dtype.kind in "OSU":
             return [text for text in map(_plain, value.ravel()[:MAX_TEXTS]) if isinstance(text, str)]
@@ -120,7 +120,7 @@ def _plain(value: Any) -> Any:
 
 
 def matlab_contents(path: Path) -> Contents:
-    """Return the variables of a .mat file as `{"columns": [{"name", "fault"}, …], "texts": {name: text}}`.
+    """Variables of a .mat file as `{"columns": [{"name", "fault"}, …], "texts": {name: text}}`.
 
     Arrays are the columns' samples, in their order; fields of structs are `struct.field`.
     """

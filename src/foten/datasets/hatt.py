@@ -39,7 +39,7 @@ class HattModels:
 
 
 def read_models(path: Path) -> HattModels:
-    """Return the models in a file.
+    """Models in a file.
 
     Raises:
         FileNotFoundError: there is none.
@@ -114,7 +114,7 @@ def _triangles(root: Xml.Element, n: int) -> NDArray[np.int64]:
 
 
 def _rows(elements: Sequence[Xml.Element | None], name: str) -> Array:
-    """Return lists of numbers as rows, each in <value>s or with commas or blanks between them."""
+    """Lists of numbers as rows, each in <value>s or with commas or blanks between them."""
     rows = []
     for element in elements:
         if element is None:

@@ -83,7 +83,7 @@ def _store(file: Any, name: str, samples: NDArray[Any]) -> Any:
 
 
 def load_recording(path: Path) -> Recording:
-    """Return the recording that `write_recording`, or a program that keeps to the layout above, wrote.
+    """Recording in a file of the layout above, written by `write_recording` or by another program.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -141,7 +141,7 @@ def load_recording(path: Path) -> Recording:
 
 
 def _simulation(attributes: Mapping[str, Any], name: str) -> dict[str, Any] | None:
-    """Return the parameters of the simulator, where it made the recording."""
+    """Parameters of the simulator, where it made the recording."""
     if "simulation" not in attributes:
         return None
     with contextlib.suppress(ValueError):

@@ -40,7 +40,7 @@ if _FORKS:
 
 
 def read_isolated(kind: str, path: Path) -> Contents:
-    """Return what a file holds.
+    """Contents of a file, read by another process.
 
     Raises:
         FileNotFoundError: there is none.
@@ -65,7 +65,7 @@ def read_isolated(kind: str, path: Path) -> Contents:
 
 
 def _ask(kind: str, path: Path) -> Contents:
-    """Return the answer of the process that reads, and the arrays in it."""
+    """Answer of the process that reads, and the arrays in it."""
     if not _running or _running[0].poll() is not None:
         _close()
         command = [sys.executable, "-c", _START.format(path=sys.path)]

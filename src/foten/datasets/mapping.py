@@ -37,7 +37,7 @@ _GUESSES: Mapping[str, frozenset[str]] = {
 
 
 def guessed_mapping(files: Files, options: ImportOptions) -> tuple[tuple[str, str], ...]:
-    """Return the mapping that the headers alone leave no doubt about."""
+    """Mapping that the headers alone leave no doubt about."""
     places: dict[str, list[Column]] = {}
     for column in (column for columns in files.values() for column in columns if column.n_rows > 1):
         for channel, aliases in _GUESSES.items():
@@ -73,7 +73,7 @@ def guessed_mapping(files: Files, options: ImportOptions) -> tuple[tuple[str, st
 
 
 def stroke_columns(columns: Sequence[Column]) -> dict[str, Column]:
-    """Return the columns of a stroke by channel: time, speed, position_x, position_y, force, pressure; others are left out.
+    """Columns of a stroke by channel: time, speed, position_x, position_y, force, pressure; others are left out.
 
     The headers are t, speed, x, y, force and pressure; where one is missing, what an import takes for the channel.
     """
@@ -100,12 +100,12 @@ def stroke_columns(columns: Sequence[Column]) -> dict[str, Column]:
 
 
 def name_of(files: Files, column: Column) -> str:
-    """Return what a column goes by: its name, with several files `FILE:COLUMN`."""
+    """Reference to a column: its name, with several files `FILE:COLUMN`."""
     return column.name if len(files) == 1 else f"{column.file.name}:{column.name}"
 
 
 def names_of(files: Files) -> list[str]:
-    """Return what all columns go by."""
+    """References to all columns."""
     return [name_of(files, column) for columns in files.values() for column in columns]
 
 
@@ -115,7 +115,7 @@ def _listing(files: Files) -> str:
 
 
 def _example(files: Files) -> str:
-    """Return a mapping that could be meant: a clock by how it runs, others by words in file and column names, else in order."""
+    """Example of a mapping: a clock by how it runs, others by words in file and column names, else in order."""
     usable = [c for columns in files.values() for c in columns if c.n_rows > 1 and not c.fault]
     left = {name_of(files, column): column for column in usable}
     pairs = []
@@ -133,13 +133,13 @@ def _example(files: Files) -> str:
 
 
 def _runs_steadily(column: Column) -> bool:
-    """Return whether a column looks like a clock: always rising, by steps that are nearly alike."""
+    """Whether a column looks like a clock: always rising, by steps that are nearly alike."""
     steps = np.diff(column.samples)
     return bool(steps.size > 10 and (steps > 0).all() and steps.std() < 0.2 * steps.mean())
 
 
 def _split(files: Files, reference: str) -> tuple[list[Path], str]:
-    """Return the files that `FILE:COLUMN` or `COLUMN` may mean, and the column."""
+    """Files that `FILE:COLUMN` or `COLUMN` may mean, and the column."""
     for path in files:
         for name in (str(path), path.name, path.stem):
             if reference.startswith(f"{name}:"):
@@ -151,7 +151,7 @@ def _split(files: Files, reference: str) -> tuple[list[Path], str]:
 
 
 def _lookup(columns: Sequence[Column], name: str) -> Column | None:
-    """Return a column by header, else by number from 0, else none."""
+    """Column by header, else by number from 0, else none."""
     exact = [column for column in columns if column.name == name]
     if len(exact) > 1:
         raise ValueError(f"{len(exact)} columns are called {name!r}; give the column's number from 0")
@@ -161,7 +161,7 @@ def _lookup(columns: Sequence[Column], name: str) -> Column | None:
 
 
 def column_of(files: Files, channel: str, reference: str) -> Column:
-    """Return the column that a reference means.
+    """Column that a reference means.
 
     Raises:
         ValueError: there is none, there are several, or it holds no numbers.
@@ -185,7 +185,7 @@ def column_of(files: Files, channel: str, reference: str) -> Column:
 
 
 def clocks_of(files: Files, reference: str) -> list[Column]:
-    """Return the time columns that a reference means: without `FILE:`, that of each file which has it."""
+    """Time columns that a reference means: without `FILE:`, that of each file which has it."""
     paths, name = _split(files, reference)
     hits = [path for path in paths if _lookup(files[path], name) is not None]
     if name.isdecimal() or not hits:

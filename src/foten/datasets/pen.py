@@ -39,7 +39,7 @@ class PenClock:
     residual_ms: float  # RMS of the taps about the line
 
     def __call__(self, times_s: Array) -> Array:
-        """Return times by the sound's clock [s]."""
+        """Times by the sound's clock [s]."""
         return np.asarray(times_s * (1.0 + self.drift) + self.delay_s)
 
     def __str__(self) -> str:
@@ -52,7 +52,7 @@ class PenClock:
 
 
 def landings_of(events: PenEvents) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return when each touch began by the pen's clock [s], by how much that may be off [s], and whether it is a tap; (k,) each.
+    """Start of each touch by the pen's clock [s], by how much that may be off [s], and whether it is a tap; (k,) each.
 
     A tablet looks every so often: a touch began somewhere between the event that tells of it and the one before, or a usual step
     before where a tablet says nothing of a pen in the air. A tap is short and stays in place.
@@ -67,7 +67,7 @@ def landings_of(events: PenEvents) -> tuple[Array, Array, NDArray[np.bool_]]:
 
 
 def knocks_of(sound: Array, rate_hz: float) -> Array:
-    """Return when the sound rises suddenly [s], shape (k,)."""
+    """Times at which the sound rises suddenly [s], shape (k,)."""
     quick = filter_recorded(butterworth("highpass", KNOCK_HZ, rate_hz), sound)
     n = max(1, round(FRAME_S * rate_hz))
     level = np.sqrt(np.square(quick[: quick.size // n * n]).reshape(-1, n).mean(axis=1))
@@ -85,7 +85,7 @@ def knocks_of(sound: Array, rate_hz: float) -> Array:
 
 
 def joined(events: PenEvents, sound: Array, rate_hz: float) -> PenClock:
-    """Return the line between the two clocks.
+    """Line between the two clocks.
 
     Raises:
         ValueError: there are too few taps, or they are not in the sound.
@@ -133,7 +133,7 @@ Pairs = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 
 def _pairs(expected: Array, knocks: Array, within: Array) -> Pairs:
-    """Return which taps have a knock within reach, and which."""
+    """Taps that have a knock within reach, and those knocks, by number."""
     if not knocks.size:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     nearest = np.abs(knocks[None, :] - expected[:, None]).argmin(axis=1)
@@ -142,7 +142,7 @@ def _pairs(expected: Array, knocks: Array, within: Array) -> Pairs:
 
 
 def _line(taps: Array, knocks: Array) -> tuple[float, float]:
-    """Return drift and delay; no drift where the taps are too near each other to tell."""
+    """Drift and delay; no drift where the taps are too near each other to tell."""
     if np.ptp(taps) < 2.0:
         return 0.0, float((knocks - taps).mean())
     slope = float(np.clip(np.polyfit(taps, knocks - taps, 1)[0], -MAX_DRIFT, MAX_DRIFT))
@@ -150,7 +150,7 @@ def _line(taps: Array, knocks: Array) -> tuple[float, float]:
 
 
 def _centre(landings: Array, knocks: Array, off_by: Array) -> tuple[float, float]:
-    """Return drift and delay in the middle of all lines that pass each touch within what it may be off.
+    """Drift and delay in the middle of all lines that pass each touch within what it may be off.
 
     The errors of a clock that looks every so often are uniform: the lines that are possible at all are fewer than those near
     the one of least squares, and their middle is nearer (trials at 200 events a second in `tests/test_pen.py`).
@@ -179,7 +179,7 @@ def _spread(taps: Array, knocks: Array, pairs: Pairs) -> float:
 
 
 def _strokes(events: PenEvents) -> list[tuple[int, int]]:
-    """Return the first event of each stroke and the one after its last; where a tablet says nothing for long, one ends."""
+    """First event of each stroke and the one after its last; where a tablet says nothing for long, one ends."""
     found: list[tuple[int, int]] = []
     for first, end in events.touches()[~landings_of(events)[2]]:
         gaps = first + 1 + np.flatnonzero(np.diff(events.times_s[first:end]) > MAX_GAP_S)
@@ -189,7 +189,7 @@ def _strokes(events: PenEvents) -> list[tuple[int, int]]:
 
 
 def pen_channels(events: PenEvents, clock: PenClock, force: Callable[[Array], Array]) -> dict[str, Channel]:
-    """Return the position [mm] and force [N] of a pen by the sound's clock, evenly sampled, without the taps that joined them.
+    """Position [mm] and force [N] of a pen by the sound's clock, evenly sampled, without the taps that joined them.
 
     Gaps of up to `MAX_GAP_S` in a stroke are filled.
     In the air a tablet tells nothing: the force is 0 there, and the position stays where it was, so that no speed comes of it.

@@ -29,7 +29,7 @@ MAX_ROWS = 2_000_000  # of a sheet; a program of tables has 1,048,576
 
 
 def read_delimited(path: Path) -> list[Column]:
-    """Return the columns of a text table; the separator and the decimal comma are seen from its lines.
+    """Columns of a text table; the separator and the decimal comma are seen from its lines.
 
     Lines before the table, comments anywhere, and a second header row that holds only units are understood. A comment may
     name the columns; those below the header are counted in each column's `n_comments`.
@@ -59,7 +59,7 @@ def read_delimited(path: Path) -> list[Column]:
 
 
 def _has_decimal_commas(lines: list[str], sample: str, delimiter: str | None) -> bool:
-    """Return whether numbers have a decimal comma: in the line amid the others, or in any of them where none has a point."""
+    """Whether numbers have a decimal comma: in the line amid the others, or in any of them where none has a point."""
 
     def has(decimal: re.Pattern[str], mark: str, among: Iterable[str]) -> bool:
         cells = (cell.strip() for line in among if mark in line for cell in line.split(delimiter))
@@ -71,7 +71,7 @@ def _has_decimal_commas(lines: list[str], sample: str, delimiter: str | None) ->
 
 
 def read_excel(path: Path) -> list[Column]:
-    """Return the columns of an .xlsx workbook; with several filled sheets each name begins with `SHEET.`."""
+    """Columns of an .xlsx workbook; with several filled sheets each name begins with `SHEET.`."""
     import openpyxl
 
     sheets: list[tuple[str, list[list[Any]]]] = []
@@ -127,7 +127,7 @@ def _is_number(cell: Any) -> bool:
 
 
 def _table(rows: list[list[Any]], where: str, comments: Collection[int] = ()) -> list[Column]:
-    """Return the columns below the header of a table. Rows are counted from 1, as editors do.
+    """Columns below the header of a table. Rows are counted from 1, as editors do.
 
     Rows in `comments`, counted from 0, may name the columns but hold no data.
     """
@@ -186,7 +186,7 @@ def _table(rows: list[list[Any]], where: str, comments: Collection[int] = ()) ->
 
 
 def _are_units(words: list[str]) -> bool:
-    """Return whether a second row of words are units: more than half of them are known, or all are in brackets."""
+    """Whether a second row of words are units: more than half of them are known, or all are in brackets."""
     filled = [word for word in words if word not in ("", "-", "[]", "()", "[-]")]
     known = sum(map(is_unit, filled))
     bracketed = all(word[0] in "[(" and word[-1] in "])" for word in filled)
@@ -198,7 +198,7 @@ def _words(cell: Any) -> str:
 
 
 def _column(empty: Column, cells: Sequence[Any]) -> Column:
-    """Return a column with the numbers that its cells hold, or with why they are none."""
+    """Column with the numbers that its cells hold, or with why they are none."""
     n = _width(cells)
     numbers = [float("nan") if _is_blank(cell) else cell for cell in cells[:n]]
     try:

@@ -25,7 +25,7 @@ FILLED = ("position", "speed", "force")  # the hand, which is slow; an accelerat
 def times_of(
     channel: str, column: Column, clocks: Sequence[Column], options: ImportOptions
 ) -> tuple[Array | None, str]:
-    """Return the times [s] of a channel's samples from the time column beside it, or None; and a sentence on their unit."""
+    """Times [s] of a channel's samples from the time column beside it, or None; and a sentence on their unit."""
     own = [clock for clock in clocks if clock.file == column.file]
     fitting = [clock for clock in own if clock.n_rows == column.n_rows]
     if not own or (channel in options.rates_hz and not fitting):
@@ -63,7 +63,7 @@ def times_of(
 def rate_and_source(
     channel: str, column: Column, times: Array | None, options: ImportOptions, columns: Sequence[Column]
 ) -> tuple[float, str]:
-    """Return a channel's rate [Hz], and a sentence where it overrides what the file states."""
+    """Rate of a channel [Hz], and a sentence where it overrides what the file states."""
     stated = column.rate_hz
     if channel in options.rates_hz:
         rate = options.rates_hz[channel]
@@ -89,7 +89,7 @@ def rate_and_source(
 
 
 def rate_of(times: Array) -> float:
-    """Return the rate of regular times, whole where their rounding allows it; else 1 / median step."""
+    """Rate of regular times, whole where their rounding allows it; else 1 / median step."""
     even = (times.size - 1) / (times[-1] - times[0])
     slack = 2 * _last_digit(times) / (times[-1] - times[0]) + 1e-9
     if irregular(times - times[0], even):
@@ -99,7 +99,7 @@ def rate_of(times: Array) -> float:
 
 
 def _last_digit(times: Array) -> float:
-    """Return the power of ten that all times are multiples of, 0 where there is none down to 1 ns."""
+    """Power of ten that all times are multiples of, 0 where there is none down to 1 ns."""
     for digits in range(10):
         scaled = times * 10.0**digits
         # Half a unit in the last place of a double grows with the number itself.
@@ -109,7 +109,7 @@ def _last_digit(times: Array) -> float:
 
 
 def irregular(times: Array, rate_hz: float) -> str:
-    """Return why times that count from the recording's start are not i / rate, or nothing."""
+    """Reason why times that count from the recording's start are not i / rate, or nothing."""
     period = 1 / rate_hz
     tolerance = max(JITTER * period, min(_last_digit(times), period / 2))
     if abs(times[0]) > tolerance:
@@ -123,7 +123,7 @@ def irregular(times: Array, rate_hz: float) -> str:
 
 
 def filled(channel: str, one: Channel, gap_ms: float, column: Column) -> tuple[Channel, str]:
-    """Return a channel without NaN, marker drop-outs filled with straight lines if asked, and a sentence.
+    """Channel without NaN, marker drop-outs filled with straight lines if asked, and a sentence.
 
     `column` is what the channel was taken from; it knows the rows of the samples.
     """
@@ -172,7 +172,7 @@ def filled(channel: str, one: Channel, gap_ms: float, column: Column) -> tuple[C
 
 
 def bridged(channel: str, one: Channel, gap_ms: float) -> tuple[Channel, str]:
-    """Return a channel with the rows that its times say are missing filled in, if asked, and a sentence."""
+    """Channel with the rows that its times say are missing filled in, if asked, and a sentence."""
     holes = one.holes()
     if not holes.size or one.times_s is None or quantity(channel) not in FILLED:
         return one, ""  # an acceleration at irregular times is refused before it is used

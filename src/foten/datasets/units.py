@@ -80,12 +80,12 @@ _NAMES = frozenset(["in", "ft", "min", "h", "n", "v", "a", "s", "m", "g's", "gs"
 
 
 def quantity(channel: str) -> str:
-    """Return what a channel measures: `force_x` → `force`."""
+    """Quantity that a channel measures: `force_x` → `force`."""
     return channel.split("_")[0]
 
 
 def canonical(text: str) -> str:
-    """Return a unit as `FACTORS` spells it: `m/s²`, `m s-2`, `m_s2`, `metres/second^2` → `m/s^2`; an unknown one as it is."""
+    """Unit as `FACTORS` spells it: `m/s²`, `m s-2`, `m_s2`, `metres/second^2` → `m/s^2`; an unknown one as it is."""
     unit = unicodedata.normalize("NFKC", text).replace("−", "-").replace("μ", "u").replace("**", "^")
     unit = re.sub(r"(?:\b|_)per(?:\b|_)", "/", unit).replace("_", " ")
     unit = re.sub(r"\s*/\s*", "/", " ".join(unit.split()))
@@ -106,12 +106,12 @@ def _word(text: str) -> str:
 
 
 def is_unit(text: str) -> bool:
-    """Return whether a word, in brackets or not, is a unit of some quantity or of a converter."""
+    """Whether a word, in brackets or not, is a unit of some quantity or of a converter."""
     return canonical(text.strip(" []()")) in _UNITS
 
 
 def split_header(header: str, kind: str) -> tuple[str, str]:
-    """Return a header without its unit, and the unit as it is written: `Acc [g]`, `acc_g`, `Acc / g` → `Acc`, `g`.
+    """Header without its unit, and the unit as it is written: `Acc [g]`, `acc_g`, `Acc / g` → `Acc`, `g`.
 
     What stands in brackets is a unit, whatever it is, but for a remark in parentheses. The end of a name is one where it
     is known as such, for the quantity (`kind`) that the column is taken for.
@@ -132,7 +132,7 @@ def split_header(header: str, kind: str) -> tuple[str, str]:
 
 
 def _stated(bracket: str, words: str) -> str:
-    """Return what brackets in a header state as a unit, or nothing of a remark."""
+    """Unit that brackets in a header state, or nothing of a remark."""
     words = words.strip()
     several = words.split()
     of_a_unit = any(is_unit(word) or word.lower() in ("unit", "units", "raw") for word in (words, *several))
@@ -148,7 +148,7 @@ def _ends_a_name(text: str, kind: str) -> bool:
 
 
 def factor_of(channel: str, header: str, stated: str = "", given: str | None = None) -> tuple[float, str]:
-    """Return what to multiply a column by to get the unit of `UNITS`, and a sentence where that changes something.
+    """Factor from a column to the unit of `UNITS`, and a sentence where that changes something.
 
     Args:
         channel: or `time`.
@@ -205,7 +205,7 @@ def factor_of(channel: str, header: str, stated: str = "", given: str | None = N
 
 
 def _sensitivity(channel: str, text: str, known: Mapping[str, float], target: str) -> tuple[float, str]:
-    """Return the factor of `LABEL*FACTOR`, and a sentence."""
+    """Factor of `LABEL*FACTOR`, and a sentence."""
     label, _, number = text.rpartition("*")
     label, factor = canonical(label), float("nan")
     with contextlib.suppress(ValueError):

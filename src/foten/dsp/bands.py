@@ -20,12 +20,12 @@ BAND_FRAME_MS = 8.0
 
 
 def envelope_edges(rate_hz: float) -> Array:
-    """Return the edges of the bands [Hz], shape (N_BANDS + 1,): from 20 to 450 Hz, or to 0.45 of a lower rate."""
+    """Edges of the bands [Hz], shape (N_BANDS + 1,): from 20 to 450 Hz, or to 0.45 of a lower rate."""
     return np.geomspace(MIN_BAND_HZ, min(MAX_BAND_HZ, 0.45 * rate_hz), N_BANDS + 1)
 
 
 def band_energies(signals: Array, rate_hz: float) -> Array:
-    """Return the mean square of each band in each frame: signals (…, n) → (…, N_BANDS, n_frames), in their unit squared.
+    """Mean square of each band in each frame: signals (…, n) → (…, N_BANDS, n_frames), in their unit squared.
 
     Butterworth band-passes of order 2, causal, from rest; a last part that fills no frame is left out.
     """

@@ -25,7 +25,7 @@ MIN_GAP_RAD = 0.005  # rad between neighbours, and from 0 and π: nearer ones ri
 
 
 def line_spectral_frequencies(a: Array) -> Array:
-    """Return the angles of a polynomial with its zeros inside the unit circle: (p + 1,), 1 first → (p,), rising [rad].
+    """Angles of a polynomial with its zeros inside the unit circle: (p + 1,), 1 first → (p,), rising [rad].
 
     Raises:
         ValueError: a zero lies on the unit circle or outside it.
@@ -42,12 +42,12 @@ def line_spectral_frequencies(a: Array) -> Array:
 
 
 def _known(p: int) -> tuple[list[float], list[float]]:
-    """Return the factors of P and Q whose zeros no frequency stands for: at −1 and 1, or both of Q."""
+    """Factors of P and Q whose zeros no frequency stands for: at −1 and 1, or both of Q."""
     return ([1.0], [1.0, 0.0, -1.0]) if p % 2 else ([1.0, 1.0], [1.0, -1.0])
 
 
 def polynomial_of(frequencies: Array) -> Array:
-    """Return A of line spectral frequencies: (b, p) → (b, p + 1), 1 first."""
+    """Polynomial A of line spectral frequencies: (b, p) → (b, p + 1), 1 first."""
     b, p = frequencies.shape
     both = [np.ones((b, 1)), np.ones((b, 1))]
     for i in range(p):
@@ -64,7 +64,7 @@ def _times(polynomials: Array, factor: Sequence[float | Array]) -> Array:
 
 
 def spread_out(frequencies: Array) -> Array:
-    """Return the same angles, rising by at least `MIN_GAP_RAD` and as far from 0 and π: (…, p) → (…, p)."""
+    """The same angles, rising by at least `MIN_GAP_RAD` and as far from 0 and π: (…, p) → (…, p)."""
     steps = MIN_GAP_RAD * np.arange(1, frequencies.shape[-1] + 1)
     up = np.maximum.accumulate(frequencies - steps, axis=-1).clip(min=0.0) + steps
     down = up + steps[::-1] - np.pi

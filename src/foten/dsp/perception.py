@@ -1,4 +1,4 @@
-"""How much of a vibration's perceived power a sampling rate keeps."""
+"""Share of a vibration's perceived power that a sampling rate keeps."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ RATES_HZ = (1000.0, 2500.0, 10_000.0)
 
 
 def sensitivity(hertz: Array) -> Array:
-    """Return the weight of acceleration power at frequencies [Hz] (k,): the inverse square of the threshold, 1 up to 250 Hz.
+    """Weight of acceleration power at frequencies [Hz] (k,): the inverse square of the threshold, 1 up to 250 Hz.
 
     The displacement threshold falls by 12 dB per octave from 40 Hz to its minimum near 250 Hz, so the acceleration threshold
     is flat there. Above the minimum the displacement threshold is taken to rise by the same 12 dB per octave, which makes
@@ -29,7 +29,7 @@ def sensitivity(hertz: Array) -> Array:
 
 
 def carried(densities: Mapping[str, tuple[Array, Array]], rate_hz: float) -> dict[float, float]:
-    """Return the share of the perceived power that each rate [Hz] keeps: the `RATES_HZ` up to `rate_hz`, and `rate_hz`.
+    """Share of the perceived power that each rate [Hz] keeps: the `RATES_HZ` up to `rate_hz`, and `rate_hz`.
 
     Shares from 0 to 1, none where no power is perceived, from the frequencies [Hz] (k,) and power densities (k,) of each axis of
     an acceleration captured at `rate_hz`.
@@ -45,11 +45,11 @@ def carried(densities: Mapping[str, tuple[Array, Array]], rate_hz: float) -> dic
 
 
 def smallest_rate(shares: Mapping[float, float]) -> float:
-    """Return the lowest rate that carries 95 % of what the highest carries [Hz]."""
+    """Lowest rate that carries 95 % of what the highest carries [Hz]."""
     return min(rate for rate, share in shares.items() if share >= 0.95 * max(shares.values()))
 
 
 def in_words(shares: Mapping[float, float]) -> str:
-    """Return the shares as a clause: "1 kHz carries 81 %, 2.5 kHz 99 %"."""
+    """Shares as a clause: "1 kHz carries 81 %, 2.5 kHz 99 %"."""
     texts = [f"{rate / 1000:g} kHz {100 * share:.3g} %" for rate, share in shares.items()]
     return ", ".join(texts).replace(" kHz ", " kHz carries ", 1)

@@ -12,7 +12,7 @@ HALF_WIDTH = 24  # samples on each side of one that is interpolated
 
 
 def rate_ratio(target_hz: float, source_hz: float, tolerance: float = 1e-9) -> Fraction:
-    """Return target over source rate as a small fraction, up to a relative error, of which 1e-4 is inaudible.
+    """Target over source rate as a small fraction, up to a relative error, of which 1e-4 is inaudible.
 
     ValueError where the rates are in no ratio of integers up to 1000.
     """
@@ -26,7 +26,7 @@ def rate_ratio(target_hz: float, source_hz: float, tolerance: float = 1e-9) -> F
 
 
 def decimate(samples: Array, source_hz: float, target_hz: float) -> Array:
-    """Return a signal at a lower rate, aligned with the input (linear phase, no delay), shape (n,).
+    """Signal at a lower rate, aligned with the input (linear phase, no delay), shape (n,).
 
     The low-pass is flat to 0.45 of the new rate and 80 dB down at 0.55, so that only frequencies above 0.45 of the
     rate, which no figure of merit looks at, hold aliases. A sharper one that is silent up to half the rate would
@@ -52,7 +52,7 @@ def decimate(samples: Array, source_hz: float, target_hz: float) -> Array:
 
 
 def interpolate(samples: Array, factor: Fraction) -> Array:
-    """Return a signal (n,) at `factor` times its rate, 1 or more, by a windowed sinc, shape (ceil(n × factor),).
+    """Signal (n,) at `factor` times its rate, 1 or more, by a windowed sinc, shape (ceil(n × factor),).
 
     Polyphase: the output at time t takes the inputs around floor(t) with one of `factor.numerator` kernels, so a
     constant is kept exactly by normalising each kernel to sum 1.

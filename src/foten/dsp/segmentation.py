@@ -29,7 +29,7 @@ _PASSES = 5  # over all cuts, at most, when they are moved
 
 
 def pieces_of(x: Array, max_order: int = MAX_ORDER, grid: int = 50, longest: int | None = None) -> tuple[Index, float]:
-    """Return where each piece of the shortest description begins but for the first, rising, and its length in nats.
+    """Starts of the pieces of the shortest description but for the first, rising, and its length in nats.
 
     Args:
         x: shape (n,), of mean zero; two steps of the grid or more.
@@ -67,7 +67,7 @@ class _Description:
         self._min_variance = _MIN_VARIANCE * max(float(np.square(x).mean()), np.finfo(float).tiny)
 
     def of(self, begin: Index, end: Index) -> Array:
-        """Return the nats of pieces from samples `begin` to before `end`, each by its best order: (b,), (b,) → (b,)."""
+        """Nats of pieces from samples `begin` to before `end`, each by its best order: (b,), (b,) → (b,)."""
         n = (end - begin).astype(float)
         p = np.arange(len(self._sums))[:, None]
         moments = (self._sums[p, end] - self._sums[p, np.minimum(begin + p, end)]) / n
@@ -79,7 +79,7 @@ class _Description:
 
 
 def _best(costs: Array, each: float) -> Index:
-    """Return at which places to cut: from the nats of pieces that end at each place (w, k), and those of one piece more."""
+    """Places to cut at: from the nats of pieces that end at each place (w, k), and those of one piece more."""
     w, k = costs.shape
     begin = np.arange(k) - np.arange(1, w + 1)[:, None]  # of a piece; what is below 0 costs infinitely much
     # By how many pieces a place is reached with: the logarithm of their number does not add up. It only grows, so there are no
@@ -106,7 +106,7 @@ def _best(costs: Array, each: float) -> Index:
 
 
 def _moved(description: _Description, cuts: Index, grid: int, longest: int) -> Index:
-    """Return each cut in turn where the two pieces beside it are shortest to tell, at most a step of the grid away."""
+    """Each cut in turn where the two pieces beside it are shortest to tell, at most a step of the grid away."""
     edges = np.concatenate([[0], cuts, [description.n]])
     for j in range(1, len(edges) - 1):
         before, after = edges[j - 1], edges[j + 1]

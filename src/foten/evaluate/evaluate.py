@@ -61,7 +61,7 @@ class Judgement:
 def trace_for(
     texture: Texture, recording: Recording, trim_ms: float | None = None, block_ms: float | None = None
 ) -> Trace:
-    """Return a recording preprocessed as the texture's was, with another trim and block [ms] where given.
+    """Recording preprocessed as the texture's was, with another trim and block [ms] where given.
 
     Raises:
         ValueError: it is the recording that the texture was trained on, whose blocks are those of its split.
@@ -84,7 +84,7 @@ def evaluate(
     block_ms: float | None = None,
     listener: bool = False,
 ) -> Judgement:
-    """Return every figure of a texture on the test blocks of the recording it was trained on, or on all of another.
+    """All figures of a texture on the test blocks of the recording it was trained on, or on all of another.
 
     The trained one is recognised by its digest; `trim_ms` and `block_ms` are as of `trace_for`, `seed` is the excitation's. A
     `listener` is asked where it is asked for: it needs PyTorch, and a minute.
@@ -157,7 +157,7 @@ def _listener(
     reasons: dict[str, str],
     on_stage: Callable[[str], None],
 ) -> dict[str, Any] | None:
-    """Return what listeners tell apart: under a long stroke of a simulated truth, else under the test blocks."""
+    """Scores of trained listeners: under a long stroke of a simulated truth, else under the test blocks."""
     if not texture.has_excitation:
         reasons["listener"] = f"{texture.card['model']} carries no excitation"
         return None

@@ -66,6 +66,6 @@ def write_android(clip: Clip, path: Path) -> None:
 
 
 def _around(points: Array, values: Array) -> Array:
-    """Return the mean of values, one a ms, around each point [ms]: from halfway to the one before to halfway to the next."""
+    """Mean of values, one a ms, around each point [ms]: from halfway to the one before to halfway to the next."""
     begins = np.concatenate([points[:1] // 2, (points[:-1] + points[1:]) // 2])
     return np.add.reduceat(values, begins) / np.diff(begins, append=values.size)

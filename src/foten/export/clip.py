@@ -34,12 +34,12 @@ class Clip:
 
     @property
     def duration_s(self) -> float:
-        """Return how long it lasts [s]."""
+        """Duration [s]."""
         return self.drive.size / self.rate_hz
 
 
 def clip_of(samples: Array, rate_hz: float, about: Mapping[str, Any], full_scale: float | None = None) -> Clip:
-    """Return what was rendered as a clip; without a full scale its peak is 1. What goes beyond is cut.
+    """Clip of a rendered stroke, cut at full scale; without one, its peak is 1.
 
     Raises:
         ValueError: there are no samples, or the full scale is not positive.
@@ -61,13 +61,13 @@ class Envelopes:
     frequency: Array  # 0 is `MIN_FREQUENCY_HZ`, 1 is `MAX_FREQUENCY_HZ`
 
     def hertz(self, at_s: Array) -> Array:
-        """Return the frequency [Hz] at times [s]."""
+        """Frequency [Hz] at times [s]."""
         share = np.interp(at_s, self.frequency[:, 0], self.frequency[:, 1])
         return np.asarray(MIN_FREQUENCY_HZ + share * (MAX_FREQUENCY_HZ - MIN_FREQUENCY_HZ))
 
 
 def envelopes_of(clip: Clip) -> Envelopes:
-    """Return the envelopes of a clip: an RMS follower, and the centroid of the spectrum below 1 kHz.
+    """Envelopes of a clip: an RMS follower, and the centroid of the spectrum below 1 kHz.
 
     Both end with the clip, and have at most `MAX_POINTS_PER_S`.
 
@@ -81,7 +81,7 @@ def envelopes_of(clip: Clip) -> Envelopes:
 
 
 def _followed(clip: Clip) -> tuple[Array, Array]:
-    """Return times [s] and the level there, 0 … 1: it rises within the attack, holds, and falls within the release."""
+    """Times [s] and the level there, 0 … 1: it rises within the attack, holds, and falls within the release."""
     n = max(1, round(STEP_S * clip.rate_hz))
     squares = np.square(clip.drive - clip.drive.mean())
     squares = np.append(squares, np.zeros(-squares.size % n)).reshape(-1, n).mean(axis=1)
@@ -101,7 +101,7 @@ def _followed(clip: Clip) -> tuple[Array, Array]:
 
 
 def _centroids(clip: Clip) -> tuple[Array, Array]:
-    """Return times [s] and the spectrum's centroid there, 0 … 1."""
+    """Times [s] and the spectrum's centroid there, 0 … 1."""
     hop = N_FFT // OVERLAP
     padded = np.pad(clip.drive, (N_FFT // 2, N_FFT))
     n = 1 + clip.drive.size // hop
@@ -117,7 +117,7 @@ def _centroids(clip: Clip) -> tuple[Array, Array]:
 
 
 def _reduced(points: Array, most: int) -> Array:
-    """Return the points that are left where those that span the smallest triangles are taken out, one after the other."""
+    """Points that are left where those that span the smallest triangles are taken out, one after the other."""
     n = len(points)
     rows = points.tolist()
     before, after = [i - 1 for i in range(n)], [i + 1 for i in range(n)]

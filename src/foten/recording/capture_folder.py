@@ -29,7 +29,7 @@ class About:
 
     @classmethod
     def of(cls, message: Mapping[str, Any]) -> About:
-        """Return what a checked `begin` says."""
+        """Description in a checked `begin` message."""
         return cls(**{name: value for name, value in message.items() if name != "do"})
 
 
@@ -43,18 +43,18 @@ class PenEvents:
     pressure: Array  # 0 … 1; 0 is lifted
 
     def touches(self) -> NDArray[np.int64]:
-        """Return the first event of each touch and the one after its last, shape (k, 2)."""
+        """First event of each touch and the one after its last, shape (k, 2)."""
         down = np.concatenate([[False], self.pressure > 0, [False]])
         return np.stack([np.flatnonzero(~down[:-1] & down[1:]), np.flatnonzero(down[:-1] & ~down[1:])], axis=1)
 
     @property
     def usual_step_s(self) -> float:
-        """Return the usual time between two events of a touch [s]."""
+        """Usual time between two events of a touch [s]."""
         touching = (self.pressure[1:] > 0) & (self.pressure[:-1] > 0)
         steps = np.diff(self.times_s)[touching]
         return float(np.median(steps)) if steps.size else 0.01
 
 
 def file_name(name: str) -> str:
-    """Return a texture's name as a file's: `Old denim, washed` → `old-denim-washed`."""
+    """File name of a texture: `Old denim, washed` → `old-denim-washed`."""
     return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:60] or "surface"

@@ -70,22 +70,22 @@ class PreprocessConfig:
 
     @property
     def block(self) -> int:
-        """Return the samples in a block."""
+        """Samples in a block."""
         return max(1, round(self.block_ms * self.rate_hz / 1000))
 
     @property
     def shortest_s(self) -> float:
-        """Return what every channel has to cover for a training [s]."""
+        """Time that every channel has to cover for a training [s]."""
         return (2 * self.trim_ms + MIN_BLOCKS * self.block_ms) / 1000
 
     @property
     def delay_ms(self) -> float:
-        """Return what the causal low-pass of speed and force delays them by when rendering [ms]."""
+        """Delay of speed and force by their causal low-pass when rendering [ms]."""
         return 1000 * delay_s(butterworth("lowpass", self.render_lowpass_hz, self.rate_hz), self.rate_hz)
 
 
 def fitting_options(seconds: float, rate_hz: float, captured_hz: float | None = None) -> str:
-    """Return the options of `foten train` that fit a recording: "--rate 10000 --trim 0 --block 200"; empty where none do.
+    """Options of `foten train` that fit a recording: "--rate 10000 --trim 0 --block 200"; empty where none do.
 
     Args:
         seconds: that every channel covers.
@@ -107,7 +107,7 @@ def fitting_options(seconds: float, rate_hz: float, captured_hz: float | None = 
 
 
 def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_blocks: int | None = None) -> Trace:
-    """Return the trace of a recording: whole blocks of acceleration, speed and force at one rate.
+    """Trace of a recording: whole blocks of acceleration, speed and force at one rate.
 
     Used is the stretch that every channel covers. The low-pass of speed and force is causal, as in rendering; the whole
     samples nearest its delay are then cut off, so that speed and force stand beside the acceleration that they caused.
@@ -178,7 +178,7 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_b
 
 
 def condition(moved: Array, pressed: Array, rate_hz: float, lowpass_hz: float) -> tuple[Array, Array]:
-    """Return a hand's speed [mm/s] and force [N], shapes (n,), through the causal low-pass of rendering.
+    """Speed [mm/s] and force [N], shapes (n,), through the causal low-pass of rendering.
 
     The filter starts settled on the first sample.
 
@@ -196,7 +196,7 @@ def condition(moved: Array, pressed: Array, rate_hz: float, lowpass_hz: float) -
 
 
 def hand_of(recording: Recording, rate_hz: float) -> tuple[Array, Array]:
-    """Return velocity [mm/s] (n_axes, n) and normal force [N] (n,) at a rate, where both and any acceleration are covered.
+    """Velocity [mm/s] (n_axes, n) and normal force [N] (n,) at a rate, where both and any acceleration are covered.
 
     Not yet low-passed. The velocity has the axes of the plane where positions were recorded, else the speed as its only one.
     The normal is the z axis, and pressing counts positive: a force that is mostly negative is turned round.
@@ -237,7 +237,7 @@ def hand_of(recording: Recording, rate_hz: float) -> tuple[Array, Array]:
 
 
 def pressing(force: Channel) -> Array:
-    """Return a force as captured, pressing positive [N], shape (n,); a low-pass would hide short losses of contact."""
+    """Force as captured, pressing positive [N], shape (n,); a low-pass would hide short losses of contact."""
     return -force.samples if np.median(force.samples) < 0 else force.samples
 
 
@@ -251,7 +251,7 @@ def _check_size(quantity: str, largest: float) -> None:
 
 
 def _common(recording: Recording, rate_hz: float) -> tuple[int, int]:
-    """Return the first sample and the one past the last that acceleration, movement and force cover, at a rate from time 0."""
+    """First sample and the one past the last that acceleration, movement and force cover, at a rate from time 0."""
     if not recording.movement:
         raise ValueError("the recording has no speed and no position_x, position_y channel")
     if not recording.normal_force:
@@ -262,7 +262,7 @@ def _common(recording: Recording, rate_hz: float) -> tuple[int, int]:
 
 
 def _slow(channel: Channel, rate_hz: float, n: int) -> Array:
-    """Return a channel of the hand at a rate from time 0, shape (n,): averaged from above, interpolated from below."""
+    """Channel of the hand at a rate from time 0, shape (n,): averaged from above, interpolated from below."""
     if channel.times_s is None and channel.rate_hz > rate_hz * (1 + 1e-9):
         return decimate(channel.samples, channel.rate_hz, rate_hz)[:n]
     return at_rate(channel.samples, channel.times, rate_hz, n)

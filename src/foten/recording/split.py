@@ -33,12 +33,12 @@ class Split:
     recording_sha256: str = ""
 
     def sha256(self) -> str:
-        """Return the digest of everything above."""
+        """Digest of everything above."""
         return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
 
     @staticmethod
     def from_fields(fields: Mapping[str, Any]) -> Split:
-        """Return the split with the given fields, as a card holds them."""
+        """Split with the given fields, as a card holds them."""
         parts = {part: tuple(fields[part]) for part in ("train", "validation", "test")}
         return Split(**{**fields, **parts})
 
@@ -50,7 +50,7 @@ class Split:
 
 
 def split_blocks(trace: Trace, method: str = "regrouped", seed: int = 0) -> Split:
-    """Return a 60/20/20 split of a trace's blocks.
+    """60/20/20 split of a trace's blocks.
 
     `regrouped`: blocks are grouped by mean speed, then within each group by mean force; the blocks that hold the
     extremes of speed and force train, so that the test conditions lie inside the trained range; the others are drawn

@@ -117,12 +117,12 @@ class ContactParameters:
 
     @property
     def mass_kg(self) -> float:
-        """Return m [kg]."""
+        """Mass m [kg]."""
         return self.tip_mass_g * 1e-3
 
     @property
     def stiffness(self) -> float:
-        """Return K of Hertz's contact [N/m^1.5]."""
+        """Stiffness K of Hertz's contact [N/m^1.5]."""
         return float(4 / 3 * self.modulus_mpa * 1e6 * np.sqrt(self.tip_mm * 1e-3))
 
 
@@ -169,7 +169,7 @@ CONTACT: Mapping[str, ContactParameters] = {
 
 @lru_cache(maxsize=2)
 def profile(parameters: ContactParameters, key: str) -> Array:
-    """Return the height of a texture along its loop [mm], one point every `GRID_MM`, zero on the mean.
+    """Height of a texture along its loop [mm], one point every `GRID_MM`, zero on the mean.
 
     The texture's own: the same for every seed.
     """
@@ -192,7 +192,7 @@ def profile(parameters: ContactParameters, key: str) -> Array:
 
 
 def _periodic(parameters: ContactParameters, n: int, rng: np.random.Generator) -> Array:
-    """Return crests of unit height with uneven periods, closed to a loop, (n,)."""
+    """Crests of unit height with uneven periods, closed to a loop, (n,)."""
     periods = np.maximum(
         0.3, 1 + parameters.period_jitter * rng.standard_normal(round(LOOP_MM / parameters.wavelength_mm / 2) * 2)
     )
@@ -203,7 +203,7 @@ def _periodic(parameters: ContactParameters, n: int, rng: np.random.Generator) -
 
 
 def _with_grains(height: Array, parameters: ContactParameters, rng: np.random.Generator) -> Array:
-    """Return a profile with caps on it, or pores in it: where they overlap, the higher cap or the deeper pore."""
+    """Profile with caps on it, or pores in it: where they overlap, the higher cap or the deeper pore."""
     n, half = height.size, round(0.5 * parameters.grain_mm / GRID_MM)
     count = rng.poisson(parameters.grains_per_mm * LOOP_MM)
     at = rng.integers(0, n, count)
@@ -217,7 +217,7 @@ def _with_grains(height: Array, parameters: ContactParameters, rng: np.random.Ge
 
 @lru_cache(maxsize=2)
 def under_ball(parameters: ContactParameters, key: str) -> Array:
-    """Return the height of a ball that rests on the profile [mm], for each of its points: what the tip can follow."""
+    """Height of a ball that rests on the profile [mm], for each of its points: what the tip can follow."""
     from scipy.ndimage import grey_dilation
 
     height = profile(parameters, key)
@@ -231,7 +231,7 @@ def under_ball(parameters: ContactParameters, key: str) -> Array:
 def contact_vibration(
     parameters: ContactParameters, key: str, stroke: Stroking, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Return the tool's vibration before any sensor [m/s²], axes x, y, z, (n, 3), and the force of the contact [N], (n,).
+    """Vibration of the tool before any sensor [m/s²], axes x, y, z, (n, 3), and the force of the contact [N], (n,).
 
     Under the stroke's speed and force, from a place of the profile that is drawn.
     """
@@ -252,7 +252,7 @@ def contact_vibration(
 def _pieces(
     parameters: ContactParameters, key: str, place: Array, speed: Array, force: Array, rate_hz: float
 ) -> tuple[Array, Array]:
-    """Return contact force and friction [N], each (n,).
+    """Contact force and friction [N], each (n,).
 
     The stroke in pieces side by side, each from equilibrium and well settled when it takes over: what a damped contact does
     is forgotten in a few hundredths of a second, and 60 s would be 2.4 million steps one after the other.
@@ -273,7 +273,7 @@ def _pieces(
 def _integrate(
     parameters: ContactParameters, surface: Array, place: Array, speed: Array, force: Array, rate_hz: float
 ) -> tuple[Array, Array]:
-    """Return the same of pieces (k, n), each from equilibrium at its first sample: (k, n) each.
+    """Contact force and friction [N] of pieces (k, n), each from equilibrium at its first sample: (k, n) each.
 
     Semi-implicit steps; the friction of a step is at most what stops the tip in it, which is sticking.
     """
@@ -324,14 +324,14 @@ def _passed(surface: Array, places: Array, dt: float) -> Iterator[tuple[Array, A
 
 
 def _substeps(samples: Array, i: int) -> Array:
-    """Return what the steps up to sample i have, on straight lines from the one before: (SUBSTEPS, k) of (n, k), in its unit."""
+    """Values at the steps up to sample i, on straight lines from the one before: (SUBSTEPS, k) of (n, k), in its unit."""
     share = (np.arange(SUBSTEPS) + 1.0) / SUBSTEPS
     before = samples[max(i - 1, 0)]
     return np.asarray(before + share[:, None] * (samples[i] - before))
 
 
 def _height(surface: Array, place: Array) -> Array:
-    """Return how high a surface is [m] at some places [mm], in their shape: straight lines between its points."""
+    """Height of a surface [m] at some places [mm], in their shape: straight lines between its points."""
     at = place / GRID_MM
     point = np.floor(at)
     first = point.astype(np.int64) % surface.size

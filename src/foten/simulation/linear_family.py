@@ -17,7 +17,7 @@ BURN_IN = 4000  # samples; a pole of radius 0.99 has decayed to 1e-17
 
 
 def from_poles(*poles: tuple[float, float]) -> tuple[float, ...]:
-    """Return a with y[n] = Σ aᵢ y[n-i] for conjugate pole pairs of (angle in cycles a sample, radius)."""
+    """Coefficients a of y[n] = Σ aᵢ y[n-i] for conjugate pole pairs of (angle in cycles a sample, radius)."""
     roots = [radius * np.exp(2j * np.pi * sign * angle) for angle, radius in poles for sign in (1, -1)]
     return tuple((-np.poly(roots).real[1:]).tolist())
 
@@ -60,11 +60,11 @@ class LinearParameters:
 
     @property
     def denominator(self) -> Array:
-        """Return A(z) = 1 − Σ aᵢ z⁻ⁱ, shape (p + 1,)."""
+        """A(z) = 1 − Σ aᵢ z⁻ⁱ, shape (p + 1,)."""
         return np.array([1.0, *(-a for a in self.coefficients)])
 
     def sigma(self, speed: Array, force: Array) -> Array:
-        """Return the standard deviation of the innovation [m/s²] at speeds [mm/s] and forces [N]."""
+        """Standard deviation of the innovation [m/s²] at speeds [mm/s] and forces [N]."""
         stroked = self.standstill_share + np.maximum(speed, 0) / REFERENCE_SPEED
         return self.level * stroked**self.speed_exponent * np.maximum(force, 0) ** self.force_exponent
 
@@ -80,7 +80,7 @@ LINEAR_FAMILY: Mapping[str, LinearParameters] = {
 
 
 def linear_signal(parameters: LinearParameters, speed: Array, force: Array, rng: np.random.Generator) -> Array:
-    """Return one realisation y [m/s²], shape (n,), already stationary at its first sample."""
+    """One realisation y [m/s²], shape (n,), already stationary at its first sample."""
     from scipy.signal import lfilter
 
     sigma = parameters.sigma(speed, force)
@@ -89,7 +89,7 @@ def linear_signal(parameters: LinearParameters, speed: Array, force: Array, rng:
 
 
 def linear_truth(recording: Recording) -> LinearParameters:
-    """Return the process that made a simulated recording, at its rate, from the parameters that it carries.
+    """Process that made a simulated recording, at its rate, from the parameters that it carries.
 
     Raises:
         ValueError: the recording is no member of the linear family.
@@ -104,7 +104,7 @@ def linear_truth(recording: Recording) -> LinearParameters:
 def one_step_bounds(
     truth: LinearParameters, speed: Array, force: Array, highpass_b: Array, highpass_a: Array, window: int
 ) -> tuple[Array, Array]:
-    """Return the least expected absolute one-step error that the past of the high-passed signal allows.
+    """Least expected absolute one-step error that the past of the high-passed signal allows.
 
     The high-passed signal is x = B(z) / (A_h(z) A(z)) σe. Its zeros lie on the unit circle at worst, so the whole past gives
     away all of x[n] but b₀ σ e[n]; exactly, however σ varies. Zeros at z = 1 make that past very long: a window of m gets down

@@ -93,7 +93,7 @@ class TextureParameters:
 
 
 def _phases(key: str, n: int) -> tuple[float, ...]:
-    """Return the phases of a texture's harmonics [rad], drawn by its key: every realisation has the same waveform."""
+    """Phases of a texture's harmonics [rad], drawn by its key: every realisation has the same waveform."""
     return tuple(np.random.default_rng([*key.encode()]).uniform(0, 2 * np.pi, n).round(3).tolist())
 
 
@@ -141,7 +141,7 @@ def simulate(
     stroke_seed: int | None = None,
     accelerometer_hz: float | None = None,
 ) -> Recording:
-    """Return a simulated recording of one texture, of either simulator, or of one member of the linear family.
+    """Simulated recording of one texture, of either simulator, or of one member of the linear family.
 
     A texture comes as raw sensors (Sec. III): acceleration with gravity, force and position, three axes each.
     A linear process comes as acceleration, speed and force at the model's rate, one axis, without noise.
@@ -181,7 +181,7 @@ def simulate(
 def second_realisation(
     recording: Recording, noise_seed: int, *, stroke_seed: int | None = None, seconds: float | None = None
 ) -> Recording:
-    """Return the stroke and texture of a simulated recording, by the parameters that it carries, with fresh surface and noise.
+    """Stroke and texture of a simulated recording, by the parameters that it carries, with fresh surface and noise.
 
     The recording's own `noise_seed` gives the recording back. With a `stroke_seed` or `seconds`, another stroke
     or a longer one over the same texture.
@@ -244,7 +244,7 @@ def _simulate(simulation: Mapping[str, Any]) -> Recording:
 
 
 def _roughness(parameters: TextureParameters, length_mm: float, rng: np.random.Generator) -> Array:
-    """Return the roughness along a path on a grid of GRID_MM, of unit expected power."""
+    """Roughness along a path on a grid of GRID_MM, of unit expected power."""
     from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
     n = next_fast_len(int(length_mm / GRID_MM) + 2, real=True)
@@ -268,7 +268,7 @@ def _roughness(parameters: TextureParameters, length_mm: float, rng: np.random.G
 
 
 def vibration(parameters: TextureParameters, stroke: Stroking, rng: np.random.Generator) -> Array:
-    """Return the tool's vibration before any sensor [m/s²], axes x, y, z, shape (n, 3); none at rest."""
+    """Vibration of the tool before any sensor [m/s²], axes x, y, z, shape (n, 3); none at rest."""
     from scipy.signal import bilinear, butter, lfilter, sosfilt
 
     path_mm = np.cumsum(stroke.speed) / stroke.rate_hz
@@ -305,7 +305,7 @@ def _sensor_channels(
     decimation: int,
     rng: np.random.Generator,
 ) -> dict[str, Channel]:
-    """Return the raw channels of Sec. III: from the tool's vibration [m/s²], (n, 3), and the surface's normal force [N], (n,)."""
+    """Raw channels of Sec. III: from the tool's vibration [m/s²], (n, 3), and the surface's normal force [N], (n,)."""
     from scipy.signal import butter, sosfilt
 
     acceleration[:, :2] += np.gradient(stroke.velocity, axis=0) * stroke.rate_hz / 1000  # the hand's own

@@ -44,7 +44,7 @@ class SimulatedCapture:
     recording: Recording  # of the strokes alone, with a true sensor on everything
 
     def events(self, rng: np.random.Generator, rate_hz: float = EVENTS_HZ) -> PenEvents:
-        """Return what a tablet tells that looks so often, ±20 % of a step, by its clock."""
+        """Events of a tablet that looks at this rate, ±20 % of a step, by its clock."""
         times = np.arange(self.plan[0, 0], self.plan[-1, 0], 1.0 / rate_hz)
         times += rng.uniform(-JITTER, JITTER, times.size) / rate_hz
         at = np.clip((times * PLAN_HZ).astype(int), 0, len(self.plan) - 1)
@@ -70,7 +70,7 @@ class SimulatedCapture:
 
 
 def simulate_capture(key: str, seconds: float, seed: int = 0) -> SimulatedCapture:
-    """Return a capture of a texture of the simulator, with so many seconds of strokes.
+    """Capture of a texture of the simulator, with so many seconds of strokes.
 
     Raises:
         ValueError: the texture is unknown, or the strokes are shorter than one.

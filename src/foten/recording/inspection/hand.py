@@ -33,7 +33,7 @@ class Hand:
 
 
 def hand_in(recording: Recording) -> Hand | None:
-    """Return speed and force, None where one is missing or they share too little time; refused is what `hand_of` refuses."""
+    """Speed and force, None where one is missing or they share too little time; refused is what `hand_of` refuses."""
     moved, pressed = recording.movement, recording.normal_force
     if not moved or not pressed:
         return None
@@ -89,7 +89,7 @@ def check_contact(recording: Recording, hand: Hand | None) -> Iterable[Finding]:
 
 
 def coverage_of(hand: Hand) -> Coverage | None:
-    """Return the time spent at each speed and force while moving in contact; None where the tool never did."""
+    """Time spent at each speed and force while moving in contact; None where the tool never did."""
     stroking = (hand.speed > MOVING_MM_S) & (hand.force > CONTACT_N)
     if stroking.sum() < 2:
         return None

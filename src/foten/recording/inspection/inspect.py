@@ -13,7 +13,7 @@ from foten.recording.recording import Channel, Recording
 
 
 def inspect_recording(recording: Recording) -> Inspection:
-    """Return the numbers of each channel, findings, and the coverage of speed and force."""
+    """Numbers of each channel, findings, and the coverage of speed and force."""
     findings: list[Finding] = []
     hand = None
     try:

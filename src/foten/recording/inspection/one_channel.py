@@ -34,7 +34,7 @@ _GUESSES = {
 
 
 def unit_doubt(kind: str, size: float) -> str:
-    """Return what the size of a quantity says against its unit, such as "peaks at 0.1, … was it given in m/s?"; else nothing."""
+    """Doubt about the unit of a quantity of this size, such as "peaks at 0.1, … was it given in m/s?"; else nothing."""
     (least, too_small), (most, too_large) = _GUESSES[kind]
     return too_small.format(size) if size < least else too_large.format(size) if size > most else ""
 
@@ -113,7 +113,7 @@ def check_clipping(name: str, channel: Channel) -> Iterable[Finding]:
 
 
 def _leaves_steeply(x: Array, start: int, end: int, quantum: float) -> bool:
-    """Return whether a signal leaves a flat top x[start:end] more steeply than a smooth rounded one can.
+    """Whether a signal leaves a flat top x[start:end] more steeply than a smooth rounded one can.
 
     A smooth top is a parabola. Rounded to steps of q it is flat over n samples where it drops by less than q, over a half-width
     of at least (n−1)/2. Another n samples out it has dropped by at most q·((n−1)/2 + n)²/((n−1)/2)², and by one q more from
@@ -126,7 +126,7 @@ def _leaves_steeply(x: Array, start: int, end: int, quantum: float) -> bool:
 
 
 def slow_noise(samples: Array) -> float:
-    """Return the RMS of white noise on a slow signal, from its third differences.
+    """RMS of white noise on a slow signal, from its third differences.
 
     White noise of variance s² has third differences of variance (1+9+9+1)·s²; those of the hand's movement are next to zero.
     """
@@ -136,7 +136,7 @@ def slow_noise(samples: Array) -> float:
 
 
 def noise_floor(name: str, channel: Channel, hand: Hand | None) -> tuple[float, str]:
-    """Return the RMS of a channel's noise, and how it was estimated: `rest`, `quietest 5 %` or `differences`."""
+    """RMS of a channel's noise, and how it was estimated: `rest`, `quietest 5 %` or `differences`."""
     x = channel.samples
     if not name.startswith("acceleration"):
         return slow_noise(x), "differences"
@@ -172,7 +172,7 @@ def check_noise(reports: Iterable[ChannelReport]) -> Iterable[Finding]:
 
 
 def density(channel: Channel) -> tuple[Array, Array]:
-    """Return frequencies [Hz] without 0 and the power spectral density there, shape (k,) each; bins of about 4 Hz."""
+    """Frequencies [Hz] without 0 and the power spectral density there, shape (k,) each; bins of about 4 Hz."""
     from scipy.signal import welch
 
     wanted = 2 ** round(np.log2(channel.rate_hz / 4))
@@ -218,7 +218,7 @@ def check_whiteness(name: str, channel: Channel) -> Iterable[Finding]:
 
 
 def _pattern(x: Array, period: int) -> Array:
-    """Return the mean of all whole periods of a signal, shape (period,)."""
+    """Mean of all whole periods of a signal, shape (period,)."""
     n = x.size // period
     return np.asarray(x[: n * period].reshape(n, period).mean(axis=0))
 

@@ -67,7 +67,7 @@ def check_short(recording: Recording, options: str) -> Iterable[Finding]:
 
 
 def common_s(recording: Recording) -> float:
-    """Return the time that every channel covers [s]."""
+    """Time that every channel covers [s]."""
     starts, ends = zip(*(channel.span_s for channel in recording.channels.values()), strict=True)
     return float(min(ends) - max(starts))
 
@@ -178,7 +178,7 @@ def check_order(recording: Recording) -> Iterable[Finding]:
 
 
 def _jumps(name: str, channel: Channel) -> tuple[NDArray[np.int64], float, float]:
-    """Return the samples before each jump of a slow signal, the least size of a jump, and the median one by the range.
+    """Samples before each jump of a slow signal, the least size of a jump, and the median one by the range.
 
     A signal of range r that holds nothing above f moves at most π·f·r a second, as a sine of that range does. A jump exceeds
     that and the sensor's noise, and is a step: the samples on both sides of it move far less. Spikes are removed before.
@@ -200,7 +200,7 @@ def _jumps(name: str, channel: Channel) -> tuple[NDArray[np.int64], float, float
 
 
 def _neighbour_correlation(name: str, channel: Channel) -> float:
-    """Return the correlation of neighbouring samples in a slow channel, 1 where it moves too little to say."""
+    """Correlation of neighbouring samples in a slow channel, 1 where it moves too little to say."""
     low, high = np.quantile(channel.samples, [0.005, 0.995])
     least = {"speed": 20.0, "force": 0.5, "force_z": 0.5, "position_x": 10.0, "position_y": 10.0}
     if channel.rate_hz < 100 or high - low < least.get(name, np.inf):
@@ -210,7 +210,7 @@ def _neighbour_correlation(name: str, channel: Channel) -> float:
 
 
 def _piece(jumps: NDArray[np.int64]) -> int:
-    """Return the largest number of which 80 % of the jumps are multiples, up to a shift, or 0."""
+    """Largest number of which 80 % of the jumps are multiples, up to a shift, or 0."""
     jumps = jumps[:500]
     # Fewer jumps, or lengths that fit into them only a few times, would agree by chance.
     if jumps.size < 15:
