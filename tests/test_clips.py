@@ -7,6 +7,7 @@ import json
 import shutil
 import struct
 import subprocess
+from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,12 +19,14 @@ import scipy.io.wavfile
 from conftest import exported
 from foten.cli.command_line import _status
 from foten.dsp import Array
+from foten.dsp.resample import interpolate
 from foten.export.ahap import write_ahap
 from foten.export.android import write_android
 from foten.export.c_header import identifier, write_c_header
 from foten.export.clip import RATE_HZ, Clip, clip_of, envelopes_of
 from foten.export.haptic import write_haptic
 from foten.export.hjif import write_hjif
+from foten.export.samples import write_wav
 from foten.families.texture_file import read_texture, write_texture
 from foten.runtime.binding import ABI, c_flags
 from foten.runtime.renderer import EXAMPLE, Renderer
@@ -65,13 +68,24 @@ def test_the_envelopes_of_a_tone_are_its_level_and_its_frequency(hertz: float) -
     assert 0.8 / 2**0.5 * 0.95 < level.mean() <= 0.81
 
 
-def test_the_level_falls_within_the_release() -> None:
-    clip = tone(200.0)
+def test_the_level_holds_and_falls_within_the_release() -> None:
+    """It is held for 1.5 ms, which are two steps, and falls by e in 0.1 s."""
+    clip = Clip(0.8 * np.sign(np.sin(2 * np.pi * 500 * np.arange(16_000) / RATE_HZ + 0.1)), RATE_HZ, 1.0, ABOUT)
     clip.drive[8000:] = 0.0
-    amplitude = envelopes_of(clip).amplitude
-    at = np.interp([0.99, 1.1, 1.6], *amplitude.T)
-    assert at[1] == pytest.approx(at[0] * np.exp(-1), rel=0.15)
-    assert at[2] < 0.01
+    falling = np.array([0.0, 0.02, 0.05, 0.1])
+    level = np.interp(1.002 + falling, *envelopes_of(clip).amplitude.T)
+    # The points that are left describe the curve to 1 %, and steps of 1 ms another.
+    np.testing.assert_allclose(level, 0.8 * np.exp(-falling / 0.1), rtol=0.02)
+
+
+def test_a_wav_of_a_drive_at_full_scale_is_cut_and_does_not_wrap(tmp_path: Path) -> None:
+    """Between the samples of a square wave the interpolated sound exceeds 1 by a tenth: wrapped, that is a click at −1."""
+    clip = Clip(np.sign(np.sin(2 * np.pi * 100 * np.arange(4000) / RATE_HZ + 0.01)), RATE_HZ, 1.0, ABOUT)
+    sound = interpolate(clip.drive, Fraction(6))
+    assert np.abs(sound).max() > 1.05
+    write_wav(clip, tmp_path / "a.wav")
+    _, written = scipy.io.wavfile.read(tmp_path / "a.wav")
+    np.testing.assert_allclose(written / 32767, np.clip(sound, -1, 1), atol=0.5 / 32767)  # half a step of 16 bits
 
 
 def test_envelopes_are_no_denser_than_60_points_a_second(mesh: Clip) -> None:

@@ -150,6 +150,15 @@ def test_a_sticky_surface_squeals_when_slow_and_not_when_fast() -> None:
     assert 30.0 < hertz < 100.0  # slower than the spring by the time it sticks
 
 
+@pytest.mark.parametrize("height_um", [10.0, -10.0])
+def test_grains_that_overlap_do_not_grow_through_each_other(height_um: float) -> None:
+    """Ten caps of 1 mm in every mm, all of one height: the highest of each place stands, not their sum."""
+    p = replace(FLAT, grains_per_mm=10.0, grain_um=height_um, grain_spread=0.0, grain_mm=1.0)
+    grown = contact_mechanics._with_grains(np.zeros(100_000), p, np.random.default_rng(0)) / (height_um * 1e-3)
+    assert grown.max() == pytest.approx(1.0, rel=1e-12)
+    assert grown.mean() > 0.9  # they lie everywhere
+
+
 def test_a_ball_bridges_what_is_narrower_than_itself() -> None:
     """Oracle: the dilation by its definition, at every hundredth point."""
     p = CONTACT["sandpaper-fine"]

@@ -12,11 +12,15 @@ from scipy.signal import lfilter
 from conftest import SCALING, SMALL, exported, sizes_with
 from foten.evaluate.evaluate import Judgement, evaluate
 from foten.evaluate.free_run import synthesize_linear
-from foten.evaluate.one_step import ORDERS, Linear, best_linear
+from foten.evaluate.one_step import ORDERS, Linear, best_linear, excitation_scores
+from foten.families.conditions import FADE_FORCE, FADE_SPEED
+from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Channel, Recording
 from foten.recording.split import Split
 from foten.recording.trace import Trace
+from foten.recording.windows import targets
+from foten.runtime.native import NativeTexture
 
 PREPROCESS = PreprocessConfig(trim_ms=0, block_ms=1000)
 N_BLOCKS, BLOCK, FIRST = 16, 1000, 320
@@ -127,6 +131,25 @@ def test_the_best_ar_is_chosen_on_the_validation_blocks(judged: Judgement, trace
     assert (best["order"], best["scheduled"]) == chosen
     assert best["mae_scaled"] == pytest.approx(error(trace, SPLIT.test, kinds[chosen]), rel=1e-6)
     assert best["mae_scaled"] > 1.1 * error(trace, SPLIT.test, kinds[tempting])
+
+
+def test_the_excitation_is_scored_where_the_tool_moves_and_touches(recording: Recording, texture: Texture) -> None:
+    """Lifted and moving, or pressed and at rest, a recording is its sensor's noise: neither is scored."""
+    t = np.arange(recording["speed"].samples.size) / 1000
+    hand = {"speed": np.where(t % 1 < 0.6, 80.0, 0.0), "force": np.where(t % 1 > 0.4, 1.0, 0.0)}
+    half = Recording({**recording.channels, **{name: Channel(samples, 1000.0) for name, samples in hand.items()}})
+    judged = evaluate(texture, half, trim_ms=0, block_ms=1000)
+    samples, n = (
+        texture.scaling.scale(judged.trace.stacked()),
+        targets(judged.blocks, BLOCK, FIRST).reshape(-1, BLOCK - FIRST),
+    )
+    moving, touching = judged.trace.speed[n] >= FADE_SPEED, judged.trace.force[n] >= FADE_FORCE
+    scored, more = (
+        excitation_scores(NativeTexture(texture.to_bytes()), samples, n, counted)["nll"]
+        for counted in (moving & touching, moving | touching)
+    )
+    assert judged.document["one_step"]["nll"] == pytest.approx(scored)
+    assert abs(more - scored) > 0.01
 
 
 def test_the_best_linear_predictor_never_sees_other_blocks(trace: Trace) -> None:

@@ -4,6 +4,7 @@ import json
 import re
 import struct
 
+import h5py
 import numpy as np
 import openpyxl
 import pytest
@@ -13,7 +14,7 @@ from scipy.io import savemat, wavfile
 from foten.cli.command_line import _status
 from foten.datasets.binary import read_tdms, read_wav
 from foten.datasets.hdf5 import load_recording
-from foten.datasets.importing import DATASETS, import_recording, read_stroke
+from foten.datasets.importing import DATASETS, import_recording, read_columns, read_stroke
 from foten.datasets.options import ImportOptions, parse_pairs, parse_rates
 from foten.datasets.units import FACTORS, FULL_SCALE
 from foten.recording.recording import UNITS
@@ -66,8 +67,6 @@ def _write(path):
         case ".mat":
             savemat(path, columns)
         case ".h5" | ".hdf5":
-            import h5py
-
             with h5py.File(path, "w") as file:
                 for name, samples in columns.items():
                     file[name] = samples
@@ -404,6 +403,34 @@ def test_a_pickle_is_refused_unopened(tmp_path):
     (tmp_path / "a.abc").touch()
     with pytest.raises(ValueError, match=r"cannot read a.abc, expected one of .csv"):
         _import(tmp_path / "a.abc")
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.txt", "a.xlsx", "a.npz", "a.h5"])
+def test_a_table_that_lies_on_its_side_is_refused_before_its_columns_are_made(tmp_path, name):
+    """A million columns of text took a minute to refuse; the other formats have one more than are read."""
+    path, width = tmp_path / name, 4097
+    if path.suffix in (".csv", ".txt"):
+        width = 1_000_000
+        path.write_text(3 * (width * f"1{',' if name == 'a.csv' else ' '}")[:-1].join("\n\n"))
+    elif path.suffix == ".xlsx":
+        book = openpyxl.Workbook()
+        book.active.append([1.0] * width)
+        book.save(path)
+    elif path.suffix == ".npz":
+        np.savez(path, **dict.fromkeys(map(str, range(width)), np.ones(2)))
+    else:
+        with h5py.File(path, "w") as file:
+            for k in range(width):
+                file[str(k)] = 1.0
+    with pytest.raises(
+        ValueError, match=rf"{name} has {width:,} columns, expected 4,096 at most; do its samples lie along"
+    ):
+        read_columns(path)
+
+
+def test_a_column_with_an_endless_name_is_called_by_its_beginning(tmp_path):
+    (tmp_path / "a.csv").write_text("t;" + 100_000 * "x" + "\n0;1\n1;1\n")
+    assert [column.name for column in read_columns(tmp_path / "a.csv")] == ["t", 200 * "x"]
 
 
 def test_the_command_writes_a_recording(tmp_path, capsys):

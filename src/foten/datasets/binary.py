@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.datasets.columns import MAX_SAMPLES, Column, columns_of_array, with_units
+from foten.datasets.columns import MAX_COLUMNS, MAX_SAMPLES, Column, columns_of_array, with_units
 from foten.datasets.hdf5 import FORMAT
 from foten.datasets.isolated import read_isolated
 from foten.datasets.units import FULL_SCALE
@@ -40,7 +40,7 @@ def read_numpy(path: Path) -> list[Column]:
                 columns = columns_of_array("" if array.ndim == 2 else "0", array)
                 return [replace(column, name=column.name.lstrip(".")) for column in columns]
             with zipfile.ZipFile(file) as archive:
-                for entry in archive.infolist():
+                for entry in archive.infolist()[: MAX_COLUMNS + 1]:  # one more is refused
                     with archive.open(entry) as inner:
                         array = _array(inner, entry.file_size, left)
                     left -= array.size

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from foten.untrusted import printable
 
 MAX_SAMPLES = 200_000_000  # of a file: half an hour of ten channels at 10 kHz
-MAX_COLUMNS = 4096  # of a matrix
+MAX_COLUMNS = 4096  # of a file
+MAX_NAME_CHARACTERS = 200  # of what a message repeats
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class Column:
 
     def __post_init__(self) -> None:
         for text in ("name", "unit", "fault"):
-            object.__setattr__(self, text, printable(getattr(self, text)))
+            object.__setattr__(self, text, printable(getattr(self, text)[:MAX_NAME_CHARACTERS]))
 
     @property
     def n_rows(self) -> int:
@@ -43,6 +44,18 @@ class Column:
     def row_of(self, sample: int) -> str:
         """Row that a sample stands in, as " (row 12)"; nothing where the file has no rows."""
         return f" (row {self.row_numbers[sample]})" if sample < len(self.row_numbers) else ""
+
+
+def check_width(name: str, n_columns: int) -> None:
+    """Check that a file has no more columns than a recording could, before any is made.
+
+    Raises:
+        ValueError: it has more than `MAX_COLUMNS`.
+    """
+    if n_columns > MAX_COLUMNS:
+        raise ValueError(
+            f"{name} has {n_columns:,} columns, expected {MAX_COLUMNS:,} at most; do its samples lie along a row? Transpose it"
+        )
 
 
 def columns_of_array(name: str, array: NDArray[Any]) -> list[Column]:

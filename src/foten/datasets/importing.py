@@ -15,7 +15,7 @@ import numpy as np
 
 from foten.datasets.binary import read_hdf5, read_matlab, read_numpy, read_tdms, read_wav
 from foten.datasets.bounds import check_channel, check_overlap
-from foten.datasets.columns import Column
+from foten.datasets.columns import Column, check_width
 from foten.datasets.mapping import clocks_of, column_of, guessed_mapping, names_of, stroke_columns
 from foten.datasets.options import ImportOptions
 from foten.datasets.pen import PenClock, joined, pen_channels
@@ -65,7 +65,9 @@ def read_columns(path: Path) -> list[Column]:
         raise ValueError(f"cannot read {path.name}, expected one of {' '.join(DATASETS)}{hint}")
     if path.stat().st_size == 0:
         raise ValueError(f"{path.name} is empty")
-    return [replace(column, file=path) for column in DATASETS[suffix](path)]
+    columns = DATASETS[suffix](path)
+    check_width(path.name, len(columns))
+    return [replace(column, file=path) for column in columns]
 
 
 @np.errstate(over="ignore", invalid="ignore")  # infinite and absurd samples are refused, in a sentence

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from foten.datasets.columns import Column
+from foten.datasets.columns import MAX_COLUMNS, Column, check_width
 from foten.datasets.units import is_unit
 from foten.recording.inspection.values import counted
 from foten.untrusted import brief
@@ -42,6 +42,9 @@ def read_delimited(path: Path) -> list[Column]:
     filled = [line for line in lines if line.strip()] or [""]
     sample = filled[len(filled) // 2]
     delimiter = next((mark for mark in "\t;," if mark in sample), None)
+    for line in filled:
+        if len(line) > MAX_COLUMNS:  # so that no line of a usual table is counted
+            check_width(path.name, len(line.split(delimiter)))
     if delimiter is None:
         rows: list[list[Any]] = [comments.get(i, line).split() for i, line in enumerate(lines)]
     else:
@@ -95,6 +98,7 @@ def read_excel(path: Path) -> list[Column]:
     for title, rows in sheets:
         where, prefix = (path.name, "") if len(sheets) == 1 else (f"{path.name}, sheet {title}", f"{title}.")
         width = max(map(_width, rows))
+        check_width(where, width)
         of_sheet = _table([[*row[:width], *[None] * (width - len(row))] for row in rows], where)
         columns += [replace(column, name=f"{prefix}{column.name}") for column in of_sheet]
     return columns
