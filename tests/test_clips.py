@@ -68,14 +68,21 @@ def test_the_envelopes_of_a_tone_are_its_level_and_its_frequency(hertz: float) -
     assert 0.8 / 2**0.5 * 0.95 < level.mean() <= 0.81
 
 
-def test_the_level_holds_and_falls_within_the_release() -> None:
-    """It is held for 1.5 ms, which are two steps, and falls by e in 0.1 s."""
-    clip = Clip(0.8 * np.sign(np.sin(2 * np.pi * 500 * np.arange(16_000) / RATE_HZ + 0.1)), RATE_HZ, 1.0, ABOUT)
-    clip.drive[8000:] = 0.0
+def test_the_level_rises_at_once_holds_and_falls_within_the_release() -> None:
+    """It is held for 1.5 ms, which are two steps, and falls by e in 0.1 s; an offset has no level."""
+    t = np.arange(16_000) / RATE_HZ
+    burst = 0.7 * np.sign(np.sin(2 * np.pi * 500 * t + 0.1)) * ((t >= 0.5) & (t < 1.0))
+    amplitude = envelopes_of(Clip(0.2 + burst, RATE_HZ, 1.0, ABOUT)).amplitude
+    np.testing.assert_allclose(np.interp([0.49, 0.501, 0.99], *amplitude.T), [0.0, 0.7, 0.7], atol=0.01)
     falling = np.array([0.0, 0.02, 0.05, 0.1])
-    level = np.interp(1.002 + falling, *envelopes_of(clip).amplitude.T)
     # The points that are left describe the curve to 1 %, and steps of 1 ms another.
-    np.testing.assert_allclose(level, 0.8 * np.exp(-falling / 0.1), rtol=0.02)
+    np.testing.assert_allclose(np.interp(1.002 + falling, *amplitude.T), 0.7 * np.exp(-falling / 0.1), rtol=0.02)
+
+
+def test_the_frequency_is_that_of_what_skin_feels() -> None:
+    """Above 1 kHz a spectrum does not count."""
+    clip = Clip(tone(200.0, size=0.3).drive + tone(3000.0, size=0.6).drive, RATE_HZ, 1.0, ABOUT)
+    np.testing.assert_allclose(envelopes_of(clip).hertz(np.linspace(0.3, 1.7, 9)), 200.0, atol=20.0)  # leakage of 3 kHz
 
 
 def test_a_wav_of_a_drive_at_full_scale_is_cut_and_does_not_wrap(tmp_path: Path) -> None:

@@ -237,12 +237,12 @@ def test_more_force_keeps_the_tip_down_and_more_speed_throws_it_off() -> None:
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"tip_mm": 0.0}, "tip_mm is 0.0, expected a positive number"),
-        ({"friction": -0.1}, "friction is -0.1, expected 0 or more"),
-        ({"grain_mm": 6.0}, "grain_mm is 6.0, expected at most 5"),
-        ({"grain_mm": 0.02}, "its parts are finer than it can hold"),
+        ({"tip_mm": 0.0}, "tip_mm is 0.0, expected 0.001 to 10"),
+        ({"friction": -0.1}, "friction is -0.1, expected 0 to 100000"),
+        ({"grain_mm": 6.0}, "grain_mm is 6.0, expected 0.04 to 5"),
+        ({"grain_mm": 0.02}, "grain_mm is 0.02, expected 0.04 to 5"),
         ({"modulus_mpa": 90_000.0, "tip_mass_g": 0.5}, "is too stiff for steps of 25 µs"),
-        ({"tip_mm": float("nan")}, "tip_mm is not made of numbers"),
+        ({"tip_mm": float("nan")}, "tip_mm is nan, expected 0.001 to 10"),
     ],
 )
 def test_parameters_that_cannot_be_are_refused(changed: dict[str, float], message: str) -> None:

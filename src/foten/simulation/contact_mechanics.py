@@ -25,7 +25,7 @@ from functools import lru_cache
 import numpy as np
 
 from foten.dsp import Array
-from foten.simulation.linear_family import check_parameters
+from foten.simulation.linear_family import NOT_NEGATIVE, POSITIVE, check_parameters
 from foten.simulation.stroking import Stroking
 
 GRID_MM = 0.01  # of a profile
@@ -43,6 +43,29 @@ MODES_HZ, MODES_DAMPING, MODES_SHARE = (120.0, 340.0), (0.30, 0.15), (1.0, 0.7) 
 STIFF_SHARE = 0.15  # of the forces that moves the body at once
 DIRECTION = np.array([0.8, 0.6])  # of tangential motion in the sensor's x and y
 STRIBECK_MM_S = 15.0  # speed over which friction falls from static to kinetic
+
+
+# A profile has a point every `GRID_MM`, and holds no finer parts.
+RANGES: Mapping[str, tuple[float, float]] = {
+    "roughness_um": NOT_NEGATIVE,
+    "corner_per_mm": POSITIVE,
+    "grains_per_mm": (0.0, 1 / GRID_MM),
+    "grain_spread": (-2.0, 2.0),
+    "grain_mm": (4 * GRID_MM, 5.0),
+    "wavelength_mm": (10 * GRID_MM, 100.0),
+    "depth_um": NOT_NEGATIVE,
+    "sharpness": (1e-3, 20.0),
+    "period_jitter": NOT_NEGATIVE,
+    "tip_mm": (1e-3, 10.0),
+    "modulus_mpa": POSITIVE,
+    "damping_s_m": NOT_NEGATIVE,
+    "tip_mass_g": POSITIVE,
+    "hand_damping_n_s_m": NOT_NEGATIVE,
+    "friction": NOT_NEGATIVE,
+    "stick": NOT_NEGATIVE,
+    "shaft_hz": POSITIVE,
+}
+"""Lowest and highest value of a texture's parameters."""
 
 
 @dataclass(frozen=True)
@@ -73,42 +96,7 @@ class ContactParameters:
     shaft_damping: float  # of that
 
     def __post_init__(self) -> None:
-        check_parameters(self)
-        for name in (
-            "corner_per_mm",
-            "grain_mm",
-            "wavelength_mm",
-            "sharpness",
-            "tip_mm",
-            "modulus_mpa",
-            "tip_mass_g",
-            "shaft_hz",
-        ):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected a positive number")
-        for name in (
-            "roughness_um",
-            "grains_per_mm",
-            "depth_um",
-            "period_jitter",
-            "damping_s_m",
-            "hand_damping_n_s_m",
-            "friction",
-            "stick",
-        ):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected 0 or more")
-        for name, most in (
-            ("wavelength_mm", 100.0),
-            ("grain_mm", 5.0),
-            ("tip_mm", 10.0),
-            ("grain_spread", 2.0),
-            ("sharpness", 20.0),
-        ):
-            if abs(getattr(self, name)) > most:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected at most {most:g}")
-        if self.wavelength_mm < 10 * GRID_MM or self.grain_mm < 4 * GRID_MM or self.grains_per_mm > 1 / GRID_MM:
-            raise ValueError(f"the profile has a point every {GRID_MM} mm: its parts are finer than it can hold")
+        check_parameters(self, RANGES)
         stiffest = 1.5 * self.stiffness ** (2 / 3) * MAX_IMPACT_N ** (1 / 3)
         if stiffest / self.mass_kg > (0.5 * RATE_HZ * SUBSTEPS) ** 2:
             raise ValueError(

@@ -10,9 +10,11 @@ import numpy as np
 
 from foten.dsp import Array
 from foten.recording.recording import Recording
+from foten.untrusted import printable
 
 REFERENCE_SPEED = 100.0  # mm/s
 MAX_NUMBERS, MAX_PARAMETER = 64, 1e5  # of a texture's parameters
+POSITIVE, NOT_NEGATIVE = (1e-6, MAX_PARAMETER), (0.0, MAX_PARAMETER)  # ranges of parameters
 BURN_IN = 4000  # samples; a pole of radius 0.99 has decayed to 1e-17
 
 
@@ -22,16 +24,22 @@ def from_poles(*poles: tuple[float, float]) -> tuple[float, ...]:
     return tuple((-np.poly(roots).real[1:]).tolist())
 
 
-def check_parameters(parameters: Any) -> None:
-    """Check that the fields of a simulated texture, which may come from a file, are numbers or short rows of numbers."""
+def check_parameters(parameters: Any, ranges: Mapping[str, tuple[float, float]]) -> None:
+    """Check that the fields of a simulated texture, which may come from a file, are numbers or short rows of numbers.
+
+    Args:
+        parameters: a dataclass; its `description` is not looked at.
+        ranges: lowest and highest number by field; others lie within ±`MAX_PARAMETER`.
+    """
     for name, value in vars(parameters).items():
         if name == "description":
             continue
         numbers = value if isinstance(value, tuple) else (value,)
         if not 0 < len(numbers) <= MAX_NUMBERS:
             raise ValueError(f"{name} has {len(numbers)} numbers, expected 1 to {MAX_NUMBERS}")
-        if not all(type(number) in (int, float) and abs(number) <= MAX_PARAMETER for number in numbers):
-            raise ValueError(f"{name} is not made of numbers of at most {MAX_PARAMETER:g}")
+        low, high = ranges.get(name, (-MAX_PARAMETER, MAX_PARAMETER))
+        if not all(type(number) in (int, float) and low <= number <= high for number in numbers):
+            raise ValueError(f"{name} is {printable(str(value)[:40])}, expected {low:g} to {high:g}")
 
 
 @dataclass(frozen=True)
@@ -51,12 +59,10 @@ class LinearParameters:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "coefficients", tuple(self.coefficients))
-        check_parameters(self)
+        check_parameters(self, {"level": POSITIVE, "standstill_share": POSITIVE})
         radius = np.abs(np.roots(self.denominator)).max()
         if not radius < 0.995:
             raise ValueError(f"the largest pole has radius {radius:.4f}, expected less than 0.995")
-        if self.level <= 0 or self.standstill_share <= 0:
-            raise ValueError("level and standstill_share must be positive")
 
     @property
     def denominator(self) -> Array:

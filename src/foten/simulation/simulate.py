@@ -27,6 +27,8 @@ from foten.recording.recording import AXES, Channel, Recording
 from foten.simulation.contact_mechanics import CONTACT, RATE_HZ, ContactParameters, contact_vibration
 from foten.simulation.linear_family import (
     LINEAR_FAMILY,
+    MAX_PARAMETER,
+    POSITIVE,
     REFERENCE_SPEED,
     LinearParameters,
     check_parameters,
@@ -50,6 +52,19 @@ GRID_MM = 0.02  # of the roughness
 TIP_PER_MM = 4.0  # cycles/mm: the ball of 2 mm bridges finer structure
 AXIS_GAINS = np.array([[0.45, 0.55], [0.35, -0.25], [0.82, 0.80]])
 """Share of the two tool modes in x, y, z; each column has about unit norm, so that DFT321 keeps the level."""
+
+
+RANGES: Mapping[str, tuple[float, float]] = {
+    "level": POSITIVE,
+    "wavelength_mm": (GRID_MM, MAX_PARAMETER),
+    "lattice_share": (0.0, 1.0),
+    "corner_per_mm": POSITIVE,
+    "impacts_per_mm": POSITIVE,
+    "contact_hz": (1e-6, 0.499 * RATE_HZ),  # a filter's cutoff lies below half the rate
+    "modes_hz": (1e-6, 0.499 * RATE_HZ),
+    "damping": POSITIVE,
+}
+"""Lowest and highest value of a texture's parameters."""
 
 
 @dataclass(frozen=True)
@@ -77,19 +92,12 @@ class TextureParameters:
     def __post_init__(self) -> None:
         for name in ("harmonics", "modes_hz", "damping", "phases"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
-        check_parameters(self)
-        for name in ("level", "wavelength_mm", "corner_per_mm", "impacts_per_mm", "contact_hz"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected a positive number")
+        check_parameters(self, RANGES)
         if len(self.phases) != len(self.harmonics):
             raise ValueError(f"{len(self.phases)} phases, expected one for each of {len(self.harmonics)} harmonics")
-        if not 0 <= self.lattice_share <= 1:
-            raise ValueError(f"lattice_share is {self.lattice_share}, expected 0 to 1")
         for name in ("modes_hz", "damping"):
-            if len(getattr(self, name)) != 2 or not min(getattr(self, name)) > 0:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected two positive numbers")
-        if not max(*self.modes_hz, self.contact_hz) < RATE_HZ / 2 or self.wavelength_mm < GRID_MM:
-            raise ValueError(f"modes and contact lie below {RATE_HZ / 2:g} Hz, and waves are longer than {GRID_MM} mm")
+            if len(getattr(self, name)) != 2:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected two numbers")
 
 
 def _phases(key: str, n: int) -> tuple[float, ...]:
