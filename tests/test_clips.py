@@ -23,7 +23,7 @@ from foten.dsp.resample import interpolate
 from foten.export.ahap import write_ahap
 from foten.export.android import write_android
 from foten.export.c_header import identifier, write_c_header
-from foten.export.clip import RATE_HZ, Clip, clip_of, envelopes_of
+from foten.export.clip import RATE_HZ, Clip, _reduced, clip_of, envelopes_of
 from foten.export.haptic import write_haptic
 from foten.export.hjif import write_hjif
 from foten.export.samples import write_wav
@@ -112,6 +112,17 @@ def test_what_is_reduced_stays_near_what_was_there() -> None:
     clip = Clip(np.linspace(0.0, 0.9, 16000) * np.sign(np.sin(2 * np.pi * 500 * t + 0.1)), RATE_HZ, 1.0, ABOUT)
     amplitude = envelopes_of(clip).amplitude
     np.testing.assert_allclose(np.interp(t[100:], *amplitude.T), np.linspace(0.0, 0.9, 16000)[100:], atol=0.01)
+
+
+def test_the_points_that_matter_least_go_first() -> None:
+    """Oracle: Visvalingam and Whyatt's rule, every triangle measured anew at each step."""
+    points = np.stack([np.arange(40.0), np.random.default_rng(0).standard_normal(40)], axis=1)
+    expected = points
+    while len(expected) > 12:
+        before, here, after = expected[:-2], expected[1:-1], expected[2:]
+        across, up = (here - before).T, (after - before).T
+        expected = np.delete(expected, 1 + np.abs(across[0] * up[1] - up[0] * across[1]).argmin(), axis=0)
+    np.testing.assert_array_equal(_reduced(points, 12), expected)
 
 
 def check_ahap(document: dict[str, Any], seconds: float) -> None:

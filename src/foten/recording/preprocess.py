@@ -13,7 +13,7 @@ from foten.dsp.filters import Biquads, Sections, butterworth, delay_s, filter_re
 from foten.dsp.kinematics import at_rate, speed_of, velocity
 from foten.dsp.perception import RATES_HZ
 from foten.dsp.resample import decimate
-from foten.recording.recording import LIMITS, UNITS, Channel, Recording
+from foten.recording.recording import LIMITS, UNITS, Channel, Recording, common_span_s
 from foten.recording.split import MIN_BLOCKS
 from foten.recording.trace import Trace
 
@@ -165,9 +165,9 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_b
     acceleration = vibration[0]
     if len(axes) > 1:
         acceleration = dft321(vibration.reshape(len(axes), -1, config.block).swapaxes(0, 1)).ravel()
-    moved, pressed = hand_of(recording, rate)
-    speed = speed_of(np.stack([settled(lowpass, row, trim + delay) for row in moved]))
-    force = np.maximum(settled(lowpass, pressed, trim + delay), 0.0)
+    velocities, normal_force = velocity_and_force(recording, rate)
+    speed = speed_of(np.stack([settled(lowpass, row, trim + delay) for row in velocities]))
+    force = np.maximum(settled(lowpass, normal_force, trim + delay), 0.0)
     if not config.force_units:
         _check_size("speed", float(speed.max()))
         _check_size("force", float(force.max()))
@@ -177,25 +177,25 @@ def preprocess(recording: Recording, config: PreprocessConfig | None = None, n_b
     )
 
 
-def condition(moved: Array, pressed: Array, rate_hz: float, lowpass_hz: float) -> tuple[Array, Array]:
+def condition(velocities: Array, normal_force: Array, rate_hz: float, lowpass_hz: float) -> tuple[Array, Array]:
     """Speed [mm/s] and force [N], shapes (n,), through the causal low-pass of rendering.
 
     The filter starts settled on the first sample.
 
     Args:
-        moved: velocity of each axis [mm/s], shape (n_axes, n); one axis where only the speed is known.
-        pressed: normal force [N], shape (n,).
+        velocities: velocity of each axis [mm/s], shape (n_axes, n); one axis where only the speed is known.
+        normal_force: normal force [N], shape (n,).
     """
     sections = butterworth("lowpass", lowpass_hz, rate_hz)
     filtered = []
-    for signal in (*moved, pressed):
+    for signal in (*velocities, normal_force):
         biquads = Biquads(sections)
         biquads.reset(float(signal[0]) if signal.size else 0.0)
         filtered.append(biquads.process(signal))
     return speed_of(np.stack(filtered[:-1])), np.maximum(filtered[-1], 0.0)
 
 
-def hand_of(recording: Recording, rate_hz: float) -> tuple[Array, Array]:
+def velocity_and_force(recording: Recording, rate_hz: float) -> tuple[Array, Array]:
     """Velocity [mm/s] (n_axes, n) and normal force [N] (n,) at a rate, where both and any acceleration are covered.
 
     Not yet low-passed. The velocity has the axes of the plane where positions were recorded, else the speed as its only one.
@@ -256,13 +256,12 @@ def _common(recording: Recording, rate_hz: float) -> tuple[int, int]:
         raise ValueError("the recording has no speed and no position_x, position_y channel")
     if not recording.normal_force:
         raise ValueError("the recording has no force and no force_z channel")
-    hand = [recording[name] for name in (*recording.movement, *recording.normal_force)]
-    starts, ends = zip(*(channel.span_s for channel in (*recording.axes("acceleration"), *hand)), strict=True)
-    return max(0, math.ceil(max(starts) * rate_hz - 1e-6)), math.floor(min(ends) * rate_hz + 1e-6)
+    start_s, end_s = common_span_s(recording.used)
+    return max(0, math.ceil(start_s * rate_hz - 1e-6)), math.floor(end_s * rate_hz + 1e-6)
 
 
 def _slow(channel: Channel, rate_hz: float, n: int) -> Array:
-    """Channel of the hand at a rate from time 0, shape (n,): averaged from above, interpolated from below."""
+    """Speed, position or force at a rate from time 0, shape (n,): averaged from above, interpolated from below."""
     if channel.times_s is None and channel.rate_hz > rate_hz * (1 + 1e-9):
         return decimate(channel.samples, channel.rate_hz, rate_hz)[:n]
     return at_rate(channel.samples, channel.times, rate_hz, n)

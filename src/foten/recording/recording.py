@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -83,6 +83,12 @@ class Channel:
         return long[np.nanmedian(landed, axis=1) - np.nanmedian(left, axis=1) > HOLE * period]
 
 
+def common_span_s(channels: Iterable[Channel]) -> tuple[float, float]:
+    """Start and end of the time that all channels cover [s]; the end lies before the start where there is none."""
+    starts, ends = zip(*(channel.span_s for channel in channels), strict=True)
+    return max(starts), min(ends)
+
+
 @dataclass(frozen=True)
 class Recording:
     """Raw capture of one texture, each sensor at its own rate."""
@@ -127,6 +133,11 @@ class Recording:
     def normal_force(self) -> list[str]:
         """Name of the channel that normal force is taken from; empty where there is none."""
         return [name for name in ("force", "force_z") if name in self][:1]
+
+    @property
+    def used(self) -> list[Channel]:
+        """Channels that a trace is made of: acceleration, movement and normal force."""
+        return [*self.axes("acceleration"), *(self[name] for name in (*self.movement, *self.normal_force))]
 
     @property
     def duration_s(self) -> float:

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from foten.dsp import Array
-from foten.recording.inspection.hand import CONTACT_N, HAND_HZ, MOVING_MM_S, Hand
+from foten.recording.inspection.speed_force import CONTACT_N, HAND_HZ, MOVING_MM_S, SpeedForce
 from foten.recording.inspection.values import NOTE, PROBLEM, ChannelReport, Finding, counted, places, runs, swing
 from foten.recording.recording import UNITS, Channel, Recording
 
@@ -135,7 +135,7 @@ def slow_noise(samples: Array) -> float:
     return float(1.4826 * np.median(np.abs(np.diff(samples, 3))) / np.sqrt(20))
 
 
-def noise_floor(name: str, channel: Channel, hand: Hand | None) -> tuple[float, str]:
+def noise_floor(name: str, channel: Channel, speed_force: SpeedForce | None) -> tuple[float, str]:
     """RMS of a channel's noise, and how it was estimated: `rest`, `quietest 5 %` or `differences`."""
     x = channel.samples
     if not name.startswith("acceleration"):
@@ -143,10 +143,10 @@ def noise_floor(name: str, channel: Channel, hand: Hand | None) -> tuple[float, 
     frame = max(2, round(FRAME_S * channel.rate_hz))
     frames = x[: x.size - x.size % frame].reshape(-1, frame) if x.size >= frame else x[None, :]
     levels = frames.std(axis=1)  # about each frame's mean: gravity is no noise
-    if hand is not None:
+    if speed_force is not None:
         starts = channel.times[:: frames.shape[1]][: levels.size]
-        still = ((hand.speed < MOVING_MM_S) | (hand.force < CONTACT_N)).astype(np.float64)
-        at_both = np.interp([starts, starts + FRAME_S / 2], hand.times_s, still, left=0, right=0) == 1
+        still = ((speed_force.speed < MOVING_MM_S) | (speed_force.force < CONTACT_N)).astype(np.float64)
+        at_both = np.interp([starts, starts + FRAME_S / 2], speed_force.times_s, still, left=0, right=0) == 1
         quiet = at_both.all(axis=0)
         if quiet.sum() >= 4:
             return float(np.median(levels[quiet])), "rest"

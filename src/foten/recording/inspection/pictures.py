@@ -9,7 +9,7 @@ import numpy as np
 
 from foten.atomic_write import atomic_write
 from foten.dsp import Array
-from foten.recording.inspection.hand import HAND_HZ
+from foten.recording.inspection.speed_force import HAND_HZ
 from foten.recording.inspection.values import CELL_S, NOTE, Finding, Inspection
 from foten.recording.recording import UNITS, Recording
 

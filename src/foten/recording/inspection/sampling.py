@@ -7,8 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.recording.inspection.hand import HAND_HZ
 from foten.recording.inspection.one_channel import slow_noise
+from foten.recording.inspection.speed_force import HAND_HZ
 from foten.recording.inspection.values import NOTE, PROBLEM, Finding, counted, places, swing
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import UNITS, Channel, Recording
@@ -54,22 +54,16 @@ def check_durations(recording: Recording) -> Iterable[Finding]:
         yield Finding(NOTE, "durations", early, text)
 
 
-def check_short(recording: Recording, options: str) -> Iterable[Finding]:
+def check_short(seconds: float, options: str) -> Iterable[Finding]:
     """Yield a note where all channels cover less than the defaults of training need, with the options that fit."""
-    config, common = PreprocessConfig(), common_s(recording)
-    if common < config.shortest_s:
+    config = PreprocessConfig()
+    if seconds < config.shortest_s:
         text = (
-            f"it lasts {common:.2f} s, and trimming {config.trim_ms / 1000:g} s at both ends and {MIN_BLOCKS} blocks of "
+            f"it lasts {seconds:.2f} s, and trimming {config.trim_ms / 1000:g} s at both ends and {MIN_BLOCKS} blocks of "
             f"{config.block_ms / 1000:g} s take {config.shortest_s:g} s: "
             + (f"train with {options}" if options else "too short to learn from; record for longer")
         )
         yield Finding(NOTE, "short", "", text)
-
-
-def common_s(recording: Recording) -> float:
-    """Time that every channel covers [s]."""
-    starts, ends = zip(*(channel.span_s for channel in recording.channels.values()), strict=True)
-    return float(min(ends) - max(starts))
 
 
 def check_gaps(name: str, channel: Channel) -> Iterable[Finding]:
