@@ -34,6 +34,11 @@ def _csv(path, header, *columns):
     return path
 
 
+def _rig(folder):
+    """Path of the usual table: time, acceleration, speed and force."""
+    return _csv(folder / "a.csv", "t,acc,speed,force", TIME, ACC, SPEED, FORCE)
+
+
 def _import(path, **options):
     paths = path if isinstance(path, list) else [path]
     mapping = tuple(parse_pairs([options.pop("map", "")], "--map"))
@@ -87,6 +92,17 @@ def test_every_format_gives_the_same_recording(tmp_path, suffix):
         # Excel keeps 15 to 17 digits of a number, every other format all bits.
         np.testing.assert_allclose(recording[name].samples, samples, rtol=1e-15 if suffix == ".xlsx" else 0)
         assert (recording[name].rate_hz, recording[name].times_s) == (1000, None)
+
+
+@pytest.mark.parametrize("suffix", [suffix for suffix in DATASETS if suffix not in (".csv", ".tsv", ".txt", ".dat")])
+@pytest.mark.parametrize("damage", ["late", "early", "foreign", "empty"])
+def test_a_damaged_file_of_any_format_is_refused_in_a_line(tmp_path, suffix, damage):
+    path = tmp_path / f"rig{suffix}"
+    _write(path)
+    data = path.read_bytes()
+    path.write_bytes({"late": data[:-100], "early": data[:60], "foreign": b"force\n1\n2\n" * 99, "empty": b""}[damage])
+    with pytest.raises(ValueError, match=rf"^rig{suffix} (is (truncated|empty|not an HDF5)|holds no column)[^\n]*$"):
+        read_columns(path)
 
 
 def test_headers_that_leave_no_doubt_need_no_map(tmp_path):
@@ -257,7 +273,7 @@ def test_a_unit_that_cannot_be_is_doubted_at_once(tmp_path):
 
 
 def test_comments_are_passed_over_and_counted(tmp_path):
-    path = _csv(tmp_path / "a.csv", "t,acc,speed,force", TIME, ACC, SPEED, FORCE)
+    path = _rig(tmp_path)
     lines = path.read_text().splitlines()
     path.write_text("\n".join([*lines[:1001], "# Marke gesetzt", *lines[1001:], "# Ende"]) + "\n")
     recording = _import(path)
@@ -436,7 +452,7 @@ def test_a_column_with_an_endless_name_is_called_by_its_beginning(tmp_path):
 
 
 def test_the_command_writes_a_recording(tmp_path, capsys):
-    path = _csv(tmp_path / "a.csv", "t,acc,speed,force", TIME, ACC, SPEED, FORCE)
+    path = _rig(tmp_path)
     arguments = ["import", str(path), "-o", str(tmp_path / "a.h5"), "--texture", "denim", "--tool", "ball", "--json"]
     assert _status(arguments) == 0
     captured = capsys.readouterr()
@@ -486,7 +502,7 @@ def test_bad_input_is_one_line_exit_2_and_no_file(tmp_path, capsys, content, ext
 
 
 def test_a_rate_against_the_clock_is_refused(tmp_path):
-    path = _csv(tmp_path / "a.csv", "t,acc,speed,force", TIME, ACC, SPEED, FORCE)
+    path = _rig(tmp_path)
     with pytest.raises(ValueError, match="the column t says 1000 Hz and --rate 500"):
         _import(path, rate=500)
     assert _import(path, rate=1000)["force"].times_s is None
@@ -624,16 +640,6 @@ def test_channels_with_their_rates_and_units(tmp_path):
     assert (columns["slow/force"].rate_hz, columns["slow/force"].unit) == (3000, "N")
 
 
-def test_truncated_and_foreign_files_are_refused(tmp_path):
-    _write_of_tdms(tmp_path / "a.tdms")
-    data = (tmp_path / "a.tdms").read_bytes()
-    contents = {"late": data[:-100], "early": data[:60], "text": b"time,force\n0,1\n" * 20, "none": b""}
-    for name, content in contents.items():
-        (tmp_path / f"{name}.tdms").write_bytes(content)
-        with pytest.raises(ValueError, match=f"{name}.tdms (is (truncated|empty)|holds no channel)"):
-            read_tdms(tmp_path / f"{name}.tdms")
-
-
 @pytest.mark.parametrize("kind", [np.uint8, np.int16, np.int32])
 def test_integers_are_fractions_of_full_scale(tmp_path, kind):
     info = np.iinfo(kind)
@@ -660,15 +666,6 @@ def test_floats_stay_and_tracks_are_numbered(tmp_path):
     first, second = read_wav(tmp_path / "a.wav")
     assert (first.name, first.unit, second.name) == ("0", "", "1")
     assert second.samples.tolist() == [-3, 12]
-
-
-def test_truncated_and_foreign_files_are_refused_of_wav(tmp_path):
-    wavfile.write(tmp_path / "a.wav", 8000, np.zeros(1000, dtype=np.int16))
-    data = (tmp_path / "a.wav").read_bytes()
-    for name, content in {"cut": data[:-500], "text": b"force\n1\n2\n" * 9, "none": b""}.items():
-        (tmp_path / f"{name}.wav").write_bytes(content)
-        with pytest.raises(ValueError, match=f"{name}.wav is (truncated|empty)"):
-            read_wav(tmp_path / f"{name}.wav")
 
 
 def test_a_row_that_is_there_twice_is_called_so(tmp_path, capsys):

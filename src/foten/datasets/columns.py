@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from foten.untrusted import printable
+from foten.untrusted import brief, printable
 
 MAX_SAMPLES = 200_000_000  # of a file: half an hour of ten channels at 10 kHz
 MAX_COLUMNS = 4096  # of a file
@@ -23,7 +24,8 @@ class Column:
     """One column of numbers, as the file has it."""
 
     name: str  # its header, or its number from 0 where there is none
-    samples: NDArray[np.float64]  # shape (n,), in the file's own unit; NaN where a cell within the column was blank
+    samples: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    """Shape (n,), in the file's own unit; NaN where a cell within the column was blank."""
     rate_hz: float | None = None  # where the file states it
     unit: str = ""  # where the file states it
     n_blank: int = 0  # blank cells after the last value, which are not in `samples`
@@ -46,14 +48,31 @@ class Column:
         return f" (row {self.row_numbers[sample]})" if sample < len(self.row_numbers) else ""
 
 
+class RefusedError(ValueError):
+    """What a reader says of a file in a sentence of its own, with the file's name."""
+
+
+@contextmanager
+def reading(path: Path, what: str) -> Iterator[None]:
+    """Refuse in a line what a library raises on a damaged file: one of a dozen kinds, zlib.error and TypeError among them."""
+    try:
+        yield
+    except RefusedError:
+        raise
+    except MemoryError:
+        raise ValueError(f"{path.name} says that it holds more than the memory does") from None
+    except Exception as error:
+        raise ValueError(f"{path.name} is truncated or is no {what} ({brief(error)})") from None
+
+
 def check_width(name: str, n_columns: int) -> None:
     """Check that a file has no more columns than a recording could, before any is made.
 
     Raises:
-        ValueError: it has more than `MAX_COLUMNS`.
+        RefusedError: it has more than `MAX_COLUMNS`.
     """
     if n_columns > MAX_COLUMNS:
-        raise ValueError(
+        raise RefusedError(
             f"{name} has {n_columns:,} columns, expected {MAX_COLUMNS:,} at most; do its samples lie along a row? Transpose it"
         )
 
@@ -75,7 +94,7 @@ def columns_of_array(name: str, array: NDArray[Any]) -> list[Column]:
     elif array.ndim == 2 and min(array.shape) > MAX_COLUMNS:
         fault = f"has shape {array.shape}, expected {MAX_COLUMNS} columns at most"
     if fault:
-        return [Column(name, np.zeros(0), fault=fault)]
+        return [Column(name, fault=fault)]
     if array.ndim == 1:
         return [Column(name, array.astype(np.float64))]
     columns = array if array.shape[0] < array.shape[1] else array.T

@@ -10,8 +10,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from foten.datasets.columns import MAX_SAMPLES, Column, columns_of_array
-from foten.datasets.isolated import Contents, RefusedError
+from foten.datasets.columns import MAX_SAMPLES, Column, RefusedError, check_width, columns_of_array
+from foten.datasets.isolated import Contents
 from foten.dsp import Array
 from foten.untrusted import printable
 
@@ -141,12 +141,13 @@ def matlab_contents(path: Path) -> Contents:
         if isinstance(value, bytes | str) or (isinstance(value, list) and all(isinstance(v, str) for v in value)):
             texts[printable(name)] = _plain(np.array(value))
         if isinstance(value, list | str | bytes) or value is None:
-            columns.append(Column(name, np.zeros(0), fault="holds text or cells, expected numbers"))
+            columns.append(Column(name, fault="holds text or cells, expected numbers"))
         elif (array := np.asarray(value)).size > left:
             fault = f"says that it holds {array.size:,} samples, expected {left:,} at most"
-            columns.append(Column(name, np.zeros(0), fault=fault))
+            columns.append(Column(name, fault=fault))
         else:
             left -= array.size
             columns += columns_of_array(name, array)
+            check_width(path.name, len(columns))
     faults = [{"name": column.name, "fault": column.fault} for column in columns]
     return {"columns": faults, "texts": texts}, [column.samples for column in columns]

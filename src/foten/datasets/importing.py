@@ -66,6 +66,8 @@ def read_columns(path: Path) -> list[Column]:
     if path.stat().st_size == 0:
         raise ValueError(f"{path.name} is empty")
     columns = DATASETS[suffix](path)
+    if not columns:
+        raise ValueError(f"{path.name} holds no column of numbers")
     check_width(path.name, len(columns))
     return [replace(column, file=path) for column in columns]
 

@@ -19,6 +19,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from foten.datasets.columns import RefusedError
 from foten.dsp import Array
 from foten.untrusted import brief, check_regular
 
@@ -126,10 +127,6 @@ def _limit(file_bytes: int) -> None:
     for what, most in ((resource.RLIMIT_CPU, max_cpu_s), (resource.RLIMIT_AS, MAX_MEMORY_BYTES)):
         with contextlib.suppress(ValueError, OSError):  # a lower limit stands already
             resource.setrlimit(what, (most, most))
-
-
-class RefusedError(ValueError):
-    """What a reader says of a file in a sentence of its own, with the file's name."""
 
 
 def _answer(answers: BinaryIO, kind: str, path: Path) -> None:

@@ -36,13 +36,23 @@ _GUESSES: Mapping[str, frozenset[str]] = {
 }
 
 
+_STROKE = {
+    "time": "t",
+    "speed": "speed",
+    "position_x": "x",
+    "position_y": "y",
+    "force": "force",
+    "pressure": "pressure",
+}
+"""Headers of a stroke's table."""
+
+
 def guessed_mapping(files: Files, options: ImportOptions) -> tuple[tuple[str, str], ...]:
     """Mapping that the headers alone leave no doubt about."""
     places: dict[str, list[Column]] = {}
     for column in (column for columns in files.values() for column in columns if column.n_rows > 1):
         for channel, aliases in _GUESSES.items():
-            header = split_header(column.name, quantity(channel))[0]
-            if header.lower().replace(" ", "_") in aliases:
+            if _header(column, channel) in aliases:
                 places.setdefault(channel, []).append(column)
     # Sound files carry no names; beside a table they are the accelerometer.
     sounds = [columns for path, columns in files.items() if path.suffix.lower() == ".wav"]
@@ -54,10 +64,10 @@ def guessed_mapping(files: Files, options: ImportOptions) -> tuple[tuple[str, st
         for column in places.pop("time", []):
             times = column.samples * factor_of("time", column.name, column.unit, options.units.get("time"))[0]
             if times.size > 1 and (np.diff(times) > 0).all():
-                own = rate_of(times)
-                if abs(own - options.rate_hz) > 0.01 * own:
+                rate_hz = rate_of(times)
+                if abs(rate_hz - options.rate_hz) > 0.01 * rate_hz:
                     raise ValueError(
-                        f"{column.file.name}: the column {column.name} says {own:g} Hz and --rate {options.rate_hz:g}; "
+                        f"{column.file.name}: the column {column.name} says {rate_hz:g} Hz and --rate {options.rate_hz:g}; "
                         "leave out --rate, or map the other columns with --map to use it"
                     )
     for channel, candidates in places.items():
@@ -77,26 +87,22 @@ def stroke_columns(columns: Sequence[Column]) -> dict[str, Column]:
 
     The headers are t, speed, x, y, force and pressure; where one is missing, what an import takes for the channel.
     """
-    names = {
-        "time": "t",
-        "speed": "speed",
-        "position_x": "x",
-        "position_y": "y",
-        "force": "force",
-        "pressure": "pressure",
-    }
-    found: dict[str, Column] = {}
-    for channel, name in names.items():
-        kind = "force" if channel == "pressure" else quantity(channel)
-        headers = [split_header(column.name, kind)[0].lower().replace(" ", "_") for column in columns]
-        own = [column for column, header in zip(columns, headers, strict=True) if header == name]
+    by_channel: dict[str, Column] = {}
+    for channel, name in _STROKE.items():
+        exact = [column for column in columns if _header(column, channel) == name]
         guessed = _GUESSES.get(channel, frozenset())
-        candidates = own or [column for column, header in zip(columns, headers, strict=True) if header in guessed]
+        candidates = exact or [column for column in columns if _header(column, channel) in guessed]
         if len(candidates) > 1:
             raise ValueError(f"{channel} could be any of {', '.join(column.name for column in candidates)}; keep one")
         if candidates:
-            found[channel] = candidates[0]
-    return found
+            by_channel[channel] = candidates[0]
+    return by_channel
+
+
+def _header(column: Column, channel: str) -> str:
+    """Header of a column that is taken for a channel, without its unit, in small letters."""
+    kind = "force" if channel == "pressure" else quantity(channel)
+    return split_header(column.name, kind)[0].lower().replace(" ", "_")
 
 
 def name_of(files: Files, column: Column) -> str:
@@ -126,7 +132,7 @@ def _example(files: Files) -> str:
     words_of = {"acceleration": ("acc", "besch"), "speed": ("speed", "vel", "gesch"), "force": ("force", "kraft")}
     for channel, words in words_of.items():
         if left:
-            place = next((one for one in left if any(word in one.lower() for word in words)), next(iter(left)))
+            place = next((name for name in left if any(word in name.lower() for word in words)), next(iter(left)))
             del left[place]
             pairs.append(f"{channel}={place}")
     return shlex.quote(",".join(pairs))

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from foten.datasets.columns import MAX_COLUMNS, Column, check_width
+from foten.datasets.columns import MAX_COLUMNS, Column, check_width, reading
 from foten.datasets.units import is_unit
 from foten.recording.inspection.values import counted
 from foten.untrusted import brief
@@ -78,20 +78,18 @@ def read_excel(path: Path) -> list[Column]:
     import openpyxl
 
     sheets: list[tuple[str, list[list[Any]]]] = []
-    try:
-        with contextlib.closing(openpyxl.load_workbook(path, read_only=True, data_only=True)) as book:
-            for sheet in book.worksheets:
-                sheet.reset_dimensions()  # some writers state a wrong extent; trusting it loses rows
-                rows = [list(row) for row in itertools.islice(sheet.iter_rows(values_only=True), MAX_ROWS + 1)]
-                cells = len(rows) * max(map(len, rows), default=0)
-                if len(rows) > MAX_ROWS or cells > MAX_CELLS:
-                    raise ValueError(
-                        f"sheet {sheet.title} says that it has {len(rows):,} rows or more, {cells:,} cells"
-                    )
-                if any(cell is not None for row in rows for cell in row):
-                    sheets.append((sheet.title, rows))
-    except Exception as error:  # a damaged file raises a dozen kinds, BadZipFile, SyntaxError and TypeError among them
-        raise ValueError(f"{path.name} is truncated or is not an .xlsx workbook ({brief(error)})") from None
+    with (
+        reading(path, ".xlsx workbook"),
+        contextlib.closing(openpyxl.load_workbook(path, read_only=True, data_only=True)) as book,
+    ):
+        for sheet in book.worksheets:
+            sheet.reset_dimensions()  # some writers state a wrong extent; trusting it loses rows
+            rows = [list(row) for row in itertools.islice(sheet.iter_rows(values_only=True), MAX_ROWS + 1)]
+            cells = len(rows) * max(map(len, rows), default=0)
+            if len(rows) > MAX_ROWS or cells > MAX_CELLS:
+                raise ValueError(f"sheet {sheet.title} says that it has {len(rows):,} rows or more, {cells:,} cells")
+            if any(cell is not None for row in rows for cell in row):
+                sheets.append((sheet.title, rows))
     if not sheets:
         raise ValueError(f"{path.name} has no filled cell")
     columns: list[Column] = []
@@ -184,7 +182,7 @@ def _table(rows: list[list[Any]], where: str, comments: Collection[int] = ()) ->
     n_comments = sum(i > (worded[-1] if worded else start) for i in comments)
     row_numbers = [i + 1 for i in data] if n_comments else range(start + 1, len(rows) + 1)
     return [
-        _column(Column(name, np.zeros(0), unit=unit, row_numbers=row_numbers, n_comments=n_comments), cells)
+        _column(Column(name, unit=unit, row_numbers=row_numbers, n_comments=n_comments), cells)
         for name, unit, cells in zip(names, units, zip(*(rows[i] for i in data), strict=True), strict=True)
     ]
 
@@ -209,5 +207,5 @@ def _column(empty: Column, cells: Sequence[Any]) -> Column:
         return replace(empty, samples=np.array(numbers, dtype=np.float64), n_blank=len(cells) - n)
     except (TypeError, ValueError, OverflowError):
         bad = next((i for i, cell in enumerate(numbers) if not _is_number(cell)), 0)
-        fault = f"row {empty.row_numbers[bad]} is {str(cells[bad])!r}, expected a number"
+        fault = f"row {empty.row_numbers[bad]} is {str(cells[bad])[:60]!r}, expected a number"
         return replace(empty, n_blank=n, fault=fault)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from foten.atomic_write import atomic_write
+from foten.atomic_write import write_json
 from foten.dsp import Array
 from foten.export.clip import Clip, envelopes_of
 
@@ -49,8 +49,7 @@ def write_ahap(clip: Clip, path: Path) -> None:
         "Metadata": {"Project": "foten", "Description": json.dumps(dict(clip.about))},
         "Pattern": pattern,
     }
-    with atomic_write(path) as part:
-        part.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    write_json(path, document)
 
 
 def _curves(parameter: str, points: Array, mapped: Any) -> list[dict[str, Any]]:

@@ -19,12 +19,11 @@ Source: Android's reference of `VibratorEnvelopeEffectInfo` and `WaveformEnvelop
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 
-from foten.atomic_write import atomic_write
+from foten.atomic_write import write_json
 from foten.dsp import Array
 from foten.export.clip import Clip, envelopes_of
 
@@ -61,8 +60,7 @@ def write_android(clip: Clip, path: Path) -> None:
             )
         ],
     }
-    with atomic_write(path) as part:
-        part.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    write_json(path, document)
 
 
 def _around(points: Array, values: Array) -> Array:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from foten.atomic_write import atomic_write
+from foten.atomic_write import write_json
 from foten.export.clip import MAX_FREQUENCY_HZ, MIN_FREQUENCY_HZ, Clip, envelopes_of
 
 KEEPS = "HJIF as a curve keeps the waveform to 16 bits"
@@ -60,8 +60,7 @@ def write_hjif(clip: Clip, path: Path, parametric: bool = False) -> None:
         "perceptions": [perception],
         "syncs": [],
     }
-    with atomic_write(path) as part:
-        part.write_text(json.dumps(document) + "\n", encoding="utf-8")
+    write_json(path, document, indent=None)
 
 
 def _curve(clip: Clip) -> dict[str, Any]:
