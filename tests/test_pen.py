@@ -67,6 +67,20 @@ def test_short_touches_in_place_are_taps_and_strokes_are_none() -> None:
     assert (~is_tap).sum() == 4
 
 
+@pytest.mark.parametrize(("lasts_s", "path_mm", "is_tap"), [(0.2, 0.0, True), (0.5, 0.0, False), (0.2, 10.0, False)])
+def test_a_tap_is_short_and_stays_in_place(lasts_s: float, path_mm: float, is_tap: bool) -> None:
+    times = np.arange(200) / 200.0
+    touching = (times >= 0.3) & (times < 0.3 + lasts_s)
+    x = path_mm * np.clip((times - 0.3) / lasts_s, 0.0, 1.0)
+    events = PenEvents(times, x, np.zeros(200), 0.5 * touching)
+    assert landings_of(events)[2].tolist() == [is_tap]
+
+
+def test_noise_does_not_knock() -> None:
+    noise = np.random.default_rng(2).standard_normal(int(2 * RATE_HZ))
+    assert knocks_of(noise, RATE_HZ).size == 0
+
+
 def test_a_knock_is_where_it_begins() -> None:
     _, sound = captured(delay_s=0.0, drift=0.0)
     knocks = knocks_of(sound, RATE_HZ)

@@ -120,7 +120,7 @@ def _unit_beside(name: str, texts: Mapping[str, str | list[str]]) -> str:
     candidates = [f"{parent}{leaf}{mark}{word}" for word in words for mark in "_./"]
     candidates += [f"{parent}{word}{mark}{leaf}" for word in words for mark in "_./"]
     candidates += [f"{parent}{word}" for word in words]
-    text = next((texts[one] for one in candidates if one in texts), "")
+    text = next((texts[name] for name in candidates if name in texts), "")
     if isinstance(text, list):
         k = int(index[1]) if index else 0
         text = text[k] if k < len(text) else ""

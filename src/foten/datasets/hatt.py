@@ -64,9 +64,9 @@ def _models(root: Xml.Element) -> HattModels:
     if root.tag != "modelSet":
         raise ValueError(f"the root is <{root.tag}>, expected <modelSet>: is it a model file of Penn's toolkit?")
     for name, unit in UNITS.items():
-        given = root.findtext(name, unit).strip()
-        if given.replace("²", "^2") not in (unit, unit.replace("^", "")):
-            raise ValueError(f"<{name}> is {given!r}, expected {unit!r}")
+        of_file = root.findtext(name, unit).strip()
+        if of_file.replace("²", "^2") not in (unit, unit.replace("^", "")):
+            raise ValueError(f"<{name}> is {of_file!r}, expected {unit!r}")
     models = root.findall("model")
     if not 3 <= len(models) <= MAX_MODELS:
         raise ValueError(f"the file holds {len(models)} models, expected 3 to {MAX_MODELS}: is it truncated?")

@@ -113,7 +113,7 @@ def import_recording(paths: Sequence[Path], options: ImportOptions) -> tuple[Rec
         channels[name], on_column, on_rate = _converted(name, column, clocks, files[path], options)
         history += on_column
         decisions += on_rate
-    channels = _with_one_origin(channels, columns, options.fill_gaps_ms, history)
+    channels = _on_one_clock(channels, columns, options.fill_gaps_ms, history)
     recording = _checked(channels, history, options.force_units)
     decisions += _on_units(recording, columns, clocks, options) + _on_missing(recording, files)
     return recording, list(dict.fromkeys(decisions))
@@ -150,7 +150,7 @@ def _converted(
     return Channel(samples, rate_hz, times), history, unused
 
 
-def _with_one_origin(
+def _on_one_clock(
     channels: Mapping[str, Channel], columns: Mapping[str, Column], fill_gaps_ms: float, history: list[str]
 ) -> dict[str, Channel]:
     """Channels whose times count from where the acceleration starts, which must stay on its grid; gaps are filled if asked."""
@@ -159,7 +159,7 @@ def _with_one_origin(
     origin = min(of_acceleration or starts.values(), default=0.0)
     if origin:
         history.append(f"times count from {origin:.9g} s in the files")
-    moved = {}
+    shifted = {}
     for name, channel in channels.items():
         if channel.times_s is not None:
             times = channel.times_s - origin
@@ -167,9 +167,9 @@ def _with_one_origin(
             channel = replace(channel, times_s=times if why else None)
             history += [f"{name} keeps its own times: {why}"] if why else []
         channel, on_samples = filled(name, channel, fill_gaps_ms, columns[name])
-        moved[name], on_rows = bridged(name, channel, fill_gaps_ms)
+        shifted[name], on_rows = bridged(name, channel, fill_gaps_ms)
         history += [sentence for sentence in (on_samples, on_rows) if sentence]
-    return moved
+    return shifted
 
 
 def _checked(
@@ -194,7 +194,9 @@ def _on_units(
     sentences = []
     if unstated:
         sentences.append(f"no unit is stated: taken as {', '.join(unstated.values())}; --unit changes it")
-    findings = [finding for name, one in recording.channels.items() for finding in check_units(name, one, recording)]
+    findings = [
+        finding for name, channel in recording.channels.items() for finding in check_units(name, channel, recording)
+    ]
     return sentences + [finding.text for finding in findings if finding.code == "units"]
 
 
@@ -338,9 +340,9 @@ def _share(column: Column) -> float:
 def _for_axes(options: ImportOptions, picked: Mapping[str, object]) -> ImportOptions:
     """Options with the unit and rate of a quantity given to its axes, where those are mapped and it is not."""
 
-    def spread(given: Mapping[str, Any]) -> dict[str, Any]:
-        axes = {name: given[kind] for name in picked if (kind := quantity(name)) in given and kind not in picked}
+    def spread(by_user: Mapping[str, Any]) -> dict[str, Any]:
+        axes = {name: by_user[kind] for name in picked if (kind := quantity(name)) in by_user and kind not in picked}
         served = set(map(quantity, axes))
-        return axes | {channel: value for channel, value in given.items() if channel not in served}
+        return axes | {channel: value for channel, value in by_user.items() if channel not in served}
 
     return replace(options, units=spread(options.units), rates_hz=spread(options.rates_hz))

@@ -124,9 +124,9 @@ def _limit(file_bytes: int) -> None:
     import resource
 
     max_cpu_s = MAX_CPU_S + file_bytes // BYTES_PER_CPU_S
-    for what, most in ((resource.RLIMIT_CPU, max_cpu_s), (resource.RLIMIT_AS, MAX_MEMORY_BYTES)):
+    for resource_kind, limit in ((resource.RLIMIT_CPU, max_cpu_s), (resource.RLIMIT_AS, MAX_MEMORY_BYTES)):
         with contextlib.suppress(ValueError, OSError):  # a lower limit stands already
-            resource.setrlimit(what, (most, most))
+            resource.setrlimit(resource_kind, (limit, limit))
 
 
 def _answer(answers: BinaryIO, kind: str, path: Path) -> None:

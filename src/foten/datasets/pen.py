@@ -96,7 +96,7 @@ def joined(events: PenEvents, sound: Array, rate_hz: float) -> PenClock:
         raise ValueError(
             f"the pen tapped {taps.size} times, expected {MIN_TAPS} or more: tap three times before the strokes and three after"
         )
-    least = max(MIN_TAPS, int(np.ceil(MIN_TAP_SHARE * taps.size)))
+    n_required = max(MIN_TAPS, int(np.ceil(MIN_TAP_SHARE * taps.size)))
     best = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     # By the first taps alone, near which the drift is nothing yet; then by all.
     reach = taps - taps[0]
@@ -106,20 +106,20 @@ def joined(events: PenEvents, sound: Array, rate_hz: float) -> PenClock:
             pairs[0].size == best[0].size and _spread(taps, knocks, pairs) < _spread(taps, knocks, best)
         ):
             best = pairs
-    if best[0].size < least:
+    if best[0].size < n_required:
         raise ValueError(
-            f"{best[0].size} of {taps.size} taps are in the sound, expected {least} or more: is it the sound of this stroke, and "
-            "is the microphone on the pen or the surface?"
+            f"{best[0].size} of {taps.size} taps are in the sound, expected {n_required} or more: is it the sound of this "
+            "stroke, and is the microphone on the pen or the surface?"
         )
     n_taps = best[0].size
     drift, delay = _line(taps[best[0]], knocks[best[1]])
     # The landing of each stroke is a knock, too: more of them halve the error that the tablet's steps leave.
     for _ in range(6):
         best = _pairs(landings * (1 + drift) + delay, knocks, np.full(landings.size, NARROW_S))
-        if best[0].size < least:
+        if best[0].size < n_required:
             raise ValueError(
-                f"{best[0].size} of {landings.size} touches lie on one line with the sound's, expected {least} or more: was one "
-                "of the clocks stopped in between?"
+                f"{best[0].size} of {landings.size} touches lie on one line with the sound's, expected {n_required} or more: was "
+                "one of the clocks stopped in between?"
             )
         drift, delay = _line(landings[best[0]], knocks[best[1]])
     off = knocks[best[1]] - (landings[best[0]] * (1 + drift) + delay)
@@ -214,12 +214,12 @@ def pen_channels(events: PenEvents, clock: PenClock, force: Callable[[Array], Ar
         rows.append(np.stack([at, x, y, force(pressure)]))
     if not rows or rows[0].shape[1] < 2:
         raise ValueError("the pen only tapped, expected strokes between the taps")
-    given_s, *values = np.concatenate(rows, axis=1)
-    given_s = clock(given_s)
+    pen_s, *values = np.concatenate(rows, axis=1)
+    pen_s = clock(pen_s)
     times = np.arange(
-        given_s[0], given_s[-1], step
+        pen_s[0], pen_s[-1], step
     )  # evenly: a late event, or a few that are missing, are none of the hand's
     return {
-        name: Channel(np.interp(times, given_s, samples), 1.0 / step, times)
+        name: Channel(np.interp(times, pen_s, samples), 1.0 / step, times)
         for name, samples in zip(("position_x", "position_y", "force"), values, strict=True)
     }

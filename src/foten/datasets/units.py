@@ -147,14 +147,14 @@ def _ends_a_name(text: str, kind: str) -> bool:
     return unit in _UNITS and (len(text) > 1 or unit in FACTORS[kind] or (kind == "force" and unit in _MASSES))
 
 
-def factor_of(channel: str, header: str, stated: str = "", given: str | None = None) -> tuple[float, str]:
+def factor_of(channel: str, header: str, stated: str = "", by_user: str | None = None) -> tuple[float, str]:
     """Factor from a column to the unit of `UNITS`, and a sentence where that changes something.
 
     Args:
         channel: or `time`.
         header: the column's name.
         stated: the unit that the file states beside the header: in a row of units, or as an attribute.
-        given: by the user, before all others: a unit, `*FACTOR` or `LABEL*FACTOR`.
+        by_user: what the user says, before all others: a unit, `*FACTOR` or `LABEL*FACTOR`.
 
     Raises:
         ValueError: the unit is not one of the quantity's, or two are stated.
@@ -162,13 +162,13 @@ def factor_of(channel: str, header: str, stated: str = "", given: str | None = N
     kind, target = quantity(channel), UNITS.get(channel, "s")
     known = FACTORS[kind]
     in_header = split_header(header, kind)[1]
-    if given is None and stated and in_header and canonical(stated) != canonical(in_header):
+    if by_user is None and stated and in_header and canonical(stated) != canonical(in_header):
         raise ValueError(
             f"{channel}: column {header!r} is in {in_header} by its name and in {stated} by its unit; say which: "
             f"--unit {channel}={in_header}"
         )
     of_file = stated or in_header
-    text = of_file if given is None else given
+    text = of_file if by_user is None else by_user
     if not text:
         end = re.search(r"[_\s](in|ft)(?:[_.]\w)?$", header)
         if kind == "position" and end:
@@ -183,7 +183,7 @@ def factor_of(channel: str, header: str, stated: str = "", given: str | None = N
         if of_file and canonical(of_file) != label:
             return factor, f"{channel} was taken as {label}, where its file states {of_file}"
         return factor, "" if factor == 1 else f"{channel} was converted from {label} to {target}"
-    if given is not None and "*" in text:
+    if by_user is not None and "*" in text:
         return _sensitivity(channel, text, known, target)
     if label == FULL_SCALE:
         raise ValueError(
@@ -199,7 +199,7 @@ def factor_of(channel: str, header: str, stated: str = "", given: str | None = N
     else:
         hint = f"for a sensitivity write e.g. --unit {channel}=V*4.9 (4.9 {target} per volt)"
     place, otherwise = "", ""
-    if given is None:
+    if by_user is None:
         place, otherwise = f" of column {header!r}", f"; if it is no unit, --unit {channel}={target}"
     raise ValueError(f"{channel}: unit {text!r}{place} is not one of {', '.join(known)}; {hint}{otherwise}")
 

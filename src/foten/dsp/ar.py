@@ -40,8 +40,8 @@ def levinson(moments: Array) -> tuple[Array, Array]:
     a, reflections, errors = np.zeros((p + 1, b)), np.zeros((p, b)), np.empty((p + 1, b))
     a[0], errors[0] = 1.0, moments[0]
     for i in range(1, p + 1):
-        missed = (a[:i] * moments[i:0:-1]).sum(axis=0)
-        k = np.divide(-missed, errors[i - 1], out=np.zeros(b), where=errors[i - 1] > 0).clip(-1.0, 1.0)
+        residual = (a[:i] * moments[i:0:-1]).sum(axis=0)
+        k = np.divide(-residual, errors[i - 1], out=np.zeros(b), where=errors[i - 1] > 0).clip(-1.0, 1.0)
         a[1 : i + 1] = a[1 : i + 1] + k * a[i - 1 :: -1][:i]
         reflections[i - 1], errors[i] = k, errors[i - 1] * (1 - k * k)
     return reflections, errors

@@ -64,5 +64,5 @@ def earth_mover_octaves(frequencies: Array, recorded: Array, synthesized: Array)
         np.cumsum(density, axis=-1) / np.maximum(total, np.finfo(float).tiny)[..., None]
         for density, total in zip((recorded, synthesized), totals, strict=True)
     ]
-    moved = (np.abs(shares[0] - shares[1])[..., :-1] * np.diff(np.log2(frequencies))).sum(axis=-1)
-    return np.asarray(np.where((totals[0] > 0) & (totals[1] > 0), moved, 0.0))
+    distance = (np.abs(shares[0] - shares[1])[..., :-1] * np.diff(np.log2(frequencies))).sum(axis=-1)
+    return np.asarray(np.where((totals[0] > 0) & (totals[1] > 0), distance, 0.0))

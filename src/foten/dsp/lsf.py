@@ -37,7 +37,9 @@ def line_spectral_frequencies(a: Array) -> Array:
         raise ValueError("the polynomial has a zero outside the unit circle, expected a stable filter")
     padded = np.append(a, 0.0)
     both = [padded + padded[::-1], padded - padded[::-1]]
-    angles = [np.angle(np.roots(np.polydiv(one, known)[0])) for one, known in zip(both, _known(p), strict=True)]
+    angles = [
+        np.angle(np.roots(np.polydiv(polynomial, known)[0])) for polynomial, known in zip(both, _known(p), strict=True)
+    ]
     return np.sort(np.concatenate([angle[angle > 0] for angle in angles]))
 
 
@@ -52,7 +54,7 @@ def polynomial_of(frequencies: Array) -> Array:
     both = [np.ones((b, 1)), np.ones((b, 1))]
     for i in range(p):
         both[i % 2] = _times(both[i % 2], [1.0, -2 * np.cos(frequencies[:, i, None]), 1.0])
-    first, second = (_times(one, known) for one, known in zip(both, _known(p), strict=True))
+    first, second = (_times(polynomial, known) for polynomial, known in zip(both, _known(p), strict=True))
     return np.asarray((0.5 * (first + second))[:, : p + 1])
 
 

@@ -37,8 +37,8 @@ def carried(densities: Mapping[str, tuple[Array, Array]], rate_hz: float) -> dic
     weighted = [(hertz, density * sensitivity(hertz)) for hertz, density in densities.values()]
 
     def power(highest_hz: float) -> float:
-        kept = [(hertz, np.where(hertz <= highest_hz, one, 0.0)) for hertz, one in weighted]
-        return sum(float(0.5 * (one[1:] + one[:-1]) @ np.diff(hertz)) for hertz, one in kept)  # trapezoidal rule
+        below = [(hertz, np.where(hertz <= highest_hz, density, 0.0)) for hertz, density in weighted]
+        return sum(float(0.5 * (density[1:] + density[:-1]) @ np.diff(hertz)) for hertz, density in below)
 
     total, rates = power(np.inf), {*(rate for rate in RATES_HZ if rate <= rate_hz), rate_hz}
     return {rate: power(USABLE_BAND * rate) / total for rate in sorted(rates)} if total > 0 else {}

@@ -47,10 +47,10 @@ def pieces_of(x: Array, max_order: int = MAX_ORDER, grid: int = 50, longest: int
         row[i:] = np.where(end - begin <= longest, description.of(begin, end), np.inf)
     cuts = places[_best(costs, np.log(x.size))]
     for _ in range(_PASSES):
-        moved = _moved(description, cuts, grid, longest)
-        if np.array_equal(moved, cuts):
+        changed = _with_cuts_moved(description, cuts, grid, longest)
+        if np.array_equal(changed, cuts):
             break
-        cuts = moved
+        cuts = changed
     edges, m = np.concatenate([[0], cuts, [x.size]]), len(cuts)
     each = description.of(edges[:-1], edges[1:])
     return cuts, float(each.sum() + (m + 1) * np.log(x.size) + np.log(max(m, 1)))
@@ -84,12 +84,12 @@ def _best(costs: Array, each: float) -> Index:
     begin = np.arange(k) - np.arange(1, w + 1)[:, None]  # of a piece; what is below 0 costs infinitely much
     # By how many pieces a place is reached with: the logarithm of their number does not add up. It only grows, so there are no
     # more pieces than without it.
-    least, pieces = np.full(k, np.inf), np.zeros(k, dtype=int)
-    least[0] = 0.0
+    shortest, pieces = np.full(k, np.inf), np.zeros(k, dtype=int)
+    shortest[0] = 0.0
     for j in range(1, k):
-        reached = least[begin[:, j]] + costs[:, j] + each
+        reached = shortest[begin[:, j]] + costs[:, j] + each
         i = int(reached.argmin())
-        least[j], pieces[j] = reached[i], pieces[begin[i, j]] + 1
+        shortest[j], pieces[j] = reached[i], pieces[begin[i, j]] + 1
     nats, totals, before = np.where(np.arange(k) == 0, 0.0, np.inf), [], []
     for _ in range(pieces[-1]):
         reached = nats[begin] + costs
@@ -105,7 +105,7 @@ def _best(costs: Array, each: float) -> Index:
     return np.array(cuts[::-1], dtype=int)
 
 
-def _moved(description: _Description, cuts: Index, grid: int, longest: int) -> Index:
+def _with_cuts_moved(description: _Description, cuts: Index, grid: int, longest: int) -> Index:
     """Each cut in turn where the two pieces beside it are shortest to tell, at most a step of the grid away."""
     edges = np.concatenate([[0], cuts, [description.n]])
     for j in range(1, len(edges) - 1):

@@ -75,8 +75,8 @@ def envelopes_of(clip: Clip) -> Envelopes:
     """
     times, amplitude = _followed(clip)
     frequency = np.interp(times, *_centroids(clip))
-    most = max(2, int(MAX_POINTS_PER_S * clip.duration_s))
-    reduced = (_reduced(np.stack([times, values], axis=1), most) for values in (amplitude, frequency))
+    max_points = max(2, int(MAX_POINTS_PER_S * clip.duration_s))
+    reduced = (_reduced(np.stack([times, values], axis=1), max_points) for values in (amplitude, frequency))
     return Envelopes(*reduced)
 
 
@@ -116,7 +116,7 @@ def _centroids(clip: Clip) -> tuple[Array, Array]:
     )
 
 
-def _reduced(points: Array, most: int) -> Array:
+def _reduced(points: Array, max_points: int) -> Array:
     """Points that are left where those that span the smallest triangles are taken out, one after the other."""
     n = len(points)
     rows = points.tolist()
@@ -134,7 +134,7 @@ def _reduced(points: Array, most: int) -> Array:
         size, i = heapq.heappop(smallest)
         if size != areas[i]:
             continue  # it was another one's neighbour since
-        if size > MIN_TRIANGLE_AREA and n_left <= most:
+        if size > MIN_TRIANGLE_AREA and n_left <= max_points:
             break
         areas[i], n_left = -1.0, n_left - 1
         after[before[i]], before[after[i]] = after[i], before[i]

@@ -223,18 +223,26 @@ def contact_vibration(
 
     Under the stroke's speed and force, from a place of the profile that is drawn.
     """
-    from scipy.signal import bilinear, lfilter
+    from scipy.signal import lfilter
 
     rate = stroke.rate_hz
     place = rng.uniform(0, LOOP_MM) + np.cumsum(stroke.speed) / rate
     force, friction = _pieces(parameters, key, place, stroke.speed, stroke.force, rate)
     pushed = np.stack([force - stroke.force, friction], axis=1) / (BODY_G * 1e-3)
-    moved = STIFF_SHARE * pushed
+    acceleration = STIFF_SHARE * pushed
     for hz, damping, share in zip(MODES_HZ, MODES_DAMPING, MODES_SHARE, strict=True):
-        omega = 2 * rate * np.tan(np.pi * hz / rate)
-        b, a = bilinear([2 * damping * omega, 0], [1, 2 * damping * omega, omega**2], rate)
-        moved = moved + share * lfilter(b, a, pushed, axis=0)
-    return np.column_stack([moved[:, 1:] * DIRECTION, moved[:, 0]]), force
+        acceleration = acceleration + share * lfilter(*mode_filter(hz, damping, rate), pushed, axis=0)
+    return np.column_stack([acceleration[:, 1:] * DIRECTION, acceleration[:, 0]]), force
+
+
+def mode_filter(hz: float, damping: float, rate_hz: float) -> tuple[Array, Array]:
+    """Numerator and denominator of a damped mode of unit gain at its centre, 2ζω₀s / (s² + 2ζω₀s + ω₀²), bilinear."""
+    from scipy.signal import bilinear
+
+    omega = 2 * rate_hz * np.tan(np.pi * hz / rate_hz)
+    width = 2 * damping * omega
+    b, a = bilinear([width, 0], [1, width, omega**2], rate_hz)
+    return b, a
 
 
 def _pieces(
@@ -252,9 +260,9 @@ def _pieces(
     ramp = (np.arange(fade) + 0.5) / fade
     joined = []
     for part in parts:
-        kept = part[:, overlap:].copy()  # a piece, and how it would go on
-        kept[1:, :fade] = ramp * kept[1:, :fade] + (1 - ramp) * kept[:-1, piece:]
-        joined.append(kept[:, :piece].ravel()[:n])
+        settled = part[:, overlap:].copy()  # a piece, and how it would go on
+        settled[1:, :fade] = ramp * settled[1:, :fade] + (1 - ramp) * settled[:-1, piece:]
+        joined.append(settled[:, :piece].ravel()[:n])
     return joined[0], joined[1]
 
 
@@ -283,11 +291,10 @@ def _integrate(
             z = z + dt * w
             # Along the stroke the tip slides over the surface at v + q̇, and friction is against that.
             if p.friction:
-                most = (
-                    dt / mass * p.friction * contact * (1 + p.stick * np.exp(-np.abs(sliding) * (1e3 / STRIBECK_MM_S)))
-                )
+                sticking = 1 + p.stick * np.exp(-np.abs(sliding) * (1e3 / STRIBECK_MM_S))
+                limit = dt / mass * p.friction * contact * sticking
                 free = u - dt / mass * (spring * q + shaft * u)
-                stopped = -np.clip(towards[i] + free, -most, most)
+                stopped = -np.clip(towards[i] + free, -limit, limit)
                 u = free + stopped
                 q = q + dt * u
                 sliding = towards[i] + u

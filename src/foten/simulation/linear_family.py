@@ -102,8 +102,8 @@ def linear_truth(recording: Recording) -> LinearParameters:
     """
     simulation = recording.simulation
     if simulation is None or "coefficients" not in simulation["parameters"]:
-        made_by = "no simulator" if simulation is None else f"the texture {simulation['key']!r}"
-        raise ValueError(f"the truth is known for {', '.join(LINEAR_FAMILY)}; this recording comes from {made_by}")
+        source = "no simulator" if simulation is None else f"the texture {simulation['key']!r}"
+        raise ValueError(f"the truth is known for {', '.join(LINEAR_FAMILY)}; this recording comes from {source}")
     return LinearParameters(**simulation["parameters"])
 
 

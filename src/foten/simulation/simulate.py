@@ -24,7 +24,7 @@ import numpy as np
 
 from foten.dsp import Array
 from foten.recording.recording import AXES, Channel, Recording
-from foten.simulation.contact_mechanics import CONTACT, RATE_HZ, ContactParameters, contact_vibration
+from foten.simulation.contact_mechanics import CONTACT, RATE_HZ, ContactParameters, contact_vibration, mode_filter
 from foten.simulation.linear_family import (
     LINEAR_FAMILY,
     MAX_PARAMETER,
@@ -269,7 +269,7 @@ def _roughness(parameters: TextureParameters, length_mm: float, rng: np.random.G
     edges = np.concatenate([[0.0], np.cumsum(cells)]) - rng.uniform(0, parameters.wavelength_mm)
     phase = 2 * np.pi * np.interp(np.arange(n) * GRID_MM, edges, np.arange(n_cells + 1))
     harmonics = enumerate(zip(parameters.harmonics, parameters.phases, strict=True), start=1)
-    lattice = sum(gain * np.cos(order * phase + own) for order, (gain, own) in harmonics)
+    lattice = sum(gain * np.cos(order * phase + start) for order, (gain, start) in harmonics)
     lattice /= np.sqrt(0.5 * sum(gain**2 for gain in parameters.harmonics))
     share = parameters.lattice_share
     return np.sqrt(share) * lattice + np.sqrt(1 - share) * noise
@@ -277,7 +277,7 @@ def _roughness(parameters: TextureParameters, length_mm: float, rng: np.random.G
 
 def vibration(parameters: TextureParameters, stroke: Stroking, rng: np.random.Generator) -> Array:
     """Vibration of the tool before any sensor [m/s²], axes x, y, z, shape (n, 3); none at rest."""
-    from scipy.signal import bilinear, butter, lfilter, sosfilt
+    from scipy.signal import butter, lfilter, sosfilt
 
     path_mm = np.cumsum(stroke.speed) / stroke.rate_hz
     roughness = _roughness(parameters, path_mm[-1], rng)
@@ -297,10 +297,7 @@ def vibration(parameters: TextureParameters, stroke: Stroking, rng: np.random.Ge
     firm = stroke.force / (stroke.force + 1.0)  # half at 1 N, where both modes weigh 1
     axes = np.zeros((excitation.size, 3))
     for mode, weight in enumerate((1.5 - firm, 2 * firm)):
-        # A damped mode, 2ζω₀s / (s² + 2ζω₀s + ω₀²), bilinear: a band-pass of unit gain at its centre.
-        omega = 2 * stroke.rate_hz * np.tan(np.pi * parameters.modes_hz[mode] / stroke.rate_hz)
-        width = 2 * parameters.damping[mode] * omega
-        b, a = bilinear([width, 0], [1, width, omega**2], stroke.rate_hz)
+        b, a = mode_filter(parameters.modes_hz[mode], parameters.damping[mode], stroke.rate_hz)
         axes += (weight * lfilter(b, a, excitation))[:, None] * AXIS_GAINS[:, mode]
     return axes
 

@@ -34,8 +34,8 @@ def inspect_recording(recording: Recording) -> Inspection:
     findings += sampling.check_durations(recording)
     for name, channel in recording.channels.items():
         findings += one_channel.check_units(name, channel, recording)
-        of_one = (sampling.check_gaps, one_channel.check_spikes, one_channel.check_clipping, sampling.check_repeats)
-        findings += [finding for check in of_one for finding in check(name, channel)]
+        of_channel = (sampling.check_gaps, one_channel.check_spikes, one_channel.check_clipping, sampling.check_repeats)
+        findings += [finding for check in of_channel for finding in check(name, channel)]
     findings += sampling.check_order(recording)
     psd = {}
     for name, channel in recording.channels.items():

@@ -35,8 +35,8 @@ _GUESSES = {
 
 def unit_doubt(kind: str, size: float) -> str:
     """Doubt about the unit of a quantity of this size, such as "peaks at 0.1, … was it given in m/s?"; else nothing."""
-    (least, too_small), (most, too_large) = _GUESSES[kind]
-    return too_small.format(size) if size < least else too_large.format(size) if size > most else ""
+    (low, too_small), (high, too_large) = _GUESSES[kind]
+    return too_small.format(size) if size < low else too_large.format(size) if size > high else ""
 
 
 def check_units(name: str, channel: Channel, recording: Recording) -> Iterable[Finding]:
@@ -74,8 +74,8 @@ def check_spikes(name: str, channel: Channel) -> Iterable[Finding]:
     removed = np.abs(x - median_filter(x, 5, mode="nearest"))
     usual, share = (0.99, 0.3) if name.startswith("acceleration") else (0.95, 0.1)
     # Ten times: on four real textures at 10 kHz the largest peak was 4.3 times the 99th percentile.
-    least = max(10 * float(np.quantile(removed, usual)), share * swing(x, 0.01), 1e-9)
-    spikes = np.flatnonzero(removed > least)
+    threshold = max(10 * float(np.quantile(removed, usual)), share * swing(x, 0.01), 1e-9)
+    spikes = np.flatnonzero(removed > threshold)
     if spikes.size:
         largest = int(spikes[np.argmax(removed[spikes])])
         text = (
@@ -120,9 +120,9 @@ def _leaves_steeply(x: Array, start: int, end: int, quantum: float) -> bool:
     rounding. A clipped top drops at the slope at which it was cut.
     """
     n = end - start
-    most = quantum * (((3 * n - 1) / (n - 1)) ** 2 + 1)
+    flattest = quantum * (((3 * n - 1) / (n - 1)) ** 2 + 1)
     sides = [side for side in (x[max(0, start - n) : start], x[end : end + n]) if side.size]
-    return all(float(np.abs(side - x[start]).max()) > most for side in sides)
+    return all(float(np.abs(side - x[start]).max()) > flattest for side in sides)
 
 
 def slow_noise(samples: Array) -> float:

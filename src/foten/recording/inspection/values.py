@@ -113,11 +113,11 @@ class Inspection:
         """Inspection as a table of the channels and a line for each finding."""
         heads = {"unit": 6, "rate": 10, "samples": 9, "lasts": 9, "from": 11, "to": 11, "rms": 10, "noise": 11}
         lines = [f"{'channel':<15}" + "".join(f"{head:>{width}}" for head, width in heads.items())]
-        for one in self.channels:
-            bound = "<" if one.noise_floor_from == "quietest 5 %" else " "
+        for channel in self.channels:
+            bound = "<" if channel.noise_floor_from == "quietest 5 %" else " "
             lines.append(
-                f"{one.name:<15}{one.unit:>9}{one.rate_hz:>9.6g} Hz{one.n_samples:>9}{one.duration_s:>7.2f} s"
-                f"{one.minimum:>11.4g}{one.maximum:>11.4g}{one.rms:>10.4g} {bound}{one.noise_floor:>9.3g}"
+                f"{channel.name:<15}{channel.unit:>9}{channel.rate_hz:>9.6g} Hz{channel.n_samples:>9}{channel.duration_s:>7.2f} s"
+                f"{channel.minimum:>11.4g}{channel.maximum:>11.4g}{channel.rms:>10.4g} {bound}{channel.noise_floor:>9.3g}"
             )
         if self.coverage is not None:
             cells, speed, force = self.coverage, self.coverage.speed_range, self.coverage.force_range
