@@ -146,6 +146,12 @@ def test_a_fault_is_reported_and_hardly_any_other(channel, change, kind, text):
     assert {code for code, _ in _codes(inspection)} - also <= {kind.split()[1]}
 
 
+def test_a_light_touch_is_no_loss_of_contact():
+    samples = _clean()
+    samples["force"] = np.maximum(samples["force"] - 0.35, 0.1)
+    assert "contact" not in {finding.code for finding in _inspect(samples).findings}
+
+
 def _shuffled(n_rows, seed=3):
     order = np.arange(N).reshape(-1, n_rows)
     return np.random.default_rng(seed).permutation(order).ravel()
