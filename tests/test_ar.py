@@ -13,7 +13,7 @@ from foten.dsp.mesh import Mesh
 
 
 def taps_of(poles: list[complex]) -> np.ndarray:
-    """Return the taps, oldest first, of the process with these poles."""
+    """Taps, oldest first, of the process with these poles."""
     return -np.poly(poles).real[:0:-1]
 
 
@@ -108,7 +108,7 @@ def test_burg_finds_a_sharp_resonance_in_a_short_piece() -> None:
 
 
 def stable(p: int, seed: int) -> np.ndarray:
-    """Return a polynomial of p zeros between 0.3 and 0.98 from the middle, in pairs and one at most alone."""
+    """Polynomial of p zeros between 0.3 and 0.98 from the middle, in pairs and one at most alone."""
     rng = np.random.default_rng(seed)
     zeros = rng.uniform(0.3, 0.98, p // 2) * np.exp(1j * rng.uniform(0.1, 3.0, p // 2))
     zeros = np.concatenate([zeros, zeros.conj(), rng.uniform(-0.9, 0.9, p % 2)])

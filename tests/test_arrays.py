@@ -92,7 +92,7 @@ def test_our_own_recording_needs_no_import(tmp_path):
 
 
 def _lying(shape, n_bytes=800, descr="<f8"):
-    """Return a .npy file whose header states a shape, with so many bytes after it."""
+    """A .npy file whose header states a shape, with so many bytes after it."""
     header = repr({"descr": descr, "fortran_order": False, "shape": shape}).encode() + b"\n"
     return b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + bytes(n_bytes)
 

@@ -187,7 +187,7 @@ CHANNEL = "id description gain mixing_coefficient body_part_mask frequency_sampl
 
 
 def synthesized(document: dict[str, Any]) -> Array:
-    """Return what the reference synthesizer makes of a file, at its own rate, once its members are checked."""
+    """Output of the reference synthesizer for a file, at its own rate, once its members are checked."""
     assert set(FILE.split()) == set(document)
     assert document["version"] == "2023"
     assert document["level"] in (1, 2)
@@ -321,7 +321,7 @@ def ran(*arguments: str | Path) -> int:
 
 
 def comment(path: Path) -> dict[str, Any]:
-    """Return the comment of a WAV file, once the sizes of its chunks add up."""
+    """Comment of a WAV file, once the sizes of its chunks add up."""
     data = path.read_bytes()
     assert data[:4] == b"RIFF"
     assert struct.unpack("<I", data[4:8])[0] == len(data) - 8

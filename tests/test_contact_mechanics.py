@@ -39,7 +39,7 @@ def steady(speed: float, force: float, seconds: float = 1.0) -> Stroking:
 def forces(
     parameters: ContactParameters, surface: np.ndarray, speed: float, force: float, seconds: float = 1.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return contact force and friction of one long piece over a surface [mm]."""
+    """Contact force and friction of one long piece over a surface [mm]."""
     n = round(seconds * RATE_HZ)
     place = np.arange(1, n + 1) * speed / RATE_HZ
     found = contact_mechanics._integrate(

@@ -29,7 +29,7 @@ SPLIT = Split(tuple(range(8)), (8, 9, 10, 11), (12, 13, 14, 15), N_BLOCKS, BLOCK
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    """Return a recording that echoes after 30 samples in half of its training and in its test blocks, and nowhere else.
+    """Recording that echoes after 30 samples in half of its training and in its test blocks, and nowhere else.
 
     So an order of 40 is best on the test blocks, and a lower one on the validation blocks.
     """
@@ -66,7 +66,7 @@ def trace(recording: Recording) -> Trace:
 
 
 def design(block: np.ndarray, order: int, scheduled: bool) -> np.ndarray:
-    """Return history, oldest first, and one, then both times speed and times force of the sample before; (BLOCK − order, …)."""
+    """History, oldest first, and one, then both times speed and times force of the sample before; (BLOCK − order, …)."""
     rows = []
     for n in range(order, BLOCK):
         known = np.append(block[n - order : n, 0], 1.0)
@@ -76,7 +76,7 @@ def design(block: np.ndarray, order: int, scheduled: bool) -> np.ndarray:
 
 
 def least_squares(trace: Trace, chosen: tuple[int, ...], order: int, scheduled: bool = False) -> Linear:
-    """Return AR(order) by NumPy's least squares over whole blocks."""
+    """AR(order) by NumPy's least squares over whole blocks."""
     blocks = SCALING.scale(trace.stacked()).reshape(N_BLOCKS, BLOCK, 3)[list(chosen)]
     rows = np.concatenate([design(block, order, scheduled) for block in blocks])
     target = blocks[:, order:, 0].ravel()
@@ -86,7 +86,7 @@ def least_squares(trace: Trace, chosen: tuple[int, ...], order: int, scheduled: 
 
 
 def error(trace: Trace, chosen: tuple[int, ...], fitted: Linear) -> float:
-    """Return the mean absolute one-step error over the scored samples of some blocks, scaled."""
+    """Mean absolute one-step error over the scored samples of some blocks, scaled."""
     blocks = SCALING.scale(trace.stacked()).reshape(N_BLOCKS, BLOCK, 3)[list(chosen)]
     skipped = FIRST - fitted.window
     missed = [

@@ -23,7 +23,7 @@ TRIANGLES = [(1, 2, 5), (2, 4, 5), (4, 3, 5), (3, 1, 5)]
 
 
 def resonance(frequency_hz: float, radius: float, rate_hz: float) -> np.ndarray:
-    """Return 1, a₁, a₂ with poles at a frequency."""
+    """1, a₁, a₂ with poles at a frequency."""
     return np.array([1.0, -2 * radius * np.cos(2 * np.pi * frequency_hz / rate_hz), radius * radius])
 
 

@@ -33,7 +33,7 @@ SENSOR = np.random.default_rng(8).normal(0, 0.01, LIFTED.size)  # N, of a force 
 
 
 def _clean():
-    """Return a plausible recording of 20 s at 1 kHz as arrays: a resonance, a hand, a sensor's noise."""
+    """Plausible recording of 20 s at 1 kHz as arrays: a resonance, a hand, a sensor's noise."""
     from scipy.signal import lfilter
 
     rng = np.random.default_rng(0)

@@ -23,7 +23,7 @@ FORCE = np.linspace(0, 3, 400)
 
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:
-    """Return a small recording of ours."""
+    """Small recording of ours."""
     path = tmp_path / "a.h5"
     write_recording(Recording({"force": Channel(FORCE, 100.0)}), path)
     return path

@@ -25,7 +25,7 @@ TAPS = (0.8, 1.3, 1.9, 20.4, 20.9, 21.5)  # by the pen's clock [s]
 def captured(
     delay_s: float = 0.08, drift: float = 50e-6, rate_hz: float = 200.0, seed: int = 0, noise: float = 0.003
 ) -> tuple[PenEvents, Array]:
-    """Return a capture: taps, four strokes with a rough sound, taps; the sound starts `delay_s` before the pen's clock."""
+    """Capture: taps, four strokes with a rough sound, taps; the sound starts `delay_s` before the pen's clock."""
     rng = np.random.default_rng(seed)
     touches = [(at, at + 0.07) for at in TAPS] + [(4.0 + 3.8 * i, 7.2 + 3.8 * i) for i in range(4)]
     times = np.arange(0.0, 23.0, 1.0 / rate_hz) + rng.uniform(-0.2, 0.2, int(23.0 * rate_hz)) / rate_hz

@@ -15,7 +15,7 @@ SHORT = PreprocessConfig(trim_ms=500.0, block_ms=500.0)
 def recording(
     acceleration: Mapping[str, np.ndarray], seconds: float = 6.0, rate_hz: float = 1000.0, **channels: Channel
 ) -> Recording:
-    """Return acceleration at `rate_hz` with a steady hand unless channels say otherwise."""
+    """Acceleration at `rate_hz` with a steady hand unless channels say otherwise."""
     n = round(seconds * rate_hz)
     rest = {"speed": Channel(np.full(n, 80.0), rate_hz), "force": Channel(np.full(n, 1.0), rate_hz)}
     if any(name.startswith("position") for name in channels):

@@ -12,7 +12,7 @@ THREE = ((512, (0.9,)), (256, (1.69, -0.81)), (256, (1.32, -0.81)))
 
 
 def played(pieces: tuple[tuple[int, tuple[float, ...]], ...], seed: int) -> np.ndarray:
-    """Return autoregressions one after the other, each going on from the samples before."""
+    """Autoregressions one after the other, each going on from the samples before."""
     rng, x = np.random.default_rng(seed), [0.0, 0.0]
     for n, taps in pieces:
         for _ in range(n):
@@ -21,7 +21,7 @@ def played(pieces: tuple[tuple[int, tuple[float, ...]], ...], seed: int) -> np.n
 
 
 def described(x: np.ndarray, cuts: tuple[int, ...], max_order: int) -> float:
-    """Return the description length as the source writes it, with Yule–Walker by solving its equations."""
+    """Description length as the source writes it, with Yule–Walker by solving its equations."""
     edges = (0, *cuts, x.size)
     m, total = len(cuts), 0.0
     for begin, end in pairwise(edges):

@@ -14,7 +14,7 @@ BLOCK = 10
 
 
 def trace(n_blocks: int, seed: int = 0) -> Trace:
-    """Return a trace whose blocks each have their own speed and force."""
+    """Trace whose blocks each have their own speed and force."""
     rng = np.random.default_rng(seed)
     speed, force = rng.uniform(10, 200, n_blocks), rng.uniform(0.2, 3, n_blocks)
     ripple = np.tile(np.linspace(-1, 1, BLOCK), n_blocks)

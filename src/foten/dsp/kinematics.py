@@ -1,4 +1,4 @@
-"""The hand's movement: slow signals at a higher rate, and speed from positions, the same way for recordings and strokes."""
+"""Movement: slow signals at a higher rate, and speed from positions, the same way for recordings and strokes."""
 
 from __future__ import annotations
 
@@ -36,8 +36,7 @@ def velocity(positions: Array, rate_hz: float) -> Array:
 def speed_of(velocity: Array) -> Array:
     """Speed [mm/s], shape (n,), of low-passed velocities (n_axes, n); a single row is a speed already.
 
-    Low-passed, because the norm is never negative and noise adds to it: a still pen whose position wavers by 0.05 mm at 1 kHz
-    read 44 mm/s when the norm came first.
+    Low-passed, because the norm is never negative and noise adds to it: a pen at rest would have a speed.
     """
     if velocity.shape[0] == 1:
         return np.maximum(velocity[0], 0.0)  # a second-order low-pass undershoots by 4 %

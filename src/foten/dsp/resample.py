@@ -31,8 +31,7 @@ def decimate(samples: Array, source_hz: float, target_hz: float) -> Array:
     The low-pass is flat to 0.45 of the new rate and 80 dB down at 0.55, so that only frequencies above 0.45 of the
     rate, which no figure of merit looks at, hold aliases. A sharper one that is silent up to half the rate would
     leave an empty band below it, and a signal with an empty band is predictable by the filter rather than by the
-    texture: the one-step error would fall with the filter's order (measured: from 0.51 to 0.16 standard deviations
-    with a 350 Hz low-pass on 100 textures at 1 kHz).
+    texture: a 350 Hz low-pass at 1 kHz takes the one-step error from 0.51 to 0.16 standard deviations (100 textures).
 
     Raises:
         ValueError: the target rate is higher than the source rate.

@@ -115,8 +115,7 @@ def one_step_bounds(
     The high-passed signal is x = B(z) / (A_h(z) A(z)) σe. Its zeros lie on the unit circle at worst, so the whole past gives
     away all of x[n] but b₀ σ e[n]; exactly, however σ varies. Zeros at z = 1 make that past very long: a window of m gets down
     to s_m > b₀ only, the residual of the best linear predictor of m samples (the best of all, the process being Gaussian), here
-    for a σ that is constant over the window. Under the simulated hand's σ that predictor's mean error came out 0.1 to 0.4 %
-    above it (64 s, six seeds, m = 20 and 40, each run within 0.9 %).
+    for a σ that is constant over the window; the σ of a simulated stroke costs it 0.1 to 0.4 % (64 s, six seeds, m = 20, 40).
 
     Args:
         truth: of the recording; the signal is at the recording's rate.
