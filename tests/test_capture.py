@@ -20,12 +20,12 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from foten.datasets.hdf5 import load_recording
-from foten.datasets.simulated_capture import FULL_SCALE, SOUND_HZ, SimulatedCapture, simulate_capture
 from foten.dsp import Array
 from foten.models.texture_file import read_texture
-from foten.recording.captured import About, file_name
+from foten.recording.capture_folder import About, file_name
 from foten.recording.recording import RELATIVE
 from foten.runtime.renderer import EXAMPLE
+from foten.simulation.simulated_capture import FULL_SCALE, SOUND_HZ, SimulatedCapture, simulate_capture
 from foten.studio import capturing, conversation, server
 from foten.studio.access import LOOPBACK, Access
 from foten.studio.capture import Capture, in_order

@@ -18,12 +18,12 @@ import scipy.signal
 
 from foten.datasets.hdf5 import load_recording
 from foten.datasets.importing import read_stroke
-from foten.datasets.simulated_capture import BEGIN_S, CUE_S, FULL_SCALE, SOUND_HZ, SimulatedCapture, simulate_capture
 from foten.dsp import Array
 from foten.evaluate.evaluate import evaluate
 from foten.models.texture_file import read_texture
 from foten.recording.inspection import inspect_recording
 from foten.recording.recording import Recording
+from foten.simulation.simulated_capture import BEGIN_S, CUE_S, FULL_SCALE, SOUND_HZ, SimulatedCapture, simulate_capture
 from foten.studio.capture import in_order
 from foten.training.train_capture import train_recording
 from test_studio import started

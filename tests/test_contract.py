@@ -18,7 +18,6 @@ from foten.baselines.graph_model import model_of_graph
 from foten.baselines.sizes import BASELINES, TRAINABLE, NoiseModelSizes
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
-from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.report.tables import to_text
 from foten.models.render_definition import render
@@ -29,6 +28,7 @@ from foten.runtime.bench import INSTRUCTION_SETS, time_all
 from foten.runtime.native import NativeTexture
 from foten.runtime.onnx_predictor import OnnxPredictor
 from foten.runtime.renderer import Renderer
+from foten.simulation.simulate import simulate
 from foten.training import calibration
 from foten.training.config import OWN_RECIPES, TrainConfig
 from foten.training.job import TrainingJob

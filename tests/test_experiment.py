@@ -11,7 +11,6 @@ import pytest
 from conftest import TINY, experiment, exported
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
-from foten.datasets.simulate import simulate
 from foten.experiments.experiment import MEASURES, Experiment, Method, experiment_path, read_experiment
 from foten.experiments.onset import onset
 from foten.experiments.results import by_recipe, read_records
@@ -19,6 +18,7 @@ from foten.experiments.run import _judged, _measures
 from foten.experiments.stability import into, proven, stability
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
+from foten.simulation.simulate import simulate
 
 
 def test_ar_is_run_once_whatever_the_grid(tmp_path: Path) -> None:

@@ -12,7 +12,6 @@ import torch
 from foten.training.scale import Excitation
 
 from conftest import PLUS, SMALL, sizes_with
-from foten.datasets.simulate import simulate
 from foten.models.definitions import model_of
 from foten.models.foten_plus.fit import FotenPlusTask, Rendering, _chosen, extrapolation_exponents, prepare_foten_plus
 from foten.models.foten_plus.linear_model import LinearModel
@@ -24,6 +23,7 @@ from foten.recording.trace import Trace
 from foten.runtime.loops import predict_blocks
 from foten.runtime.native import NativeTexture
 from foten.runtime.renderer import Renderer
+from foten.simulation.simulate import simulate
 from foten.training.blocks import scaled_blocks
 from foten.training.calibration import FittedExcitation
 from foten.training.config import TrainConfig

@@ -33,6 +33,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "baselines": {"models", "training", "dsp", "recording", "runtime"},
     "evaluate": {"dsp", "recording", "models", "runtime"},
     "export": {"dsp", "models", "runtime"},
+    "simulation": {"dsp", "recording"},
     "study": set(),
     "studio": {"recording", "models", "runtime", "export", "study"},
 }

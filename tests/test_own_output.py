@@ -12,7 +12,6 @@ import torch
 from scipy.stats import norm
 
 from conftest import PLUS
-from foten.datasets.simulate import simulate
 from foten.dsp.bands import band_energies
 from foten.dsp.lattice import analyse
 from foten.models.definitions import model_of
@@ -24,6 +23,7 @@ from foten.models.foten_plus.linear_model import phase_alone
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.recording.preprocess import PreprocessConfig
 from foten.runtime.binding import library
+from foten.simulation.simulate import simulate
 from foten.training import training_kernel as kernel
 from foten.training.config import TrainConfig
 from foten.training.envelope_loss import EnvelopeEnergyDistance, energies

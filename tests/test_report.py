@@ -12,7 +12,6 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import FREE_RUN_KEYS, Judgement, evaluate
 from foten.evaluate.free_run import free_run, scored
 from foten.evaluate.one_step import fit_linear, one_step
@@ -25,6 +24,7 @@ from foten.models.texture_file import Texture
 from foten.recording.scaling import fit_scaling
 from foten.recording.trace import Trace
 from foten.recording.windows import targets
+from foten.simulation.simulate import simulate
 
 N_BLOCKS, TRAIN, TEST = 8, (0, 1, 2, 5), (3, 4, 6, 7)
 ONE_STEP = ("mae_scaled", "mae_m_s2", "gfc")

@@ -10,13 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import sosfilt
 
-from foten.datasets.stroking import stroking
 from foten.dsp.filters import butterworth
 from foten.models.texture_file import Texture
 from foten.runtime.binding import StylusOptions, library
 from foten.runtime.native import NativeTexture
 from foten.runtime.renderer import Renderer
 from foten.runtime.stylus import PressureCalibration, Stylus, fit_pressure
+from foten.simulation.stroking import stroking
 
 RATE = 1000.0
 CURVE = PressureCalibration()

@@ -20,7 +20,6 @@ from scipy.stats import false_discovery_control
 from conftest import TINY, experiment
 from foten.cli.command_line import _status
 from foten.datasets.hdf5 import write_recording
-from foten.datasets.simulate import simulate
 from foten.experiments.experiment import read_experiment
 from foten.experiments.figures import figures
 from foten.experiments.results import (
@@ -39,6 +38,7 @@ from foten.experiments.results import (
 )
 from foten.experiments.sweep import _kept, _stoppable, sweep
 from foten.experiments.tables import PAPERS, findings, ratios, summary, table, written
+from foten.simulation.simulate import simulate
 
 
 @pytest.fixture(scope="module")

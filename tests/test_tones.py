@@ -7,7 +7,6 @@ import pytest
 from scipy.signal import lfilter
 
 from conftest import PLUS, SCALING, exported
-from foten.datasets.simulate import simulate
 from foten.dsp.tones import anti_alias_gain, fitted_phase, tone, tone_slope
 from foten.models.definitions import model_of
 from foten.models.foten_plus.definition import FotenPlus
@@ -19,6 +18,7 @@ from foten.recording.preprocess import PreprocessConfig
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeTexture
 from foten.runtime.renderer import Renderer
+from foten.simulation.simulate import simulate
 from foten.training.config import TrainConfig
 from foten.training.job import TrainingJob
 from foten.training.pipeline import train

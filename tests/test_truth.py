@@ -10,7 +10,6 @@ import pytest
 
 from conftest import PLUS, exported
 from foten.baselines.sizes import trainable_sizes
-from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.listener import N_LISTENERS
 from foten.experiments.truth import VALIDATION_HAND, long_strokes, truth_for, validation_listener
@@ -18,6 +17,7 @@ from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import texture_from_bytes
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
+from foten.simulation.simulate import simulate
 from foten.training.config import TrainConfig, recipe_of
 from foten.training.job import Trained, TrainingJob
 from foten.training.pipeline import train

@@ -23,8 +23,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from foten.atomic_write import atomic_write
-from foten.datasets.simulate import ACCELEROMETER_NOISE, TEXTURES, vibration
-from foten.datasets.stroking import Stroking, stroking
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
 from foten.experiments.stability import rendered_strokes
 from foten.experiments.tables import written
@@ -33,6 +31,8 @@ from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Channel, Recording
 from foten.recording.trace import Trace
+from foten.simulation.simulate import ACCELEROMETER_NOISE, TEXTURES, vibration
+from foten.simulation.stroking import Stroking, stroking
 from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
 from foten.training.pipeline import train

@@ -30,12 +30,7 @@ from PIL import Image
 from scipy.signal import spectrogram, welch
 
 from foten.baselines.sizes import TRAINABLE
-from foten.datasets.contact import CONTACT
 from foten.datasets.hdf5 import load_recording
-from foten.datasets.linear_family import LINEAR_FAMILY
-from foten.datasets.simulate import TEXTURES, second_realisation, simulate
-from foten.datasets.simulated_capture import PLAN_HZ, simulate_capture
-from foten.datasets.simulated_capture import SOUND_HZ as CAPTURED_HZ
 from foten.dsp.distance import log_spectral_distance, scored_bins, segment_length
 from foten.dsp.distance import welch as spectra
 from foten.dsp.level import frame_levels
@@ -55,6 +50,11 @@ from foten.recording.windows import targets
 from foten.runtime.live.sinks import pcm_wav
 from foten.runtime.native import NativeState, NativeTexture
 from foten.runtime.stylus import PressureCalibration
+from foten.simulation.contact_mechanics import CONTACT
+from foten.simulation.linear_family import LINEAR_FAMILY
+from foten.simulation.simulate import TEXTURES, second_realisation, simulate
+from foten.simulation.simulated_capture import PLAN_HZ, simulate_capture
+from foten.simulation.simulated_capture import SOUND_HZ as CAPTURED_HZ
 from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
 from foten.training.pipeline import train

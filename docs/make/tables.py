@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 
 from foten.atomic_write import atomic_write
-from foten.datasets import contact, linear_family, simulate
 from foten.experiments.experiment import experiment_path, read_experiment
 from foten.experiments.results import chosen, read_records
 from foten.experiments.tables import findings, ratios, summary, with_error, written
+from foten.simulation import contact_mechanics, linear_family, simulate
 
 DOCS = Path(__file__).resolve().parents[1]
 RESULTS = DOCS / "results"
@@ -243,7 +243,7 @@ def listened(name: str) -> dict[tuple[str, str], Records]:
     path, title = RESULTS / "listener.csv", read_experiment(experiment_path(name)).title
     records = [one for one in read_records(path) if one["experiment"] == title] if path.exists() else []
     titles = (MAIN[LINEAR], MAIN[SIMULATED], MAIN[CONTACT])
-    kinds = dict(zip(titles, (linear_family.LINEAR_FAMILY, simulate.TEXTURES, contact.CONTACT), strict=True))
+    kinds = dict(zip(titles, (linear_family.LINEAR_FAMILY, simulate.TEXTURES, contact_mechanics.CONTACT), strict=True))
     found = {
         (title, method): [one for one in records if one["texture"] in keys and one["method"] == method]
         for (title, keys), method in product(kinds.items(), dict.fromkeys(one["method"] for one in records))

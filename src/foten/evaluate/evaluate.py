@@ -61,7 +61,7 @@ class Judgement:
 def trace_for(
     texture: Texture, recording: Recording, trim_ms: float | None = None, block_ms: float | None = None
 ) -> Trace:
-    """Return a recording preprocessed as the texture's was, with another trim and block [ms] where given.
+    """Recording preprocessed as the texture's was, with another trim and block [ms] where given.
 
     Raises:
         ValueError: it is the recording that the texture was trained on, whose blocks are those of its split.
@@ -69,8 +69,8 @@ def trace_for(
     config = PreprocessConfig(**texture.card["preprocess"])
     cut: dict[str, Any] = {k: v for k, v in {"trim_ms": trim_ms, "block_ms": block_ms}.items() if v is not None}
     if cut and recording.sha256() == texture.card["recording_sha256"]:
-        own = "the texture was trained on this recording and is judged on the blocks of its split"
-        raise ValueError(f"{own}; --trim and --block are for others")
+        trained = "the texture was trained on this recording and is judged on the blocks of its split"
+        raise ValueError(f"{trained}; --trim and --block are for others")
     return preprocess(recording, replace(config, **cut))
 
 
@@ -84,7 +84,7 @@ def evaluate(
     block_ms: float | None = None,
     listener: bool = False,
 ) -> Judgement:
-    """Return every figure of a texture on the test blocks of the recording it was trained on, or on all of another.
+    """All figures of a texture on the test blocks of the recording it was trained on, or on all of another.
 
     The trained one is recognised by its digest; `trim_ms` and `block_ms` are as of `trace_for`, `seed` is the excitation's. A
     `listener` is asked where it is asked for: it needs PyTorch, and a minute.
@@ -105,8 +105,8 @@ def evaluate(
     if trace.recording_sha256 == texture.card["recording_sha256"]:
         split = Split.from_fields(texture.card["split"])
         if (split.n_blocks, split.block) != (trace.n_blocks, trace.block):
-            given = f"the recording gives {trace.n_blocks} of {trace.block}"
-            raise ValueError(f"the split is of {split.n_blocks} blocks of {split.block}, {given}")
+            of_recording = f"the recording gives {trace.n_blocks} of {trace.block}"
+            raise ValueError(f"the split is of {split.n_blocks} blocks of {split.block}, {of_recording}")
     blocks = tuple(range(trace.n_blocks)) if split is None else split.test
     samples = texture.scaling.scale(trace.stacked())
     reasons: dict[str, str] = {}
@@ -120,7 +120,7 @@ def evaluate(
             "ar_scheduled": fit_linear(samples, train, block, ANCHOR_ORDER, scheduled=True),
             "ar_best": best_linear(samples, train, split.validation, block),
         }
-    one = _one_step(texture, kernel, trace, samples, blocks, fitted, truth, reasons)
+    one_step_scores = _one_step(texture, kernel, trace, samples, blocks, fitted, truth, reasons)
     on_stage("free run")
     free, synthesized = _free_run(texture, kernel, trace, blocks, split, fitted.get("ar"), truth, seed, reasons)
     by_listeners = _listener(kernel, texture, trace, blocks, truth, seed, reasons, on_stage) if listener else None
@@ -136,7 +136,7 @@ def evaluate(
         "block": trace.block,
         "sd_m_s2": texture.scaling.sd[0],
         "unit": texture.unit,
-        **one,
+        **one_step_scores,
         **free,
         "listener": by_listeners,
         "reasons": reasons,
@@ -157,7 +157,7 @@ def _listener(
     reasons: dict[str, str],
     on_stage: Callable[[str], None],
 ) -> dict[str, Any] | None:
-    """Return what listeners tell apart: under a long stroke of a simulated truth, else under the test blocks."""
+    """Scores of trained listeners: under a long stroke of a simulated truth, else under the test blocks."""
     if not texture.has_excitation:
         reasons["listener"] = f"{texture.card['model']} carries no excitation"
         return None
@@ -262,8 +262,8 @@ def _free_run(
     else:
         reasons["ceiling"] = "a foreign recording has no training blocks"
     for name, signal in signals.items():
-        n_given = {"ceiling": 0, "free_run_ar": ANCHOR_ORDER}.get(name, texture.window)
-        scores[name] = runs.free_run(recorded, signal, speed, force, trace.rate_hz, texture.scaling.sd[0], n_given)
+        n_history = {"ceiling": 0, "free_run_ar": ANCHOR_ORDER}.get(name, texture.window)
+        scores[name] = runs.free_run(recorded, signal, speed, force, trace.rate_hz, texture.scaling.sd[0], n_history)
         reasons.update({f"{name}.{key}": why for key, why in _WHY_UNKNOWN.items() if scores[name][key] is None})
         if name in saturated:
             scores[name]["n_saturated"] = saturated[name]

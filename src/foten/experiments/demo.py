@@ -8,7 +8,6 @@ from pathlib import Path
 
 from foten.atomic_write import atomic_write
 from foten.datasets.hdf5 import write_recording
-from foten.datasets.simulate import simulate
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.report.page import write_report
 from foten.experiments.truth import truth_for
@@ -18,6 +17,7 @@ from foten.recording.inspection import inspect_recording, write_pictures
 from foten.runtime.live.sinks import write_audible, write_rendered
 from foten.runtime.renderer import Renderer
 from foten.runtime.stroke import recorded_stroke
+from foten.simulation.simulate import simulate
 from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
 from foten.training.loop import Epoch, Monitor

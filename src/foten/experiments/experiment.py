@@ -14,9 +14,9 @@ from typing import Any
 
 from foten.baselines.sizes import TRAINABLE, trainable_sizes
 from foten.datasets.hdf5 import load_recording
-from foten.datasets.simulate import CONTACT, LINEAR_FAMILY, TEXTURES, simulate
 from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
+from foten.simulation.simulate import CONTACT, LINEAR_FAMILY, TEXTURES, simulate
 from foten.training.config import OWN_RECIPES, RECIPES, TrainConfig, check_used
 
 RECORDED = (".h5", ".hdf5")

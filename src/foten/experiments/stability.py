@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 
 from foten.baselines.graph_model import model_of_graph
-from foten.datasets.stroking import stroking
 from foten.dsp import Array
 from foten.dsp.lattice import LEAK
 from foten.models.definitions import model_of
@@ -32,6 +31,7 @@ from foten.models.graph_sizes import GRAPH
 from foten.models.texture_file import Texture
 from foten.runtime.loops import run_loops
 from foten.runtime.native import NativeState, NativeTexture
+from foten.simulation.stroking import stroking
 
 BOUNDED = ("foten-plus", "ar", "gan", "dftnet")  # models that no sample of their own drives further than their bound
 MAX_NOISE = 5.68  # standard deviations, of the counter-based generator

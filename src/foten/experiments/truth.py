@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from foten.datasets.linear_family import LINEAR_FAMILY, linear_truth, one_step_bounds
-from foten.datasets.simulate import second_realisation
 from foten.dsp import Array
 from foten.dsp.filters import butterworth
 from foten.evaluate.evaluate import Truth, trace_for
@@ -23,6 +21,8 @@ from foten.recording.preprocess import PreprocessConfig
 from foten.recording.recording import Recording
 from foten.recording.trace import Trace
 from foten.runtime.native import NativeTexture
+from foten.simulation.linear_family import LINEAR_FAMILY, linear_truth, one_step_bounds
+from foten.simulation.simulate import second_realisation
 
 LONG_S = 240.0  # of a stroke for listeners
 VALIDATION_HAND = 2  # the number of the hand that nothing is reported of

@@ -283,7 +283,11 @@ def _check_tensors(texture: Texture) -> None:
         )
     for name, shape in shapes.items():
         actual = texture.tensors[name].shape if name in texture.tensors else None
-        if actual is None or len(actual) != len(shape) or any(n not in (None, m) for n, m in zip(shape, actual, strict=True)):
+        if (
+            actual is None
+            or len(actual) != len(shape)
+            or any(n not in (None, m) for n, m in zip(shape, actual, strict=True))
+        ):
             raise ValueError(f"tensor {name!r} has shape {actual}, expected {shape}")
     unknown = set(texture.tensors) - set(shapes)
     if unknown:

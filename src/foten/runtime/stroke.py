@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from foten.dsp import Array
 from foten.dsp.kinematics import at_rate, velocity
 from foten.recording.inspection.one_channel import unit_doubt
-from foten.recording.preprocess import condition, hand_of
+from foten.recording.preprocess import condition, velocity_and_force
 from foten.recording.recording import LIMITS, UNITS, Recording
 from foten.runtime.stylus import PressureCalibration
 
@@ -56,7 +56,7 @@ def constant_stroke(speed: float, force: float, seconds: float, rate_hz: float) 
 
 def recorded_stroke(recording: Recording, rate_hz: float) -> Stroke:
     """Return the hand of a recording at a model's rate, whole; an acceleration is not needed."""
-    moved, pressed = hand_of(recording, rate_hz)
+    moved, pressed = velocity_and_force(recording, rate_hz)
     return Stroke(moved, np.maximum(pressed, 0.0), rate_hz)
 
 

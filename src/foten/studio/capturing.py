@@ -15,7 +15,7 @@ import numpy as np
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from foten.atomic_write import reason
-from foten.recording.captured import About
+from foten.recording.capture_folder import About
 from foten.studio.capture import Capture
 from foten.studio.conversation import converse
 from foten.studio.messages import CAPTURE, CAPTURED_A_SECOND, Allowance, RefusedError, parse_captured, parse_message

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from foten.dsp import Array
-from foten.dsp.distance import LOWEST_HZ, highest_scored, highest_with_power
+from foten.dsp.distance import MIN_SCORED_HZ, highest_with_power, max_scored_hz
 from foten.dsp.level import FRAME_MS, frame_levels
 from foten.evaluate.evaluate import Judgement
 from foten.evaluate.metrics import band_edges, band_errors
@@ -55,7 +55,7 @@ def spectrum(judgement: Judgement) -> Figure:
     top = max(float(line.max()) for line in in_db.values())
     lowest = min(float(line.min()) for name, line in in_db.items() if name != "free_run_deterministic")
     # Neither a silent run nor what a low-pass left above the scored range may flatten the others.
-    scored = float(in_db["recorded"][frequencies <= highest_scored(rate_hz)].min())
+    scored = float(in_db["recorded"][frequencies <= max_scored_hz(rate_hz)].min())
     bottom = max(lowest, min(float(in_db["recorded"].min()) - 20, scored - 20), scored - 40) - 4
     for name, line in in_db.items():
         style = {
@@ -67,8 +67,8 @@ def spectrum(judgement: Judgement) -> Figure:
         hidden = " (below the axis)" if line.max() < bottom else ""
         axes.plot(frequencies, line, color=COLOURS[name], markersize=3, label=LABELS[name] + hidden, **style)
     axes.set_ylim(bottom, top + 3)
-    log_hertz(axes, LOWEST_HZ, rate_hz / 2)
-    _shade_unscored(axes, highest_scored(rate_hz), rate_hz / 2)
+    log_hertz(axes, MIN_SCORED_HZ, rate_hz / 2)
+    _shade_unscored(axes, max_scored_hz(rate_hz), rate_hz / 2)
     axes.set(
         xlabel=_up_to_half("frequency [Hz]", rate_hz), ylabel=f"density [dB re 1 ({judgement.document['unit']})²/Hz]"
     )
@@ -78,7 +78,7 @@ def spectrum(judgement: Judgement) -> Figure:
 
 def _up_to_half(label: str, rate_hz: float) -> str:
     """Return an axis label that says up to where is drawn, and scored."""
-    return f"{label}, up to half the rate; scored from {LOWEST_HZ:g} to {highest_scored(rate_hz):g} Hz"
+    return f"{label}, up to half the rate; scored from {MIN_SCORED_HZ:g} to {max_scored_hz(rate_hz):g} Hz"
 
 
 def _shade_unscored(axes: Any, first: float, last: float) -> None:

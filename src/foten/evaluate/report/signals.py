@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.dsp import Array
-from foten.dsp.distance import LOWEST_HZ, scored_bins, segment_length, welch
+from foten.dsp.distance import MIN_SCORED_HZ, scored_bins, segment_length, welch
 from foten.dsp.level import frame_levels
 from foten.dsp.resample import decimate, interpolate
 from foten.evaluate.evaluate import Judgement
@@ -79,7 +79,7 @@ def densities(judgement: Judgement, unscored: bool = False) -> tuple[Array, dict
     rate_hz, n_segment = judgement.trace.rate_hz, segment_length(judgement.trace.block)
     spectra = {name: welch(run, rate_hz, n_segment) for name, run in scored_runs(judgement).items()}
     frequencies, _ = spectra["recorded"]
-    bins = frequencies >= LOWEST_HZ if unscored else scored_bins(frequencies, rate_hz)
+    bins = frequencies >= MIN_SCORED_HZ if unscored else scored_bins(frequencies, rate_hz)
     return frequencies[bins], {name: density.mean(axis=(0, 1))[bins] for name, (_, density) in spectra.items()}
 
 

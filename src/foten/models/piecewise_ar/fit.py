@@ -13,7 +13,7 @@ from foten.dsp import Array
 from foten.dsp.ar import MAX_POLE, burg, stabilised
 from foten.dsp.lattice import polynomial
 from foten.dsp.lsf import line_spectral_frequencies, spread_out
-from foten.dsp.mesh import LEAST_AREA
+from foten.dsp.mesh import MIN_TRIANGLE_AREA
 from foten.dsp.segmentation import MAX_ORDER, pieces_of
 from foten.models.conditions import FADE_FORCE, FADE_SPEED
 from foten.models.piecewise_ar.local_models import LocalModels, local_texture
@@ -156,7 +156,7 @@ def _meshed(points: Array, lsf: Array, variance: Array, scale: Array) -> LocalMo
     triangles = Delaunay(points / scale).simplices.astype(np.int64)
     corners = (points / scale)[triangles]
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    triangles = triangles[np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) > 2 * LEAST_AREA]
+    triangles = triangles[np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) > 2 * MIN_TRIANGLE_AREA]
     n = len(points)
     return LocalModels(points, lsf, variance, triangles, scale, np.empty((n, 0)), np.ones(n)).of_mesh()
 

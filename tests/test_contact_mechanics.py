@@ -5,10 +5,18 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from foten.datasets import contact
-from foten.datasets.contact import CONTACT, GRID_MM, LOOP_MM, ContactParameters, contact_vibration, profile, under_ball
-from foten.datasets.simulate import second_realisation, simulate
-from foten.datasets.stroking import Stroking, stroking
+from foten.simulation import contact_mechanics
+from foten.simulation.contact_mechanics import (
+    CONTACT,
+    GRID_MM,
+    LOOP_MM,
+    ContactParameters,
+    contact_vibration,
+    profile,
+    under_ball,
+)
+from foten.simulation.simulate import second_realisation, simulate
+from foten.simulation.stroking import Stroking, stroking
 
 RATE_HZ = 10_000.0
 FLAT = replace(
@@ -18,7 +26,7 @@ FLAT = replace(
     grains_per_mm=0.0,
     friction=0.0,
     stick=0.0,
-    hand_n_s_m=6.0,
+    hand_damping_n_s_m=6.0,
 )
 
 
@@ -31,10 +39,10 @@ def steady(speed: float, force: float, seconds: float = 1.0) -> Stroking:
 def forces(
     parameters: ContactParameters, surface: np.ndarray, speed: float, force: float, seconds: float = 1.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return contact force and friction of one long piece over a surface [mm]."""
+    """Contact force and friction of one long piece over a surface [mm]."""
     n = round(seconds * RATE_HZ)
     place = np.arange(1, n + 1) * speed / RATE_HZ
-    found = contact._integrate(
+    found = contact_mechanics._integrate(
         parameters, surface, place[None], np.full((1, n), speed), np.full((1, n), force), RATE_HZ
     )
     return found[0][0], found[1][0]
@@ -49,12 +57,16 @@ def test_a_ramp_rises_evenly_from_step_to_step() -> None:
     """Two pieces at 100 and 50 mm/s over a slope of 0.2: the steps of a sample lie between it and the one before."""
     surface = 0.2 * GRID_MM * np.arange(20_000)
     places = 1.0 + np.arange(50)[:, None] * np.array([0.1, 0.05])  # mm, at 1 kHz
-    passed = list(contact._passed(surface, places, 1e-3 / contact.SUBSTEPS))
+    passed = list(contact_mechanics._passed(surface, places, 1e-3 / contact_mechanics.SUBSTEPS))
     heights, rates = (np.concatenate(part) for part in zip(*passed, strict=True))
-    rising = np.broadcast_to([0.02, 0.01], rates[contact.SUBSTEPS :].shape)  # m/s: slope times speed
-    np.testing.assert_allclose(rates[contact.SUBSTEPS :], rising, atol=1e-9)  # of heights near 1e-3 m, over 0.25 ms
-    np.testing.assert_allclose(heights[contact.SUBSTEPS - 1 :: contact.SUBSTEPS], 0.2e-3 * places, atol=1e-12)
-    assert not rates[: contact.SUBSTEPS].any()  # nothing is known before the first
+    rising = np.broadcast_to([0.02, 0.01], rates[contact_mechanics.SUBSTEPS :].shape)  # m/s: slope times speed
+    np.testing.assert_allclose(
+        rates[contact_mechanics.SUBSTEPS :], rising, atol=1e-9
+    )  # of heights near 1e-3 m, over 0.25 ms
+    np.testing.assert_allclose(
+        heights[contact_mechanics.SUBSTEPS - 1 :: contact_mechanics.SUBSTEPS], 0.2e-3 * places, atol=1e-12
+    )
+    assert not rates[: contact_mechanics.SUBSTEPS].any()  # nothing is known before the first
 
 
 def test_on_a_flat_nothing_moves() -> None:
@@ -70,7 +82,7 @@ def test_a_tip_that_follows_a_wave_is_pushed_with_mass_times_its_acceleration(he
     amplitude_um, wavelength_mm = 5.0, 1.0
     force, _ = forces(FLAT, wave(amplitude_um, wavelength_mm), hertz * wavelength_mm, 1.0)
     omega = 2 * np.pi * hertz
-    expected = 1e-6 * amplitude_um * np.hypot(FLAT.mass_kg * omega**2, FLAT.hand_n_s_m * omega)
+    expected = 1e-6 * amplitude_um * np.hypot(FLAT.mass_kg * omega**2, FLAT.hand_damping_n_s_m * omega)
     settled = force[3000:]
     # A contact of 1.3 MN/m gives by some thousandths of that; kinks of the grid of 10 µm are smoothed by the mass.
     assert np.sqrt(2) * settled.std() == pytest.approx(expected, rel=0.03)
@@ -87,7 +99,7 @@ def test_contact_is_lost_where_the_surface_falls_away_faster_than_the_hand_press
 
 def test_a_flying_tip_comes_down_by_the_hands_force_alone() -> None:
     """Over a step down of h it flies √(2 h m / P) s, without damping by the hand."""
-    p = replace(FLAT, hand_n_s_m=0.0)
+    p = replace(FLAT, hand_damping_n_s_m=0.0)
     drop_mm, force_n = 0.5, 0.5
     n_points = 40_000
     surface = np.where(np.arange(n_points) < 1000, 0.0, -drop_mm)  # met at 10 mm
@@ -105,7 +117,7 @@ def test_a_bounce_loses_what_its_damping_says() -> None:
     surface = np.where(np.arange(40_000) < 1000, 0.0, -0.3)
 
     def impacts(damping: float) -> int:
-        force, _ = forces(replace(FLAT, hand_n_s_m=0.0, damping_s_m=damping), surface, 100.0, 0.5, seconds=0.4)
+        force, _ = forces(replace(FLAT, hand_damping_n_s_m=0.0, damping_s_m=damping), surface, 100.0, 0.5, seconds=0.4)
         return int(np.sum((force[1:] > 0) & (force[:-1] == 0)))
 
     assert impacts(0.2) > impacts(2.0) >= 1
@@ -114,7 +126,7 @@ def test_a_bounce_loses_what_its_damping_says() -> None:
 def test_a_contact_pushes_and_never_pulls() -> None:
     """However fast a tip leaves: Hunt and Crossley's damping alone would pull it back from 1/D on, here 0.1 m/s."""
     surface = np.where(np.arange(40_000) < 1000, 0.0, 0.5)  # a step up, from which it is thrown
-    force, _ = forces(replace(FLAT, hand_n_s_m=0.0, damping_s_m=10.0), surface, 100.0, 0.5, seconds=0.3)
+    force, _ = forces(replace(FLAT, hand_damping_n_s_m=0.0, damping_s_m=10.0), surface, 100.0, 0.5, seconds=0.3)
     assert force.min() == 0.0
     assert force.max() > 5.0
 
@@ -136,6 +148,15 @@ def test_a_sticky_surface_squeals_when_slow_and_not_when_fast() -> None:
     assert fast.std() < 0.001
     hertz = np.fft.rfftfreq(slow.size, 1 / RATE_HZ)[np.abs(np.fft.rfft(slow - slow.mean())).argmax()]
     assert 30.0 < hertz < 100.0  # slower than the spring by the time it sticks
+
+
+@pytest.mark.parametrize("height_um", [10.0, -10.0])
+def test_grains_that_overlap_do_not_grow_through_each_other(height_um: float) -> None:
+    """Ten caps of 1 mm in every mm, all of one height: the highest of each place stands, not their sum."""
+    p = replace(FLAT, grains_per_mm=10.0, grain_um=height_um, grain_spread=0.0, grain_mm=1.0)
+    grown = contact_mechanics._with_grains(np.zeros(100_000), p, np.random.default_rng(0)) / (height_um * 1e-3)
+    assert grown.max() == pytest.approx(1.0, rel=1e-12)
+    assert grown.mean() > 0.9  # they lie everywhere
 
 
 def test_a_ball_bridges_what_is_narrower_than_itself() -> None:
@@ -192,8 +213,10 @@ def test_pieces_side_by_side_are_one_long_integration() -> None:
     p, key = CONTACT["leather"], "leather"
     stroke = steady(80.0, 1.0, seconds=1.2)
     place = 7.0 + np.cumsum(stroke.speed) / RATE_HZ
-    pieces = contact._pieces(p, key, place, stroke.speed, stroke.force, RATE_HZ)
-    whole = contact._integrate(p, under_ball(p, key), place[None], stroke.speed[None], stroke.force[None], RATE_HZ)
+    pieces = contact_mechanics._pieces(p, key, place, stroke.speed, stroke.force, RATE_HZ)
+    whole = contact_mechanics._integrate(
+        p, under_ball(p, key), place[None], stroke.speed[None], stroke.force[None], RATE_HZ
+    )
     for ours, expected in zip(pieces, whole, strict=True):
         apart = np.abs(ours - expected[0])[3000:]
         assert apart.max() < 0.02 * expected[0].std()
@@ -214,12 +237,12 @@ def test_more_force_keeps_the_tip_down_and_more_speed_throws_it_off() -> None:
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"tip_mm": 0.0}, "tip_mm is 0.0, expected a positive number"),
-        ({"friction": -0.1}, "friction is -0.1, expected 0 or more"),
-        ({"grain_mm": 6.0}, "grain_mm is 6.0, expected at most 5"),
-        ({"grain_mm": 0.02}, "its parts are finer than it can hold"),
+        ({"tip_mm": 0.0}, "tip_mm is 0.0, expected 0.001 to 10"),
+        ({"friction": -0.1}, "friction is -0.1, expected 0 to 100000"),
+        ({"grain_mm": 6.0}, "grain_mm is 6.0, expected 0.04 to 5"),
+        ({"grain_mm": 0.02}, "grain_mm is 0.02, expected 0.04 to 5"),
         ({"modulus_mpa": 90_000.0, "tip_mass_g": 0.5}, "is too stiff for steps of 25 µs"),
-        ({"tip_mm": float("nan")}, "tip_mm is not made of numbers"),
+        ({"tip_mm": float("nan")}, "tip_mm is nan, expected 0.001 to 10"),
     ],
 )
 def test_parameters_that_cannot_be_are_refused(changed: dict[str, float], message: str) -> None:

@@ -24,15 +24,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from foten.datasets.linear_family import check_parameters
-from foten.datasets.stroking import Stroking
 from foten.dsp import Array
+from foten.simulation.linear_family import NOT_NEGATIVE, POSITIVE, check_parameters
+from foten.simulation.stroking import Stroking
 
 GRID_MM = 0.01  # of a profile
 LOOP_MM = 4000.0  # after which a profile begins again: half a minute at the usual speed
 RATE_HZ = 10_000.0  # of both simulators' physics, of the force sensor, and of the accelerometer by default
 SUBSTEPS = 4  # of the mechanics in each sample of a stroke
-HARDEST_N = 50.0  # of an impact, for which steps must be short enough
+MAX_IMPACT_N = 50.0  # of an impact, for which steps must be short enough
 PIECE_S, OVERLAP_S, FADE_S = (
     0.25,
     0.15,
@@ -43,6 +43,29 @@ MODES_HZ, MODES_DAMPING, MODES_SHARE = (120.0, 340.0), (0.30, 0.15), (1.0, 0.7) 
 STIFF_SHARE = 0.15  # of the forces that moves the body at once
 DIRECTION = np.array([0.8, 0.6])  # of tangential motion in the sensor's x and y
 STRIBECK_MM_S = 15.0  # speed over which friction falls from static to kinetic
+
+
+# A profile has a point every `GRID_MM`, and holds no finer parts.
+RANGES: Mapping[str, tuple[float, float]] = {
+    "roughness_um": NOT_NEGATIVE,
+    "corner_per_mm": POSITIVE,
+    "grains_per_mm": (0.0, 1 / GRID_MM),
+    "grain_spread": (-2.0, 2.0),
+    "grain_mm": (4 * GRID_MM, 5.0),
+    "wavelength_mm": (10 * GRID_MM, 100.0),
+    "depth_um": NOT_NEGATIVE,
+    "sharpness": (1e-3, 20.0),
+    "period_jitter": NOT_NEGATIVE,
+    "tip_mm": (1e-3, 10.0),
+    "modulus_mpa": POSITIVE,
+    "damping_s_m": NOT_NEGATIVE,
+    "tip_mass_g": POSITIVE,
+    "hand_damping_n_s_m": NOT_NEGATIVE,
+    "friction": NOT_NEGATIVE,
+    "stick": NOT_NEGATIVE,
+    "shaft_hz": POSITIVE,
+}
+"""Lowest and highest value of a texture's parameters."""
 
 
 @dataclass(frozen=True)
@@ -60,56 +83,21 @@ class ContactParameters:
     wavelength_mm: float  # of the periodic part
     depth_um: float  # of it, 0 for none
     sharpness: float  # 1 is a sine; more are narrower crests, as of wires
-    jitter: float  # standard deviation of a period, relative
+    period_jitter: float  # standard deviation of a period, relative
     alternating: float  # share by which every second period is lower, as of a weave
     tip_mm: float  # radius of the ball
     modulus_mpa: float  # E* of the contact
     damping_s_m: float  # D: how much of an impact is lost
     tip_mass_g: float  # of the tool, as the surface feels it
-    hand_n_s_m: float  # c: damping of its normal motion by the hand
+    hand_damping_n_s_m: float  # c: damping of its normal motion by the hand
     friction: float  # μ, kinetic
     stick: float  # s: how much more at rest
     shaft_hz: float  # of the tip on its tangential spring
     shaft_damping: float  # of that
 
     def __post_init__(self) -> None:
-        check_parameters(self)
-        for name in (
-            "corner_per_mm",
-            "grain_mm",
-            "wavelength_mm",
-            "sharpness",
-            "tip_mm",
-            "modulus_mpa",
-            "tip_mass_g",
-            "shaft_hz",
-        ):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected a positive number")
-        for name in (
-            "roughness_um",
-            "grains_per_mm",
-            "depth_um",
-            "jitter",
-            "damping_s_m",
-            "hand_n_s_m",
-            "friction",
-            "stick",
-        ):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected 0 or more")
-        for name, most in (
-            ("wavelength_mm", 100.0),
-            ("grain_mm", 5.0),
-            ("tip_mm", 10.0),
-            ("grain_spread", 2.0),
-            ("sharpness", 20.0),
-        ):
-            if abs(getattr(self, name)) > most:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected at most {most:g}")
-        if self.wavelength_mm < 10 * GRID_MM or self.grain_mm < 4 * GRID_MM or self.grains_per_mm > 1 / GRID_MM:
-            raise ValueError(f"the profile has a point every {GRID_MM} mm: its parts are finer than it can hold")
-        stiffest = 1.5 * self.stiffness ** (2 / 3) * HARDEST_N ** (1 / 3)
+        check_parameters(self, RANGES)
+        stiffest = 1.5 * self.stiffness ** (2 / 3) * MAX_IMPACT_N ** (1 / 3)
         if stiffest / self.mass_kg > (0.5 * RATE_HZ * SUBSTEPS) ** 2:
             raise ValueError(
                 f"a contact of {self.modulus_mpa:g} MPa under {self.tip_mass_g:g} g is too stiff for steps of 25 µs"
@@ -117,12 +105,12 @@ class ContactParameters:
 
     @property
     def mass_kg(self) -> float:
-        """Return m [kg]."""
+        """Mass m [kg]."""
         return self.tip_mass_g * 1e-3
 
     @property
     def stiffness(self) -> float:
-        """Return K of Hertz's contact [N/m^1.5]."""
+        """Stiffness K of Hertz's contact [N/m^1.5]."""
         return float(4 / 3 * self.modulus_mpa * 1e6 * np.sqrt(self.tip_mm * 1e-3))
 
 
@@ -169,7 +157,7 @@ CONTACT: Mapping[str, ContactParameters] = {
 
 @lru_cache(maxsize=2)
 def profile(parameters: ContactParameters, key: str) -> Array:
-    """Return the height of a texture along its loop [mm], one point every `GRID_MM`, zero on the mean.
+    """Height of a texture along its loop [mm], one point every `GRID_MM`, zero on the mean.
 
     The texture's own: the same for every seed.
     """
@@ -192,9 +180,9 @@ def profile(parameters: ContactParameters, key: str) -> Array:
 
 
 def _periodic(parameters: ContactParameters, n: int, rng: np.random.Generator) -> Array:
-    """Return crests of unit height with uneven periods, closed to a loop, (n,)."""
+    """Crests of unit height with uneven periods, closed to a loop, (n,)."""
     periods = np.maximum(
-        0.3, 1 + parameters.jitter * rng.standard_normal(round(LOOP_MM / parameters.wavelength_mm / 2) * 2)
+        0.3, 1 + parameters.period_jitter * rng.standard_normal(round(LOOP_MM / parameters.wavelength_mm / 2) * 2)
     )
     edges = np.concatenate([[0.0], np.cumsum(periods)]) * LOOP_MM / periods.sum()
     phase = np.interp(np.arange(n) * GRID_MM, edges, np.arange(edges.size))
@@ -203,7 +191,7 @@ def _periodic(parameters: ContactParameters, n: int, rng: np.random.Generator) -
 
 
 def _with_grains(height: Array, parameters: ContactParameters, rng: np.random.Generator) -> Array:
-    """Return a profile with caps on it, or pores in it: where they overlap, the higher cap or the deeper pore."""
+    """Profile with caps on it, or pores in it: where they overlap, the higher cap or the deeper pore."""
     n, half = height.size, round(0.5 * parameters.grain_mm / GRID_MM)
     count = rng.poisson(parameters.grains_per_mm * LOOP_MM)
     at = rng.integers(0, n, count)
@@ -217,7 +205,7 @@ def _with_grains(height: Array, parameters: ContactParameters, rng: np.random.Ge
 
 @lru_cache(maxsize=2)
 def under_ball(parameters: ContactParameters, key: str) -> Array:
-    """Return the height of a ball that rests on the profile [mm], for each of its points: what the tip can follow."""
+    """Height of a ball that rests on the profile [mm], for each of its points: what the tip can follow."""
     from scipy.ndimage import grey_dilation
 
     height = profile(parameters, key)
@@ -231,28 +219,36 @@ def under_ball(parameters: ContactParameters, key: str) -> Array:
 def contact_vibration(
     parameters: ContactParameters, key: str, stroke: Stroking, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Return the tool's vibration before any sensor [m/s²], axes x, y, z, (n, 3), and the force of the contact [N], (n,).
+    """Vibration of the tool before any sensor [m/s²], axes x, y, z, (n, 3), and the force of the contact [N], (n,).
 
     Under the stroke's speed and force, from a place of the profile that is drawn.
     """
-    from scipy.signal import bilinear, lfilter
+    from scipy.signal import lfilter
 
     rate = stroke.rate_hz
     place = rng.uniform(0, LOOP_MM) + np.cumsum(stroke.speed) / rate
     force, friction = _pieces(parameters, key, place, stroke.speed, stroke.force, rate)
     pushed = np.stack([force - stroke.force, friction], axis=1) / (BODY_G * 1e-3)
-    moved = STIFF_SHARE * pushed
+    acceleration = STIFF_SHARE * pushed
     for hz, damping, share in zip(MODES_HZ, MODES_DAMPING, MODES_SHARE, strict=True):
-        omega = 2 * rate * np.tan(np.pi * hz / rate)
-        b, a = bilinear([2 * damping * omega, 0], [1, 2 * damping * omega, omega**2], rate)
-        moved = moved + share * lfilter(b, a, pushed, axis=0)
-    return np.column_stack([moved[:, 1:] * DIRECTION, moved[:, 0]]), force
+        acceleration = acceleration + share * lfilter(*mode_filter(hz, damping, rate), pushed, axis=0)
+    return np.column_stack([acceleration[:, 1:] * DIRECTION, acceleration[:, 0]]), force
+
+
+def mode_filter(hz: float, damping: float, rate_hz: float) -> tuple[Array, Array]:
+    """Numerator and denominator of a damped mode of unit gain at its centre, 2ζω₀s / (s² + 2ζω₀s + ω₀²), bilinear."""
+    from scipy.signal import bilinear
+
+    omega = 2 * rate_hz * np.tan(np.pi * hz / rate_hz)
+    width = 2 * damping * omega
+    b, a = bilinear([width, 0], [1, width, omega**2], rate_hz)
+    return b, a
 
 
 def _pieces(
     parameters: ContactParameters, key: str, place: Array, speed: Array, force: Array, rate_hz: float
 ) -> tuple[Array, Array]:
-    """Return contact force and friction [N], each (n,).
+    """Contact force and friction [N], each (n,).
 
     The stroke in pieces side by side, each from equilibrium and well settled when it takes over: what a damped contact does
     is forgotten in a few hundredths of a second, and 60 s would be 2.4 million steps one after the other.
@@ -264,16 +260,16 @@ def _pieces(
     ramp = (np.arange(fade) + 0.5) / fade
     joined = []
     for part in parts:
-        kept = part[:, overlap:].copy()  # a piece, and how it would go on
-        kept[1:, :fade] = ramp * kept[1:, :fade] + (1 - ramp) * kept[:-1, piece:]
-        joined.append(kept[:, :piece].ravel()[:n])
+        settled = part[:, overlap:].copy()  # a piece, and how it would go on
+        settled[1:, :fade] = ramp * settled[1:, :fade] + (1 - ramp) * settled[:-1, piece:]
+        joined.append(settled[:, :piece].ravel()[:n])
     return joined[0], joined[1]
 
 
 def _integrate(
     parameters: ContactParameters, surface: Array, place: Array, speed: Array, force: Array, rate_hz: float
 ) -> tuple[Array, Array]:
-    """Return the same of pieces (k, n), each from equilibrium at its first sample: (k, n) each.
+    """Contact force and friction [N] of pieces (k, n), each from equilibrium at its first sample: (k, n) each.
 
     Semi-implicit steps; the friction of a step is at most what stops the tip in it, which is sticking.
     """
@@ -291,15 +287,14 @@ def _integrate(
         for j in range(SUBSTEPS):
             depth = np.maximum(heights[j] - z, 0.0)
             contact = np.maximum(stiffness * depth * np.sqrt(depth) * (1 + p.damping_s_m * (rates[j] - w)), 0.0)
-            w = w + dt / mass * (contact - presses[j] - p.hand_n_s_m * w)
+            w = w + dt / mass * (contact - presses[j] - p.hand_damping_n_s_m * w)
             z = z + dt * w
             # Along the stroke the tip slides over the surface at v + q̇, and friction is against that.
             if p.friction:
-                most = (
-                    dt / mass * p.friction * contact * (1 + p.stick * np.exp(-np.abs(sliding) * (1e3 / STRIBECK_MM_S)))
-                )
+                sticking = 1 + p.stick * np.exp(-np.abs(sliding) * (1e3 / STRIBECK_MM_S))
+                limit = dt / mass * p.friction * contact * sticking
                 free = u - dt / mass * (spring * q + shaft * u)
-                stopped = -np.clip(towards[i] + free, -most, most)
+                stopped = -np.clip(towards[i] + free, -limit, limit)
                 u = free + stopped
                 q = q + dt * u
                 sliding = towards[i] + u
@@ -324,14 +319,14 @@ def _passed(surface: Array, places: Array, dt: float) -> Iterator[tuple[Array, A
 
 
 def _substeps(samples: Array, i: int) -> Array:
-    """Return what the steps up to sample i have, on straight lines from the one before: (SUBSTEPS, k) of (n, k), in its unit."""
+    """Values at the steps up to sample i, on straight lines from the one before: (SUBSTEPS, k) of (n, k), in its unit."""
     share = (np.arange(SUBSTEPS) + 1.0) / SUBSTEPS
     before = samples[max(i - 1, 0)]
     return np.asarray(before + share[:, None] * (samples[i] - before))
 
 
 def _height(surface: Array, place: Array) -> Array:
-    """Return how high a surface is [m] at some places [mm], in their shape: straight lines between its points."""
+    """Height of a surface [m] at some places [mm], in their shape: straight lines between its points."""
     at = place / GRID_MM
     point = np.floor(at)
     first = point.astype(np.int64) % surface.size

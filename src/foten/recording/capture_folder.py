@@ -7,6 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from foten.dsp import Array
+
 SOUND, PEN, ABOUT = "sound.wav", "pen.csv", "capture.json"
 
 
@@ -24,10 +29,32 @@ class About:
 
     @classmethod
     def of(cls, message: Mapping[str, Any]) -> About:
-        """Return what a checked `begin` says."""
+        """Description in a checked `begin` message."""
         return cls(**{name: value for name, value in message.items() if name != "do"})
 
 
+@dataclass(frozen=True)
+class PenEvents:
+    """What a tablet tells of a pen; all shapes (n,)."""
+
+    times_s: Array  # by the pen's clock, increasing
+    x_mm: Array
+    y_mm: Array
+    pressure: Array  # 0 … 1; 0 is lifted
+
+    def touches(self) -> NDArray[np.int64]:
+        """First event of each touch and the one after its last, shape (k, 2)."""
+        down = np.concatenate([[False], self.pressure > 0, [False]])
+        return np.stack([np.flatnonzero(~down[:-1] & down[1:]), np.flatnonzero(down[:-1] & ~down[1:])], axis=1)
+
+    @property
+    def usual_step_s(self) -> float:
+        """Usual time between two events of a touch [s]."""
+        touching = (self.pressure[1:] > 0) & (self.pressure[:-1] > 0)
+        steps = np.diff(self.times_s)[touching]
+        return float(np.median(steps)) if steps.size else 0.01
+
+
 def file_name(name: str) -> str:
-    """Return a texture's name as a file's: `Old denim, washed` → `old-denim-washed`."""
+    """File name of a texture: `Old denim, washed` → `old-denim-washed`."""
     return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:60] or "surface"

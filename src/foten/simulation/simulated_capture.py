@@ -13,20 +13,19 @@ from pathlib import Path
 import numpy as np
 
 from foten.atomic_write import atomic_write
-from foten.datasets.pen import PenEvents
-from foten.datasets.simulate import TEXTURES, vibration
-from foten.datasets.stroking import Stroking, stroking
 from foten.dsp import Array
 from foten.dsp.resample import interpolate, rate_ratio
-from foten.recording.captured import About
+from foten.recording.capture_folder import PEN, SOUND, About, PenEvents
 from foten.recording.recording import Channel, Recording
+from foten.simulation.simulate import TEXTURES, vibration
+from foten.simulation.stroking import Stroking, stroking
 
 RATE_HZ, SOUND_HZ, PLAN_HZ = 10_000.0, 48_000.0, 1000.0
 FULL_SCALE = 60.0  # m/s² of a sample of 1
 STROKE_S, LIFT_S = 6.0, 0.4
 TAP_S, APART_S = 0.07, 0.6  # of a tap; from one to the next
 BEGIN_S, CUE_S = 18.0, 8.0  # of the first tap; of the click before it
-REST_S, LAST_S = (3.0, 5.0), 9.0  # before and after the strokes; of the sound after them
+PAUSE_S, LAST_S = (3.0, 5.0), 9.0  # before and after the strokes; of the sound after them
 NOISE = 0.02  # m/s², of the microphone
 KNOCK = (15.0, 900.0, 0.003)  # m/s², Hz, s of its fading
 EVENTS_HZ, JITTER = 200.0, 0.2  # of the tablet; of a step
@@ -45,7 +44,7 @@ class SimulatedCapture:
     recording: Recording  # of the strokes alone, with a true sensor on everything
 
     def events(self, rng: np.random.Generator, rate_hz: float = EVENTS_HZ) -> PenEvents:
-        """Return what a tablet tells that looks so often, ±20 % of a step, by its clock."""
+        """Events of a tablet that looks at this rate, ±20 % of a step, by its clock."""
         times = np.arange(self.plan[0, 0], self.plan[-1, 0], 1.0 / rate_hz)
         times += rng.uniform(-JITTER, JITTER, times.size) / rate_hz
         at = np.clip((times * PLAN_HZ).astype(int), 0, len(self.plan) - 1)
@@ -57,7 +56,7 @@ class SimulatedCapture:
         import scipy.io.wavfile
 
         folder.mkdir(parents=True, exist_ok=True)
-        sound, pen = folder / "sound.wav", folder / "pen.csv"
+        sound, pen = folder / SOUND, folder / PEN
         with atomic_write(sound) as part:
             samples = np.clip(np.round(32767 * self.sound), -32768, 32767).astype(np.int16)
             scipy.io.wavfile.write(part, round(SOUND_HZ), samples)
@@ -71,7 +70,7 @@ class SimulatedCapture:
 
 
 def simulate_capture(key: str, seconds: float, seed: int = 0) -> SimulatedCapture:
-    """Return a capture of a texture of the simulator, with so many seconds of strokes.
+    """Capture of a texture of the simulator, with so many seconds of strokes.
 
     Raises:
         ValueError: the texture is unknown, or the strokes are shorter than one.
@@ -81,18 +80,20 @@ def simulate_capture(key: str, seconds: float, seed: int = 0) -> SimulatedCaptur
     if not STROKE_S <= seconds <= 600:
         raise ValueError(f"a capture has {STROKE_S:g} to 600 s of strokes, got {seconds:g}")
     rng = np.random.default_rng([seed, 7])
-    hand = stroking(seconds, seed, RATE_HZ)
-    at = np.arange(hand.force.size) / RATE_HZ
+    stroke = stroking(seconds, seed, RATE_HZ)
+    at = np.arange(stroke.force.size) / RATE_HZ
     touches = at % (STROKE_S + LIFT_S) < STROKE_S
     low, high = NEWTONS * np.exp(STEEPNESS * np.array([0.03, 0.95]))
-    force = np.clip(hand.force, low, high)
-    vibrated = vibration(TEXTURES[key], Stroking(RATE_HZ, hand.position, hand.velocity, force, hand.tilt), rng)[:, 2]
+    force = np.clip(stroke.force, low, high)
+    vibrated = vibration(TEXTURES[key], Stroking(RATE_HZ, stroke.position, stroke.velocity, force, stroke.tilt), rng)[
+        :, 2
+    ]
     vibrated = vibrated * touches + NOISE * rng.standard_normal(vibrated.size)
 
-    start = BEGIN_S + REST_S[0]
+    start = BEGIN_S + PAUSE_S[0]
     end = start + seconds
     three = APART_S * np.arange(3)
-    taps = np.concatenate([BEGIN_S + three, end + REST_S[1] + three])
+    taps = np.concatenate([BEGIN_S + three, end + PAUSE_S[1] + three])
     acceleration = NOISE * rng.standard_normal(round((end + LAST_S) * RATE_HZ))
     first = round(start * RATE_HZ)
     acceleration[first : first + vibrated.size] = vibrated
@@ -104,7 +105,7 @@ def simulate_capture(key: str, seconds: float, seed: int = 0) -> SimulatedCaptur
         acceleration[k : k + ring.size] += knock
 
     times = np.arange(0.0, end + LAST_S, 1.0 / PLAN_HZ)
-    x, y = (np.interp(times - start, at, hand.position[:, axis]) for axis in (0, 1))
+    x, y = (np.interp(times - start, at, stroke.position[:, axis]) for axis in (0, 1))
     strokes = (times >= start) & (times < end) & ((times - start) % (STROKE_S + LIFT_S) < STROKE_S)
     pressure = np.where(strokes, np.interp(times - start, at, np.log(force / NEWTONS) / STEEPNESS), 0.0)
     for tap in taps:
@@ -112,8 +113,8 @@ def simulate_capture(key: str, seconds: float, seed: int = 0) -> SimulatedCaptur
 
     channels = {
         "acceleration": Channel(vibrated, RATE_HZ),
-        "position_x": Channel(hand.position[:, 0].copy(), RATE_HZ),
-        "position_y": Channel(hand.position[:, 1].copy(), RATE_HZ),
+        "position_x": Channel(stroke.position[:, 0].copy(), RATE_HZ),
+        "position_y": Channel(stroke.position[:, 1].copy(), RATE_HZ),
         "force": Channel(np.where(touches, force, 0.0), RATE_HZ),
     }
     return SimulatedCapture(

@@ -1,4 +1,4 @@
-"""The hand in a recording: its speed and force, losses of contact, signs, and the conditions that it covered."""
+"""Speed and force in a recording: losses of contact, signs, and the conditions that it covered."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from foten.dsp import Array
 from foten.dsp.filters import butterworth, filter_recorded
 from foten.dsp.kinematics import speed_of
 from foten.recording.inspection.values import NOTE, PROBLEM, Coverage, Finding, counted, places, runs
-from foten.recording.preprocess import WRONG_SIGN, PreprocessConfig, hand_of, pressing
-from foten.recording.recording import Recording
+from foten.recording.preprocess import WRONG_SIGN, PreprocessConfig, pressing, velocity_and_force
+from foten.recording.recording import Recording, common_span_s
 
 CONTACT_N = 0.05  # less force is lift-off
 MOVING_MM_S = 5.0  # less speed is rest
-SHORTEST_LOSS_S = 0.005  # a shorter loss of contact is noise of the force sensor
+MIN_LOSS_S = 0.005  # a shorter loss of contact is noise of the force sensor
 HAND_HZ = 20.0  # a hand's movement holds nothing above; the low-pass of Sec. V-b
 TRAINING_HZ = PreprocessConfig().rate_hz  # at which training synchronises speed and force
 CELL_MM_S, CELL_N = 25.0, 0.5  # of the coverage
@@ -24,7 +24,7 @@ USUAL_MM_S, USUAL_N = (300.0, 5.0)  # largest speed and force in use; the covera
 
 
 @dataclass(frozen=True)
-class Hand:
+class SpeedForce:
     """Speed and force at `TRAINING_HZ` as training takes them, but zero-phase."""
 
     times_s: Array  # shape (n,)
@@ -32,22 +32,20 @@ class Hand:
     force: Array  # [N], shape (n,)
 
 
-def hand_in(recording: Recording) -> Hand | None:
-    """Return speed and force, None where one is missing or they share too little time; refused is what `hand_of` refuses."""
-    moved, pressed = recording.movement, recording.normal_force
-    if not moved or not pressed:
+def speed_force_of(recording: Recording) -> SpeedForce | None:
+    """Speed and force, None where one is missing or they share too little time; refused is what `velocity_and_force` refuses."""
+    if not recording.movement or not recording.normal_force:
         return None
-    channels = [*recording.axes("acceleration"), *(recording[name] for name in (*moved, *pressed))]
-    starts, ends = zip(*(channel.span_s for channel in channels), strict=True)
+    start_s, end_s = common_span_s(recording.used)
     # The low-pass settles within 50 ms; at the ends it lacks the samples before and after.
     margin = round(TRAINING_HZ / HAND_HZ)
-    if (min(ends) - max(starts)) * TRAINING_HZ < 4 * margin:
+    if (end_s - start_s) * TRAINING_HZ < 4 * margin:
         return None
-    velocity, normal = hand_of(recording, TRAINING_HZ)
+    velocity, normal = velocity_and_force(recording, TRAINING_HZ)
     low = butterworth("lowpass", HAND_HZ, TRAINING_HZ)
-    *slow, force = (filter_recorded(low, row, zero_phase=True)[margin:-margin] for row in (*velocity, normal))
-    times = (np.ceil(max(starts) * TRAINING_HZ - 1e-6) + margin + np.arange(force.size)) / TRAINING_HZ
-    return Hand(times, speed_of(np.stack(slow)), force)
+    *filtered, force = (filter_recorded(low, row, zero_phase=True)[margin:-margin] for row in (*velocity, normal))
+    times = (np.ceil(start_s * TRAINING_HZ - 1e-6) + margin + np.arange(force.size)) / TRAINING_HZ
+    return SpeedForce(times, speed_of(np.stack(filtered)), force)
 
 
 def check_signs(recording: Recording) -> Iterable[Finding]:
@@ -68,16 +66,16 @@ def check_signs(recording: Recording) -> Iterable[Finding]:
             yield Finding(NOTE, "sign", name, text)
 
 
-def check_contact(recording: Recording, hand: Hand | None) -> Iterable[Finding]:
+def check_contact(recording: Recording, speed_force: SpeedForce | None) -> Iterable[Finding]:
     """Yield a note where contact is lost while the tool moves."""
     for name in recording.normal_force:
         channel = recording[name]
         times, lost = channel.times, pressing(channel) < CONTACT_N
-        if hand is not None:
-            lost = lost & (np.interp(times, hand.times_s, hand.speed) > MOVING_MM_S)
+        if speed_force is not None:
+            lost = lost & (np.interp(times, speed_force.times_s, speed_force.speed) > MOVING_MM_S)
         starts, ends = runs(lost)
         lengths = (ends - starts) / channel.rate_hz
-        lasting = lengths >= SHORTEST_LOSS_S
+        lasting = lengths >= MIN_LOSS_S
         starts, lengths = starts[lasting], lengths[lasting]
         if starts.size:
             longest = int(np.argmax(lengths))
@@ -88,12 +86,12 @@ def check_contact(recording: Recording, hand: Hand | None) -> Iterable[Finding]:
             yield Finding(NOTE, "contact", name, text, places(channel, starts))
 
 
-def coverage_of(hand: Hand) -> Coverage | None:
-    """Return the time spent at each speed and force while moving in contact; None where the tool never did."""
-    stroking = (hand.speed > MOVING_MM_S) & (hand.force > CONTACT_N)
+def coverage_of(speed_force: SpeedForce) -> Coverage | None:
+    """Time spent at each speed and force while moving in contact; None where the tool never did."""
+    stroking = (speed_force.speed > MOVING_MM_S) & (speed_force.force > CONTACT_N)
     if stroking.sum() < 2:
         return None
-    conditions, cells, ranges = (hand.speed[stroking], hand.force[stroking]), [], []
+    conditions, cells, ranges = (speed_force.speed[stroking], speed_force.force[stroking]), [], []
     for samples, cell, usual in zip(conditions, (CELL_MM_S, CELL_N), (USUAL_MM_S, USUAL_N), strict=True):
         low, high = np.quantile(samples, [0.001, 0.999]).tolist()
         ranges.append((low, high))

@@ -10,28 +10,36 @@ import numpy as np
 
 from foten.dsp import Array
 from foten.recording.recording import Recording
+from foten.untrusted import printable
 
 REFERENCE_SPEED = 100.0  # mm/s
-MOST_NUMBERS, LARGEST = 64, 1e5  # of a texture's parameters
+MAX_NUMBERS, MAX_PARAMETER = 64, 1e5  # of a texture's parameters
+POSITIVE, NOT_NEGATIVE = (1e-6, MAX_PARAMETER), (0.0, MAX_PARAMETER)  # ranges of parameters
 BURN_IN = 4000  # samples; a pole of radius 0.99 has decayed to 1e-17
 
 
 def from_poles(*poles: tuple[float, float]) -> tuple[float, ...]:
-    """Return a with y[n] = Σ aᵢ y[n-i] for conjugate pole pairs of (angle in cycles a sample, radius)."""
+    """Coefficients a of y[n] = Σ aᵢ y[n-i] for conjugate pole pairs of (angle in cycles a sample, radius)."""
     roots = [radius * np.exp(2j * np.pi * sign * angle) for angle, radius in poles for sign in (1, -1)]
     return tuple((-np.poly(roots).real[1:]).tolist())
 
 
-def check_parameters(parameters: Any) -> None:
-    """Check that the fields of a simulated texture, which may come from a file, are numbers or short rows of numbers."""
+def check_parameters(parameters: Any, ranges: Mapping[str, tuple[float, float]]) -> None:
+    """Check that the fields of a simulated texture, which may come from a file, are numbers or short rows of numbers.
+
+    Args:
+        parameters: a dataclass; its `description` is not looked at.
+        ranges: lowest and highest number by field; others lie within ±`MAX_PARAMETER`.
+    """
     for name, value in vars(parameters).items():
         if name == "description":
             continue
         numbers = value if isinstance(value, tuple) else (value,)
-        if not 0 < len(numbers) <= MOST_NUMBERS:
-            raise ValueError(f"{name} has {len(numbers)} numbers, expected 1 to {MOST_NUMBERS}")
-        if not all(type(number) in (int, float) and abs(number) <= LARGEST for number in numbers):
-            raise ValueError(f"{name} is not made of numbers of at most {LARGEST:g}")
+        if not 0 < len(numbers) <= MAX_NUMBERS:
+            raise ValueError(f"{name} has {len(numbers)} numbers, expected 1 to {MAX_NUMBERS}")
+        low, high = ranges.get(name, (-MAX_PARAMETER, MAX_PARAMETER))
+        if not all(type(number) in (int, float) and low <= number <= high for number in numbers):
+            raise ValueError(f"{name} is {printable(str(value)[:40])}, expected {low:g} to {high:g}")
 
 
 @dataclass(frozen=True)
@@ -51,20 +59,18 @@ class LinearParameters:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "coefficients", tuple(self.coefficients))
-        check_parameters(self)
+        check_parameters(self, {"level": POSITIVE, "standstill_share": POSITIVE})
         radius = np.abs(np.roots(self.denominator)).max()
         if not radius < 0.995:
             raise ValueError(f"the largest pole has radius {radius:.4f}, expected less than 0.995")
-        if self.level <= 0 or self.standstill_share <= 0:
-            raise ValueError("level and standstill_share must be positive")
 
     @property
     def denominator(self) -> Array:
-        """Return A(z) = 1 − Σ aᵢ z⁻ⁱ, shape (p + 1,)."""
+        """A(z) = 1 − Σ aᵢ z⁻ⁱ, shape (p + 1,)."""
         return np.array([1.0, *(-a for a in self.coefficients)])
 
     def sigma(self, speed: Array, force: Array) -> Array:
-        """Return the standard deviation of the innovation [m/s²] at speeds [mm/s] and forces [N]."""
+        """Standard deviation of the innovation [m/s²] at speeds [mm/s] and forces [N]."""
         stroked = self.standstill_share + np.maximum(speed, 0) / REFERENCE_SPEED
         return self.level * stroked**self.speed_exponent * np.maximum(force, 0) ** self.force_exponent
 
@@ -80,7 +86,7 @@ LINEAR_FAMILY: Mapping[str, LinearParameters] = {
 
 
 def linear_signal(parameters: LinearParameters, speed: Array, force: Array, rng: np.random.Generator) -> Array:
-    """Return one realisation y [m/s²], shape (n,), already stationary at its first sample."""
+    """One realisation y [m/s²], shape (n,), already stationary at its first sample."""
     from scipy.signal import lfilter
 
     sigma = parameters.sigma(speed, force)
@@ -89,28 +95,27 @@ def linear_signal(parameters: LinearParameters, speed: Array, force: Array, rng:
 
 
 def linear_truth(recording: Recording) -> LinearParameters:
-    """Return the process that made a simulated recording, at its rate, from the parameters that it carries.
+    """Process that made a simulated recording, at its rate, from the parameters that it carries.
 
     Raises:
         ValueError: the recording is no member of the linear family.
     """
     simulation = recording.simulation
     if simulation is None or "coefficients" not in simulation["parameters"]:
-        made_by = "no simulator" if simulation is None else f"the texture {simulation['key']!r}"
-        raise ValueError(f"the truth is known for {', '.join(LINEAR_FAMILY)}; this recording comes from {made_by}")
+        source = "no simulator" if simulation is None else f"the texture {simulation['key']!r}"
+        raise ValueError(f"the truth is known for {', '.join(LINEAR_FAMILY)}; this recording comes from {source}")
     return LinearParameters(**simulation["parameters"])
 
 
 def one_step_bounds(
     truth: LinearParameters, speed: Array, force: Array, highpass_b: Array, highpass_a: Array, window: int
 ) -> tuple[Array, Array]:
-    """Return the least expected absolute one-step error that the past of the high-passed signal allows.
+    """Least expected absolute one-step error that the past of the high-passed signal allows.
 
     The high-passed signal is x = B(z) / (A_h(z) A(z)) σe. Its zeros lie on the unit circle at worst, so the whole past gives
     away all of x[n] but b₀ σ e[n]; exactly, however σ varies. Zeros at z = 1 make that past very long: a window of m gets down
     to s_m > b₀ only, the residual of the best linear predictor of m samples (the best of all, the process being Gaussian), here
-    for a σ that is constant over the window. Under the simulated hand's σ that predictor's mean error came out 0.1 to 0.4 %
-    above it (64 s, six seeds, m = 20 and 40, each run within 0.9 %).
+    for a σ that is constant over the window; the σ of a simulated stroke costs it 0.1 to 0.4 % (64 s, six seeds, m = 20, 40).
 
     Args:
         truth: of the recording; the signal is at the recording's rate.

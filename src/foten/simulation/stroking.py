@@ -38,13 +38,13 @@ class Stroking:
 
     @property
     def speed(self) -> Array:
-        """Return the tangential speed [mm/s], shape (n,)."""
+        """Tangential speed [mm/s], shape (n,)."""
         return np.hypot(self.velocity[:, 0], self.velocity[:, 1])
 
 
 @lru_cache(maxsize=1)
 def stroking(seconds: float, seed: int, rate_hz: float) -> Stroking:
-    """Return a human-like stroking: overlapping point-to-point movements under a wandering force.
+    """Human-like stroking: overlapping point-to-point movements under a wandering force.
 
     Each movement has the minimum-jerk profile 10u³ - 15u⁴ + 6u⁵; adding overlapping ones bends the path
     as hands do. No sum of two leaves the plate: it lies between three targets. Speed and force hold nothing
@@ -90,7 +90,7 @@ def stroking(seconds: float, seed: int, rate_hz: float) -> Stroking:
 
 
 def _movement(start: Array, rng: np.random.Generator) -> tuple[Array, float]:
-    """Return the displacement [mm] and the duration [s] of the next movement; its target is on the plate."""
+    """Displacement [mm] and duration [s] of the next movement; its target is on the plate."""
     slow, fast = PEAK_SPEED_MM_S
     peak = slow * (fast / slow) ** (rng.random() ** SKEW)
     length = peak * rng.uniform(*STROKE_S) / PEAK_TO_MEAN
@@ -105,7 +105,7 @@ def _movement(start: Array, rng: np.random.Generator) -> tuple[Array, float]:
 
 
 def _wander(times_s: Array, seconds: float, cutoff_hz: float, rng: np.random.Generator) -> Array:
-    """Return smooth noise of about unit variance: a cubic spline through white knots at twice the cutoff."""
+    """Smooth noise of about unit variance: a cubic spline through white knots at twice the cutoff."""
     from scipy.interpolate import CubicSpline
 
     n_knots = int(2 * cutoff_hz * seconds) + 4

@@ -22,17 +22,19 @@ from typing import Any
 
 import numpy as np
 
-from foten.datasets.contact import CONTACT, RATE_HZ, ContactParameters, contact_vibration
-from foten.datasets.linear_family import (
+from foten.dsp import Array
+from foten.recording.recording import AXES, Channel, Recording
+from foten.simulation.contact_mechanics import CONTACT, RATE_HZ, ContactParameters, contact_vibration, mode_filter
+from foten.simulation.linear_family import (
     LINEAR_FAMILY,
+    MAX_PARAMETER,
+    POSITIVE,
     REFERENCE_SPEED,
     LinearParameters,
     check_parameters,
     linear_signal,
 )
-from foten.datasets.stroking import Stroking, stroking
-from foten.dsp import Array
-from foten.recording.recording import AXES, Channel, Recording
+from foten.simulation.stroking import Stroking, stroking
 
 _LOCK = threading.Lock()
 VERSION = 2  # of the model; a change that moves a sample raises it
@@ -52,6 +54,19 @@ AXIS_GAINS = np.array([[0.45, 0.55], [0.35, -0.25], [0.82, 0.80]])
 """Share of the two tool modes in x, y, z; each column has about unit norm, so that DFT321 keeps the level."""
 
 
+RANGES: Mapping[str, tuple[float, float]] = {
+    "level": POSITIVE,
+    "wavelength_mm": (GRID_MM, MAX_PARAMETER),
+    "lattice_share": (0.0, 1.0),
+    "corner_per_mm": POSITIVE,
+    "impacts_per_mm": POSITIVE,
+    "contact_hz": (1e-6, 0.499 * RATE_HZ),  # a filter's cutoff lies below half the rate
+    "modes_hz": (1e-6, 0.499 * RATE_HZ),
+    "damping": POSITIVE,
+}
+"""Lowest and highest value of a texture's parameters."""
+
+
 @dataclass(frozen=True)
 class TextureParameters:
     """What defines one simulated texture."""
@@ -63,7 +78,7 @@ class TextureParameters:
     wavelength_mm: float  # cell of the lattice
     lattice_share: float  # of the roughness power, the rest is self-affine noise
     harmonics: tuple[float, ...]  # amplitudes of the lattice, any scale
-    jitter: float  # standard deviation of a cell's length, relative
+    period_jitter: float  # standard deviation of a cell's length, relative
     corner_per_mm: float  # where the self-affine noise begins to fall [cycles/mm]
     hurst: float  # its fall, power ~ c^-(1 + 2 hurst)
     impacts_per_mm: float  # asperities struck on a path; few of them crackle, many hiss
@@ -77,23 +92,16 @@ class TextureParameters:
     def __post_init__(self) -> None:
         for name in ("harmonics", "modes_hz", "damping", "phases"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
-        check_parameters(self)
-        for name in ("level", "wavelength_mm", "corner_per_mm", "impacts_per_mm", "contact_hz"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected a positive number")
+        check_parameters(self, RANGES)
         if len(self.phases) != len(self.harmonics):
             raise ValueError(f"{len(self.phases)} phases, expected one for each of {len(self.harmonics)} harmonics")
-        if not 0 <= self.lattice_share <= 1:
-            raise ValueError(f"lattice_share is {self.lattice_share}, expected 0 to 1")
         for name in ("modes_hz", "damping"):
-            if len(getattr(self, name)) != 2 or not min(getattr(self, name)) > 0:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected two positive numbers")
-        if not max(*self.modes_hz, self.contact_hz) < RATE_HZ / 2 or self.wavelength_mm < GRID_MM:
-            raise ValueError(f"modes and contact lie below {RATE_HZ / 2:g} Hz, and waves are longer than {GRID_MM} mm")
+            if len(getattr(self, name)) != 2:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected two numbers")
 
 
 def _phases(key: str, n: int) -> tuple[float, ...]:
-    """Return the phases of a texture's harmonics [rad], drawn by its key: every realisation has the same waveform."""
+    """Phases of a texture's harmonics [rad], drawn by its key: every realisation has the same waveform."""
     return tuple(np.random.default_rng([*key.encode()]).uniform(0, 2 * np.pi, n).round(3).tolist())
 
 
@@ -141,7 +149,7 @@ def simulate(
     stroke_seed: int | None = None,
     accelerometer_hz: float | None = None,
 ) -> Recording:
-    """Return a simulated recording of one texture, of either simulator, or of one member of the linear family.
+    """Simulated recording of one texture, of either simulator, or of one member of the linear family.
 
     A texture comes as raw sensors (Sec. III): acceleration with gravity, force and position, three axes each.
     A linear process comes as acceleration, speed and force at the model's rate, one axis, without noise.
@@ -181,7 +189,7 @@ def simulate(
 def second_realisation(
     recording: Recording, noise_seed: int, *, stroke_seed: int | None = None, seconds: float | None = None
 ) -> Recording:
-    """Return the stroke and texture of a simulated recording, by the parameters that it carries, with fresh surface and noise.
+    """Stroke and texture of a simulated recording, by the parameters that it carries, with fresh surface and noise.
 
     The recording's own `noise_seed` gives the recording back. With a `stroke_seed` or `seconds`, another stroke
     or a longer one over the same texture.
@@ -244,7 +252,7 @@ def _simulate(simulation: Mapping[str, Any]) -> Recording:
 
 
 def _roughness(parameters: TextureParameters, length_mm: float, rng: np.random.Generator) -> Array:
-    """Return the roughness along a path on a grid of GRID_MM, of unit expected power."""
+    """Roughness along a path on a grid of GRID_MM, of unit expected power."""
     from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
     n = next_fast_len(int(length_mm / GRID_MM) + 2, real=True)
@@ -257,19 +265,19 @@ def _roughness(parameters: TextureParameters, length_mm: float, rng: np.random.G
         return noise
 
     n_cells = int(1.5 * n * GRID_MM / parameters.wavelength_mm) + 20
-    cells = parameters.wavelength_mm * np.maximum(0.3, 1 + parameters.jitter * rng.standard_normal(n_cells))
+    cells = parameters.wavelength_mm * np.maximum(0.3, 1 + parameters.period_jitter * rng.standard_normal(n_cells))
     edges = np.concatenate([[0.0], np.cumsum(cells)]) - rng.uniform(0, parameters.wavelength_mm)
     phase = 2 * np.pi * np.interp(np.arange(n) * GRID_MM, edges, np.arange(n_cells + 1))
     harmonics = enumerate(zip(parameters.harmonics, parameters.phases, strict=True), start=1)
-    lattice = sum(gain * np.cos(order * phase + own) for order, (gain, own) in harmonics)
+    lattice = sum(gain * np.cos(order * phase + start) for order, (gain, start) in harmonics)
     lattice /= np.sqrt(0.5 * sum(gain**2 for gain in parameters.harmonics))
     share = parameters.lattice_share
     return np.sqrt(share) * lattice + np.sqrt(1 - share) * noise
 
 
 def vibration(parameters: TextureParameters, stroke: Stroking, rng: np.random.Generator) -> Array:
-    """Return the tool's vibration before any sensor [m/s²], axes x, y, z, shape (n, 3); none at rest."""
-    from scipy.signal import bilinear, butter, lfilter, sosfilt
+    """Vibration of the tool before any sensor [m/s²], axes x, y, z, shape (n, 3); none at rest."""
+    from scipy.signal import butter, lfilter, sosfilt
 
     path_mm = np.cumsum(stroke.speed) / stroke.rate_hz
     roughness = _roughness(parameters, path_mm[-1], rng)
@@ -289,10 +297,7 @@ def vibration(parameters: TextureParameters, stroke: Stroking, rng: np.random.Ge
     firm = stroke.force / (stroke.force + 1.0)  # half at 1 N, where both modes weigh 1
     axes = np.zeros((excitation.size, 3))
     for mode, weight in enumerate((1.5 - firm, 2 * firm)):
-        # A damped mode, 2ζω₀s / (s² + 2ζω₀s + ω₀²), bilinear: a band-pass of unit gain at its centre.
-        omega = 2 * stroke.rate_hz * np.tan(np.pi * parameters.modes_hz[mode] / stroke.rate_hz)
-        width = 2 * parameters.damping[mode] * omega
-        b, a = bilinear([width, 0], [1, width, omega**2], stroke.rate_hz)
+        b, a = mode_filter(parameters.modes_hz[mode], parameters.damping[mode], stroke.rate_hz)
         axes += (weight * lfilter(b, a, excitation))[:, None] * AXIS_GAINS[:, mode]
     return axes
 
@@ -305,7 +310,7 @@ def _sensor_channels(
     decimation: int,
     rng: np.random.Generator,
 ) -> dict[str, Channel]:
-    """Return the raw channels of Sec. III: from the tool's vibration [m/s²], (n, 3), and the surface's normal force [N], (n,)."""
+    """Raw channels of Sec. III: from the tool's vibration [m/s²], (n, 3), and the surface's normal force [N], (n,)."""
     from scipy.signal import butter, sosfilt
 
     acceleration[:, :2] += np.gradient(stroke.velocity, axis=0) * stroke.rate_hz / 1000  # the hand's own
