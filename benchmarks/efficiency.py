@@ -28,7 +28,7 @@ import numpy as np
 import torch
 
 from foten.datasets.simulate import simulate
-from foten.experiments.results import PAPER
+from foten.experiments.comparison import PAPER
 from foten.families import FAMILIES
 from foten.families.texture_file import Texture
 from foten.networks import build

@@ -17,7 +17,7 @@ from foten.experiments.experiment import MEASURES, Experiment, Method, experimen
 from foten.experiments.innovations import KINDS, innovations
 from foten.experiments.onset import onset
 from foten.experiments.results import by_recipe, read_records
-from foten.experiments.run import _judged, _measures
+from foten.experiments.run import _measures, _result
 from foten.experiments.stability import into, proven, stability
 from foten.families import FotenPlusSizes
 from foten.families.texture_file import Texture
@@ -246,10 +246,15 @@ def test_innovations_are_of_excited_textures_without_tones(texture: Texture) -> 
 
 
 def test_every_measure_that_a_file_may_name_is_there(texture: Texture, monkeypatch: pytest.MonkeyPatch) -> None:
-    own = [name for name in MEASURES if name != "listener"]  # which the evaluation asks
-    for name in own:
-        monkeypatch.setattr(f"foten.experiments.run.{name}", lambda *_, name=name: {"named": name})
-    assert _measures(MEASURES, texture, None, None) == {name: {"named": name} for name in own}  # type: ignore[arg-type]
+    functions = {
+        name: f"{module}.{name}" for name, module in MEASURES.items() if module.startswith("foten.experiments")
+    }
+    functions["validation_listener"] = "foten.experiments.run.validation_listener"
+    assert {*functions, "listener"} == set(MEASURES)  # the listener is asked by the evaluation
+    for name, function in functions.items():
+        monkeypatch.setattr(function, lambda *_, name=name: {"named": name})
+    expected = {name: {"named": name} for name in functions}
+    assert _measures([*MEASURES], texture, None, None) == expected  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("measures", [(), ("stability", "listener")])
@@ -269,5 +274,5 @@ def test_the_listener_is_asked_where_a_file_names_it(
     monkeypatch.setattr("foten.experiments.run.evaluate", evaluated)
     run = next(iter(Experiment("t", ("linear-hum",), (Method("foten", measures=measures),)).runs()))
     with pytest.raises(EnoughError):
-        _judged(run, simulate("linear-hum", 4), texture, 0.0)
+        _result(run, simulate("linear-hum", 4), texture, 0.0)
     assert asked == {"truth": "listener" in measures, "evaluation": "listener" in measures}

@@ -22,17 +22,16 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from foten.atomic_write import atomic_write
 from foten.datasets.simulate import ACCELEROMETER_NOISE, TEXTURES, vibration
 from foten.datasets.stroking import Stroking, stroking
 from foten.dsp.level import FRAME_MS, frame_levels, frame_means
 from foten.experiments.stability import rendered_strokes
-from foten.experiments.tables import written
 from foten.families import FotenPlusSizes
 from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Channel, Recording
 from foten.recording.trace import Trace
+from foten.reporting.table import Table
 from foten.train.config import recipe_of
 from foten.train.job import TrainingJob
 from foten.train.pipeline import train
@@ -154,8 +153,7 @@ def main() -> None:
                 values = [f"{row[name]:.4f}" for name in cells[0][4:]]
                 cells.append([key, policy, where, str(row["frames"]), *values])
         print(f"{key}: done", flush=True)
-    with atomic_write(CSV) as part:
-        part.write_text(written(cells, "csv"), encoding="utf-8")
+    Table.of(cells[0], cells[1:]).write(CSV)
 
 
 if __name__ == "__main__":

@@ -41,7 +41,7 @@ def two_normals(u: Array, log_scale: float, log_wider: float, logit: float) -> A
 
 
 def heavy(u: Array, log_scale: float, log_h: float) -> Array:
-    """Return the density of z·exp(h z²/2): that of z, over the derivative exp(h z²/2)(1 + h z²)."""
+    """Density of z·exp(h z²/2): that of z, over the derivative exp(h z²/2)(1 + h z²)."""
     h = np.exp(min(log_h, 2.0))
     z = gaussianised(u / np.exp(log_scale), np.full(u.shape, h))
     return stats.norm.logpdf(z) - 0.5 * h * z * z - np.log1p(h * z * z) - log_scale
@@ -56,7 +56,7 @@ KINDS: dict[str, tuple[Callable[..., Array], tuple[float, ...]]] = {
 
 
 def innovations(texture: Texture, trace: Trace) -> dict[str, Any]:
-    """Return the mean negative log-likelihood of each distribution [nat], by `KINDS`.
+    """Mean negative log-likelihood of each distribution [nat], by `KINDS`.
 
     Empty for a texture with tones, whose excitation belongs to what they leave, and for one without excitation.
     """

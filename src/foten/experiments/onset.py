@@ -30,13 +30,13 @@ N_STROKES, N_STREAMS = 50, 8
 
 
 def third_octaves(rate_hz: float) -> Array:
-    """Return the edges of third-octave bands from 50 Hz, the lowest that 40 ms tell apart, to 0.45 of the rate or 1 kHz [Hz]."""
+    """Edges of third-octave bands from 50 Hz, the lowest that 40 ms tell apart, to 0.45 of the rate or 1 kHz [Hz]."""
     highest = min(1000.0, 0.45 * rate_hz)
     return 50.0 * 2 ** (np.arange(int(3 * np.log2(highest / 50.0)) + 1) / 3)
 
 
 def band_powers(windows: Array, rate_hz: float) -> Array:
-    """Return the power in each band, mean over windows (k, n) → (bands,)."""
+    """Power in each band, mean over windows (k, n) → (bands,)."""
     n = windows.shape[1]
     power = (np.abs(np.fft.rfft(windows * np.hanning(n), axis=1)) ** 2).mean(axis=0)
     hertz = np.fft.rfftfreq(n, 1 / rate_hz)
@@ -45,7 +45,7 @@ def band_powers(windows: Array, rate_hz: float) -> Array:
 
 
 def onset(texture: Texture, n_strokes: int = N_STROKES, n_streams: int = N_STREAMS, seed: int = 0) -> dict[str, Any]:
-    """Return levels and spectra of first strokes beside settled ones [dB], by where a window begins, and the share of clicks."""
+    """Levels and spectra of first strokes beside settled ones [dB], by where a window begins, and the share of clicks."""
     rng = np.random.default_rng(seed)
     rate = texture.rate_hz
     window, n = round(WINDOW_MS * rate / 1000), round(LASTS_S * rate)

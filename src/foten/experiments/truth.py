@@ -49,7 +49,7 @@ def _realisation(
     block_ms: float | None = None,
     **changed: float,
 ) -> Trace:
-    """Return a further realisation, preprocessed as a texture's recording was: simulated once, however often it is asked for."""
+    """Further realisation, preprocessed as a texture's recording was: simulated once, however often it is asked for."""
     by = json.dumps(
         [dict(recording.simulation or {}), texture.card["preprocess"], trim_ms, block_ms, changed], sort_keys=True
     )
@@ -68,7 +68,7 @@ def truth_for(
     block_ms: float | None = None,
     listener: bool = False,
 ) -> Truth:
-    """Return further realisations of a simulated stroke and, for the linear family, the bounds of any predictor.
+    """Further realisations of a simulated stroke and, for the linear family, the bounds of any predictor.
 
     For listeners realisations of a long stroke by another hand too: one to be recorded, and one for the control of each.
 
@@ -102,7 +102,7 @@ def truth_for(
 def long_strokes(
     recording: Recording, texture: Texture, n: int = 1 + N_LISTENERS, hand_number: int = 1
 ) -> tuple[Trace, ...]:
-    """Return n realisations of a long stroke by another hand over a simulated texture; none of what was not simulated here.
+    """N realisations of a long stroke by another hand over a simulated texture; none of what was not simulated here.
 
     Each hand has a stroke and places of its own.
     """
@@ -125,7 +125,7 @@ def long_strokes(
 
 
 def validation_listener(texture: Texture, recording: Recording) -> dict[str, Any]:
-    """Return `area`, that under a listener's curve, and `level_bias_db`; nothing of what was not simulated, or is silent.
+    """`area`, that under a listener's curve, and `level_bias_db`; nothing of what was not simulated, or is silent.
 
     As the evaluation's, of band energies, but under a third hand: neither the one that was learned from nor that of the reported
     figures, so that it can be chosen by. One listener, since what is chosen by is a mean over many textures, and two fits of one
@@ -144,7 +144,7 @@ def validation_listener(texture: Texture, recording: Recording) -> dict[str, Any
 
 
 def linear_bounds(recording: Recording, trace: Trace, highpass_hz: float, window: int) -> tuple[Array, Array]:
-    """Return the least expected absolute one-step errors [m/s²] from the infinite past and from a window of m, shape (n,) each.
+    """Least expected absolute one-step errors [m/s²] from the infinite past and from a window of m, shape (n,) each.
 
     Of a recording of the linear family and its trace, causally high-passed with order 2.
     """
