@@ -270,9 +270,9 @@ def test_the_listener_is_asked_where_a_file_names_it(
         asked["evaluation"] = listener
         raise EnoughError
 
-    monkeypatch.setattr("foten.experiments.run.truth_for", lambda *_, listener: asked.update(truth=listener))
+    monkeypatch.setattr("foten.experiments.run.reference_for", lambda *_, listener: asked.update(reference=listener))
     monkeypatch.setattr("foten.experiments.run.evaluate", evaluated)
     run = next(iter(Experiment("t", ("linear-hum",), (Method("foten", measures=measures),)).runs()))
     with pytest.raises(EnoughError):
         _result(run, simulate("linear-hum", 4), texture, 0.0)
-    assert asked == {"truth": "listener" in measures, "evaluation": "listener" in measures}
+    assert asked == {"reference": "listener" in measures, "evaluation": "listener" in measures}

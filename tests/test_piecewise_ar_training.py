@@ -14,7 +14,7 @@ from foten.datasets.simulate import simulate
 from foten.dsp.lsf import LEAST_GAP
 from foten.dsp.segmentation import MAX_ORDER
 from foten.evaluate.evaluate import evaluate
-from foten.experiments.truth import truth_for
+from foten.experiments.simulator_reference import reference_for
 from foten.families import PiecewiseArSizes
 from foten.families.texture_file import read_texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -47,7 +47,7 @@ def trained(recording: Recording) -> Trained:
 
 def test_it_predicts_like_a_linear_predictor(recording: Recording, trained: Trained) -> None:
     """Beside AR(20) by least squares on the same blocks, and the least that any predictor can reach."""
-    document = evaluate(trained.texture, recording, truth_for(recording, trained.texture)).document
+    document = evaluate(trained.texture, recording, reference_for(recording, trained.texture)).document
     error, references = document["one_step"]["mae_scaled"], document["references"]
     assert error < 1.05 * references["ar"]["mae_scaled"]
     assert error > 0.97 * references["bound"]["mae_scaled"]

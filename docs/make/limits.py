@@ -41,7 +41,7 @@ ANCHOR = "AR(20) with white noise"
 def noise_like(
     blocks: np.ndarray, n: int, rate_hz: float, rng: np.random.Generator, of_logs: bool = False, smoothed: bool = False
 ) -> np.ndarray:
-    """Return Gaussian noise with the mean spectrum of blocks (k, any), or with that of log spectra, shape (N_RUNS, n)."""
+    """Gaussian noise with the mean spectrum of blocks (k, any), or with that of log spectra, shape (N_RUNS, n)."""
     hertz, density = signal.welch(blocks, rate_hz, nperseg=min(512, blocks.shape[1]), axis=-1)
     if smoothed:
         weights = signal.windows.hann(SMOOTHED + 2)[1:-1]
@@ -54,7 +54,7 @@ def noise_like(
 
 
 def judge(path: Path, rate_hz: float, seed: int) -> dict[str, float]:
-    """Return the distances of one texture and split [dB]."""
+    """Distances of one texture and split [dB]."""
     trace = preprocess(load_recording(path), PreprocessConfig(rate_hz=rate_hz, trim_ms=0, block_ms=200))
     split = split_blocks(trace, "regrouped", seed)
     scaling = fit_scaling(trace, split.train)

@@ -40,7 +40,7 @@ from foten.evaluate.one_step import ORDERS, first_scored, fit_linear, predict
 from foten.experiments.experiment import experiment_path, read_experiment
 from foten.experiments.figures import waveforms
 from foten.experiments.results import chosen_results, read_records, read_results
-from foten.experiments.truth import linear_bounds
+from foten.experiments.simulator_reference import linear_bounds
 from foten.families import FAMILIES
 from foten.families.texture_file import Texture, read_texture, write_texture
 from foten.recording.preprocess import PreprocessConfig, preprocess

@@ -400,8 +400,8 @@ def pages() -> Iterator[tuple[Path, str, str]]:
         before = text = path.read_text(encoding="utf-8")
         for name, make in tables.items():
             begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
-            head, _, rest = text.partition(begin)
-            _, closed, tail = rest.partition(end)
+            head, _, after = text.partition(begin)
+            _, closed, tail = after.partition(end)
             if not closed:
                 raise ValueError(f"{path.name}: has no {begin} … {end} to put a table between")
             content = make()

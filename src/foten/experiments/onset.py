@@ -85,13 +85,13 @@ def onset(texture: Texture, n_strokes: int = N_STROKES, n_streams: int = N_STREA
     later = [away(round(SETTLED_S * rate) + k * window) for k in range(10)]
 
     def by_start(which: int) -> dict[str, float]:
-        return {f"{start:g}_ms": one[which] for start, one in zip(STARTS_MS, begin, strict=True)}
+        return {f"{start:g}_ms": figures[which] for start, figures in zip(STARTS_MS, begin, strict=True)}
 
     return {
-        "level_db": {**by_start(0), "settled": max(abs(one[0]) for one in later)},
-        "spectrum_db": {**by_start(1), "settled": max(one[1] for one in later)},
+        "level_db": {**by_start(0), "settled": max(abs(level) for level, *_ in later)},
+        "spectrum_db": {**by_start(1), "settled": max(spectrum for _, spectrum, _ in later)},
         # Of each stroke by itself, over several streams of noise: chance scatters settled ones as much.
-        "level_size_db": {**by_start(2), "settled": max(one[2] for one in later)},
+        "level_size_db": {**by_start(2), "settled": max(size for *_, size in later)},
         "click_share": float(loud_samples.mean()),
         "settled_share": float(usual.mean()),
         # Of their difference, over strokes.

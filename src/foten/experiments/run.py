@@ -11,7 +11,7 @@ from foten.dsp import Array
 from foten.evaluate.evaluate import Judgement, evaluate
 from foten.evaluate.report.signals import N_WAVEFORM, densities, scored_runs, shown_run, typical_block
 from foten.experiments.experiment import Run
-from foten.experiments.truth import truth_for, validation_listener
+from foten.experiments.simulator_reference import reference_for, validation_listener
 from foten.families import FotenPlusSizes, sizes_of
 from foten.families.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig
@@ -64,7 +64,7 @@ def _job(run: Run, recording: Recording) -> TrainingJob:
 def _result(run: Run, recording: Recording, texture: Texture, seconds: float, n_batched: int = 1) -> dict[str, Any]:
     started = time.perf_counter()
     listener = "listener" in run.measures
-    judgement = evaluate(texture, recording, truth_for(recording, texture, listener=listener), listener=listener)
+    judgement = evaluate(texture, recording, reference_for(recording, texture, listener=listener), listener=listener)
     document, metrics = judgement.document, texture.card["metrics"]
     return {
         "run": asdict(run),

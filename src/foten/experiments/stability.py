@@ -92,8 +92,8 @@ def strokes(rate_hz: float, seconds: float, n_streams: int) -> tuple[Array, Arra
 
 def into(values: Array, low: float, high: float) -> Array:
     """Values stretched onto a range, each stream by itself."""
-    least, most = values.min(axis=1, keepdims=True), values.max(axis=1, keepdims=True)
-    return low + (values - least) / (most - least) * (high - low)
+    lowest, highest = values.min(axis=1, keepdims=True), values.max(axis=1, keepdims=True)
+    return low + (values - lowest) / (highest - lowest) * (high - low)
 
 
 def attack(texture: Texture, n_steps: int, n_streams: int = N_ATTACKED) -> dict[str, Any]:
@@ -125,7 +125,7 @@ def attack(texture: Texture, n_steps: int, n_streams: int = N_ATTACKED) -> dict[
     # Under the same path all the time, so that it is at the same place of a surface that repeats.
     warm = np.tile(texture.tensors["warm_start"].astype(float), (n_streams, 1, 1))
     untouched = run_loops(kernel, warm, path, ordinary, limit)
-    after, usual = (np.square(one[:, -(n_after // 5) :]).mean(axis=1) for one in (attacked, untouched))
+    after, usual = (np.square(run[:, -(n_after // 5) :]).mean(axis=1) for run in (attacked, untouched))
     return {
         "n_attack": n * n_streams,
         "attack_max_sd": largest[0],
@@ -192,9 +192,9 @@ def forgetting(texture: Texture, windows: Array, corners: Array, rng: np.random.
         with_path(texture, condition),
         np.concatenate([drawn, drawn]) if texture.has_excitation else None,
     )
-    one, other = both.reshape(2, len(paths), n_pairs, n)
+    first, other = both.reshape(2, len(paths), n_pairs, n)
     size = other[:, :, n // 2 :].std(axis=(1, 2))
-    differ = np.flatnonzero((np.abs(one - other).max(axis=1) > 0.01 * size[:, None]).any(axis=0))
+    differ = np.flatnonzero((np.abs(first - other).max(axis=1) > 0.01 * size[:, None]).any(axis=0))
     if not differ.size:
         return 0.0
     return None if differ[-1] >= 0.95 * n else float((differ[-1] + 1) / rate)

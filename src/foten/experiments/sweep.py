@@ -264,11 +264,13 @@ def _guarded(runs: Sequence[Mapping[str, Any]], *recordings: Recording) -> list[
     """Results of runs, or the reason why there is none: Ray retries what raises, and an error here would recur."""
     try:
         group = [Run(**run) for run in runs]
+        # Of this worker's machine, and of its sources before anybody changes them.
+        provenances = [provenance_of(run, recording.sha256()) for run, recording in zip(group, recordings, strict=True)]
         results = execute_batched(group, recordings) if len(group) > 1 else [execute(group[0], recordings[0])]
-        for run, result in zip(group, results, strict=True):
-            if "failed" not in result:  # of this worker's sources and machine
-                result["provenance"] = provenance_of(run, result["recording_sha256"]).to_json()
-        return results
+        return [
+            result if "failed" in result else {**result, "provenance": provenance.to_json()}
+            for result, provenance in zip(results, provenances, strict=True)
+        ]
     except Exception as error:
         return [failure(error)] * len(runs)
 

@@ -151,8 +151,8 @@ def conditions(judgement: Judgement, texture: Texture) -> Figure | None:
     colours = {"c": errors, "cmap": "RdBu_r", "vmin": -limit, "vmax": limit, "edgecolors": INK}
     means = (channel.mean(axis=1) for channel in scored_hand(judgement))
     points = axes.scatter(*means, s=52, linewidths=0.8, zorder=3, label="judged", **colours)
-    (low, high), (least, most) = (texture.trained_range(channel) for channel in ("speed", "force"))
-    corners = [low, high, high, low, low], [least, least, most, most, least]
+    (slow, fast), (light, heavy) = (texture.trained_range(channel) for channel in ("speed", "force"))
+    corners = [slow, fast, fast, slow, slow], [light, light, heavy, heavy, light]
     axes.plot(*corners, color=INK, alpha=0.6, linewidth=0.8, linestyle=(0, (4, 3)), label="trained range")
     add_colour_bar(figure, points, "level error [dB]", PAGE, ax=axes, pad=0.02, aspect=28)
     axes.set(xlabel="mean speed [mm/s]", ylabel="mean force [N]")
@@ -246,10 +246,10 @@ def _spectrogram(blocks: Array, rate_hz: float, highest_hz: float) -> tuple[tupl
     taper = signal.get_window("hann", n_segment)
     density = np.square(np.abs(np.fft.rfft(windows * taper, axis=-1))) * 2 / (rate_hz * np.square(taper).sum())
     frequencies = np.fft.rfftfreq(n_segment, 1 / rate_hz)
-    kept = frequencies <= highest_hz
-    decibels = 10 * np.log10(np.maximum(density[..., kept], 1e-30)).reshape(-1, int(kept.sum())).T
+    shown = frequencies <= highest_hz
+    decibels = 10 * np.log10(np.maximum(density[..., shown], 1e-30)).reshape(-1, int(shown.sum())).T
     half = frequencies[1] / 2
-    return (-half, float(frequencies[kept][-1]) + half), decibels
+    return (-half, float(frequencies[shown][-1]) + half), decibels
 
 
 def _with_gaps(blocks: Array) -> Array:

@@ -63,8 +63,8 @@ def one_step_table(document: Mapping[str, Any]) -> Table:
     largest = max(errors, default=1.0) or 1.0
     columns = (
         Column("predictor", words=True),
-        Column("error", "sd", note="lower is better"),
-        Column(""),
+        Column("error", "sd"),
+        Column("", note="lower is better"),
         Column("to AR(20)"),
         Column("error", document["unit"]),
         Column("GFC", note="higher, blind to delay and gain"),

@@ -101,10 +101,10 @@ def _one_step(document: Mapping[str, Any]) -> Finding:
     if linear is None:
         naive = (zero, "predicting the mean") if zero <= persistence else (persistence, "persistence")
         tone, beside = _compared(error, *naive)
-        interval, least = _interval(document["one_step"], "mae_scaled"), naive[0]
+        interval, limit = _interval(document["one_step"], "mae_scaled"), naive[0]
     else:
         tone, beside = _compared(error, linear, "AR(20)")
-        interval, least = _interval(document["one_step"], "mae_to_ar"), 1.0
+        interval, limit = _interval(document["one_step"], "mae_to_ar"), 1.0
         if tone == "bad":
             caution = " A linear predictor does this better."
         elif best is not None and error - best > 0.01 * best:
@@ -114,7 +114,7 @@ def _one_step(document: Mapping[str, Any]) -> Finding:
     end = f"; no predictor can reach less than {bound:.3f} sd on this texture." if bound is not None else "."
     start = f"One step: error {figure} ({document['one_step']['mae_m_s2']:.3g} {document['unit']})"
     sentence = f"{start}, {beside}{end}{caution}"
-    return _finding(tone, "One step", figure, beside, sentence, interval, lambda value: value < least)
+    return _finding(tone, "One step", figure, beside, sentence, interval, lambda value: value < limit)
 
 
 def _compared(error: float, reference: float, name: str) -> tuple[str, str]:
