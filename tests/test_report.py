@@ -202,7 +202,7 @@ def test_the_tables_show_the_numbers_of_the_document(judged, written):
             _check(cell, document[run][key])
     named = {"one_step": document["one_step"]} | {f"references.{k}": v for k, v in document["references"].items()}
     for key, scores in named.items():
-        error, _, ratio, physical, fit = rows[key]
+        error, ratio, physical, fit = rows[key]
         for cell, figure in ((error, "mae_scaled"), (physical, "mae_m_s2"), (fit, "gfc")):
             _check(cell, scores[figure])
         if scores["mae_scaled"] is not None:
@@ -248,7 +248,7 @@ def test_what_is_unknown_is_a_dash_with_its_reason(judged, written):
     expected = {
         "references.lattice": (0, "foten has no linear part"),
         "references.ar_scheduled": (0, "fewer than two training windows for each coefficient"),
-        "references.bound": (4, "a bound on the error says nothing of the spectrum"),
+        "references.bound": (3, "a bound on the error says nothing of the spectrum"),
         "free_run.level_corr": (2, "the level does not vary"),
     }
     for row, (column, why) in expected.items():

@@ -11,20 +11,19 @@ import pytest
 from PIL import Image
 
 from foten.reporting.figure import PAGE, add_legend, new_figure, panel_grid, write_figure
-from foten.reporting.table import Bar, Column, Label, Number, Table, mean_number, minus, signed
+from foten.reporting.table import Heading, Number, Table, mean_number, minus, signed
 
-COLUMNS = (Column("model", words=True), Column("error", "sd", note="lower is better"), Column(""), Column("LSD", "dB"))
+COLUMNS = (Heading("model", words=True), Heading("error", "sd", note="lower is better"), Heading("LSD", "dB"))
 TABLE = Table(
     COLUMNS,
     (
         (
-            Label("ours", key="ours", note="a & b"),
-            Number(0.1234, error=0.01, best=True),
-            Bar(0.5),
+            Heading("ours", key="ours", note="a & b"),
+            Number(0.1234, error=0.01, best=True, bar=0.5),
             Number(-1.25, "+.1f"),
         ),
-        ("theirs", Number(0.5, interval=(0.4, 0.6)), "", Number(None, why="too <short>")),
-        ("silent", Number(None, why="none"), "", Number(None, why="none")),
+        ("theirs", Number(0.5, interval=(0.4, 0.6)), Number(None, why="too <short>")),
+        ("silent", Number(None, why="none"), Number(None, why="none")),
     ),
     "Errors",
     ("8 s alone.",),
@@ -59,12 +58,12 @@ def test_every_form_has_the_same_numbers() -> None:
 def test_a_page_has_numbers_in_full_and_a_footnote_for_each_dash() -> None:
     text = TABLE.html("a")
     assert '<tr id="ours"><th scope="row">ours<small>a &amp; b</small></th>' in text
-    assert '<data value="0.1234">0.123 ± 0.010</data>' in text
+    assert '<data value="0.1234">0.123 ± 0.010</data><span' in text
     assert '<data value="-1.25">−1.2</data>' in text
     assert '<data value="0.5">0.500</data><small>0.400 … 0.600</small>' in text
     assert '<abbr title="too &lt;short&gt;">–</abbr><sup>a1</sup>' in text
     assert "<sup>a1</sup> too &lt;short&gt; · <sup>a2</sup> none</p>" in text
-    assert "width:50.0%" in text
+    assert "width:4.00em" in text
 
 
 def test_what_lacks_in_all_rows_is_named_once() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import html
 import io
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,27 +26,15 @@ _LATEX = str.maketrans(
 
 
 @dataclass(frozen=True)
-class Column:
-    """The head of a column."""
+class Heading:
+    """The head of a column or of a row."""
 
     name: str
     unit: str = ""
     note: str = ""  # small print, in HTML alone
-    words: bool = False  # set from the left, as names are
-
-    def __str__(self) -> str:
-        return f"{self.name} [{self.unit}]" if self.unit else self.name
-
-
-@dataclass(frozen=True)
-class Label:
-    """The first cell of a row."""
-
-    name: str
-    unit: str = ""
-    note: str = ""  # small print, in HTML alone
-    key: str = ""  # identifier, in HTML alone
-    highlighted: bool = False  # likewise
+    key: str = ""  # identifier of a row, in HTML alone
+    words: bool = False  # a column of words, set from the left
+    highlighted: bool = False  # a row, in HTML alone
 
     def __str__(self) -> str:
         return f"{self.name} [{self.unit}]" if self.unit else self.name
@@ -58,66 +47,52 @@ class Number:
     value: float | None
     spec: str = ".3f"  # as of `format`
     error: float | None = None  # standard error of a mean
-    interval: Sequence[float] = ()  # small print, in HTML alone
-    interval_spec: str = ""  # by default as the value's
     unit: str = ""  # where it is not the column's or the row's
     best: bool = False  # bold in Markdown and LaTeX
     why: str = ""  # there is none
+    interval: Sequence[float] = ()  # small print, in HTML alone
+    interval_spec: str = ""  # by default as the value's
+    bar: float | None = None  # length of a bar beside it, 0 to 1, in HTML alone
 
     def __str__(self) -> str:
         if self.value is None:
             return "–"
-        return formatted(self.value, self.spec) + (
-            self.unit if self.error is None else f" ± {self.error:{self.spec.lstrip('+')}}{self.unit}"
-        )
+        error = "" if self.error is None else f" ± {self.error:{self.spec.lstrip('+')}}"
+        return formatted(self.value, self.spec) + error + self.unit
 
 
-@dataclass(frozen=True)
-class Bar:
-    """A bar beside a number, in HTML alone."""
-
-    share: float  # of the column's width, 0 to 1
-
-
-Cell = str | Label | Number | Bar
+Cell = str | Heading | Number
 
 
 @dataclass(frozen=True)
 class Table:
     """Columns and rows, with a title and notes above."""
 
-    columns: tuple[Column, ...]
+    columns: tuple[Heading, ...]
     rows: tuple[tuple[Cell, ...], ...]
     title: str = ""
     notes: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, heading: Iterable[str | Column], rows: Iterable[Sequence[Cell]]) -> Table:
-        """Table of a heading and rows; the first column is of words."""
-        columns = [
-            Column(head, words=not index) if isinstance(head, str) else head for index, head in enumerate(heading)
-        ]
+    def of(cls, heads: Iterable[str | Heading], rows: Iterable[Sequence[Cell]]) -> Table:
+        """Table of heads and rows; the first column is of words."""
+        columns = (Heading(head, words=not k) if isinstance(head, str) else head for k, head in enumerate(heads))
         return cls(tuple(columns), tuple(map(tuple, rows)))
 
     def __post_init__(self) -> None:
-        assert all(len(row) == len(self.columns) for row in self.rows), "a row has as many cells as the heading"
+        assert all(len(row) == len(self.columns) for row in self.rows), "a row has a cell for each column"
 
     def cells(self) -> list[list[str]]:
-        """Text of all cells, the heading first, without bars."""
-        table = self.without_bars()
-        return [[str(column) for column in table.columns], *([str(cell) for cell in row] for row in table.rows)]
-
-    def without_bars(self) -> Table:
-        """The same without columns of bars."""
-        return self._with(k for k in range(len(self.columns)) if not any(isinstance(row[k], Bar) for row in self.rows))
+        """Text of all cells, the heads first."""
+        return [[str(cell) for cell in row] for row in (self.columns, *self.rows)]
 
     def without_empty_columns(self) -> Table:
         """The same without columns that have no cell."""
         return self._with(k for k in range(len(self.columns)) if k == 0 or any(row[k] != "" for row in self.rows))
 
     def known(self) -> Table:
-        """The same without bars, and without the rows and columns of which no number is known."""
-        table = replace(self.without_bars(), rows=tuple(row for row in self.without_bars().rows if _any_known(row)))
+        """The same without the rows and columns of which no number is known."""
+        table = replace(self, rows=tuple(row for row in self.rows if _any_known(row)))
         columns = range(len(table.columns))
         return table._with(k for k in columns if k == 0 or _any_known([row[k] for row in table.rows]))
 
@@ -129,12 +104,12 @@ class Table:
     def missing(self) -> dict[str, list[str]]:
         """Reasons why numbers are missing, each with the names of the rows, columns and cells."""
         known, names = self.known(), dict[str, list[str]]()
-        rows, columns = {_name(row[0]) for row in known.rows}, {str(column) for column in known.columns}
+        rows, columns = {_name(row[0]) for row in known.rows}, set(known.columns)
         for row in self.rows:
             for column, cell in zip(self.columns, row, strict=True):
                 if isinstance(cell, Number) and cell.value is None:
                     name, head = _name(row[0]), column.name
-                    lacking = name if name not in rows else head if str(column) not in columns else f"{name} {head}"
+                    lacking = name if name not in rows else head if column not in columns else f"{name} {head}"
                     if lacking not in names.setdefault(cell.why, []):
                         names[cell.why].append(lacking)
         return names
@@ -152,19 +127,9 @@ class Table:
 
     def markdown(self) -> str:
         """Markdown, title and notes above."""
-        rows = [[cell.replace("|", r"\|") for cell in row] for row in self._emphasized("**{}**")]
-        lines = ["| " + " | ".join(row) + " |" for row in rows]
         above = "".join(f"{text}\n\n" for text in [*([f"# {self.title}"] if self.title else []), *self.notes])
-        return above + "\n".join([lines[0], "|" + "---|" * len(rows[0]), *lines[1:]]) + "\n"
-
-    def _emphasized(self, form: str, special: Mapping[int, str] | None = None) -> list[list[str]]:
-        """Text of all cells with special characters replaced, the best in a form."""
-        cells = [[cell.translate(special or {}) for cell in row] for row in self.cells()]
-        for texts, row in zip(cells[1:], self.without_bars().rows, strict=True):
-            for k, cell in enumerate(row):
-                if isinstance(cell, Number) and cell.best:
-                    texts[k] = form.format(texts[k])
-        return cells
+        lines = ["| " + " | ".join(row) + " |\n" for row in self._printed("**{}**", {ord("|"): r"\|"})]
+        return "".join([above, lines[0], "|" + "---|" * len(self.columns) + "\n", *lines[1:]])
 
     def csv(self) -> str:
         """CSV, without title and notes."""
@@ -174,35 +139,35 @@ class Table:
 
     def latex(self) -> str:
         """LaTeX with booktabs, title and notes above as comments."""
-        heading, *lines = (" & ".join(row) + r" \\" for row in self._emphasized(r"\textbf{{{}}}", _LATEX))
-        body = "\n".join([heading, r"\midrule", *lines])
-        above = "".join(f"% {text}\n" for text in [*([self.title] if self.title else []), *self.notes])
-        columns = "l" + "r" * (len(self.cells()[0]) - 1)
-        return f"{above}\\begin{{tabular}}{{{columns}}}\n\\toprule\n{body}\n\\bottomrule\n\\end{{tabular}}\n"
+        head, *lines = (" & ".join(row) + r" \\" for row in self._printed(r"\textbf{{{}}}", _LATEX))
+        above = [f"% {text}" for text in [*([self.title] if self.title else []), *self.notes]]
+        begin = rf"\begin{{tabular}}{{l{'r' * (len(self.columns) - 1)}}}"
+        return "\n".join([*above, begin, r"\toprule", head, r"\midrule", *lines, r"\bottomrule", r"\end{tabular}", ""])
+
+    def _printed(self, bold: str, special: Mapping[int, str]) -> list[list[str]]:
+        """Text of all cells with a form's special characters, the best in bold."""
+
+        def text(cell: Cell) -> str:
+            best = isinstance(cell, Number) and cell.best
+            return (bold if best else "{}").format(str(cell).translate(special))
+
+        return [[text(cell) for cell in row] for row in (self.columns, *self.rows)]
 
     def html(self, letter: str) -> str:
         """HTML: each number in full beside its rounding, each dash with a footnote, which the letter begins."""
-        reasons = list(self.missing())
+        marks = {why: f"<sup>{letter}{k}</sup>" for k, why in enumerate(self.missing(), 1)}
         head = "".join(f'<th scope="col">{_html_name(column)}</th>' for column in self.columns)
-        body = "".join(_html_row(row, self.columns, letter, reasons) for row in self.rows)
-        items = (f"<sup>{letter}{k}</sup> {html.escape(why)}" for k, why in enumerate(reasons, 1))
-        notes = f'<p class="notes">{" · ".join(items)}</p>' if reasons else ""
+        body = "".join(_html_row(row, self.columns, marks) for row in self.rows)
+        notes = " · ".join(f"{mark} {html.escape(why)}" for why, mark in marks.items())
         table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-        return f'<div class="scroll">{table}</div>{notes}'
+        return f'<div class="scroll">{table}</div>' + (f'<p class="notes">{notes}</p>' if notes else "")
 
     def text(self) -> list[str]:
-        """Aligned lines for a terminal: words from the left, numbers and their headings from the right."""
-        cells = self.cells()
-        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-        words = [column.words for column in self.without_bars().columns]
-        aligned = (
-            [
-                cell.ljust(width) if left else cell.rjust(width)
-                for cell, width, left in zip(row, widths, words, strict=True)
-            ]
-            for row in cells
-        )
-        return [minus("  ".join(row).rstrip()) for row in aligned]
+        """Aligned lines for a terminal: words from the left, numbers and their heads from the right."""
+        widths = [max(map(len, column)) for column in zip(*self.cells(), strict=True)]
+        forms = [f"{'<' if column.words else '>'}{width}" for column, width in zip(self.columns, widths, strict=True)]
+        rows = (map(format, row, forms) for row in self.cells())
+        return [minus("  ".join(row).rstrip()) for row in rows]
 
     def write(self, path: Path, form: str = "") -> None:
         """Write it to a file, in one of the `FORMS`, by default that of its suffix."""
@@ -234,13 +199,8 @@ def formatted(value: float, spec: str) -> str:
 
 
 def minus(text: str) -> str:
-    """Text of numbers with true minus signs: those before a digit, and not within a word."""
-    return "".join(
-        "−"
-        if character == "-" and text[k + 1 : k + 2].isdigit() and not text[max(0, k - 1) : k].isalnum()
-        else character
-        for k, character in enumerate(text)
-    )
+    """Text with true minus signs before its numbers; hyphens within words stay."""
+    return re.sub(r"(?<!\w)-(?=\d)", "−", text)
 
 
 def signed(value: float, digits: int) -> str:
@@ -255,30 +215,27 @@ def _any_known(cells: Sequence[Cell]) -> bool:
 
 
 def _name(cell: Cell) -> str:
-    return cell.name if isinstance(cell, Label) else str(cell)
+    return cell.name if isinstance(cell, Heading) else str(cell)
 
 
-def _html_name(head: Label | Column) -> str:
+def _html_name(head: Heading) -> str:
     unit = f" <i>[{html.escape(head.unit)}]</i>" if head.unit else ""
     return html.escape(head.name) + unit + (f"<small>{html.escape(head.note)}</small>" if head.note else "")
 
 
-def _html_row(row: Sequence[Cell], columns: Sequence[Column], letter: str, reasons: Sequence[str]) -> str:
-    first, *others = row
-    label = first if isinstance(first, Label) else Label(str(first))
-    attributes = (f' id="{label.key}"' if label.key else "") + (' class="own"' if label.highlighted else "")
-    cells = "".join(_html_cell(cell, column, letter, reasons) for cell, column in zip(others, columns[1:], strict=True))
-    return f'<tr{attributes}><th scope="row">{_html_name(label)}</th>{cells}</tr>'
+def _html_row(row: Sequence[Cell], columns: Sequence[Heading], marks: Mapping[str, str]) -> str:
+    head = row[0] if isinstance(row[0], Heading) else Heading(str(row[0]))
+    attributes = (f' id="{head.key}"' if head.key else "") + (' class="own"' if head.highlighted else "")
+    cells = (_html_cell(cell, column.words, marks) for cell, column in zip(row[1:], columns[1:], strict=True))
+    return f'<tr{attributes}><th scope="row">{_html_name(head)}</th>{"".join(cells)}</tr>'
 
 
-def _html_cell(cell: Cell, column: Column, letter: str, reasons: Sequence[str]) -> str:
-    if isinstance(cell, Bar):
-        return f'<td class="bars"><span class="bar" style="width:{100 * cell.share:.1f}%"></span></td>'
+def _html_cell(cell: Cell, words: bool, marks: Mapping[str, str]) -> str:
     if not isinstance(cell, Number):
-        return f'<td class="{"words" if column.words else "n"}">{html.escape(str(cell))}</td>'
+        return f'<td class="{"words" if words else "n"}">{html.escape(str(cell))}</td>'
     if cell.value is None:
-        mark = f"{letter}{reasons.index(cell.why) + 1}"
-        return f'<td class="n none"><abbr title="{html.escape(cell.why)}">–</abbr><sup>{mark}</sup></td>'
+        return f'<td class="n none"><abbr title="{html.escape(cell.why)}">–</abbr>{marks[cell.why]}</td>'
+    bar = "" if cell.bar is None else f'<span class="bar" style="width:{8 * cell.bar:.2f}em"></span>'
     ends = " … ".join(minus(formatted(end, cell.interval_spec or cell.spec)) for end in cell.interval)
     small = f"<small>{ends}{cell.unit}</small>" if ends else ""
-    return f'<td class="n"><data value="{cell.value!r}">{minus(str(cell))}</data>{small}</td>'
+    return f'<td class="n"><data value="{cell.value!r}">{minus(str(cell))}</data>{bar}{small}</td>'

@@ -8,7 +8,7 @@ from typing import Any
 from foten.evaluate.evaluate import RUNS
 from foten.evaluate.report.signals import LABELS
 from foten.evaluate.report.verdict import ar_name, reason
-from foten.reporting.table import Bar, Cell, Column, Label, Number, Table, minus, signed
+from foten.reporting.table import Cell, Heading, Number, Table, minus, signed
 
 REFERENCES = {
     "lattice": ("the model without its network", "the lattice; what the network adds is the difference to it"),
@@ -62,12 +62,11 @@ def one_step_table(document: Mapping[str, Any]) -> Table:
     errors = [scores["mae_scaled"] for *_, scores in rows.values() if scores["mae_scaled"] is not None]
     largest = max(errors, default=1.0) or 1.0
     columns = (
-        Column("predictor", words=True),
-        Column("error", "sd"),
-        Column("", note="lower is better"),
-        Column("to AR(20)"),
-        Column("error", document["unit"]),
-        Column("GFC", note="higher, blind to delay and gain"),
+        Heading("predictor", words=True),
+        Heading("error", "sd", note="lower is better"),
+        Heading("to AR(20)"),
+        Heading("error", document["unit"]),
+        Heading("GFC", note="higher, blind to delay and gain"),
     )
     return Table(columns, tuple(_one_step_row(document, key, *row, largest) for key, row in rows.items()))
 
@@ -76,12 +75,12 @@ def _one_step_row(
     document: Mapping[str, Any], key: str, name: str, note: str, scores: Mapping[str, Any], largest: float
 ) -> tuple[Cell, ...]:
     error, intervals = scores["mae_scaled"], scores.get("intervals", {})
+    bar = None if error is None else error / largest
     why = reason(document, key, *(("references.ar",) if key.startswith("references.ar") else ()), "one_step")
     why_gfc = why if error is None else "a bound on the error says nothing of the spectrum"
     return (
-        Label(name, note=note, key=key, highlighted=key == "one_step"),
-        Number(error, ".4f", interval=intervals.get("mae_scaled", ()), interval_spec=".3f", why=why),
-        "" if error is None else Bar(error / largest),
+        Heading(name, note=note, key=key, highlighted=key == "one_step"),
+        Number(error, ".4f", why=why, interval=intervals.get("mae_scaled", ()), interval_spec=".3f", bar=bar),
         _to_linear(error, document["references"]["ar"]["mae_scaled"], intervals if key != "references.ar" else {}),
         Number(scores["mae_m_s2"], "#.4g", why=why),
         Number(scores["gfc"], interval=intervals.get("gfc", ()), why=why_gfc),
@@ -110,9 +109,9 @@ def free_run_table(document: Mapping[str, Any]) -> Table:
     for key, (name, unit, better) in FREE_RUN_FIGURES.items():
         note = f"{_MEANINGS[key]}.{recorded if key == 'kurtosis' else ''}"
         numbers = (_free_run_number(document, run, key) for run in notes)
-        rows.append((Label(name, unit, note, f"free_run.{key}"), better, *numbers))
-    columns = (Column("figure", words=True), Column("better", words=True))
-    return Table((*columns, *(Column(LABELS[run], note=note) for run, note in notes.items())), tuple(rows))
+        rows.append((Heading(name, unit, note, f"free_run.{key}"), better, *numbers))
+    columns = (Heading("figure", words=True), Heading("better", words=True))
+    return Table((*columns, *(Heading(LABELS[run], note=note) for run, note in notes.items())), tuple(rows))
 
 
 def _free_run_number(document: Mapping[str, Any], run: str, key: str) -> Number:
