@@ -115,12 +115,17 @@ def stroke(arguments: argparse.Namespace) -> None:
     for axes, label in zip(panels[:, 0], ("speed\n[mm/s]", "acceleration\n[m/s²]", "frequency\n[Hz]"), strict=True):
         axes.set_ylabel(label)
     save(figure, "stroke")
+    played = slice(0, round(2.5 * trace.rate_hz))
+    write_sound("stroke", [signal.ravel()[played] for signal in both.values()], trace.rate_hz)
+
+
+def write_sound(name: str, signals: list[np.ndarray], rate_hz: float) -> None:
+    """Write signals after each other, at one gain."""
+    loudest, pause = max(float(np.abs(signal).max()) for signal in signals), np.zeros(round(0.4 * rate_hz))
+    row = np.concatenate([part for signal in signals for part in (0.9 / loudest * signal, pause)])
     (DOCS / "audio").mkdir(exist_ok=True)
-    scale = 0.5 / largest
-    played, pause = slice(0, round(2.5 * trace.rate_hz)), np.zeros(round(0.4 * trace.rate_hz))
-    row = np.concatenate([np.concatenate([scale * signal.ravel()[played], pause]) for signal in both.values()])
-    sound = interpolate(row, Fraction(SOUND_HZ, round(trace.rate_hz)))
-    (DOCS / "audio" / "stroke.wav").write_bytes(pcm_wav(sound, SOUND_HZ))
+    sound = pcm_wav(interpolate(row, Fraction(SOUND_HZ, round(rate_hz))), SOUND_HZ)
+    (DOCS / "audio" / f"{name}.wav").write_bytes(sound)
 
 
 def boxes(name: str, placed: Mapping[str, tuple[float, float, float, str]], arrows: list[tuple[Any, ...]]) -> None:
@@ -208,30 +213,24 @@ def foten_plus_diagram(arguments: argparse.Namespace) -> None:
 def one_step(arguments: argparse.Namespace) -> None:
     """The same network one step ahead and on its own output."""
     recording = simulate(SHOWN, 64.0, seed=SEED)
-    files = {model: texture_of(SHOWN, model) for model in ("foten", "foten-plus")}
-    paper = files["foten"]
-    kernels = {model: NativeTexture(file.to_bytes()) for model, file in files.items()}
+    paper, ours = (texture_of(SHOWN, model) for model in ("foten", OURS_KEY))
+    kernel, our_kernel = (NativeTexture(file.to_bytes()) for file in (paper, ours))
     trace = preprocess(recording, PreprocessConfig())
     split = split_blocks(trace, "regrouped", SEED)
     samples = paper.scaling.scale(trace.stacked())
     block = split.test[0]
     n = np.arange(block * trace.block + first_scored(trace.block), (block + 1) * trace.block)
-    predicted = predict(kernels["foten"], samples, n[None]).sample[0]
+    predicted = predict(kernel, samples, n[None]).sample[0]
     recorded = samples[n, 0]
     linear = fit_linear(samples, split.train, trace.block, 20)
     assert linear is not None
-    rendered = {
-        "recorded": samples[block * trace.block : (block + 1) * trace.block, 0],
-        "foten, free run": paper.scaling.scale_channel(
-            0, synthesize(kernels["foten"], trace, (block,), excitation=False)[0][0, 0]
-        ),
-        "AR(20) with white noise": paper.scaling.scale_channel(
-            0, synthesize_linear(linear, trace, (block,), paper.scaling, n_seeds=1)[0, 0]
-        ),
-        "foten-plus": paper.scaling.scale_channel(
-            0, synthesize(kernels["foten-plus"], trace, (block,), excitation=True, n_seeds=1)[0][0, 0]
-        ),
+    runs = {
+        "foten, free run": synthesize(kernel, trace, (block,), excitation=False)[0],
+        "AR(20) with white noise": synthesize_linear(linear, trace, (block,), paper.scaling, n_seeds=1),
+        OURS_KEY: synthesize(our_kernel, trace, (block,), excitation=True, n_seeds=1)[0],
     }
+    rendered = {"recorded": samples[block * trace.block : (block + 1) * trace.block, 0]}
+    rendered |= {name: paper.scaling.scale_channel(0, run[0, 0]) for name, run in runs.items()}
     figure, (above, (left, right)) = drawn(9, 6.4, 2, 2, height_ratios=[1, 1.7], width_ratios=[2, 1])
     axes = figure.add_subplot(above[0].get_gridspec()[0, :])
     axes.spines[["top", "right"]].set_visible(False)
@@ -240,13 +239,8 @@ def one_step(arguments: argparse.Namespace) -> None:
     shown, ms = slice(400, 520), np.arange(120) / trace.rate_hz * 1000
     error, zero = np.abs(predicted - recorded).mean(), np.abs(recorded).mean()
     axes.plot(ms, recorded[shown], color=INK, label=f"recorded: mean size {zero:.2f} sd")
-    axes.plot(
-        ms,
-        predicted[shown],
-        color=PAPER,
-        ls="--",
-        label=f"the paper's network, one step ahead: mean error {error:.2f} sd",
-    )
+    label = f"the paper's network, one step ahead: mean error {error:.2f} sd"
+    axes.plot(ms, predicted[shown], color=PAPER, ls="--", label=label)
     axes.set(xlabel="ms", ylabel="acceleration [sd]", title=f"Simulated {SHOWN}: every sample is given …")
     axes.set_ylim(top=1.6 * float(recorded[shown].max()))
     add_legend(axes, STYLE, loc="upper right", ncols=2)
@@ -316,13 +310,8 @@ def bound(arguments: argparse.Namespace) -> None:
             of_window.append(window[n].mean())
             infinite = float(of_past[n].mean())
         axes.axhline(1.0, color=CEILING, label="least possible, all of the past known")
-        axes.plot(
-            orders,
-            np.array(of_window) / infinite,
-            color=CEILING,
-            ls="--",
-            label="least possible, so many samples known",
-        )
+        label = "least possible, so many samples known"
+        axes.plot(orders, np.array(of_window) / infinite, color=CEILING, ls="--", label=label)
         reached = []
         for order in ORDERS:
             linear = fit_linear(samples, split.train, trace.block, order)
@@ -484,11 +473,7 @@ def impact(arguments: argparse.Namespace) -> None:
     panels[-1].set(xlabel="time [s]", xlim=(0, length / hand.rate_hz))
     save(figure, "impact")
     played = slice(start, start + 2000)
-    loudest = max(float(np.abs(signal[played]).max()) for signal in signals.values())
-    pause = np.zeros(int(0.4 * hand.rate_hz))
-    row = np.concatenate([np.concatenate([0.9 / loudest * signal[played], pause]) for signal in signals.values()])
-    sound = interpolate(row, Fraction(SOUND_HZ, round(hand.rate_hz)))
-    (DOCS / "audio" / "listener.wav").write_bytes(pcm_wav(sound, SOUND_HZ))
+    write_sound("listener", [signal[played] for signal in signals.values()], hand.rate_hz)
 
 
 def rates(arguments: argparse.Namespace) -> None:

@@ -90,6 +90,11 @@ def mean(over: str, under: str = "", digits: int = 3) -> Callable[[Records], Num
     return lambda records: mean_number(values(records, over, under), digits)
 
 
+def average(of: Callable[[Record], float], spec: str = ".2f") -> Callable[[Records], str]:
+    """Cell of a mean over runs."""
+    return lambda records: format(np.mean([of(record) for record in records]), spec)
+
+
 def in_loop(records: Records) -> str:
     """In how many runs a rendering uses the network."""
     return f"{sum(bool(record['network_in_loop']) for record in records)} of {len(records)}"
@@ -179,12 +184,10 @@ def measured(measure: str) -> dict[str, Records]:
     """Figures of a measure, with the texture, of the runs that have it, by kind of texture."""
 
     def of(record: Record) -> Record:
-        figures = {
-            key.removeprefix(f"{measure}."): value for key, value in record.items() if key.startswith(f"{measure}.")
-        }
-        return {"texture": record["texture"], **figures} if any(v is not None for v in figures.values()) else {}
+        figures = {key.partition(".")[2]: value for key, value in record.items() if key.startswith(f"{measure}.")}
+        return {"texture": record["texture"], **figures} if any(value is not None for value in figures.values()) else {}
 
-    return {title: [figures for record in runs(name) if (figures := of(record))] for name, title in MAIN.items()}
+    return {title: [*filter(None, map(of, runs(name)))] for name, title in MAIN.items()}
 
 
 def stability() -> Table:
@@ -225,7 +228,7 @@ def onset() -> Table:
     """Means over the textures of each kind."""
 
     def size(key: str) -> Callable[[Records], str]:
-        return lambda records: f"{np.mean([abs(record[key]) for record in records]):.2f}"
+        return average(lambda record: abs(record[key]))
 
     def clicks(records: Records) -> str:
         excess = [100 * (record["click_share"] - record["settled_share"]) for record in records]
@@ -248,7 +251,7 @@ def innovations() -> Table:
     """Mean negative log-likelihoods re a Gaussian's, and the largest gain, by kind of texture."""
 
     def gain(kind: str) -> Callable[[Records], str]:
-        return lambda records: f"{np.mean([record[kind] - record['gaussian'] for record in records]):+.3f}"
+        return average(lambda record: record[kind] - record["gaussian"], "+.3f")
 
     def largest(records: Records) -> str:
         gains = [(record["heavy_tailed"] - record["gaussian"], record["texture"]) for record in records]
@@ -256,7 +259,7 @@ def innovations() -> Table:
 
     columns: Columns = (
         ("textures", n_textures),
-        ("Gaussian [nat]", lambda records: f"{np.mean([record['gaussian'] for record in records]):.3f}"),
+        ("Gaussian [nat]", average(lambda record: record["gaussian"], ".3f")),
         ("Student t", gain("student")),
         ("two Gaussians", gain("two_gaussians")),
         ("z·exp(h z²/2)", gain("heavy_tailed")),
@@ -285,11 +288,6 @@ def of_textures(records: Records, like: Records) -> Records:
     return [record for record in records if record["texture"] in keys]
 
 
-def auc(key: str) -> Callable[[Records], str]:
-    """Cell of a mean area over textures."""
-    return lambda records: f"{np.mean([record[f'listener.listener_auc{key}'] for record in records]):.2f}"
-
-
 def worst_auc(records: Records) -> str:
     worst = max(records, key=lambda record: record["listener.listener_auc"])
     return f"{worst['listener.listener_auc']:.2f} ({worst['texture']})"
@@ -297,23 +295,23 @@ def worst_auc(records: Records) -> str:
 
 AREAS: Columns = (
     ("textures", n_textures),
-    ("band energies", auc("")),
+    ("band energies", average(lambda record: record["listener.listener_auc"])),
     ("worst", worst_auc),
-    ("control", auc("_control")),
-    ("and waveform", auc("_waveform")),
+    ("control", average(lambda record: record["listener.listener_auc_control"])),
+    ("and waveform", average(lambda record: record["listener.listener_auc_waveform"])),
 )
 
 
 def listener() -> Table:
     """Areas under listeners' curves, means over the textures of each kind, beside those of two true vibrations."""
-    by_method = listened("listener")
+    by_method, control = listened("listener"), average(lambda record: record["listener.listener_auc_waveform_control"])
     rows: dict[tuple[str, ...], Records] = {}
     for (title, method), records in by_method.items():
         ours = by_method.get((title, OURS), [])
         rows[title, method] = records
         if len(records) < len(ours):  # a method that was asked about some textures alone: ours on the same
             rows[title, f"{OURS} on these"] = of_textures(ours, records)
-    return table(("mean of", "method"), rows, (*AREAS, ("control", auc("_waveform_control"))))
+    return table(("mean of", "method"), rows, (*AREAS, ("control", control)))
 
 
 def recorded_longer() -> Table:
