@@ -22,7 +22,7 @@ from foten.runtime.binding import LIBRARIES, isa, kernel_file
 from foten.train.pipeline import PREPARE
 
 EXECUTES = "foten.experiments.run"  # any run
-KERNEL = "the kernel's library"  # beside its modules all that a run reads of the package
+KERNEL = "kernel/"  # before the names of its libraries: beside modules all that a run reads of the package
 N_DIGITS = 16  # of a digest; two of a thousand are the same by chance in 1 of 10¹³
 
 
@@ -30,9 +30,7 @@ N_DIGITS = 16  # of a digest; two of a thousand are the same by chance in 1 of 1
 class Provenance:
     """All that a result depends on."""
 
-    sources: Mapping[
-        str, str
-    ]  # digests of the kernel's library and of the modules of the run's import closure, by name
+    sources: Mapping[str, str]  # digests by name: modules of the import closure, libraries of the kernel
     data: str  # digest of the recording
     configuration: str  # digest of the settings
     platform: Mapping[str, str]
@@ -51,17 +49,15 @@ class Provenance:
         return {**asdict(self), "code": self.code}
 
     def differences(self, other: Mapping[str, Any]) -> list[str]:
-        """Which of code, data, configuration and platform another result's differ in, the former and the last with details."""
-        changed = [
-            name
-            for name in {**self.sources, **other["sources"]}
-            if self.sources.get(name) != other["sources"].get(name)
-        ]
-        more = f" and {len(changed) - 1} more" if len(changed) > 1 else ""
-        parts = [f"code ({changed[0]}{more})"] if changed else []
-        parts += [name for name in ("data", "configuration") if getattr(self, name) != other[name]]
-        unlike = [name for name in self.platform if self.platform[name] != other["platform"].get(name)]
-        return parts + ([f"platform ({', '.join(unlike)})"] if unlike else [])
+        """Which of code, data, configuration and platform are not another result's, with what of code and platform."""
+        code, platform = (
+            sorted({name for name, _ in mine.items() ^ dict(other.get(part) or {}).items()})
+            for part, mine in (("sources", self.sources), ("platform", self.platform))
+        )
+        more = f" and {len(code) - 1} more" if len(code) > 1 else ""
+        parts = [f"code ({code[0]}{more})"] if code else []
+        parts += [part for part in ("data", "configuration") if getattr(self, part) != other.get(part)]
+        return parts + ([f"platform ({', '.join(platform)})"] if platform else [])
 
 
 def provenance_of(run: Run, recording_sha256: str) -> Provenance:
@@ -71,12 +67,13 @@ def provenance_of(run: Run, recording_sha256: str) -> Provenance:
 
 @cache
 def sources_of(model: str, measures: tuple[str, ...]) -> dict[str, str]:
-    """Digests of the modules that a run of a model executes, by name, and of the kernel's library."""
+    """Digests of the modules that a run of a model executes, by name, and of the kernel's libraries."""
     entries = {EXECUTES, *modules_of(model), *(MEASURES[name] for name in measures)}
     others = set().union(*map(modules_of, FAMILIES), MEASURES.values()) - entries
     modules = closure(entries, Path(foten.__file__).parent, others)
-    files = {**modules, KERNEL: kernel_file(*LIBRARIES)}
-    return {name: digest(path.read_bytes()) for name, path in sorted(files.items())}
+    beside = kernel_file(*LIBRARIES).parent.iterdir()
+    libraries = {KERNEL + path.name: path for path in beside if path.suffix in (".so", ".dylib", ".dll")}
+    return {name: digest(path.read_bytes()) for name, path in sorted({**modules, **libraries}.items())}
 
 
 def modules_of(model: str) -> set[str]:
