@@ -24,8 +24,8 @@ ROOT = Path(foten.__file__).parent
 PACKAGE = {
     "__init__": "",
     "run": "from package.dispatch import fit\n",
-    "dispatch": "from package import filters\ndef fit(model):\n    if model == 'a':\n        from package.models import a\n"
-    "    else:\n        from package.models import b\n",
+    "dispatch": "from package import filters\ndef fit(model):\n    if model == 'a':\n        import package.models.a\n"
+    "    else:\n        import package.models.b\n",
     "filters": "import typing\nif typing.TYPE_CHECKING:\n    import package.drawing\ndef resample():\n    import package.rates\n",
     "models/__init__": "",
     "models/a": "import package.lattice\n",

@@ -209,7 +209,7 @@ def test_the_tables_show_the_numbers_of_the_document(judged, written):
             expected = 100 * (scores["mae_scaled"] / document["references"]["ar"]["mae_scaled"] - 1)
             assert float(ratio["text"].replace("−", "-").partition(" %")[0]) == pytest.approx(expected, abs=0.051)
     low, high = document["one_step"]["intervals"]["mae_scaled"]
-    assert f"{low:.3f} … {high:.3f}" in written
+    assert f"{low:.4f} … {high:.4f}" in written
     assert json.dumps(document["one_step"]["mae_m_s2"]) in written  # the raw document, in full
 
 

@@ -115,31 +115,27 @@ def tables(
     as_json: JsonOption = False,
 ) -> None:
     """Set the results of a sweep beside references and beside the paper's figures."""
-    from foten.experiments import tables as of_runs
     from foten.experiments.results import joined, read_records, runs_table, title_of
+    from foten.experiments.tables import brief, findings, tables_of
     from foten.reporting.table import FORMS
 
     records = joined([read_records(path) for path in results], mixed)
     check_folder(output)
-    tables, title, sentences = of_runs.tables(records), title_of(records), list(of_runs.findings(records))
+    shown, title, sentences = tables_of(records), title_of(records), list(findings(records))
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
-        for name, table in tables.items():
+        for name, table in shown.items():
             for form in FORMS:
                 table.write(output / f"{name}.{form}")
-        runs_table(of_runs.brief(records) if short else records, digits).write(output / "runs.csv")
+        runs_table(brief(records) if short else records, digits).write(output / "runs.csv")
         with atomic_write(output / "findings.md") as part:
             part.write_text("\n\n".join([f"# {title}", *sentences]) + "\n", encoding="utf-8")
     printed = [
-        dataclasses.replace(tables[name], title="", notes=()).markdown()
+        dataclasses.replace(shown[name], title="", notes=()).markdown()
         for name in ("summary", "ratios")
-        if name in tables
+        if name in shown
     ]
-    document = {
-        "title": title,
-        "tables": {name: table.cells() for name, table in tables.items()},
-        "findings": sentences,
-    }
+    document = {"title": title, "tables": {name: table.cells() for name, table in shown.items()}, "findings": sentences}
     print_result(document, "\n".join([f"{title}\n", *printed, *sentences]), as_json)
 
 

@@ -42,13 +42,13 @@ _NAMES = (
 PAPERS = "paper's MAE, unit not stated"
 
 
-def tables(records: Records) -> dict[str, Table]:
+def tables_of(records: Records) -> dict[str, Table]:
     """All tables of runs by the names of their files: of all figures, of each by texture, and of methods beside others."""
     shown, title = chosen(records), title_of(records)
-    of = {"summary": summary(shown)} | {name: table(shown, name) for name in FIGURES}
+    by_name = {"summary": summary(shown)} | {name: table(shown, name) for name in FIGURES}
     if any(record["beside"] for record in shown):
-        of["ratios"] = ratios(shown)
-    return {name: replace(table, title=title, notes=tuple(caveats(shown, name))) for name, table in of.items()}
+        by_name["ratios"] = ratios(shown)
+    return {name: replace(of, title=title, notes=tuple(caveats(shown, name))) for name, of in by_name.items()}
 
 
 def summary(records: Records) -> Table:

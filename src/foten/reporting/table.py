@@ -51,7 +51,6 @@ class Number:
     best: bool = False  # bold in Markdown and LaTeX
     why: str = ""  # there is none
     interval: Sequence[float] = ()  # small print, in HTML alone
-    interval_spec: str = ""  # by default as the value's
     bar: float | None = None  # length of a bar beside it, 0 to 1, in HTML alone
 
     def __str__(self) -> str:
@@ -236,6 +235,6 @@ def _html_cell(cell: Cell, words: bool, marks: Mapping[str, str]) -> str:
     if cell.value is None:
         return f'<td class="n none"><abbr title="{html.escape(cell.why)}">–</abbr>{marks[cell.why]}</td>'
     bar = "" if cell.bar is None else f'<span class="bar" style="width:{8 * cell.bar:.2f}em"></span>'
-    ends = " … ".join(minus(formatted(end, cell.interval_spec or cell.spec)) for end in cell.interval)
+    ends = " … ".join(minus(formatted(end, cell.spec)) for end in cell.interval)
     small = f"<small>{ends}{cell.unit}</small>" if ends else ""
     return f'<td class="n"><data value="{cell.value!r}">{minus(str(cell))}</data>{bar}{small}</td>'

@@ -80,7 +80,7 @@ def _one_step_row(
     why_gfc = why if error is None else "a bound on the error says nothing of the spectrum"
     return (
         Heading(name, note=note, key=key, highlighted=key == "one_step"),
-        Number(error, ".4f", why=why, interval=intervals.get("mae_scaled", ()), interval_spec=".3f", bar=bar),
+        Number(error, ".4f", why=why, interval=intervals.get("mae_scaled", ()), bar=bar),
         _to_linear(error, document["references"]["ar"]["mae_scaled"], intervals if key != "references.ar" else {}),
         Number(scores["mae_m_s2"], "#.4g", why=why),
         Number(scores["gfc"], interval=intervals.get("gfc", ()), why=why_gfc),
@@ -121,7 +121,7 @@ def _free_run_number(document: Mapping[str, Any], run: str, key: str) -> Number:
     if key == "max_sd" and value is not None and value < 0.01:
         spec = ".1g"
     why = reason(document, f"{run}.{key}", run, "free_run")
-    return Number(value, spec, interval=interval, interval_spec=f".{digits}f", why=why)
+    return Number(value, spec, interval=interval, why=why)
 
 
 def one_step_section(document: Mapping[str, Any]) -> str:
