@@ -99,6 +99,11 @@ class Method:
     split_seeds: tuple[int, ...] | None = None  # None for the experiment's
     measures: tuple[str, ...] = ()  # of `MEASURES`, beside the evaluation
 
+    @property
+    def title(self) -> str:
+        """Name in tables."""
+        return self.name or self.model
+
 
 @dataclass(frozen=True)
 class Experiment:
@@ -140,7 +145,7 @@ class Experiment:
         return runs
 
     def _resolved(self, texture: str, method: Method, split_seed: int, cell: Mapping[str, Any], recipe: str) -> Run:
-        name, model = method.name or method.model, method.model
+        name, model = method.title, method.model
         changes = dict(method.recipes.get(recipe, {}))
         base = changes.pop("recipe", method.recipe or self.recipe)
         changed = {**method.train, **changes, **{k: v for k, v in cell.items() if k in OF_TRAINING}}
@@ -217,10 +222,10 @@ def _experiment(content: dict[str, Any], folder: Path) -> Experiment:
     for name in ("train", "grid", "preprocess"):
         _check_types(content, (name,), dict, f"a table, [{name}]")
     methods = tuple(map(_method, content["methods"]))
-    if len({method.name or method.model for method in methods}) < len(methods):
+    names = {method.title for method in methods}
+    if len(names) < len(methods):
         raise ValueError("two methods have the same name: give them a 'name' each")
     _check_recipe(content)
-    _check_beside(methods)
     textures = tuple(_texture(texture, folder) for texture in content["textures"])
     if len(set(map(texture_name, textures))) < len(textures):
         raise ValueError("two textures have the same name, which tables could not tell apart")
@@ -239,9 +244,9 @@ def _experiment(content: dict[str, Any], folder: Path) -> Experiment:
     seeds = _seeds(content.get("split_seeds", [1]))
     for method in methods:
         if not set(method.split_seeds or ()) <= set(seeds):
-            raise ValueError(
-                f"method {method.name or method.model!r}: its split_seeds are not all among the experiment's"
-            )
+            raise ValueError(f"method {method.title!r}: its split_seeds are not all among the experiment's")
+        if method.beside and method.beside not in names:
+            raise ValueError(f"{method.title!r} stands beside {method.beside!r}, which is no method of the file")
     seconds = content.get("seconds", 60.0)
     if type(seconds) not in (int, float) or not 1 <= seconds <= 3600:
         raise ValueError(f"seconds is {seconds!r}, expected 1 to 3600")
@@ -280,15 +285,6 @@ def _seeds(seeds: object) -> tuple[int, ...]:
     if len(set(seeds)) < len(seeds):
         raise ValueError(f"split_seeds is {seeds!r}, expected each once")
     return tuple(seeds)
-
-
-def _check_beside(methods: Collection[Method]) -> None:
-    names = {method.name or method.model for method in methods}
-    for method in methods:
-        if method.beside and method.beside not in names:
-            raise ValueError(
-                f"{method.name or method.model!r} stands beside {method.beside!r}, which is no method of the file"
-            )
 
 
 def _texture(content: object, folder: Path) -> str:
