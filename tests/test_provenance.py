@@ -180,6 +180,10 @@ def test_a_result_of_other_data_or_settings_stays_until_the_new_one_is_there(
         item.write({**result, "recording_sha256": item.provenance.data, "provenance": item.provenance.to_json()})
     assert set(folder.iterdir()) == {item.path for item in plan}
     assert len(read_results(folder)) == 4
+    another = TINY.replace("Two methods", "Another").replace("= 8", "= 10")
+    plan, _ = planned(read_experiment(experiment(folder.parent, another)), folder)
+    waiting = lacking(plan, folder, True, lines.append)
+    assert [item.replaces for item in waiting] == [None] * 4  # what is of another experiment is not deleted
 
 
 @pytest.mark.parametrize(("other", "what"), [(OTHER, "code (foten.dsp.filters)"), ({"platform": {}}, "platform")])

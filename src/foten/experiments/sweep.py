@@ -142,18 +142,22 @@ def planned(experiment: Experiment, results: Path) -> tuple[list[Planned], dict[
 def lacking(plan: Sequence[Planned], folder: Path, same_platform: bool, say: Say) -> list[Planned]:
     """Runs without a result of the same code, data, configuration and platform, after a line on why others are run again.
 
-    Results that stay take the names of the experiment.
+    Results that stay take the names of the experiment. One of other data or settings is replaced where it is of this experiment.
 
     Args:
         same_platform: whether the platform has to be this one; that of a cluster's nodes is not known before.
     """
     files = {path: read_result(path) for path in folder.glob("*.json")}
     others = {path: result for path, result in files.items() if path not in {item.path for item in plan}}
-    of_place = {Run(**result["run"]).place: path for path, result in others.items() if result is not None}
+    of_place = {
+        (result.get("experiment", {}).get("title"), Run(**result["run"]).place): path
+        for path, result in others.items()
+        if result is not None
+    }
     waiting: list[Planned] = []
     again: dict[str, list[Run]] = {}
     for item in plan:
-        earlier = of_place.get(item.run.place)
+        earlier = of_place.get((item.about["experiment"]["title"], item.run.place))
         path = item.path if item.path in files else earlier
         if path is None:
             waiting.append(item)
