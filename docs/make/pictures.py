@@ -65,12 +65,12 @@ OURS_KEY = "foten-plus"
 INK, OURS, PAPER, LINEAR, CEILING = "#333333", BLUE, ORANGE, GREEN, MAUVE
 SOUND_HZ = 4000
 STYLE = Style(INK, label_pt=10, tick_pt=9)
-N_COLOURS = 128  # of a picture's palette: nobody sees it
+N_COLOURS = 48  # of the palette of a picture of lines
 
 
-def save(figure: Figure, name: str) -> None:
+def save(figure: Figure, name: str, n_colours: int = N_COLOURS) -> None:
     (DOCS / "pictures").mkdir(exist_ok=True)
-    write_figure(figure, DOCS / "pictures" / f"{name}.png", dpi=110, n_colours=N_COLOURS)
+    write_figure(figure, DOCS / "pictures" / f"{name}.png", dpi=110, n_colours=n_colours)
     print(name)
 
 
@@ -114,7 +114,7 @@ def stroke(arguments: argparse.Namespace) -> None:
         bottom.set(xlabel="time [s]", xlim=(0, seconds[-1]), facecolor="#000004")
     for axes, label in zip(panels[:, 0], ("speed\n[mm/s]", "acceleration\n[m/s²]", "frequency\n[Hz]"), strict=True):
         axes.set_ylabel(label)
-    save(figure, "stroke")
+    save(figure, "stroke", 128)  # a spectrogram
     played = slice(0, round(2.5 * trace.rate_hz))
     write_sound("stroke", [signal.ravel()[played] for signal in both.values()], trace.rate_hz)
 
