@@ -32,7 +32,7 @@ from foten.baselines.dftnet import Dftnet
 from foten.baselines.gan import Gan
 from foten.baselines.gan_fit import STEPS, fit_adversarial
 from foten.baselines.sizes import TRAINABLE
-from foten.experiments.results import PAPER
+from foten.experiments.comparison import PAPER
 from foten.models.foten.fit import log_spectra
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess

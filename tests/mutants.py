@@ -472,10 +472,10 @@ MUTANTS = (
     ),
     Mutant(
         "what is chosen by is what is reported",
-        PACKAGE + "experiments/truth.py",
+        PACKAGE + "experiments/simulator_reference.py",
         "VALIDATION_HAND = 2",
         "VALIDATION_HAND = 1",
-        ("tests/test_truth.py",),
+        ("tests/test_simulator_reference.py",),
     ),
     Mutant(
         "what is at rest counts for the likeness",

@@ -14,7 +14,7 @@ from foten.datasets.hdf5 import write_recording
 from foten.experiments.experiment import MEASURES, Experiment, Method, experiment_path, read_experiment
 from foten.experiments.onset import onset
 from foten.experiments.results import by_recipe, read_records
-from foten.experiments.run import _judged, _measures
+from foten.experiments.run import _measures, _result
 from foten.experiments.stability import into, proven, stability
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import Texture
@@ -222,10 +222,15 @@ def test_a_first_stroke_is_as_a_settled_one(texture: Texture) -> None:
 
 
 def test_every_measure_that_a_file_may_name_is_there(texture: Texture, monkeypatch: pytest.MonkeyPatch) -> None:
-    own = [name for name in MEASURES if name != "listener"]  # which the evaluation asks
-    for name in own:
-        monkeypatch.setattr(f"foten.experiments.run.{name}", lambda *_, name=name: {"named": name})
-    assert _measures(MEASURES, texture, None, None) == {name: {"named": name} for name in own}  # type: ignore[arg-type]
+    functions = {
+        name: f"{module}.{name}" for name, module in MEASURES.items() if module.startswith("foten.experiments")
+    }
+    functions["validation_listener"] = "foten.experiments.run.validation_listener"
+    assert {*functions, "listener"} == set(MEASURES)  # the listener is asked by the evaluation
+    for name, function in functions.items():
+        monkeypatch.setattr(function, lambda *_, name=name: {"named": name})
+    expected = {name: {"named": name} for name in functions}
+    assert _measures([*MEASURES], texture, None, None) == expected  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("measures", [(), ("stability", "listener")])
@@ -241,9 +246,9 @@ def test_the_listener_is_asked_where_a_file_names_it(
         asked["evaluation"] = listener
         raise EnoughError
 
-    monkeypatch.setattr("foten.experiments.run.truth_for", lambda *_, listener: asked.update(truth=listener))
+    monkeypatch.setattr("foten.experiments.run.reference_for", lambda *_, listener: asked.update(reference=listener))
     monkeypatch.setattr("foten.experiments.run.evaluate", evaluated)
     run = next(iter(Experiment("t", ("linear-hum",), (Method("foten", measures=measures),)).runs()))
     with pytest.raises(EnoughError):
-        _judged(run, simulate("linear-hum", 4), texture, 0.0)
-    assert asked == {"truth": "listener" in measures, "evaluation": "listener" in measures}
+        _result(run, simulate("linear-hum", 4), texture, 0.0)
+    assert asked == {"reference": "listener" in measures, "evaluation": "listener" in measures}

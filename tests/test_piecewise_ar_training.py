@@ -13,7 +13,7 @@ from foten.datasets.hdf5 import write_recording
 from foten.dsp.lsf import MIN_GAP_RAD
 from foten.dsp.segmentation import MAX_ORDER
 from foten.evaluate.evaluate import evaluate
-from foten.experiments.truth import truth_for
+from foten.experiments.simulator_reference import reference_for
 from foten.models.piecewise_ar.fit import ORDERS, fitted
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
 from foten.models.texture_file import read_texture
@@ -47,7 +47,7 @@ def trained(recording: Recording) -> Trained:
 
 def test_it_predicts_like_a_linear_predictor(recording: Recording, trained: Trained) -> None:
     """Beside AR(20) by least squares on the same blocks, and the least that any predictor can reach."""
-    document = evaluate(trained.texture, recording, truth_for(recording, trained.texture)).document
+    document = evaluate(trained.texture, recording, reference_for(recording, trained.texture)).document
     error, references = document["one_step"]["mae_scaled"], document["references"]
     assert error < 1.05 * references["ar"]["mae_scaled"]
     assert error > 0.97 * references["bound"]["mae_scaled"]

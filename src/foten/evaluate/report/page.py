@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 from foten.atomic_write import atomic_write
 from foten.evaluate.evaluate import Judgement
 from foten.evaluate.report import figures, signals
-from foten.evaluate.report.drawing import inline_svg
 from foten.evaluate.report.signals import LABELS, shown_blocks, shown_run
 from foten.evaluate.report.tables import free_run_section, one_step_section
 from foten.evaluate.report.verdict import cautions, reason, verdict
 from foten.models.texture_file import Texture
+from foten.reporting.figure import inline_svg
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,7 +36,7 @@ def write_report(judgement: Judgement, texture: Texture, directory: Path) -> Pat
 
 
 def page(judgement: Judgement, texture: Texture) -> str:
-    """Return the report as HTML."""
+    """Report as HTML."""
     document = judgement.document
     name = document["texture"] or "unnamed texture"
     sections = [

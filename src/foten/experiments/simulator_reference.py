@@ -13,7 +13,7 @@ import numpy as np
 
 from foten.dsp import Array
 from foten.dsp.filters import butterworth
-from foten.evaluate.evaluate import Truth, trace_for
+from foten.evaluate.evaluate import SimulatorReference, trace_for
 from foten.evaluate.free_run import N_SEEDS
 from foten.evaluate.listener import N_LISTENERS, level_biases, long_stroke, renderings, vibrations
 from foten.models.texture_file import Texture
@@ -28,11 +28,11 @@ LONG_S = 240.0  # of a stroke for listeners
 VALIDATION_HAND = 2  # the number of the hand that nothing is reported of
 # Realisations that a process keeps: the methods of an experiment are judged by the same ones, texture by texture. 2 MB each at
 # 1 kHz, a long stroke's 6 MB.
-KEPT = 12
+N_CACHED = 12
 
 
 @dataclass(frozen=True)
-class _Asked:
+class _Realisation:
     """A realisation, by all that it depends on; of two that are equal one is simulated."""
 
     by: str
@@ -49,26 +49,26 @@ def _realisation(
     block_ms: float | None = None,
     **changed: float,
 ) -> Trace:
-    """Return a further realisation, preprocessed as a texture's recording was: simulated once, however often it is asked for."""
+    """Further realisation, preprocessed as a texture's recording was: simulated once, however often it is asked for."""
     by = json.dumps(
         [dict(recording.simulation or {}), texture.card["preprocess"], trim_ms, block_ms, changed], sort_keys=True
     )
-    return _simulated(_Asked(by, recording, texture, (trim_ms, block_ms), changed))
+    return _simulated(_Realisation(by, recording, texture, (trim_ms, block_ms), changed))
 
 
-@lru_cache(maxsize=KEPT)
-def _simulated(asked: _Asked) -> Trace:
-    return trace_for(asked.texture, second_realisation(asked.recording, **asked.changed), *asked.cut)
+@lru_cache(maxsize=N_CACHED)
+def _simulated(of: _Realisation) -> Trace:
+    return trace_for(of.texture, second_realisation(of.recording, **of.changed), *of.cut)
 
 
-def truth_for(
+def reference_for(
     recording: Recording,
     texture: Texture,
     trim_ms: float | None = None,
     block_ms: float | None = None,
     listener: bool = False,
-) -> Truth:
-    """Return further realisations of a simulated stroke and, for the linear family, the bounds of any predictor.
+) -> SimulatorReference:
+    """Further realisations of a simulated stroke and, for the linear family, the bounds of any predictor.
 
     For listeners realisations of a long stroke by another hand too: one to be recorded, and one for the control of each.
 
@@ -76,7 +76,7 @@ def truth_for(
     rate and with a causal high-pass of order 2 only.
     """
     if recording.simulation is None:
-        return Truth()
+        return SimulatorReference()
     try:
         used = int(recording.simulation["noise_seed"])
 
@@ -86,23 +86,25 @@ def truth_for(
         with ThreadPoolExecutor() as pool:  # filters and transforms release the interpreter's lock
             realisations = list(pool.map(realisation, range(1, N_SEEDS + 1)))
     except (KeyError, TypeError, ValueError) as error:
-        return Truth(why_no_bound=f"the simulator's parameters in the recording cannot be used ({error})")
+        return SimulatorReference(why_no_bound=f"the simulator's parameters in the recording cannot be used ({error})")
     strokes = long_strokes(recording, texture) if listener else ()
     config = PreprocessConfig(**texture.card["preprocess"])
     if recording.simulation["key"] not in LINEAR_FAMILY:
-        return Truth(realisations, strokes)
+        return SimulatorReference(realisations, strokes)
     if recording["acceleration"].rate_hz != config.rate_hz:
-        return Truth(realisations, strokes, why_no_bound="known at the simulated rate alone")
+        return SimulatorReference(realisations, strokes, why_no_bound="known at the simulated rate alone")
     if config.highpass_order != 2 or config.zero_phase:
-        return Truth(realisations, strokes, why_no_bound="known with a causal high-pass of order 2 alone")
+        return SimulatorReference(realisations, strokes, why_no_bound="known with a causal high-pass of order 2 alone")
     trace = trace_for(texture, recording, trim_ms, block_ms)
-    return Truth(realisations, strokes, *linear_bounds(recording, trace, config.highpass_hz, texture.window))
+    return SimulatorReference(
+        realisations, strokes, *linear_bounds(recording, trace, config.highpass_hz, texture.window)
+    )
 
 
 def long_strokes(
     recording: Recording, texture: Texture, n: int = 1 + N_LISTENERS, hand_number: int = 1
 ) -> tuple[Trace, ...]:
-    """Return n realisations of a long stroke by another hand over a simulated texture; none of what was not simulated here.
+    """N realisations of a long stroke by another hand over a simulated texture; none of what was not simulated here.
 
     Each hand has a stroke and places of its own.
     """
@@ -125,7 +127,7 @@ def long_strokes(
 
 
 def validation_listener(texture: Texture, recording: Recording) -> dict[str, Any]:
-    """Return `area`, that under a listener's curve, and `level_bias_db`; nothing of what was not simulated, or is silent.
+    """`area`, that under a listener's curve, and `level_bias_db`; nothing of what was not simulated, or is silent.
 
     As the evaluation's, of band energies, but under a third hand: neither the one that was learned from nor that of the reported
     figures, so that it can be chosen by. One listener, since what is chosen by is a mean over many textures, and two fits of one
@@ -144,7 +146,7 @@ def validation_listener(texture: Texture, recording: Recording) -> dict[str, Any
 
 
 def linear_bounds(recording: Recording, trace: Trace, highpass_hz: float, window: int) -> tuple[Array, Array]:
-    """Return the least expected absolute one-step errors [m/s²] from the infinite past and from a window of m, shape (n,) each.
+    """Least expected absolute one-step errors [m/s²] from the infinite past and from a window of m, shape (n,) each.
 
     Of a recording of the linear family and its trace, causally high-passed with order 2.
     """

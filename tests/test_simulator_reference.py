@@ -12,7 +12,7 @@ from conftest import PLUS, exported
 from foten.baselines.sizes import trainable_sizes
 from foten.evaluate.evaluate import evaluate
 from foten.evaluate.listener import N_LISTENERS
-from foten.experiments.truth import VALIDATION_HAND, long_strokes, truth_for, validation_listener
+from foten.experiments.simulator_reference import VALIDATION_HAND, long_strokes, reference_for, validation_listener
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.models.texture_file import texture_from_bytes
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -32,9 +32,9 @@ def trained_on(recording: Recording, config: TrainConfig) -> Trained:
 def test_a_linear_process_is_predicted_at_its_bound_and_synthesized_at_its_ceiling() -> None:
     recording = simulate("linear-hum", 24.0)
     trained = trained_on(recording, TrainConfig(epochs=1, batch=64, threads=1))
-    truth = truth_for(recording, trained.texture)
-    assert len(truth.realisations) == 5
-    document = evaluate(trained.texture, recording, truth).document
+    reference = reference_for(recording, trained.texture)
+    assert len(reference.realisations) == 5
+    document = evaluate(trained.texture, recording, reference).document
     bound = document["references"]["bound_window"]["mae_scaled"]
     # Four test blocks of 840 scored samples: the mean absolute error of a Gaussian is known to 0.76/√3360 = 1.3 %.
     assert 0.96 * bound < document["references"]["ar"]["mae_scaled"] < 1.05 * bound
@@ -48,22 +48,22 @@ def test_realisations_are_simulated_once_for_all_methods_and_anew_for_another_re
     config = TrainConfig(epochs=0, threads=1, max_order=20, table=False)
     recording, another = simulate("linear-hum", 24.0), simulate("linear-hum", 24.0, seed=2)
     texture = trained_on(recording, config).texture
-    first, again = truth_for(recording, texture).realisations, truth_for(recording, texture).realisations
+    first, again = reference_for(recording, texture).realisations, reference_for(recording, texture).realisations
     assert all(one is other for one, other in zip(first, again, strict=True))
-    of_another = truth_for(another, trained_on(another, config).texture).realisations
+    of_another = reference_for(another, trained_on(another, config).texture).realisations
     for one, other in combinations([*first, *of_another], 2):
         assert not np.array_equal(one.acceleration, other.acceleration)
-    (cut, *_) = truth_for(another, texture, trim_ms=1000).realisations
+    (cut, *_) = reference_for(another, texture, trim_ms=1000).realisations
     assert len(cut.acceleration) - len(of_another[0].acceleration) == 2000  # 1 s at each end, and not 2
 
 
 def test_a_recording_that_was_not_simulated_has_no_truth() -> None:
     recording = dataclasses.replace(simulate("linear-hum", 24.0), simulation=None)
     trained = trained_on(recording, TrainConfig(epochs=0, threads=1, max_order=20, table=False))
-    truth = truth_for(recording, trained.texture)
-    assert truth.bound is None
-    assert not truth.realisations
-    document = evaluate(trained.texture, recording, truth).document
+    reference = reference_for(recording, trained.texture)
+    assert reference.bound is None
+    assert not reference.realisations
+    document = evaluate(trained.texture, recording, reference).document
     assert document["references"]["bound"]["mae_scaled"] is None
     assert document["ceiling"]["of"] == "the training block nearest in speed and force"
     assert np.isfinite(document["ceiling"]["lsd_db"])
@@ -73,16 +73,16 @@ def test_parameters_that_cannot_be_used_cost_the_truth_and_no_more() -> None:
     recording = simulate("linear-hum", 24.0)
     trained = trained_on(recording, TrainConfig(epochs=0, threads=1, max_order=20, table=False))
     for broken in ({"key": "linear-hum"}, {**(recording.simulation or {}), "version": 0}):
-        truth = truth_for(dataclasses.replace(recording, simulation=broken), trained.texture)
-        assert not truth.realisations
-        assert "cannot be used" in truth.why_no_bound
+        reference = reference_for(dataclasses.replace(recording, simulation=broken), trained.texture)
+        assert not reference.realisations
+        assert "cannot be used" in reference.why_no_bound
 
 
 def test_listeners_have_true_vibrations_under_another_and_longer_hand(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("foten.experiments.truth.LONG_S", 12.0)
+    monkeypatch.setattr("foten.experiments.simulator_reference.LONG_S", 12.0)
     recording = simulate("linear-hum", 8, seed=3)
     texture = exported("foten", preprocess={"block_ms": 500.0})
-    first, *others = truth_for(recording, texture, listener=True).strokes
+    first, *others = reference_for(recording, texture, listener=True).strokes
     assert len(others) == N_LISTENERS
     for one, other in combinations((first, *others), 2):
         np.testing.assert_array_equal(one.speed, other.speed)
@@ -91,13 +91,13 @@ def test_listeners_have_true_vibrations_under_another_and_longer_hand(monkeypatc
     own = preprocess(recording, PreprocessConfig())
     n = min(len(own.speed), len(first.speed))
     assert abs(np.corrcoef(own.speed[:n], first.speed[:n])[0, 1]) < 0.5
-    assert not truth_for(recording, texture).strokes
-    assert not truth_for(dataclasses.replace(recording, simulation=None), texture, listener=True).strokes
+    assert not reference_for(recording, texture).strokes
+    assert not reference_for(dataclasses.replace(recording, simulation=None), texture, listener=True).strokes
 
 
 @pytest.fixture
 def short_listener(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("foten.experiments.truth.LONG_S", 60.0)
+    monkeypatch.setattr("foten.experiments.simulator_reference.LONG_S", 60.0)
     monkeypatch.setattr("foten.evaluate.listener_network.N_STEPS", 150)
 
 
