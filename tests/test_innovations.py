@@ -23,7 +23,6 @@ from foten.recording.trace import Trace
 from foten.reference.excitation import Scale
 from foten.reference.innovation import InnovationNetwork as Reference
 from foten.reference.innovation import Mixture, innovation_inputs
-from foten.runtime.binding import library
 from foten.train import kernel
 from foten.train.blocks import ScaledBlocks, scaled_blocks
 from foten.train.config import OWN_RECIPES, TrainConfig
@@ -60,7 +59,7 @@ def test_hidden_states_and_gradients_are_pytorch_s(
     n_inputs: int, n_hidden: int, s: int, of: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of its own unit, in every instruction set, whatever rows are padded to: to what float32 leaves of 40 samples."""
-    monkeypatch.setattr(kernel, "_function", lambda name: getattr(library(), f"{name}_{of}"))
+    monkeypatch.setattr(kernel, "_function", lambda name: getattr(kernel.training_library(), f"{name}_{of}"))
     torch.manual_seed(3)
     unit = torch.nn.GRU(n_inputs, n_hidden, batch_first=True)
     inputs, weight = 2 * torch.randn(s, 40, n_inputs), torch.randn(s, 40, n_hidden)

@@ -19,7 +19,6 @@ from foten.families import FotenPlusSizes
 from foten.recording.preprocess import PreprocessConfig
 from foten.reference import model_of
 from foten.reference.innovation import Mixture
-from foten.runtime.binding import library
 from foten.train import kernel, own_output
 from foten.train.config import TrainConfig
 from foten.train.epochs import Epoch, Progress
@@ -145,7 +144,7 @@ def test_gradients_are_those_of_finite_differences(
 
     In float32 a central difference of 1e-2 is good to a per cent of the largest.
     """
-    monkeypatch.setattr(kernel, "_function", lambda name: getattr(library(), f"{name}_{of_isa}"))
+    monkeypatch.setattr(kernel, "_function", lambda name: getattr(kernel.training_library(), f"{name}_{of_isa}"))
     rng = np.random.default_rng(3)
     given, begin = around(3, 12, p, rng, gain_before)
     at, of = weights(1, rng), rng.standard_normal((3, 12)).astype(np.float32)

@@ -1,5 +1,5 @@
 /* What training a network of innovations spends its time on: its recurrent unit over chunks, and roll-outs in the closed loop, forward and back,
- * all streams of a batch side by side. `train.kernel` binds it; it is no part of foten.h, nor of a library that is built without Python.
+ * all streams of a batch side by side. A library of its own, libfoten_training, which comes with the Python package alone; `train.kernel` binds it.
  *
  * Arrays lie sample by sample, then stream by stream: (n, s, ...). Rows of hidden numbers and the like are padded to a multiple of 16, those
  * of weights with zeros, so that what is computed there stays zero. Matrices are (outputs, inputs), their rows padded too. Functions return 0, or
