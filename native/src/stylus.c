@@ -8,13 +8,12 @@
 #include "filter.h"
 #include "model.h"
 
-enum { WAITING = 256, RESTARTED = 8 };      /* events; late ones in succession after which the device has restarted its clock */
-static const double FASTEST = 5000;         /* mm/s; faster is a pen that was lifted */
-static const double HOLE = 10, HOLE_S = 0.04; /* usual steps without an event that are a pen out of reach, and that long at least */
-static const double SHORTEST_STEP_S = 0.0005; /* of a usual one: events that waited somewhere and came at once are none to go by */
-static const double STILL_S = 0.025, STILL_STEPS = 3;
+enum { MAX_WAITING = 256, MAX_LATE = 8 };   /* events; late ones in succession after which the device has restarted its clock */
+static const double MAX_SPEED = 5000;       /* mm/s; faster is a pen that was lifted */
+static const double HOLE_STEPS = 10, MIN_HOLE_S = 0.04; /* usual steps without an event that are a pen out of reach, and that long at least */
+static const double MIN_STEP_S = 0.0005, MAX_STEP_S = 0.05; /* of a usual one: events that waited somewhere and came at once are none to go by */
+static const double STILL_STEPS = 3, MIN_STILL_S = 0.025; /* usual steps without an event after which a pen is still, and that long at least */
 static const double CARRIED_S = 0.005;      /* half of a change of velocity is carried on where events are that far apart */
-static const double LONGEST_STEP_S = 0.05;  /* that counts towards the usual one */
 
 typedef struct { double x, y, pressure, t; } event;
 struct foten_stylus {
@@ -22,7 +21,7 @@ struct foten_stylus {
     section filter;
     memory velocity[2], force;
 
-    event waiting[WAITING];
+    event waiting[MAX_WAITING];
     _Atomic uint64_t n_pushed, n_taken; /* by the device's thread, by the rendering one */
     _Atomic uint64_t n_refused, n_dropped, n_clipped;
 
@@ -59,13 +58,13 @@ void foten_stylus_push(foten_stylus *s, double x, double y, double pressure, dou
         return;
     }
     uint64_t pushed = atomic_load_explicit(&s->n_pushed, memory_order_relaxed);
-    if (pushed - atomic_load_explicit(&s->n_taken, memory_order_acquire) == WAITING) {
+    if (pushed - atomic_load_explicit(&s->n_taken, memory_order_acquire) == MAX_WAITING) {
         count(&s->n_dropped);
         return;
     }
     double cut = pressure < 0 ? 0 : pressure > 1 ? 1 : pressure;
     if (cut != pressure) count(&s->n_clipped);
-    s->waiting[pushed % WAITING] = (event){x, y, cut, t};
+    s->waiting[pushed % MAX_WAITING] = (event){x, y, cut, t};
     atomic_store_explicit(&s->n_pushed, pushed + 1, memory_order_release);
 }
 
@@ -78,7 +77,7 @@ static int late(foten_stylus *s, const event *e) {
     count(&s->n_late);
     s->late_in_succession = s->late_in_succession && e->t > s->late_t ? s->late_in_succession + 1 : 1;
     s->late_t = e->t;
-    if (s->late_in_succession < RESTARTED) return 1;
+    if (s->late_in_succession < MAX_LATE) return 1;
     s->late_in_succession = 0;
     s->known = 0;
     return 0;
@@ -92,13 +91,13 @@ static void take_events(foten_stylus *s) {
     double moved[2] = {0, 0}, took = 0;
     int jumped = 0;
     for (; taken < pushed; taken++) {
-        event e = s->waiting[taken % WAITING];
+        event e = s->waiting[taken % MAX_WAITING];
         if (late(s, &e)) continue;
         count(&s->n);
         double step = e.t - s->last.t, dx = e.x - s->last.x, dy = e.y - s->last.y;
         int touches = e.pressure > 0, goes_on = s->known && s->touching && touches;
-        double hole = HOLE * s->usual_s > HOLE_S ? HOLE * s->usual_s : HOLE_S;
-        if (goes_on && (step > hole || sqrt(dx * dx + dy * dy) > FASTEST * step)) {
+        double hole = HOLE_STEPS * s->usual_s > MIN_HOLE_S ? HOLE_STEPS * s->usual_s : MIN_HOLE_S;
+        if (goes_on && (step > hole || sqrt(dx * dx + dy * dy) > MAX_SPEED * step)) {
             count(&s->n_jumps);
             goes_on = 0;
         }
@@ -106,7 +105,7 @@ static void take_events(foten_stylus *s) {
             moved[0] += dx;
             moved[1] += dy;
             took += step;
-            if (step > SHORTEST_STEP_S && step < LONGEST_STEP_S) s->usual_s += 0.1 * (step - s->usual_s);
+            if (step > MIN_STEP_S && step < MAX_STEP_S) s->usual_s += 0.1 * (step - s->usual_s);
         } else {
             moved[0] = moved[1] = took = 0;
             jumped = 1;
@@ -126,8 +125,8 @@ static void take_events(foten_stylus *s) {
             change[i] = s->moving && !jumped ? velocity[i] - s->moved[i] : 0;
         }
         /* What is carried on is at most what is there: a pen that stops would turn back otherwise, and start another movement. */
-        double share = took / (took + CARRIED_S), most = length(velocity), carried = share * length(change);
-        if (carried > most) share *= most / carried;
+        double share = took / (took + CARRIED_S), speed = length(velocity), carried = share * length(change);
+        if (carried > speed) share *= speed / carried;
         for (int i = 0; i < 2; i++) {
             s->held[i] = velocity[i] + share * change[i];
             s->moved[i] = velocity[i];
@@ -139,7 +138,7 @@ static void take_events(foten_stylus *s) {
 /* Within a block no event can come, however long it lasts: whether the pen has stopped is seen where one begins. */
 void stylus_block(foten_stylus *s) {
     double usual = STILL_STEPS * s->usual_s;
-    s->still = s->since_s > (usual > STILL_S ? usual : STILL_S);
+    s->still = s->since_s > (usual > MIN_STILL_S ? usual : MIN_STILL_S);
 }
 
 void stylus_next(foten_stylus *s, double out[2]) {
