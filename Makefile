@@ -54,6 +54,7 @@ browser: $(VENV)/.browser
 	$(PYTEST) -m 'browser and not slow' tests/test_studio_page.py tests/test_capture_page.py tests/test_study_page.py
 
 check: $(VENV)/.installed
+	$(BIN)/clang-format --dry-run -Werror native/*/*.[ch]
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy

@@ -94,8 +94,8 @@ MUTANTS = (
     Mutant(
         "a network in a bounded loop is given the cut sample",
         NATIVE + "loop_lattice.c",
-        "innovation * entering, residual / level, l->lattice.logs, l->tones.phase);",
-        "innovation * entering, clip(residual, limit) / level, l->lattice.logs, l->tones.phase);",
+        "innovation * entering, residual / level, l->lattice.logs,",
+        "innovation * entering, clip(residual, limit) / level, l->lattice.logs,",
     ),
     Mutant(
         "a scale is stated of another prediction than the rendering's",

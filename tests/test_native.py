@@ -704,7 +704,7 @@ def test_a_large_order_runs() -> None:
 
 HEADER = Path(__file__).parents[1] / "native" / "src" / "constants.h"
 DEFINED = re.findall(r"^#define (FOTEN_\w+) (.+)$", HEADER.read_text(), re.MULTILINE)
-SHARED = re.compile(r"(\S+) /\* (foten[\w.]+)(?:\[(\d+)\])? \*/")
+SHARED = re.compile(r"(\S+) +/\* (foten[\w.]+)(?:\[(\d+)\])? \*/")
 
 
 @pytest.mark.parametrize(("name", "definition"), DEFINED, ids=[name for name, _ in DEFINED])

@@ -10,5 +10,6 @@ typedef struct {
     double limit, max_drive; /* max_drive: the largest below the limit */
 } actuator;
 
-int actuator_make(actuator *a, const foten_actuator *of, double rate_hz); /* 0 where it cannot be; NULL switches it off */
+/* 0 where it cannot be; NULL switches it off. */
+int actuator_make(actuator *a, const foten_actuator *of, double rate_hz);
 double actuator_drive(actuator *a, double acceleration, int *bent);

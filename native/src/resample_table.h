@@ -1,4 +1,5 @@
 /* Made by native/tools/resample_table.py. */
+// clang-format off
 enum { TABLE_STEPS = 128, TABLE_TAPS = 37 };
 static const float TABLE[TABLE_STEPS * TABLE_TAPS + 1] = {
     5.46256733e-03f, 5.85629645e-03f, 6.25011287e-03f, 6.66012398e-03f, 7.08673025e-03f, 7.53033591e-03f, 7.99134884e-03f, 8.47018045e-03f,

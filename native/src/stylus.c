@@ -8,12 +8,17 @@
 #include "filter.h"
 #include "model.h"
 
-enum { MAX_WAITING = 256, MAX_LATE = 8 };   /* events; late ones in succession after which the device has restarted its clock */
-static const double MAX_SPEED = 5000;       /* mm/s; faster is a pen that was lifted */
-static const double HOLE_STEPS = 10, MIN_HOLE_S = 0.04; /* usual steps without an event that are a pen out of reach, and that long at least */
-static const double MIN_STEP_S = 0.0005, MAX_STEP_S = 0.05; /* of a usual one: events that waited somewhere and came at once are none to go by */
-static const double STILL_STEPS = 3, MIN_STILL_S = 0.025; /* usual steps without an event after which a pen is still, and that long at least */
-static const double CARRIED_S = 0.005;      /* half of a change of velocity is carried on where events are that far apart */
+enum { MAX_WAITING = 256 }; /* events */
+enum { MAX_LATE = 8 };      /* late events in succession after which the device has restarted its clock */
+static const double MAX_SPEED = 5000; /* mm/s; faster is a pen that was lifted */
+/* A pen is out of reach after so many usual steps without an event, and that long at least. */
+static const double HOLE_STEPS = 10, MIN_HOLE_S = 0.04;
+/* It is still after so many, and that long at least. */
+static const double STILL_STEPS = 3, MIN_STILL_S = 0.025;
+/* Of a usual step: events that waited somewhere and came at once are none to go by. */
+static const double MIN_STEP_S = 0.0005, MAX_STEP_S = 0.05;
+/* Half of a change of velocity is carried on where events are that far apart. */
+static const double CARRIED_S = 0.005;
 
 typedef struct { double x, y, pressure, t; } event;
 struct foten_stylus {

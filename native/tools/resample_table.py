@@ -43,6 +43,7 @@ def main() -> None:
     table = kernel()
     lines = [
         "/* Made by native/tools/resample_table.py. */",
+        "// clang-format off",
         f"enum {{ TABLE_STEPS = {STEPS}, TABLE_TAPS = {table.size // STEPS} }};",
         "static const float TABLE[TABLE_STEPS * TABLE_TAPS + 1] = {",
     ]

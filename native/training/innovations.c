@@ -1,9 +1,11 @@
-/* What training a network of innovations spends its time on: its recurrent unit over chunks, and roll-outs in the closed loop, forward and back,
- * all streams of a batch side by side. A library of its own, libfoten_training, which comes with the Python package alone; `train.kernel` binds it.
+/* What training a network of innovations spends its time on: its recurrent unit over chunks, and roll-outs in the
+ * closed loop, forward and back, all streams of a batch side by side. A library of its own, libfoten_training, which
+ * comes with the Python package alone; `train.kernel` binds it.
  *
- * Arrays lie sample by sample, then stream by stream: (n, s, ...). Rows of hidden numbers and the like are padded to a multiple of 16, those
- * of weights with zeros, so that what is computed there stays zero. Matrices are (outputs, inputs), their rows padded too. Functions return 0, or
- * 1 where there is no memory. Compiled once for each instruction set, as src/kernel.c is. */
+ * Arrays lie sample by sample, then stream by stream: (n, s, ...). Rows of hidden numbers and the like are padded to a
+ * multiple of 16, those of weights with zeros, so that what is computed there stays zero. Matrices are (outputs,
+ * inputs), their rows padded too. Functions return 0, or 1 where there is no memory. Compiled once for each instruction
+ * set, as src/kernel.c is. */
 #include <math.h>
 #include <stddef.h>
 #include <stdlib.h>
@@ -29,29 +31,30 @@ typedef struct {
     int gain_before_filter, with_phase;
     float largest; /* innovation */
     float leak;
-    const float *from_input, *input_bias, *from_hidden, *hidden_bias; /* (3 n_hidden, n_inputs), (3 n_hidden, n_hidden) */
-    const float *head, *head_bias;                                    /* (head_width, n_hidden + n_inputs) */
-    const float *out, *out_bias;                                      /* (n_out, head_width) */
+    /* Of the gates: (3 n_hidden, n_inputs), (3 n_hidden, n_hidden). */
+    const float *from_input, *input_bias, *from_hidden, *hidden_bias;
+    const float *head, *head_bias;      /* (head_width, n_hidden + n_inputs) */
+    const float *out, *out_bias;        /* (n_out, head_width) */
     const float *reflections, *cosines; /* of each sample's lattice, (n, p, s) */
     const float *level;                 /* (n, s) */
     const float *logs;                  /* (n, s, 2) */
     const float *chosen, *normal;       /* of chance, (n, s) */
-    const double *turned;               /* by how much the path moves the phase up to each sample and the one after, (n + 1, s) */
+    const double *turned;               /* by which the path moves the phase, (n + 1, s) */
     double jitter, drawn_back, largest_jitter;
-    float *states;                   /* of the lattices before the first sample, (p + 1, s) */
-    double *phase;                   /* of tones at each sample, (n, s), the first given */
-    float *network;                  /* hidden numbers and inputs, (n + 1, s, n_hidden + n_inputs), the first given */
-    float *head_made, *out_made;     /* (n, s, head_width), (n, s, n_out) */
-    float *gates, *kept;             /* as above */
-    float *innovation, *played;      /* (n, s) */
+    float *states;               /* of the lattices before the first sample, (p + 1, s) */
+    double *phase;               /* of tones at each sample, (n, s), the first given */
+    float *network;              /* hidden numbers and inputs, (n + 1, s, n_hidden + n_inputs), the first given */
+    float *head_made, *out_made; /* (n, s, head_width), (n, s, n_out) */
+    float *gates, *kept;         /* as above */
+    float *innovation, *played;  /* (n, s) */
 } roll_out;
 
 /* What a loss says of a roll-out, and where gradients go. */
 typedef struct {
-    const float *of_played;         /* (n, s) */
-    const float *drawn;             /* of each innovation by what the network said, (n, s, n_out) */
-    float most;                     /* that the gradient of a stream's state may be */
-    float *by_head, *by_out;        /* (n, s, head_width), (n, s, n_out) */
+    const float *of_played;  /* (n, s) */
+    const float *drawn;      /* of each innovation by what the network said, (n, s, n_out) */
+    float most;              /* that the gradient of a stream's state may be */
+    float *by_head, *by_out; /* (n, s, head_width), (n, s, n_out) */
 } roll_out_gradients;
 
 #define JOIN(a, b) a##_##b
@@ -82,8 +85,10 @@ static float *taken(float **block, size_t n) {
     return from;
 }
 
-/* A linear map whose weights are laid out in `room`, (outputs, inputs) of a matrix with rows of `stride`, or of its transpose. */
-static linear map_of(const float *matrix, const float *bias, int outputs, int inputs, int stride, int transposed, float *room) {
+/* A linear map whose weights are laid out in `room`, (outputs, inputs) of a matrix with rows of `stride`, or of its
+ * transpose. */
+static linear map_of(const float *matrix, const float *bias, int outputs, int inputs, int stride, int transposed,
+                     float *room) {
     for (int o = 0; o < outputs; o++) {
         int first = o / (2 * LANES) * (2 * LANES), wide = outputs - first > LANES ? 2 * LANES : LANES;
         float *to = room + (size_t)first * (size_t)inputs + (o - first);
@@ -93,12 +98,14 @@ static linear map_of(const float *matrix, const float *bias, int outputs, int in
 }
 
 /* A sample of the unit: hidden numbers lie `stride` apart. */
-static void unit(const linear *map, int s, int h, const float *of_input, const float *now, float *next, int stride, float *gates, float *kept,
-                 float *of_hidden) {
+static void unit(const linear *map, int s, int h, const float *of_input, const float *now, float *next, int stride,
+                 float *gates, float *kept, float *of_hidden) {
     apply(map, s, now, stride, of_hidden, GATES * h, 0);
-    for (int k = 0; k < s; k++, of_input += GATES * h, of_hidden += GATES * h, gates += GATES * h, kept += h, now += stride, next += stride)
+    for (int k = 0; k < s; k++, of_input += GATES * h, of_hidden += GATES * h, gates += GATES * h, kept += h,
+             now += stride, next += stride)
         for (int i = 0; i < h; i += LANES) {
-            vec reset = logistic(load(of_input + i) + load(of_hidden + i)), update = logistic(load(of_input + h + i) + load(of_hidden + h + i));
+            vec reset = logistic(load(of_input + i) + load(of_hidden + i)),
+                update = logistic(load(of_input + h + i) + load(of_hidden + h + i));
             vec turned = load(of_hidden + 2 * h + i), new = tanh_of(load(of_input + 2 * h + i) + reset * turned);
             store(gates + i, reset);
             store(gates + h + i, update);
@@ -108,13 +115,15 @@ static void unit(const linear *map, int s, int h, const float *of_input, const f
         }
 }
 
-/* And back: `d` is the gradient by the next hidden numbers, and becomes that by those before them; `gates` becomes that by what of the inputs goes
- * into them, and `kept` that by what it is itself. Room is for 4 n_hidden numbers a stream. */
-static void unit_back(const linear *map, int s, int h, float *d, const float *now, int stride, float *gates, float *kept, float *room) {
+/* And back: `d` is the gradient by the next hidden numbers, and becomes that by those before them; `gates` becomes that
+ * by what of the inputs goes into them, and `kept` that by what it is itself. Room: 4 n_hidden numbers a stream. */
+static void unit_back(const linear *map, int s, int h, float *d, const float *now, int stride, float *gates,
+                      float *kept, float *room) {
     float *by_kept = room, *added = room + (size_t)(GATES * h) * (size_t)s;
     for (int k = 0; k < s; k++, now += stride, gates += GATES * h, kept += h, by_kept += GATES * h)
         for (int i = 0; i < h; i += LANES) {
-            vec of_next = load(d + k * h + i), reset = load(gates + i), update = load(gates + h + i), new = load(gates + 2 * h + i);
+            vec of_next = load(d + k * h + i), reset = load(gates + i), update = load(gates + h + i),
+                new = load(gates + 2 * h + i);
             vec of_new = of_next * (1.0f - update) * (1.0f - new * new);
             vec of_update = of_next * (load(now + i) - new) * update * (1.0f - update);
             vec of_reset = of_new * load(kept + i) * reset * (1.0f - reset);
@@ -139,13 +148,15 @@ EXPORTED(foten_train_unit)(const recurrent_unit *u) {
     linear map = map_of(u->weight, u->bias, GATES * h, h, h, 0, taken(&block, (size_t)(GATES * h * h)));
     for (int t = 0; t < u->n; t++) {
         size_t at = (size_t)t * row;
-        unit(&map, s, h, u->of_input + GATES * at, u->hidden + at, u->hidden + at + row, h, u->gates + GATES * at, u->kept + at, block);
+        unit(&map, s, h, u->of_input + GATES * at, u->hidden + at, u->hidden + at + row, h, u->gates + GATES * at,
+             u->kept + at, block);
     }
     free(memory);
     return 0;
 }
 
-/* From the gradient by each of the hidden numbers but the first, (n, s, n_hidden), that by what goes into the gates, in place of `gates` and `kept`. */
+/* From the gradient by each of the hidden numbers but the first, (n, s, n_hidden), that by what goes into the gates, in
+ * place of `gates` and `kept`. */
 EXPORTED(foten_train_unit_back)(const recurrent_unit *u, const float *by_hidden) {
     int s = u->s, h = u->n_hidden;
     size_t row = (size_t)(s * h);
@@ -207,7 +218,8 @@ static void synthesise_back(const roll_out *r, int sample, float *restrict f, fl
 }
 
 /* What the network is given of a sample, and the phase of tones at the next one. */
-static void take_in(const roll_out *r, int sample, int stream, float e, float over, double *path, double *rate, float *in) {
+static void take_in(const roll_out *r, int sample, int stream, float e, float over, double *path, double *rate,
+                    float *in) {
     size_t at = (size_t)sample * (size_t)r->s + (size_t)stream;
     in[0] = asinhf(e);
     in[1] = asinhf(3 * fabsf(e)) - 1;
@@ -237,11 +249,13 @@ EXPORTED(foten_train_roll_out)(const roll_out *r) {
         free(path);
         return 1;
     }
-    linear of_inputs = map_of(r->from_input, r->input_bias, gates, r->n_inputs, r->n_inputs, 0, taken(&block, (size_t)(gates * r->n_inputs)));
+    linear of_inputs = map_of(r->from_input, r->input_bias, gates, r->n_inputs, r->n_inputs, 0,
+                              taken(&block, (size_t)(gates * r->n_inputs)));
     linear of_hidden = map_of(r->from_hidden, r->hidden_bias, gates, h, h, 0, taken(&block, (size_t)(gates * h)));
     linear head = map_of(r->head, r->head_bias, w, row, row, 0, taken(&block, (size_t)(w * row)));
     linear out = map_of(r->out, r->out_bias, o, w, w, 0, taken(&block, (size_t)(w * o)));
-    float *from_inputs = taken(&block, (size_t)(s * gates)), *from_hidden = taken(&block, (size_t)(s * gates)), *f = block;
+    float *from_inputs = taken(&block, (size_t)(s * gates)), *from_hidden = taken(&block, (size_t)(s * gates)),
+          *f = block;
     if (r->with_phase) memcpy(path, r->phase, sizeof(double) * (size_t)s);
     for (int t = 0; t < r->n; t++) {
         size_t at = (size_t)t * (size_t)s;
@@ -251,7 +265,8 @@ EXPORTED(foten_train_roll_out)(const roll_out *r) {
         for (int i = 0; i < s * w; i += LANES) store(made + i, tanh_of(load(made + i)));
         apply(&out, s, made, w, said, o, 0);
         for (int k = 0; k < s; k++) {
-            float e = r->innovation[at + (size_t)k] = draw(r, said + k * o, r->chosen[at + (size_t)k], r->normal[at + (size_t)k]);
+            float e = r->innovation[at + (size_t)k] =
+                draw(r, said + k * o, r->chosen[at + (size_t)k], r->normal[at + (size_t)k]);
             f[k] = r->gain_before_filter ? r->level[at + (size_t)k] * e : e;
         }
         synthesise(r, t, f);
@@ -261,7 +276,8 @@ EXPORTED(foten_train_roll_out)(const roll_out *r) {
             take_in(r, t, k, r->innovation[at + (size_t)k], over, path + k, rate + k, next + k * row + h);
         }
         apply(&of_inputs, s, next + h, row, from_inputs, gates, 0);
-        unit(&of_hidden, s, h, from_inputs, now, next, row, r->gates + at * (size_t)gates, r->kept + at * (size_t)h, from_hidden);
+        unit(&of_hidden, s, h, from_inputs, now, next, row, r->gates + at * (size_t)gates, r->kept + at * (size_t)h,
+             from_hidden);
     }
     free(memory);
     free(path);
@@ -287,7 +303,8 @@ static void hold(const roll_out *r, float most, float *d_hidden, float *d_inputs
 /* `gates` and `kept` of the roll-out become gradients, as above. */
 EXPORTED(foten_train_roll_out_back)(const roll_out *r, const roll_out_gradients *g) {
     int s = r->s, h = r->n_hidden, m = r->n_inputs, w = r->head_width, o = r->n_out, row = h + m, gates = GATES * h;
-    size_t weights = (size_t)gates * (size_t)row + (size_t)w * (size_t)(row + o), numbers = (size_t)((2 + GATES) * h + 2 * m + row + r->p + 2);
+    size_t weights = (size_t)gates * (size_t)row + (size_t)w * (size_t)(row + o),
+           numbers = (size_t)((2 + GATES) * h + 2 * m + row + r->p + 2);
     float *memory = calloc(weights + (size_t)row + (size_t)w + (size_t)s * numbers, sizeof(float)), *block = memory;
     if (!memory) return 1;
     float *zero = taken(&block, (size_t)(row + w));
@@ -301,7 +318,8 @@ EXPORTED(foten_train_roll_out_back)(const roll_out *r, const roll_out_gradients 
     for (int t = r->n - 1; t >= 0; t--) {
         size_t at = (size_t)t * (size_t)s;
         float *by_input = r->gates + at * (size_t)gates;
-        unit_back(&to_hidden, s, h, d_hidden, r->network + at * (size_t)row, row, by_input, r->kept + at * (size_t)h, hidden_room);
+        unit_back(&to_hidden, s, h, d_hidden, r->network + at * (size_t)row, row, by_input, r->kept + at * (size_t)h,
+                  hidden_room);
         apply(&to_inputs, s, by_input, gates, inputs_room, m, 0);
         for (int i = 0; i < s * m; i += LANES) store(d_inputs + i, load(d_inputs + i) + load(inputs_room + i));
         for (int k = 0; k < s; k++) {
@@ -312,8 +330,10 @@ EXPORTED(foten_train_roll_out_back)(const roll_out *r, const roll_out_gradients 
         float *out = g->by_out + at * (size_t)o, *head = g->by_head + at * (size_t)w;
         const float *drawn = g->drawn + at * (size_t)o, *made = r->head_made + at * (size_t)w;
         for (int k = 0; k < s; k++) {
-            float e = r->innovation[at + (size_t)k], gain = r->gain_before_filter ? r->level[at + (size_t)k] : 1, sign = (float)((e > 0) - (e < 0));
-            float by = gain * f[k] + d_inputs[k * m] / sqrtf(1 + e * e) + d_inputs[k * m + 1] * 3 * sign / sqrtf(1 + 9 * e * e);
+            float e = r->innovation[at + (size_t)k], gain = r->gain_before_filter ? r->level[at + (size_t)k] : 1,
+                  sign = (float)((e > 0) - (e < 0));
+            float by = gain * f[k] + d_inputs[k * m] / sqrtf(1 + e * e) +
+                       d_inputs[k * m + 1] * 3 * sign / sqrtf(1 + 9 * e * e);
             if (!(fabsf(e) < r->largest)) by = 0;
             for (int i = 0; i < o; i++) out[k * o + i] = drawn[k * o + i] * by;
         }
