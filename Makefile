@@ -8,7 +8,7 @@ THREADS := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 # A file's tests stay together, for what they share.
 PYTEST := $(THREADS) $(BIN)/python -m pytest -q --numprocesses auto --maxprocesses 4 --dist loadfile
 
-.PHONY: demo test check slow browser docs paper-small wasm wasm-check wheels wheels-check clean
+.PHONY: demo test lint check slow browser docs paper-small wasm wasm-check wheels wheels-check clean
 
 # An editable install takes Python from here, and the kernel from when it was built.
 $(VENV)/.installed: pyproject.toml constraints.txt CMakeLists.txt $(wildcard native/src/* native/training/* native/include/* native/wasm/foten.*)
@@ -22,9 +22,9 @@ demo: $(VENV)/.installed
 test: $(VENV)/.installed
 	$(PYTEST)
 
-# Status 5 of pytest: nothing was selected.
+# Every night in .github/workflows/nightly.yml; TESTS chooses some. Status 5 of pytest: nothing was selected.
 slow: $(VENV)/.installed
-	$(PYTEST) -m 'slow and not gpu' || { test $$? -eq 5 && echo 'no test is marked slow'; }
+	$(PYTEST) -m 'slow and not gpu' $(TESTS) || { test $$? -eq 5 && echo 'no test is marked slow'; }
 
 $(VENV)/.docs: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt mkdocs-material 'mkdocstrings[python]' # of the extra docs, as above
@@ -53,11 +53,13 @@ $(VENV)/.browser: $(VENV)/.installed
 browser: $(VENV)/.browser
 	$(PYTEST) -m 'browser and not slow' tests/test_studio_page.py tests/test_capture_page.py tests/test_study_page.py
 
-check: $(VENV)/.installed
+lint: $(VENV)/.installed
 	$(BIN)/clang-format --dry-run -Werror native/*/*.[ch]
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+
+check: lint
 	$(PYTEST)
 
 $(VENV)/.wasm: $(VENV)/.installed
