@@ -64,14 +64,14 @@ TARGETS = (
 
 
 def zig() -> Path:
-    """Return the path of Zig in the package ziglang."""
+    """Path of Zig in the package ziglang."""
     import ziglang
 
     return Path(ziglang.__file__).with_name("zig.exe" if os.name == "nt" else "zig")
 
 
 def declared() -> set[str]:
-    """Return the names of the functions that foten.h declares."""
+    """Names of the functions that foten.h declares."""
     header = (ROOT / "native" / "include" / "foten.h").read_text(encoding="utf-8")
     return set(re.findall(r"^FOTEN_API [^(]*?(\w+)\(", header, flags=re.MULTILINE))
 
@@ -89,7 +89,7 @@ def functions_of(target: Target) -> dict[str, set[str]]:
 
 
 def committed() -> str:
-    """Return when the last commit was made [s since 1970], for the same bytes from the same sources; where git is not, 1980."""
+    """Time of the last commit [s since 1970], for the same bytes from the same sources; where git is not, 1980."""
     command = ["git", "log", "-1", "--format=%ct"]
     try:
         return subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout.strip()
@@ -128,7 +128,7 @@ class Library:
 
 
 def read_library(content: bytes) -> Library:
-    """Return what is in an ELF, Mach-O or PE file, or raise ValueError where it is none."""
+    """Read an ELF, Mach-O or PE file, or raise ValueError where it is none."""
     binary = lief.parse(content)
     if isinstance(binary, lief.ELF.Binary):
         asked = [symbol.name for of in binary.symbols_version_requirement for symbol in of.get_auxiliary_symbols()]
@@ -157,13 +157,13 @@ def read_library(content: bytes) -> Library:
 
 
 def _version(text: str) -> tuple[int, ...]:
-    """Return the first two numbers of GLIBC_2.2.5 or macosx_11_0_arm64; () where there are none, as in win_amd64."""
+    """First two numbers of GLIBC_2.2.5 or macosx_11_0_arm64; () where there are none, as in win_amd64."""
     numbers = re.match(r"[A-Za-z]+_([0-9]+)[._]([0-9]+)", text)
     return tuple(map(int, numbers.groups())) if numbers else ()
 
 
 def check_functions(target: Target, wheel: Path) -> dict[str, Library]:
-    """Return a wheel's libraries by their files' names, or raise ValueError where they are others or export other functions."""
+    """A wheel's libraries by their files' names, or raise ValueError where they are others or export other functions."""
     functions = functions_of(target)
     expected = sorted([*BESIDE, *functions])
     with zipfile.ZipFile(wheel) as archive:
@@ -180,7 +180,7 @@ def check_functions(target: Target, wheel: Path) -> dict[str, Library]:
 
 
 def check(target: Target, wheel: Path) -> str:
-    """Return a line about a wheel, or raise ValueError where it is not what its name says."""
+    """Check a wheel and say a line about it, or raise ValueError where it is not what its name says."""
     libraries, promised = check_functions(target, wheel), _version(target.tags[0])
     for name, library in libraries.items():
         what = f"{name} of {wheel.name}"

@@ -18,7 +18,7 @@ STOPPED_DB = 60.0  # of linear phase; the least delay leaves 58
 
 
 def minimum_phase(magnitude: np.ndarray) -> np.ndarray:
-    """Return the impulse response of least delay whose spectrum has a magnitude: by the cepstrum, shapes (n,) → (n,)."""
+    """Impulse response of least delay whose spectrum has a magnitude: by the cepstrum, shapes (n,) → (n,)."""
     n = magnitude.size
     cepstrum = np.fft.ifft(np.log(magnitude)).real
     folded = np.zeros(n)
@@ -27,7 +27,7 @@ def minimum_phase(magnitude: np.ndarray) -> np.ndarray:
 
 
 def kernel() -> np.ndarray:
-    """Return h at multiples of 1/128 of a sample, the sum over samples 1 at each of them."""
+    """Kernel h at multiples of 1/128 of a sample, the sum over samples 1 at each of them."""
     width = 2 * (STOP - PASS) / STEPS
     n = int(np.ceil((STOPPED_DB - 7.95) / (2.285 * np.pi * width))) | 1
     h = firwin(n, (PASS + STOP) / STEPS, window=("kaiser", kaiser_beta(STOPPED_DB)))

@@ -37,13 +37,13 @@ class OnnxPredictor:
         if named != [(INPUT, "tensor(float)"), (OUTPUT, "tensor(float)")] or inputs[0].shape[1:] != [self.window, 3]:
             taken = [(one.name, one.shape) for one in inputs]
             raise ValueError(f"the graph takes {taken}, expected windows (b, {self.window}, 3)")
-        given = self._session.run([OUTPUT], {INPUT: np.zeros((2, self.window, 3), dtype=np.float32)})[0].shape
+        shape = self._session.run([OUTPUT], {INPUT: np.zeros((2, self.window, 3), dtype=np.float32)})[0].shape
         expected = (2,) if self.n_ahead == 1 else (2, self.n_ahead)
-        if given != expected:
-            raise ValueError(f"the graph gives {given} of two windows, expected {expected}")
+        if shape != expected:
+            raise ValueError(f"the graph gives {shape} of two windows, expected {expected}")
 
     def ahead(self, windows: Array) -> Array:
-        """Return the samples to come: windows (b, m, 3) scaled → (b, n_ahead) scaled."""
+        """Samples to come: windows (b, m, 3) scaled → (b, n_ahead) scaled."""
         (following,) = self._session.run([OUTPUT], {INPUT: windows.astype(np.float32)})
         return np.asarray(following, dtype=np.float64).reshape(-1, self.n_ahead)
 

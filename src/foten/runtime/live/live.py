@@ -46,7 +46,7 @@ class Ring:
 
     @property
     def level(self) -> int:
-        """Return how many samples wait to be read."""
+        """Number of samples that wait to be read."""
         return self._n_written - self._n_read
 
     def write(self, samples: Samples) -> int:
@@ -97,7 +97,7 @@ class Timing:
         self.largest_s = max(self.largest_s, seconds)
 
     def percentile_s(self, percent: float) -> float:
-        """Return what that share took at most [s], the upper end of its bin; NaN where nothing was counted."""
+        """Longest time of that share [s], the upper end of its bin; NaN where nothing was counted."""
         total = int(self.counts.sum())
         if total == 0:
             return float("nan")
@@ -118,7 +118,7 @@ class LiveStatistics:
     least_ms: float = float("inf")  # that the ring held, once it had been full
 
     def line(self) -> str:
-        """Return it in one line for people."""
+        """One line for people."""
         times = " / ".join(f"{1000 * self.block.percentile_s(p):.2f}" for p in (50, 99, 99.9))
         return (
             f"blocks of {self.block_ms:g} ms rendered in {times} ms (p50 / p99 / p99.9), at most "
@@ -179,12 +179,12 @@ class Live:
 
     @property
     def running(self) -> bool:
-        """Return whether it plays: neither before the start, nor after a stop, nor once rendering or sink have failed."""
+        """Whether it plays: neither before the start, nor after a stop, nor once rendering or sink have failed."""
         return self._thread.is_alive() and self._failed is None and self._sink.failed is None
 
     @property
     def lead_ms(self) -> float:
-        """Return what is rendered ahead [ms]."""
+        """Time that is rendered ahead [ms]."""
         return 1000 * self._lead / self._sink.rate_hz
 
     def start(self) -> None:
