@@ -47,8 +47,8 @@ def main() -> None:
         f"enum {{ TABLE_STEPS = {STEPS}, TABLE_TAPS = {table.size // STEPS} }};",
         "static const float TABLE[TABLE_STEPS * TABLE_TAPS + 1] = {",
     ]
-    values = [f"{value:.8e}f" for value in [*table, 0.0]]
-    lines += ["    " + ", ".join(values[i : i + 8]) + "," for i in range(0, len(values), 8)]
+    values = [f"{value!s}f" for value in [*np.float32(table), 0.0]]  # the shortest text of each float32
+    lines += ["    " + ", ".join(values[i : i + 6]) + "," for i in range(0, len(values), 6)]
     path = Path(__file__).parents[1] / "src" / "resample_table.h"
     path.write_text("\n".join([*lines, "};", ""]))
 
