@@ -260,11 +260,11 @@ def test_late_events_out_of_order_are_no_new_clock(texture: Texture) -> None:
     events = stroke_at(np.arange(0.0, 1.0, 0.008))
     clean = hands(Stylus(Renderer(texture)), events, 990)
     stylus = Stylus(Renderer(texture))
-    kept_back = events[39:19:-1]
-    mixed = np.concatenate([events[:60], kept_back, events[60:]])
+    resent = events[39:19:-1]
+    mixed = np.concatenate([events[:60], resent, events[60:]])
     found = hands(stylus, mixed, 990)
     np.testing.assert_allclose(found, clean, rtol=1e-9, atol=1e-9)
-    assert stylus.stats.n_late == len(kept_back)
+    assert stylus.stats.n_late == len(resent)
 
 
 @given(

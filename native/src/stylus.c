@@ -24,7 +24,7 @@ typedef struct { double x, y, pressure, t; } event;
 struct foten_stylus {
     double period_s, newtons, steepness;
     section filter;
-    memory velocity[2], force;
+    memory velocity_memory[2], force_memory;
 
     event waiting[MAX_WAITING];
     _Atomic uint64_t n_pushed, n_taken; /* by the device's thread, by the rendering one */
@@ -32,10 +32,10 @@ struct foten_stylus {
 
     /* The rendering thread's own. */
     event last;
-    int known, touching, moving, still; /* moving: whether `moved` is of this stroke */
+    int known, touching, moving, still; /* moving: whether `velocity` is of this stroke */
     unsigned late_in_succession;
     double late_t, usual_s, since_s;
-    double moved[2], held[2], pressed;
+    double velocity[2], held[2], normal_force; /* held: until the next event */
     _Atomic uint64_t n, n_late, n_jumps;
 };
 
@@ -93,7 +93,7 @@ static double length(const double v[2]) { return sqrt(v[0] * v[0] + v[1] * v[1])
 /* Take in the events since the last sample. */
 static void take_events(foten_stylus *s) {
     uint64_t pushed = atomic_load_explicit(&s->n_pushed, memory_order_acquire), taken = atomic_load_explicit(&s->n_taken, memory_order_relaxed);
-    double moved[2] = {0, 0}, took = 0;
+    double displacement[2] = {0, 0}, duration_s = 0;
     int jumped = 0;
     for (; taken < pushed; taken++) {
         event e = s->waiting[taken % MAX_WAITING];
@@ -107,37 +107,37 @@ static void take_events(foten_stylus *s) {
             goes_on = 0;
         }
         if (goes_on) {
-            moved[0] += dx;
-            moved[1] += dy;
-            took += step;
+            displacement[0] += dx;
+            displacement[1] += dy;
+            duration_s += step;
             if (step > MIN_STEP_S && step < MAX_STEP_S) s->usual_s += 0.1 * (step - s->usual_s);
         } else {
-            moved[0] = moved[1] = took = 0;
+            displacement[0] = displacement[1] = duration_s = 0;
             jumped = 1;
         }
         s->known = 1;
         s->touching = touches;
         s->last = e;
-        s->pressed = touches ? s->newtons * exp(s->steepness * e.pressure) : 0;
+        s->normal_force = touches ? s->newtons * exp(s->steepness * e.pressure) : 0;
         s->since_s = s->still = 0;
     }
     atomic_store_explicit(&s->n_taken, taken, memory_order_release);
     if (jumped) s->held[0] = s->held[1] = 0;
-    if (took > 0) {
+    if (duration_s > 0) {
         double velocity[2], change[2];
         for (int i = 0; i < 2; i++) {
-            velocity[i] = moved[i] / took;
-            change[i] = s->moving && !jumped ? velocity[i] - s->moved[i] : 0;
+            velocity[i] = displacement[i] / duration_s;
+            change[i] = s->moving && !jumped ? velocity[i] - s->velocity[i] : 0;
         }
         /* What is carried on is at most what is there: a pen that stops would turn back otherwise, and start another movement. */
-        double share = took / (took + CARRIED_S), speed = length(velocity), carried = share * length(change);
+        double share = duration_s / (duration_s + CARRIED_S), speed = length(velocity), carried = share * length(change);
         if (carried > speed) share *= speed / carried;
         for (int i = 0; i < 2; i++) {
             s->held[i] = velocity[i] + share * change[i];
-            s->moved[i] = velocity[i];
+            s->velocity[i] = velocity[i];
         }
     }
-    s->moving = took > 0 || (s->moving && !jumped);
+    s->moving = duration_s > 0 || (s->moving && !jumped);
 }
 
 /* Within a block no event can come, however long it lasts: whether the pen has stopped is seen where one begins. */
@@ -148,10 +148,10 @@ void stylus_block(foten_stylus *s) {
 
 void stylus_next(foten_stylus *s, double out[2]) {
     take_events(s);
-    if (s->still) s->held[0] = s->held[1] = s->moved[0] = s->moved[1] = 0;
+    if (s->still) s->held[0] = s->held[1] = s->velocity[0] = s->velocity[1] = 0;
     s->since_s += s->period_s;
-    double x = filtered(&s->filter, &s->velocity[0], s->held[0]), y = filtered(&s->filter, &s->velocity[1], s->held[1]);
-    double force = filtered(&s->filter, &s->force, s->pressed);
+    double x = filtered(&s->filter, &s->velocity_memory[0], s->held[0]), y = filtered(&s->filter, &s->velocity_memory[1], s->held[1]);
+    double force = filtered(&s->filter, &s->force_memory, s->normal_force);
     out[0] = sqrt(x * x + y * y);
     out[1] = force > 0 ? force : 0; /* a second-order low-pass undershoots by 4 % */
 }

@@ -143,7 +143,7 @@ def c_flags() -> str:
     Raises:
         OSError: they are not installed.
     """
-    header, library = kernel_file("foten.h").parent, kernel_file("libfoten.so", "libfoten.dylib", "libfoten.dll").parent
+    header, library = kernel_file("foten.h").parent, kernel_file(*LIBRARIES).parent
     return f"-I{header} -L{library} -Wl,-rpath,{library} -lfoten -lm"
 
 
