@@ -32,7 +32,6 @@ from foten.models.foten_plus.network import InnovationNetwork, NextInnovation, n
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.recording.split import Split
 from foten.recording.trace import Trace
-from foten.runtime.binding import library
 from foten.training import training_kernel as kernel
 from foten.training.blocks import ScaledBlocks, scaled_blocks
 from foten.training.config import OWN_RECIPES, TrainConfig
@@ -68,7 +67,7 @@ def test_hidden_states_and_gradients_are_pytorch_s(
     n_inputs: int, n_hidden: int, s: int, of: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of its own unit, in every instruction set, whatever rows are padded to: to what float32 leaves of 40 samples."""
-    monkeypatch.setattr(kernel, "_function", lambda name: getattr(library(), f"{name}_{of}"))
+    monkeypatch.setattr(kernel, "_function", lambda name: getattr(kernel.training_library(), f"{name}_{of}"))
     torch.manual_seed(3)
     unit = torch.nn.GRU(n_inputs, n_hidden, batch_first=True)
     inputs, weight = 2 * torch.randn(s, 40, n_inputs), torch.randn(s, 40, n_hidden)

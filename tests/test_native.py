@@ -13,6 +13,7 @@ import struct
 import subprocess
 import sys
 import threading
+from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
 from pkgutil import resolve_name
@@ -424,6 +425,24 @@ def test_a_change_of_rate_stops_what_its_header_says() -> None:
     assert 20 * np.log10(spectrum[rates <= 0.45].min() / spectrum[0]) > -0.01
 
 
+def test_a_change_of_rate_does_not_drift(native: NativeTexture) -> None:
+    """Oracle: the table at places that are counted in fractions, after 10 s. A step of 32 bits would be 10⁻⁵ of a sample off."""
+    rate, n, last = 44_100, 441_000, 50
+    own, out = np.empty(10_000, dtype=np.float32), np.empty(n, dtype=np.float32)
+    for state, samples in ((NativeState(native, seed=3), own), (NativeState(native, float(rate), seed=3), out)):
+        state.set_condition(90.0, 1.0)
+        state.render(samples)
+    table = runpy.run_path(str(Path(__file__).parents[1] / "native" / "tools" / "resample_table.py"))
+    kernel, steps = np.append(table["kernel"](), 0.0), table["STEPS"]
+    expected = []
+    for place in (Fraction(1000 * k, rate) for k in range(n - last, n)):
+        newest, taps = int(place), np.arange(kernel.size // steps)
+        at = steps * (float(place - newest) + taps)
+        expected.append(own[newest - taps] @ np.interp(at, np.arange(kernel.size), kernel))
+    # Both are float32, and so is the table.
+    np.testing.assert_allclose(out[-last:], expected, atol=1e-6 * np.abs(own).max())
+
+
 def test_rates_that_cannot_be_are_refused(native: NativeTexture) -> None:
     for rate in (40.0, 500_000.0, -1.0, float("nan"), float("inf")):
         with pytest.raises(ValueError, match="expected 50 to 400000 Hz"):
@@ -574,6 +593,10 @@ def test_what_is_wrong_in_a_file_is_named(texture: Texture) -> None:
         (bytes_of({"scaling": {"mean": [0, 0, 0], "sd": [1, 0, 1]}}), "standard deviation"),
         (bytes_of({"trained_range": {"speed": [5, 1], "force": [0, 1]}}), "trained range of speed"),
         (bytes_of({"extrapolation_exponents": {"speed": 1, "force": 9}}), "exponent of force"),
+        (bytes_of({"units": {**texture.card["units"], "speed": "m/s"}}), "speed is not in mm/s"),
+        (bytes_of({"units": {**texture.card["units"], "force": "lbf"}}), "force is not in N"),
+        (bytes_of({"units": {**texture.card["units"], "acceleration": "g"}}), r"acceleration is not in m/s\^2"),
+        (bytes_of({"units": {"acceleration": "relative", "force": "N"}}), "speed is not in mm/s"),
         (bytes_of({"sizes": {**sizes, "n_hidden": 0}}), "n_hidden"),
         (bytes_of({"sizes": {**sizes, "network_in_loop": 1}}), "network_in_loop"),
         (bytes_of({"sizes": {**sizes, "colour": 1}}), "size that this library does not know"),
@@ -671,7 +694,7 @@ def test_a_large_order_runs() -> None:
 
 HEADER = Path(__file__).parents[1] / "native" / "src" / "constants.h"
 DEFINED = re.findall(r"^#define (FOTEN_\w+) (.+)$", HEADER.read_text(), re.MULTILINE)
-SHARED = re.compile(r"(\S+) /\* (foten[\w.]+)(?:\[(\d+)\])? \*/")
+SHARED = re.compile(r"(\S+) +/\* (foten[\w.]+)(?:\[(\d+)\])? \*/")
 
 
 @pytest.mark.parametrize(("name", "definition"), DEFINED, ids=[name for name, _ in DEFINED])

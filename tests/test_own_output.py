@@ -22,7 +22,6 @@ from foten.models.foten_plus.innovation_network import Mixture
 from foten.models.foten_plus.linear_model import phase_alone
 from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.recording.preprocess import PreprocessConfig
-from foten.runtime.binding import library
 from foten.simulation.simulate import simulate
 from foten.training import training_kernel as kernel
 from foten.training.config import TrainConfig
@@ -146,7 +145,7 @@ def test_gradients_are_those_of_finite_differences(
 
     In float32 a central difference of 1e-2 is good to a per cent of the largest.
     """
-    monkeypatch.setattr(kernel, "_function", lambda name: getattr(library(), f"{name}_{of_isa}"))
+    monkeypatch.setattr(kernel, "_function", lambda name: getattr(kernel.training_library(), f"{name}_{of_isa}"))
     rng = np.random.default_rng(3)
     given, begin = around(3, 12, p, rng, gain_before)
     at, of = weights(1, rng), rng.standard_normal((3, 12)).astype(np.float32)

@@ -536,6 +536,17 @@ def test_relative_units_are_called_so_in_terminal_and_page(judged, texture) -> N
     assert "m/s²" not in shown
 
 
+def test_a_page_names_a_texture_printable_and_short(judged, texture) -> None:
+    """Its card is in the page too, as JSON."""
+    evil = "\x1b[2J\u202e" + "x" * 1_000_000
+    card = {**texture.card, "texture": evil, "notes": evil, "licence": evil}
+    shown = page(replace(judged, document={**judged.document, "texture": evil}), Texture(card, texture.tensors))
+    before_the_card = shown[: shown.index('id="raw"')]
+    assert "x" * 100 in before_the_card
+    assert "x" * 2001 not in before_the_card
+    assert not {"\x1b", "\u202e"} & set(before_the_card)
+
+
 def test_a_texture_says_its_unit(texture) -> None:
     assert texture.unit == "m/s²"
     card = {**texture.card, "units": {**texture.card["units"], "acceleration": "relative"}}

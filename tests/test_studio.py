@@ -37,7 +37,7 @@ from foten.studio import conversation, players, server
 from foten.studio.access import LOOPBACK, Access, access_to, write_certificate
 from foten.studio.contact import Contact, limit
 from foten.studio.messages import Allowance, RefusedError, parse_events, parse_message
-from foten.studio.players import Turns, Wired
+from foten.studio.players import OutputDevice, Turns
 from foten.studio.server import Studio
 from foten.studio.shelf import Shelf
 from test_live import FakeDaq
@@ -259,7 +259,7 @@ def daq(monkeypatch: pytest.MonkeyPatch) -> FakeDaq:
 
 def test_a_page_is_played_through_a_daq(daq: FakeDaq) -> None:
     """Its volts are what is rendered, which the page is sent to draw."""
-    studio = Studio(Shelf([EXAMPLE]), wired=Wired("daq:Dev1/ao0", COIL))
+    studio = Studio(Shelf([EXAMPLE]), wired=OutputDevice("daq:Dev1/ao0", COIL))
     drawn: list[NDArray[np.float32]] = []
     with stroking(studio) as socket:
         socket.send_text(json.dumps({"do": "open", "texture": KEY, "sink": "device", "rate_hz": 8000}))
@@ -390,17 +390,17 @@ def test_a_page_that_opens_slowly_is_not_taken_for_one_that_died(
 
 def test_without_an_actuator_a_daq_is_told_its_volts() -> None:
     with pytest.raises(ValueError, match="say with --gain how many volts 1 m/s² is"):
-        Wired("daq:Dev1/ao0")
+        OutputDevice("daq:Dev1/ao0")
     with pytest.raises(ValueError, match="a page plays in real time"):
-        Wired("stroke.wav")
+        OutputDevice("stroke.wav")
     with pytest.raises(ValueError, match="--device and --channel are a sound card's"):
-        Wired("null", device="3").check()
-    assert Wired("daq:Dev1/ao0", gain=0.5).calibrated
-    assert not Wired().calibrated
+        OutputDevice("null", device="3").check()
+    assert OutputDevice("daq:Dev1/ao0", gain=0.5).calibrated
+    assert not OutputDevice().calibrated
 
 
 def test_a_device_that_goes_is_said_and_the_page_may_open_again(daq: FakeDaq) -> None:
-    studio = Studio(Shelf([EXAMPLE]), wired=Wired("daq:Dev1/ao0", gain=0.5))
+    studio = Studio(Shelf([EXAMPLE]), wired=OutputDevice("daq:Dev1/ao0", gain=0.5))
     opening = json.dumps({"do": "open", "texture": KEY, "sink": "device", "rate_hz": 8000})
     with stroking(studio) as socket:
         socket.send_text(opening)

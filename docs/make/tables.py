@@ -27,7 +27,7 @@ from foten.experiments.experiment import experiment_path, read_experiment
 from foten.experiments.results import chosen, read_records
 from foten.experiments.tables import findings, ratios, summary
 from foten.reporting.table import Cell, Number, Table, mean_number
-from foten.simulation import linear_family, simulate
+from foten.simulation import contact_mechanics, linear_family, simulate
 
 DOCS = Path(__file__).resolve().parents[1]
 RESULTS = DOCS / "results"

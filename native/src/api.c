@@ -102,7 +102,7 @@ foten_state *foten_state_new(const foten_model *model, const foten_options *opti
     foten_options o = options ? *options : (foten_options){0};
     if (!model) return NULL;
     double rate = o.rate_hz == 0 ? model->rate_hz : o.rate_hz;
-    if (!(rate >= model->rate_hz / SLOWEST && rate <= model->rate_hz * FASTEST)) return NULL;
+    if (!(rate >= model->rate_hz / MAX_DOWNSAMPLING && rate <= model->rate_hz * MAX_UPSAMPLING)) return NULL;
     size_t n = state_bytes(model, rate);
     unsigned char *memory = malloc(n);
     if (!memory) return NULL;

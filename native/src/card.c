@@ -165,6 +165,18 @@ static int text_of(json value, arena *memory, char **out) {
     return *out && json_string(value, *out, room) >= 0;
 }
 
+/* Speed in m/s would be rendered as if it were in mm/s. */
+static int check_units(texture_file *file) {
+    static const char *const channels[] = {"acceleration", "speed", "force"}, *const units[] = {"m/s^2", "mm/s", "N"};
+    json written = json_member(file->card, "units");
+    for (int i = 0; i < 3; i++) {
+        json unit = json_member(written, channels[i]);
+        if (!json_is_string(unit, units[i]) && !(i == 0 && json_is_string(unit, "relative")))
+            return file_refuse(file, FOTEN_BAD_FILE, "the card's %s is not in %s; was the card edited?", channels[i], units[i]);
+    }
+    return 1;
+}
+
 int card_read(foten_model *m, texture_file *file, const card_sizes *s) {
     json card = file->card;
     long long window;
@@ -180,6 +192,7 @@ int card_read(foten_model *m, texture_file *file, const card_sizes *s) {
         return file_refuse(file, FOTEN_BAD_FILE, "'lowpass_hz' in the card is not between 0 and half of the rate");
     if (!json_number(json_member(card, "saturation"), &m->saturation) || !(m->saturation > 0 && m->saturation <= LARGEST_SATURATION))
         return file_refuse(file, FOTEN_BAD_FILE, "'saturation' in the card is not between 0 and %g standard deviations", LARGEST_SATURATION);
+    if (!check_units(file)) return 0;
     json scaling = json_member(card, "scaling"), range = json_member(card, "trained_range"), beyond = json_member(card, "extrapolation_exponents");
     if (!numbers(json_member(scaling, "mean"), m->mean, 3) || !numbers(json_member(scaling, "sd"), m->sd, 3))
         return file_refuse(file, FOTEN_BAD_FILE, "the scaling in the card is not three means and three standard deviations");

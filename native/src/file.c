@@ -6,7 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { LONGEST_HEADER = 4 * 1000 * 1000 };
+enum { MAX_HEADER = 4 * 1000 * 1000 }; /* bytes; those of foten train have 15,000 */
 
 int file_refuse(texture_file *file, foten_status status, const char *format, ...) {
     if (file->status != FOTEN_OK) return 0;
@@ -57,7 +57,7 @@ int file_open(texture_file *file, const void *bytes, size_t n_bytes, char *why, 
     const unsigned char *text = (const unsigned char *)bytes + 8;
     uint64_t length = 0;
     for (int i = 1; i <= 8; i++) length = length << 8 | text[-i];
-    if (!length || length > n_bytes - 8 || length > LONGEST_HEADER)
+    if (!length || length > n_bytes - 8 || length > MAX_HEADER)
         return file_refuse(file, FOTEN_BAD_FILE, "this is not a texture file, or it is truncated");
     json header = json_of((const char *)text, (size_t)length);
     file->data = text + length;

@@ -7,7 +7,8 @@
 #include <cpuid.h>
 #endif
 
-static const isa *const HERE[] = { /* the best first */
+/* The best first. */
+static const isa *const HERE[] = {
 #if defined(FOTEN_PORTABLE)
 #elif defined(__x86_64__)
     &isa_avx512, &isa_avx2,

@@ -7,7 +7,8 @@
 #include "resample_table.h"
 
 struct resampler {
-    double rate_in, stretch;       /* stretch: the kernel's length in samples given, over its own; 1 unless the device is the slower */
+    double rate_in;
+    double stretch;                /* the kernel's length in samples given, over its own; 1 unless the device is the slower */
     double *history;               /* the last `n` samples given, twice, so that any n of them are contiguous */
     size_t n, at, ahead;           /* ahead: samples to be given before the next is taken */
     uint64_t fraction, step;       /* of the place between samples given and its step, in 2^-64 of a sample */

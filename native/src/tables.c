@@ -3,13 +3,13 @@
 #include <math.h>
 #include "constants.h"
 
-enum { MOST_VERTICES = 1 << 28 };
+enum { MAX_VERTICES = 1 << 28 };
 
 int speed_force_table_read(texture_file *file, arena *memory, const char *prefix, const char *values, int n_speed, int n_force, int width,
                            speed_force_table *out) {
     long long vertices = (long long)n_speed * n_force;
     *out = (speed_force_table){.n_speed = n_speed, .n_force = n_force, .width = width};
-    if (vertices > MOST_VERTICES) return file_refuse(file, FOTEN_BAD_FILE, "the card has more vertices than can be");
+    if (vertices > MAX_VERTICES) return file_refuse(file, FOTEN_BAD_FILE, "the card has more vertices than can be");
     if (!(out->speed_knots = file_take(file, memory, prefix, "speed_knots", (size_t[4]){(size_t)n_speed}))) return 0;
     if (!(out->force_knots = file_take(file, memory, prefix, "force_knots", (size_t[4]){(size_t)n_force}))) return 0;
     if (!(out->values = file_take(file, memory, prefix, values, (size_t[4]){(size_t)vertices, (size_t)width}))) return 0;

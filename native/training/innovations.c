@@ -1,9 +1,11 @@
-/* What training a network of innovations spends its time on: its recurrent unit over chunks, and roll-outs in the closed loop, forward and back,
- * all streams of a batch side by side. `training.training_kernel` binds it; it is no part of foten.h, nor of a library that is built without Python.
+/* What training a network of innovations spends its time on: its recurrent unit over chunks, and roll-outs in the
+ * closed loop, forward and back, all streams of a batch side by side. A library of its own, libfoten_training, which
+ * comes with the Python package alone; `training.training_kernel` binds it.
  *
- * Arrays lie sample by sample, then stream by stream: (n, s, ...). Rows of hidden states and the like are padded to a multiple of 16, those
- * of weights with zeros, so that what is computed there stays zero. Matrices are (outputs, inputs), their rows padded too. Functions return 0, or
- * 1 where there is no memory. Compiled once for each instruction set, as src/kernel.c is. */
+ * Arrays lie sample by sample, then stream by stream: (n, s, ...). Rows of hidden states and the like are padded to a
+ * multiple of 16, those of weights with zeros, so that what is computed there stays zero. Matrices are (outputs,
+ * inputs), their rows padded too. Functions return 0, or 1 where there is no memory. Compiled once for each instruction
+ * set, as src/kernel.c is. */
 #include <math.h>
 #include <stddef.h>
 #include <stdlib.h>
@@ -29,29 +31,30 @@ typedef struct {
     int gain_before_filter, with_phase;
     float innovation_limit;
     float leak;
-    const float *from_input, *input_bias, *from_hidden, *hidden_bias; /* (3 n_hidden, n_inputs), (3 n_hidden, n_hidden) */
-    const float *head, *head_bias;                                    /* (head_width, n_hidden + n_inputs) */
-    const float *out, *out_bias;                                      /* (n_out, head_width) */
+    /* Of the gates: (3 n_hidden, n_inputs), (3 n_hidden, n_hidden). */
+    const float *from_input, *input_bias, *from_hidden, *hidden_bias;
+    const float *head, *head_bias;      /* (head_width, n_hidden + n_inputs) */
+    const float *out, *out_bias;        /* (n_out, head_width) */
     const float *reflections, *cosines; /* of each sample's lattice, (n, p, s) */
     const float *level;                 /* (n, s) */
     const float *logs;                  /* (n, s, 2) */
     const float *chosen, *normal;       /* of chance, (n, s) */
-    const double *phase_increment;               /* by how much the path moves the phase up to each sample and the one after, (n + 1, s) */
+    const double *phase_increment;               /* by which the path moves the phase, (n + 1, s) */
     double period_jitter, phase_leak, max_jitter_drive;
-    float *states;                   /* of the lattices before the first sample, (p + 1, s) */
-    double *phase;                   /* of tones at each sample, (n, s), the first given */
-    float *network;                  /* hidden states and inputs, (n + 1, s, n_hidden + n_inputs), the first given */
-    float *head_output, *out_output;     /* (n, s, head_width), (n, s, n_out) */
-    float *gates, *candidate_preactivation;             /* as above */
-    float *innovation, *residual;      /* (n, s) */
+    float *states;               /* of the lattices before the first sample, (p + 1, s) */
+    double *phase;               /* of tones at each sample, (n, s), the first given */
+    float *network;              /* hidden states and inputs, (n + 1, s, n_hidden + n_inputs), the first given */
+    float *head_output, *out_output; /* (n, s, head_width), (n, s, n_out) */
+    float *gates, *candidate_preactivation;         /* as above */
+    float *innovation, *residual;  /* (n, s) */
 } rollout_batch;
 
 /* What a loss says of a roll-out, and where gradients go. */
 typedef struct {
-    const float *by_residual;         /* (n, s) */
-    const float *drawn;             /* of each innovation by the outputs of the network, (n, s, n_out) */
-    float adjoint_limit;                     /* that the gradient of a stream's state may be */
-    float *by_head, *by_out;        /* (n, s, head_width), (n, s, n_out) */
+    const float *by_residual;  /* (n, s) */
+    const float *drawn;      /* of each innovation by the outputs of the network, (n, s, n_out) */
+    float adjoint_limit;              /* that the gradient of a stream's state may be */
+    float *by_head, *by_out; /* (n, s, head_width), (n, s, n_out) */
 } rollout_gradients;
 
 #define JOIN(a, b) a##_##b
@@ -82,8 +85,10 @@ static float *taken(float **block, size_t n) {
     return from;
 }
 
-/* A linear map whose weights are laid out in `room`, (outputs, inputs) of a matrix with rows of `stride`, or of its transpose. */
-static linear map_of(const float *matrix, const float *bias, int outputs, int inputs, int stride, int transposed, float *room) {
+/* A linear map whose weights are laid out in `room`, (outputs, inputs) of a matrix with rows of `stride`, or of its
+ * transpose. */
+static linear map_of(const float *matrix, const float *bias, int outputs, int inputs, int stride, int transposed,
+                     float *room) {
     for (int o = 0; o < outputs; o++) {
         int first = o / (2 * LANES) * (2 * LANES), wide = outputs - first > LANES ? 2 * LANES : LANES;
         float *to = room + (size_t)first * (size_t)inputs + (o - first);
@@ -93,12 +98,14 @@ static linear map_of(const float *matrix, const float *bias, int outputs, int in
 }
 
 /* A sample of the unit: hidden states lie `stride` apart. */
-static void unit(const linear *map, int s, int h, const float *from_input, const float *now, float *next, int stride, float *gates, float *candidate_preactivation,
-                 float *of_hidden) {
+static void unit(const linear *map, int s, int h, const float *from_input, const float *now, float *next, int stride,
+                 float *gates, float *candidate_preactivation, float *of_hidden) {
     apply(map, s, now, stride, of_hidden, GATES * h, 0);
-    for (int k = 0; k < s; k++, from_input += GATES * h, of_hidden += GATES * h, gates += GATES * h, candidate_preactivation += h, now += stride, next += stride)
+    for (int k = 0; k < s; k++, from_input += GATES * h, of_hidden += GATES * h, gates += GATES * h, candidate_preactivation += h,
+             now += stride, next += stride)
         for (int i = 0; i < h; i += LANES) {
-            vec reset = logistic(load(from_input + i) + load(of_hidden + i)), update = logistic(load(from_input + h + i) + load(of_hidden + h + i));
+            vec reset = logistic(load(from_input + i) + load(of_hidden + i)),
+                update = logistic(load(from_input + h + i) + load(of_hidden + h + i));
             vec candidate = load(of_hidden + 2 * h + i), new = tanh_of(load(from_input + 2 * h + i) + reset * candidate);
             store(gates + i, reset);
             store(gates + h + i, update);
@@ -108,13 +115,15 @@ static void unit(const linear *map, int s, int h, const float *from_input, const
         }
 }
 
-/* And back: `d` is the gradient by the next hidden states, and becomes that by those before them; `gates` becomes that by what of the inputs goes
- * into them, and `candidate_preactivation` that by what it is itself. Room is for 4 n_hidden states a stream. */
-static void unit_back(const linear *map, int s, int h, float *d, const float *now, int stride, float *gates, float *candidate_preactivation, float *room) {
+/* And back: `d` is the gradient by the next hidden states, and becomes that by those before them; `gates` becomes that
+ * by what of the inputs goes into them, and `candidate_preactivation` that by what it is itself. Room: 4 n_hidden states a stream. */
+static void unit_back(const linear *map, int s, int h, float *d, const float *now, int stride, float *gates,
+                      float *candidate_preactivation, float *room) {
     float *by_preactivation = room, *added = room + (size_t)(GATES * h) * (size_t)s;
     for (int k = 0; k < s; k++, now += stride, gates += GATES * h, candidate_preactivation += h, by_preactivation += GATES * h)
         for (int i = 0; i < h; i += LANES) {
-            vec of_next = load(d + k * h + i), reset = load(gates + i), update = load(gates + h + i), new = load(gates + 2 * h + i);
+            vec of_next = load(d + k * h + i), reset = load(gates + i), update = load(gates + h + i),
+                new = load(gates + 2 * h + i);
             vec of_new = of_next * (1.0f - update) * (1.0f - new * new);
             vec of_update = of_next * (load(now + i) - new) * update * (1.0f - update);
             vec of_reset = of_new * load(candidate_preactivation + i) * reset * (1.0f - reset);
@@ -139,13 +148,15 @@ EXPORTED(foten_train_unit)(const recurrent_unit *u) {
     linear map = map_of(u->weight, u->bias, GATES * h, h, h, 0, taken(&block, (size_t)(GATES * h * h)));
     for (int t = 0; t < u->n; t++) {
         size_t at = (size_t)t * row;
-        unit(&map, s, h, u->from_input + GATES * at, u->hidden + at, u->hidden + at + row, h, u->gates + GATES * at, u->candidate_preactivation + at, block);
+        unit(&map, s, h, u->from_input + GATES * at, u->hidden + at, u->hidden + at + row, h, u->gates + GATES * at,
+             u->candidate_preactivation + at, block);
     }
     free(memory);
     return 0;
 }
 
-/* From the gradient by each of the hidden states but the first, (n, s, n_hidden), that by what goes into the gates, in place of `gates` and `candidate_preactivation`. */
+/* From the gradient by each of the hidden states but the first, (n, s, n_hidden), that by what goes into the gates, in
+ * place of `gates` and `candidate_preactivation`. */
 EXPORTED(foten_train_unit_back)(const recurrent_unit *u, const float *by_hidden) {
     int s = u->s, h = u->n_hidden;
     size_t row = (size_t)(s * h);
@@ -207,7 +218,8 @@ static void synthesise_back(const rollout_batch *r, int sample, float *restrict 
 }
 
 /* What the network is given of a sample, and the phase of tones at the next one. */
-static void take_in(const rollout_batch *r, int sample, int stream, float e, float over, double *path, double *rate, float *in) {
+static void take_in(const rollout_batch *r, int sample, int stream, float e, float over, double *path, double *rate,
+                    float *in) {
     size_t at = (size_t)sample * (size_t)r->s + (size_t)stream;
     in[0] = asinhf(e);
     in[1] = asinhf(3 * fabsf(e)) - 1;
@@ -237,11 +249,13 @@ EXPORTED(foten_train_rollout)(const rollout_batch *r) {
         free(path);
         return 1;
     }
-    linear of_inputs = map_of(r->from_input, r->input_bias, gates, r->n_inputs, r->n_inputs, 0, taken(&block, (size_t)(gates * r->n_inputs)));
+    linear of_inputs = map_of(r->from_input, r->input_bias, gates, r->n_inputs, r->n_inputs, 0,
+                              taken(&block, (size_t)(gates * r->n_inputs)));
     linear of_hidden = map_of(r->from_hidden, r->hidden_bias, gates, h, h, 0, taken(&block, (size_t)(gates * h)));
     linear head = map_of(r->head, r->head_bias, w, row, row, 0, taken(&block, (size_t)(w * row)));
     linear out = map_of(r->out, r->out_bias, o, w, w, 0, taken(&block, (size_t)(w * o)));
-    float *from_inputs = taken(&block, (size_t)(s * gates)), *from_hidden = taken(&block, (size_t)(s * gates)), *f = block;
+    float *from_inputs = taken(&block, (size_t)(s * gates)), *from_hidden = taken(&block, (size_t)(s * gates)),
+          *f = block;
     if (r->with_phase) memcpy(path, r->phase, sizeof(double) * (size_t)s);
     for (int t = 0; t < r->n; t++) {
         size_t at = (size_t)t * (size_t)s;
@@ -251,7 +265,8 @@ EXPORTED(foten_train_rollout)(const rollout_batch *r) {
         for (int i = 0; i < s * w; i += LANES) store(hidden_layer + i, tanh_of(load(hidden_layer + i)));
         apply(&out, s, hidden_layer, w, outputs, o, 0);
         for (int k = 0; k < s; k++) {
-            float e = r->innovation[at + (size_t)k] = draw(r, outputs + k * o, r->chosen[at + (size_t)k], r->normal[at + (size_t)k]);
+            float e = r->innovation[at + (size_t)k] =
+                draw(r, outputs + k * o, r->chosen[at + (size_t)k], r->normal[at + (size_t)k]);
             f[k] = r->gain_before_filter ? r->level[at + (size_t)k] * e : e;
         }
         synthesise(r, t, f);
@@ -261,7 +276,8 @@ EXPORTED(foten_train_rollout)(const rollout_batch *r) {
             take_in(r, t, k, r->innovation[at + (size_t)k], over, path + k, rate + k, next + k * row + h);
         }
         apply(&of_inputs, s, next + h, row, from_inputs, gates, 0);
-        unit(&of_hidden, s, h, from_inputs, now, next, row, r->gates + at * (size_t)gates, r->candidate_preactivation + at * (size_t)h, from_hidden);
+        unit(&of_hidden, s, h, from_inputs, now, next, row, r->gates + at * (size_t)gates, r->candidate_preactivation + at * (size_t)h,
+             from_hidden);
     }
     free(memory);
     free(path);
@@ -287,7 +303,8 @@ static void hold(const rollout_batch *r, float adjoint_limit, float *d_hidden, f
 /* `gates` and `candidate_preactivation` of the roll-out become gradients, as above. */
 EXPORTED(foten_train_rollout_back)(const rollout_batch *r, const rollout_gradients *g) {
     int s = r->s, h = r->n_hidden, m = r->n_inputs, w = r->head_width, o = r->n_out, row = h + m, gates = GATES * h;
-    size_t weights = (size_t)gates * (size_t)row + (size_t)w * (size_t)(row + o), numbers = (size_t)((2 + GATES) * h + 2 * m + row + r->p + 2);
+    size_t weights = (size_t)gates * (size_t)row + (size_t)w * (size_t)(row + o),
+           numbers = (size_t)((2 + GATES) * h + 2 * m + row + r->p + 2);
     float *memory = calloc(weights + (size_t)row + (size_t)w + (size_t)s * numbers, sizeof(float)), *block = memory;
     if (!memory) return 1;
     float *zero = taken(&block, (size_t)(row + w));
@@ -301,7 +318,8 @@ EXPORTED(foten_train_rollout_back)(const rollout_batch *r, const rollout_gradien
     for (int t = r->n - 1; t >= 0; t--) {
         size_t at = (size_t)t * (size_t)s;
         float *by_input = r->gates + at * (size_t)gates;
-        unit_back(&to_hidden, s, h, d_hidden, r->network + at * (size_t)row, row, by_input, r->candidate_preactivation + at * (size_t)h, hidden_room);
+        unit_back(&to_hidden, s, h, d_hidden, r->network + at * (size_t)row, row, by_input, r->candidate_preactivation + at * (size_t)h,
+                  hidden_room);
         apply(&to_inputs, s, by_input, gates, inputs_room, m, 0);
         for (int i = 0; i < s * m; i += LANES) store(d_inputs + i, load(d_inputs + i) + load(inputs_room + i));
         for (int k = 0; k < s; k++) {
@@ -312,8 +330,10 @@ EXPORTED(foten_train_rollout_back)(const rollout_batch *r, const rollout_gradien
         float *out = g->by_out + at * (size_t)o, *head = g->by_head + at * (size_t)w;
         const float *drawn = g->drawn + at * (size_t)o, *hidden_layer = r->head_output + at * (size_t)w;
         for (int k = 0; k < s; k++) {
-            float e = r->innovation[at + (size_t)k], gain = r->gain_before_filter ? r->level[at + (size_t)k] : 1, sign = (float)((e > 0) - (e < 0));
-            float by = gain * f[k] + d_inputs[k * m] / sqrtf(1 + e * e) + d_inputs[k * m + 1] * 3 * sign / sqrtf(1 + 9 * e * e);
+            float e = r->innovation[at + (size_t)k], gain = r->gain_before_filter ? r->level[at + (size_t)k] : 1,
+                  sign = (float)((e > 0) - (e < 0));
+            float by = gain * f[k] + d_inputs[k * m] / sqrtf(1 + e * e) +
+                       d_inputs[k * m + 1] * 3 * sign / sqrtf(1 + 9 * e * e);
             if (!(fabsf(e) < r->innovation_limit)) by = 0;
             for (int i = 0; i < o; i++) out[k * o + i] = drawn[k * o + i] * by;
         }

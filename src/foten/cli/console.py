@@ -10,6 +10,7 @@ from typing import Annotated, Any
 from typer import Argument, Option
 
 from foten.atomic_write import atomic_write
+from foten.untrusted import shown
 
 JsonOption = Annotated[bool, Option("--json", help="Print the result as JSON on stdout.")]
 TextureFile = Annotated[Path, Argument(metavar="T.foten", help="A texture file.")]
@@ -23,7 +24,12 @@ def folder_option(help_text: str) -> Any:
 
 def say(text: str) -> None:
     """Print progress, on stderr."""
-    print(text, file=sys.stderr, flush=True)
+    print(_shown_lines(text), file=sys.stderr, flush=True)
+
+
+def _shown_lines(text: str) -> str:
+    """Text for a terminal; names in it may come from a file of anyone's."""
+    return "\n".join(shown(line) for line in text.split("\n"))
 
 
 def print_json(document: Any) -> None:
@@ -36,7 +42,7 @@ def print_result(document: Any, text: str, as_json: bool) -> None:
     if as_json:
         print_json(document)
     else:
-        print(text)
+        print(_shown_lines(text))
 
 
 def write_json(path: Path, document: Any) -> None:

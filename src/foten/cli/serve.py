@@ -63,13 +63,13 @@ def serve(
     foten serve --to daq:Dev1/ao0 --actuator coil.json: with a voice coil on an NI-DAQ of this machine.
     """
     from foten.runtime.actuator import read_profile
-    from foten.studio.players import Wired
+    from foten.studio.players import OutputDevice
     from foten.studio.serve import serve as serve_studio
     from foten.studio.server import Studio
     from foten.studio.shelf import SUFFIX, Shelf
 
-    wired = Wired(to, None if actuator is None else read_profile(actuator), gain, device, channel)
-    if wired != Wired():
+    wired = OutputDevice(to, None if actuator is None else read_profile(actuator), gain, device, channel)
+    if wired != OutputDevice():
         wired.check()
     shelf = Shelf(textures or [])
     for kept in sorted(captures.glob(f"*/*{SUFFIX}")):

@@ -429,7 +429,7 @@ def _store(database: Path) -> Store:
 def _loaded(study: Path) -> tuple[Design, str, Any, Any]:
     """Return a study's design, its text, its stimuli, and what is wired here; None where the pages play."""
     from foten.runtime.actuator import read_profile
-    from foten.studio.players import Wired
+    from foten.studio.players import OutputDevice
     from foten.studio.stimuli import load_stimuli
     from foten.study.design import read_design
 
@@ -438,7 +438,7 @@ def _loaded(study: Path) -> tuple[Design, str, Any, Any]:
     wired = None
     if out.to != "page":
         profile = None if out.actuator is None else read_profile(out.actuator)
-        wired = Wired(out.to, profile, out.gain, out.device, out.channel)
+        wired = OutputDevice(out.to, profile, out.gain, out.device, out.channel)
     elif any(value is not None for value in (out.actuator, out.gain, out.device, out.channel)):
         raise ValueError(
             f"{study.name}: [output] plays in the page, which has no device, gain or actuator of this machine"

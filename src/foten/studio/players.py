@@ -40,7 +40,7 @@ class Player(Protocol):
 
 
 @dataclass(frozen=True)
-class Wired:
+class OutputDevice:
     """What is wired to this machine: an output as `foten play` names it, and the actuator on it.
 
     Where the actuator or a gain is known, a page's 0 dB is the acceleration as it was recorded.
@@ -89,7 +89,7 @@ class Wired:
 class DevicePlayer:
     """An output of this machine: its sound card, an NI-DAQ, or a program that takes samples."""
 
-    def __init__(self, wired: Wired, rate_hz: float) -> None:
+    def __init__(self, wired: OutputDevice, rate_hz: float) -> None:
         self.rate_hz = rate_hz
         self.calibrated, self.actuator = wired.calibrated, wired.actuator
         self.statistics = LiveStatistics()

@@ -52,7 +52,7 @@ from foten.studio.messages import (
     parse_events,
     parse_message,
 )
-from foten.studio.players import Player, Turns, Wired
+from foten.studio.players import OutputDevice, Player, Turns
 from foten.studio.shelf import Shelf
 
 PAGE = Path(__file__).with_name("page")
@@ -73,11 +73,11 @@ class Studio:
         wired: what plays here, for a page that asks for it.
     """
 
-    def __init__(self, shelf: Shelf, captures: Path = CAPTURES, wired: Wired | None = None) -> None:
+    def __init__(self, shelf: Shelf, captures: Path = CAPTURES, wired: OutputDevice | None = None) -> None:
         self.shelf = shelf
         self.players: dict[str, Callable[[float], Player]] = {
             "stream": Turns().player,
-            "device": (wired or Wired()).player,
+            "device": (wired or OutputDevice()).player,
         }
         self.trainings = Trainings(captures, shelf)
         self.n_capturing = 0

@@ -53,7 +53,7 @@ from foten.studio.messages import (
     parse_events,
     parse_message,
 )
-from foten.studio.players import Player, Turns, Wired
+from foten.studio.players import OutputDevice, Player, Turns
 from foten.studio.server import content_type, missing, page_files
 from foten.studio.stimuli import Measured, Stimuli
 from foten.study.design import Design, Question
@@ -112,7 +112,7 @@ class StudyServer:
         pictures: as the study file names them.
     """
 
-    def __init__(self, store: Store, design: Design, stimuli: Stimuli, wired: Wired | None) -> None:
+    def __init__(self, store: Store, design: Design, stimuli: Stimuli, wired: OutputDevice | None) -> None:
         self.store, self.design, self.stimuli, self.wired = store, design, stimuli, wired
         self.operator_key = secrets.token_urlsafe(16)
         self.gains = {key: one.gain_db for key, one in store.stimuli().items()}
