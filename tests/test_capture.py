@@ -23,12 +23,12 @@ from foten.datasets.hdf5 import load_recording
 from foten.datasets.simulated_capture import FULL_SCALE, SOUND_HZ, SimulatedCapture, simulate_capture
 from foten.dsp import Array
 from foten.families.texture_file import read_texture
-from foten.recording.captured import About, file_name
+from foten.recording.capture_folder import About, file_name
 from foten.recording.recording import RELATIVE
 from foten.runtime.renderer import EXAMPLE
-from foten.studio import capturing, conversation, server
+from foten.studio import capture_server, server, websocket
 from foten.studio.access import LOOPBACK, Access
-from foten.studio.capture import Capture, in_order
+from foten.studio.capture_session import Capture, in_order
 from foten.studio.messages import CAPTURE, LONGEST_NAME, MOST_BYTES, RefusedError, parse_captured, parse_message
 from foten.studio.server import Studio
 from foten.studio.shelf import Shelf
@@ -258,7 +258,7 @@ def test_only_so_many_pages_capture_at_once_and_one_that_left_makes_room(client:
 
 def test_without_what_trains_a_capture_says_so_before_it_begins(client: TestClient, monkeypatch: Any) -> None:
     monkeypatch.setattr(
-        capturing, "why_not", lambda: "the server cannot train without torch: pip install 'foten[train]'"
+        capture_server, "why_not", lambda: "the server cannot train without torch: pip install 'foten[train]'"
     )
     with client.websocket_connect(WS) as socket:
         socket.send_text(json.dumps(BEGIN))
@@ -299,7 +299,7 @@ def printing(text: str) -> tuple[str, ...]:
 def test_a_training_that_fails_says_so_to_the_page_and_lets_the_next_one_run(
     client: TestClient, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...], why: str
 ) -> None:
-    monkeypatch.setattr(capturing, "COMMAND", command)
+    monkeypatch.setattr(capture_server, "COMMAND", command)
     with client.websocket_connect(WS) as socket:
         for _ in range(2):
             socket.send_text(json.dumps(BEGIN))
@@ -332,8 +332,8 @@ def hostile(rng: random.Random) -> bytes | str:
 
 @pytest.mark.parametrize("n", [2000, pytest.param(100_000, marks=pytest.mark.slow)])
 def test_no_message_of_a_capture_brings_it_down(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, n: int) -> None:
-    monkeypatch.setattr(conversation, "MOST_REFUSED", 10 * n)
-    monkeypatch.setattr(capturing, "CAPTURED_A_SECOND", 1e9)
+    monkeypatch.setattr(websocket, "MOST_REFUSED", 10 * n)
+    monkeypatch.setattr(capture_server, "CAPTURED_A_SECOND", 1e9)
     studio, rng = Studio(Shelf([EXAMPLE]), tmp_path / "captures"), random.Random(0)
     monkeypatch.setattr(studio.trainings, "start", lambda folder, say: None)
     with TestClient(studio.app(Access(LOOPBACK, 8000)), base_url=HERE, headers={"origin": HERE}) as client:
@@ -354,7 +354,7 @@ def test_no_message_of_a_capture_brings_it_down(monkeypatch: pytest.MonkeyPatch,
 
 
 def test_a_flood_of_refused_messages_is_sent_away(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(conversation, "MOST_REFUSED", 50)
+    monkeypatch.setattr(websocket, "MOST_REFUSED", 50)
     with client.websocket_connect(WS) as socket:
         for _ in range(100):
             socket.send_text("{}")

@@ -24,7 +24,7 @@ from foten.evaluate.evaluate import evaluate
 from foten.families.texture_file import read_texture
 from foten.recording.inspection import inspect_recording
 from foten.recording.recording import Recording
-from foten.studio.capture import in_order
+from foten.studio.capture_session import in_order
 from foten.train.captured import train_recording
 from test_studio import started
 from test_studio_page import CHROMIUM, SHOTS, SIZES, playwright, until

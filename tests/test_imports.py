@@ -33,8 +33,9 @@ MAY_IMPORT: dict[str, set[str]] = {
     "train": {"networks", "reference", "dsp", "recording", "datasets", "families", "runtime"},
     "evaluate": {"dsp", "recording", "families", "runtime"},
     "export": {"dsp", "families", "runtime"},
-    "study": set(),
-    "studio": {"recording", "families", "runtime", "export", "study"},
+    "console": set(),
+    "studio": {"recording", "families", "runtime", "export"},
+    "study": {"studio", "families", "runtime", "export", "console"},
 }
 FOR_ALL = {"atomic_write", "untrusted"}
 EVERYTHING = {"experiments", "cli", ""}  # the last is the package itself, whose names are looked up lazily
@@ -93,6 +94,13 @@ def imported_at_once(module: str) -> Iterator[str]:
 
 def of_project(modules: Iterator[str]) -> set[str]:
     return {package(name) for name in modules if name.startswith("foten.")}
+
+
+def test_of_the_command_line_alone_the_study_is_known() -> None:
+    assert {package(module) for module in MODULES if "study" in of_project(imported(source(module)))} == {
+        "study",
+        "cli",
+    }
 
 
 def test_every_package_has_its_row() -> None:

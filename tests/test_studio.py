@@ -33,9 +33,9 @@ from foten.runtime.live import devices
 from foten.runtime.live.live import LiveStatistics
 from foten.runtime.renderer import EXAMPLE, Renderer
 from foten.runtime.stylus import PressureCalibration, Stylus
-from foten.studio import conversation, players, server
+from foten.studio import players, server, websocket
 from foten.studio.access import LOOPBACK, Access, access_to, write_certificate
-from foten.studio.contact import Contact, limit
+from foten.studio.live_contact import Contact, limit
 from foten.studio.messages import Allowance, RefusedError, parse_events, parse_message
 from foten.studio.players import Turns, Wired
 from foten.studio.server import Studio
@@ -490,7 +490,7 @@ def hostile(rng: random.Random) -> dict[str, Any]:
 @pytest.mark.parametrize("n", [2000, pytest.param(100_000, marks=pytest.mark.slow)])
 def test_no_message_brings_it_down(monkeypatch: pytest.MonkeyPatch, n: int) -> None:
     """Each is taken or refused with a reason; afterwards a page strokes as before."""
-    monkeypatch.setattr(conversation, "MOST_REFUSED", 10 * n)
+    monkeypatch.setattr(websocket, "MOST_REFUSED", 10 * n)
     monkeypatch.setattr(server, "MESSAGES_A_SECOND", 1e9)
     studio, rng = Studio(Shelf([EXAMPLE])), random.Random(0)
     with TestClient(studio.app(LOCAL), base_url=HERE, headers={"origin": HERE}) as client:
@@ -509,7 +509,7 @@ def test_no_message_brings_it_down(monkeypatch: pytest.MonkeyPatch, n: int) -> N
 
 
 def test_a_flood_is_refused_and_then_sent_away(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(conversation, "MOST_REFUSED", 50)
+    monkeypatch.setattr(websocket, "MOST_REFUSED", 50)
     with TestClient(Studio(Shelf([EXAMPLE])).app(LOCAL), base_url=HERE, headers={"origin": HERE}) as client:
         with client.websocket_connect(f"{WS}/stroke") as socket:
             for _ in range(100):

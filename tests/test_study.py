@@ -30,11 +30,11 @@ from foten.runtime.renderer import EXAMPLE, Renderer
 from foten.runtime.stroke import tabled_stroke
 from foten.studio.access import LOOPBACK, Access
 from foten.studio.levels import gains_db
-from foten.studio.stimuli import load_stimuli
-from foten.studio.study_server import ELSEWHERE, OPERATOR_COOKIE, StudyServer
 from foten.study.design import read_design, template
 from foten.study.orders import orders
+from foten.study.stimuli import load_stimuli
 from foten.study.store import Store, create
+from foten.study.study_server import ELSEWHERE, OPERATOR_COOKIE, StudyServer
 
 LOCAL = Access(LOOPBACK, 8000)
 HERE = "http://127.0.0.1:8000"

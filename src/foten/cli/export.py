@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from foten.cli.console import JsonOption, check_folders, print_result
 from foten.cli.render import (
     ConstantForce,
     ConstantSpeed,
@@ -20,6 +19,7 @@ from foten.cli.render import (
     rendered_by,
     stroke_given,
 )
+from foten.console import JsonOption, check_folders, print_result
 
 if TYPE_CHECKING:
     from foten.dsp import Array

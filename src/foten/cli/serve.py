@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Option
 
 from foten.atomic_write import reason
-from foten.cli.console import say
+from foten.console import say
 
 if TYPE_CHECKING:
     from foten.studio.access import Access
@@ -64,9 +64,9 @@ def serve(
     """
     from foten.runtime.actuator import read_profile
     from foten.studio.players import Wired
-    from foten.studio.serve import serve as serve_studio
     from foten.studio.server import Studio
     from foten.studio.shelf import SUFFIX, Shelf
+    from foten.studio.web_server import serve as serve_studio
 
     wired = Wired(to, None if actuator is None else read_profile(actuator), gain, device, channel)
     if wired != Wired():

@@ -18,7 +18,7 @@ from foten.datasets.simulate import TEXTURES, vibration
 from foten.datasets.stroking import Stroking, stroking
 from foten.dsp import Array
 from foten.dsp.resample import interpolate, rate_ratio
-from foten.recording.captured import About
+from foten.recording.capture_folder import About
 from foten.recording.recording import Channel, Recording
 
 RATE_HZ, SOUND_HZ, PLAN_HZ = 10_000.0, 48_000.0, 1000.0

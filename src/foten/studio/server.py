@@ -39,10 +39,9 @@ from foten.runtime.live.devices import SOUND_RATE_HZ
 from foten.runtime.renderer import Renderer
 from foten.runtime.stylus import PressureCalibration
 from foten.studio.access import Access, Guarded
-from foten.studio.capturing import CapturePage, Trainings, why_not
-from foten.studio.contact import Contact
-from foten.studio.conversation import Blocks, converse
+from foten.studio.capture_server import CapturePage, Trainings, why_not
 from foten.studio.levels import gains_db
+from foten.studio.live_contact import Contact
 from foten.studio.messages import (
     EVENTS_A_SECOND,
     MESSAGES_A_SECOND,
@@ -54,6 +53,7 @@ from foten.studio.messages import (
 )
 from foten.studio.players import Player, Turns, Wired
 from foten.studio.shelf import Shelf
+from foten.studio.websocket import Blocks, converse
 
 PAGE = Path(__file__).with_name("page")
 KERNEL = ("foten.mjs", "foten.wasm")

@@ -15,7 +15,7 @@ from typing import Any
 
 from foten.atomic_write import atomic_write
 from foten.study.analysis import Result, stars
-from foten.study.pictures import bars, panels
+from foten.study.rating_figures import bars, panels
 
 MOST_ROWS = 12  # of a table that people read
 MOST_NAMED = 8  # different answers to a question that the report names

@@ -40,8 +40,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from foten.runtime.live.devices import SOUND_RATE_HZ
 from foten.runtime.stylus import PressureCalibration
 from foten.studio.access import Access, Guarded
-from foten.studio.contact import Contact
-from foten.studio.conversation import Blocks, converse
+from foten.studio.live_contact import Contact
 from foten.studio.messages import (
     EVENTS_A_SECOND,
     MESSAGES_A_SECOND,
@@ -55,9 +54,10 @@ from foten.studio.messages import (
 )
 from foten.studio.players import Player, Turns, Wired
 from foten.studio.server import content_type, missing, page_files
-from foten.studio.stimuli import Measured, Stimuli
+from foten.studio.websocket import Blocks, converse
 from foten.study.design import Design, Question
 from foten.study.orders import Trial
+from foten.study.stimuli import Measured, Stimuli
 from foten.study.store import Rated, Store
 
 OPERATOR_COOKIE = "foten-operator"
@@ -67,7 +67,7 @@ MOST_PAGES = 64
 ELSEWHERE = 4001  # the code of a WebSocket's end, of those that are ours to give
 KEPT_S = 3.0  # between two writings of a stroke
 SHOWN_S = 0.5  # between two pictures of the study for the operator
-PAGE = Path(__file__).with_name("study_page")
+PAGE = Path(__file__).with_name("pages")
 OPERATOR_PAGE = "operator.html"
 SHARED = (
     "studio.css",

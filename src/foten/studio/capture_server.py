@@ -15,11 +15,11 @@ import numpy as np
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from foten.atomic_write import reason
-from foten.recording.captured import About
-from foten.studio.capture import Capture
-from foten.studio.conversation import converse
+from foten.recording.capture_folder import About
+from foten.studio.capture_session import Capture
 from foten.studio.messages import CAPTURE, CAPTURED_A_SECOND, Allowance, RefusedError, parse_captured, parse_message
 from foten.studio.shelf import Shelf
+from foten.studio.websocket import converse
 from foten.untrusted import LONGEST_TEXT, brief, check_numbers, parse_json, printable
 
 MOST_CAPTURES = 200  # that are kept from one start of the server

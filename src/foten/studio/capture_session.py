@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foten.atomic_write import atomic_write
-from foten.recording.captured import ABOUT, PEN, SOUND, About, file_name
+from foten.recording.capture_folder import ABOUT, PEN, SOUND, About, file_name
 from foten.studio.messages import RefusedError
 
 LONGEST_S = 300.0

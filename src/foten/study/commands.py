@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, Option
 
-from foten.cli.console import JsonOption, check_folders, folder_option, print_result, say
+from foten.console import JsonOption, check_folders, folder_option, print_result, say
 
 if TYPE_CHECKING:
     from foten.study.design import Design
@@ -122,8 +122,8 @@ def run(
     foten study run similarity.toml --host 0.0.0.0
     """
     from foten.studio.access import Access
-    from foten.studio.serve import serve as serve_study
-    from foten.studio.study_server import StudyServer
+    from foten.studio.web_server import serve as serve_study
+    from foten.study.study_server import StudyServer
 
     design, _, stimuli, wired = _loaded(study)
     database = output or study.with_suffix(".db")
@@ -309,7 +309,7 @@ def analyze(
 
     foten study analyze similarity.db -o results
     """
-    from foten.cli.console import check_folder
+    from foten.console import check_folder
     from foten.study.analysis import analysed
     from foten.study.report import write_report
 
@@ -430,8 +430,8 @@ def _loaded(study: Path) -> tuple[Design, str, Any, Any]:
     """Return a study's design, its text, its stimuli, and what is wired here; None where the pages play."""
     from foten.runtime.actuator import read_profile
     from foten.studio.players import Wired
-    from foten.studio.stimuli import load_stimuli
     from foten.study.design import read_design
+    from foten.study.stimuli import load_stimuli
 
     design, text = read_design(study)
     out = design.output
@@ -449,8 +449,8 @@ def _loaded(study: Path) -> tuple[Design, str, Any, Any]:
 def _opened(study: Path, database: Path, simulated: bool) -> Store:
     """Return a study's database: a new one, or the one that is there, where it is of this very study."""
     from foten import __version__
-    from foten.studio.stimuli import changed
     from foten.study.orders import planned
+    from foten.study.stimuli import changed
     from foten.study.store import Store, create
 
     design, text, stimuli, _ = _loaded(study)
