@@ -26,12 +26,12 @@ from foten.families.texture_file import read_texture
 from foten.recording.capture_folder import About, file_name
 from foten.recording.recording import RELATIVE
 from foten.runtime.renderer import EXAMPLE
-from foten.studio import capture_server, server, websocket
+from foten.studio import capture_server, studio_server, websocket
 from foten.studio.access import LOOPBACK, Access
-from foten.studio.capture_session import Capture, in_order
-from foten.studio.messages import CAPTURE, LONGEST_NAME, MOST_BYTES, RefusedError, parse_captured, parse_message
-from foten.studio.server import Studio
+from foten.studio.capture_session import CaptureSession, in_order
+from foten.studio.messages import CAPTURE, MAX_BYTES, MAX_NAME_LENGTH, RefusedError, parse_capture_bytes, parse_message
 from foten.studio.shelf import Shelf
+from foten.studio.studio_server import Studio
 
 HERE, WS = "http://127.0.0.1:8000", "ws://127.0.0.1:8000/capture"
 BEGIN = {"do": "begin", "name": "Old denim, washed", "rate_hz": 48000}
@@ -97,9 +97,9 @@ def test_a_capture_is_kept_in_files_that_import_reads(client: TestClient, studio
         socket.send_bytes(sound(samples_in[2 * PIECE :]))
         socket.send_bytes(events((1.5, 2, 0.0, 0.02)))
         socket.send_text('{"do": "train"}')
-        kept = answered(socket, "kept")
-    assert "kept" in kept, kept
-    folder = studio.trainings.captures / kept["kept"]
+        kept = answered(socket, "saved")
+    assert "saved" in kept, kept
+    folder = studio.trainings.captures / kept["saved"]
     assert (folder.name, kept["seconds"]) == ("old-denim-washed", samples_in.size / 48000)
     rate, samples = scipy.io.wavfile.read(folder / "sound.wav")
     assert rate == 48000
@@ -113,7 +113,7 @@ def test_a_capture_is_kept_in_files_that_import_reads(client: TestClient, studio
 
 def test_a_second_capture_of_one_name_has_a_folder_of_its_own(tmp_path: Path) -> None:
     for expected in ("denim", "denim-2", "denim-3"):
-        capture = Capture(About("Denim", 48000))
+        capture = CaptureSession(About("Denim", 48000))
         capture.add_sound(np.zeros(100, dtype=np.float32))
         capture.add_events(np.array([[0, 0, 0.5, 1.0]]))
         assert capture.write(tmp_path).name == expected
@@ -130,19 +130,18 @@ def test_a_name_is_no_path(name: str, expected: str) -> None:
 @pytest.mark.parametrize(
     ("data", "why"),
     [
-        (b"", "neither events nor whole samples"),
-        (b"s", "neither events nor whole samples"),
-        (b"s123", "neither events nor whole samples"),
-        (b"x1234", "neither events nor whole samples"),
+        (b"", "neither events nor complete samples"),
+        (b"s", "neither events nor complete samples"),
+        (b"s123", "neither events nor complete samples"),
+        (b"x1234", "neither events nor complete samples"),
         (b"e" + bytes(31), "expected 1 to 64 of 32 bytes"),
-        (b"s" + bytes(MOST_BYTES), f"expected {MOST_BYTES} at most"),
         (b"s" + np.array([np.nan], dtype="<f4").tobytes(), "not finite"),
         (b"s" + np.array([17.0], dtype="<f4").tobytes(), "above 16 times full scale"),
     ],
 )
 def test_bytes_that_are_no_capture_are_refused(data: bytes, why: str) -> None:
     with pytest.raises(RefusedError, match=why):
-        parse_captured(data)
+        parse_capture_bytes(data)
 
 
 @pytest.mark.parametrize(
@@ -152,7 +151,7 @@ def test_bytes_that_are_no_capture_are_refused(data: bytes, why: str) -> None:
         ({"do": "begin", "rate_hz": 48000}, "name is missing"),
         ({**BEGIN, "name": ""}, "name is ''"),
         ({**BEGIN, "name": "a\nb"}, "name is"),
-        ({**BEGIN, "name": "a" * (LONGEST_NAME + 1)}, "expected up to 100 characters"),
+        ({**BEGIN, "name": "a" * (MAX_NAME_LENGTH + 1)}, "expected up to 100 characters"),
         ({**BEGIN, "rate_hz": 1}, "expected a number from 8000"),
         ({**BEGIN, "full_scale_m_s2": 0}, "full_scale_m_s2 is 0"),
         ({**BEGIN, "sink": "device"}, "unknown field 'sink'"),
@@ -165,6 +164,8 @@ def test_a_begin_that_is_none_is_refused(message: dict[str, Any], why: str) -> N
 
 def test_what_is_out_of_order_is_refused_and_ends_the_capture(client: TestClient) -> None:
     with client.websocket_connect(WS) as socket:
+        socket.send_bytes(b"s" + bytes(MAX_BYTES))
+        assert f"expected {MAX_BYTES} at most" in answered(socket, "ready")["refused"]
         socket.send_bytes(sound(np.zeros(4)))
         assert "before a capture was begun" in answered(socket, "ready")["refused"]
         socket.send_text('{"do": "train"}')
@@ -174,14 +175,14 @@ def test_what_is_out_of_order_is_refused_and_ends_the_capture(client: TestClient
         socket.send_bytes(events((0, 0, 0.5, 2.0)))
         socket.send_bytes(events((0, 0, 0.5, 1.0)))
         socket.send_text('{"do": "nothing"}')  # is refused in any case: nobody waits for a refusal that does not come
-        assert "not in the order" in answered(socket, "kept")["refused"]
-        assert "unknown message 'nothing'" in answered(socket, "kept")["refused"]
+        assert "not in the order" in answered(socket, "saved")["refused"]
+        assert "unknown message 'nothing'" in answered(socket, "saved")["refused"]
         socket.send_text('{"do": "train"}')
-        assert "before a capture was begun" in answered(socket, "kept")["refused"]
+        assert "before a capture was begun" in answered(socket, "saved")["refused"]
         socket.send_text(json.dumps(BEGIN))
         assert answered(socket, "ready") == {"ready": True}
         socket.send_text('{"do": "train"}')
-        assert "the pen has not touched yet" in answered(socket, "kept")["refused"]
+        assert "the pen has not touched yet" in answered(socket, "saved")["refused"]
 
 
 def test_events_that_come_late_are_left_out_and_counted() -> None:
@@ -202,10 +203,10 @@ def test_events_that_come_late_are_left_out_and_counted() -> None:
     assert n_late == 2
 
 
-def with_late_events(n: int, n_late: int) -> Capture:
+def with_late_events(n: int, n_late: int) -> CaptureSession:
     rows = np.column_stack([np.arange(n), np.zeros(n), np.full(n, 0.5), 0.005 * np.arange(n)])
     rows[10 : 10 + 3 * n_late : 3, 3] -= 0.006
-    capture = Capture(About("Denim", 48000))
+    capture = CaptureSession(About("Denim", 48000))
     capture.add_sound(np.zeros(100, dtype=np.float32))
     for row in rows:
         capture.add_events(row[None])
@@ -229,7 +230,7 @@ def test_a_capture_says_how_many_events_came_late_and_is_refused_where_these_are
 
 
 def test_a_capture_that_never_ends_is_refused(monkeypatch: Any) -> None:
-    capture = Capture(About("x", 8000))
+    capture = CaptureSession(About("x", 8000))
     for _ in range(300):
         capture.add_sound(np.zeros(8000, dtype=np.float32))
     with pytest.raises(RefusedError, match="longer than 300 s"):
@@ -237,7 +238,7 @@ def test_a_capture_that_never_ends_is_refused(monkeypatch: Any) -> None:
 
 
 def test_only_so_many_pages_capture_at_once_and_one_that_left_makes_room(client: TestClient, studio: Studio) -> None:
-    sockets = [client.websocket_connect(WS) for _ in range(server.MOST_CAPTURING)]
+    sockets = [client.websocket_connect(WS) for _ in range(studio_server.MAX_CAPTURING)]
     for socket in sockets:
         socket.__enter__()
         socket.send_text(json.dumps(BEGIN))
@@ -247,7 +248,7 @@ def test_only_so_many_pages_capture_at_once_and_one_that_left_makes_room(client:
         assert (message["type"], message["code"]) == ("websocket.close", 1013)
     sockets[0].__exit__(None, None, None)
     end = time.monotonic() + 5
-    while studio.n_capturing == server.MOST_CAPTURING and time.monotonic() < end:
+    while studio.n_capturing == studio_server.MAX_CAPTURING and time.monotonic() < end:
         time.sleep(0.01)
     with client.websocket_connect(WS) as socket:
         socket.send_text(json.dumps(BEGIN))
@@ -273,9 +274,9 @@ def test_noise_without_taps_is_refused_in_words_and_kept(client: TestClient, stu
             socket.send_bytes(sound(0.01 * rng.standard_normal(PIECE)))
             socket.send_bytes(events((k, 0, 0.5, 0.02 * k)))
         socket.send_text('{"do": "train"}')
-        kept = answered(socket, "kept")
+        kept = answered(socket, "saved")
         assert "tap three times before the strokes" in answered(socket, "done")["refused"]
-    assert (studio.trainings.captures / kept["kept"] / "sound.wav").is_file()
+    assert (studio.trainings.captures / kept["saved"] / "sound.wav").is_file()
     assert len(studio.shelf) == 1
 
 
@@ -306,7 +307,7 @@ def test_a_training_that_fails_says_so_to_the_page_and_lets_the_next_one_run(
             socket.send_bytes(sound(np.zeros(PIECE)))
             socket.send_bytes(events((0, 0, 0.5, 0.01)))
             socket.send_text('{"do": "train"}')
-            assert "kept" in answered(socket, "kept")
+            assert "saved" in answered(socket, "saved")
             refused = answered(socket, "done")["refused"]
             assert re.search(why, refused), refused
             assert "\n" not in refused
@@ -332,8 +333,8 @@ def hostile(rng: random.Random) -> bytes | str:
 
 @pytest.mark.parametrize("n", [2000, pytest.param(100_000, marks=pytest.mark.slow)])
 def test_no_message_of_a_capture_brings_it_down(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, n: int) -> None:
-    monkeypatch.setattr(websocket, "MOST_REFUSED", 10 * n)
-    monkeypatch.setattr(capture_server, "CAPTURED_A_SECOND", 1e9)
+    monkeypatch.setattr(websocket, "MAX_REFUSED", 10 * n)
+    monkeypatch.setattr(capture_server, "MAX_CAPTURE_MESSAGES_PER_S", 1e9)
     studio, rng = Studio(Shelf([EXAMPLE]), tmp_path / "captures"), random.Random(0)
     monkeypatch.setattr(studio.trainings, "start", lambda folder, say: None)
     with TestClient(studio.app(Access(LOOPBACK, 8000)), base_url=HERE, headers={"origin": HERE}) as client:
@@ -354,7 +355,7 @@ def test_no_message_of_a_capture_brings_it_down(monkeypatch: pytest.MonkeyPatch,
 
 
 def test_a_flood_of_refused_messages_is_sent_away(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(websocket, "MOST_REFUSED", 50)
+    monkeypatch.setattr(websocket, "MAX_REFUSED", 50)
     with client.websocket_connect(WS) as socket:
         for _ in range(100):
             socket.send_text("{}")
@@ -368,7 +369,7 @@ def captured(socket: Any, studio: Studio, performance: SimulatedCapture, **begin
     socket.send_text(json.dumps({**BEGIN, **begin}))
     say(socket, performance)
     socket.send_text('{"do": "train"}')
-    folder = studio.trainings.captures / answered(socket, "kept")["kept"]
+    folder = studio.trainings.captures / answered(socket, "saved")["saved"]
     assert abs(answered(socket, "joined")["joined"]["delay_ms"]) < 3  # one clock gave both here
     return folder
 

@@ -33,13 +33,13 @@ from foten.runtime.live import devices
 from foten.runtime.live.live import LiveStatistics
 from foten.runtime.renderer import EXAMPLE, Renderer
 from foten.runtime.stylus import PressureCalibration, Stylus
-from foten.studio import players, server, websocket
+from foten.studio import players, studio_server, websocket
 from foten.studio.access import LOOPBACK, Access, access_to, write_certificate
 from foten.studio.live_contact import Contact, limit
 from foten.studio.messages import Allowance, RefusedError, parse_events, parse_message
-from foten.studio.players import Turns, Wired
-from foten.studio.server import Studio
+from foten.studio.players import OutputDevice, RoundRobinRenderer
 from foten.studio.shelf import Shelf
+from foten.studio.studio_server import Studio
 from test_live import FakeDaq
 
 LOCAL = Access(LOOPBACK, 8000)
@@ -101,14 +101,14 @@ def test_the_page_and_what_it_needs_are_served(client: TestClient) -> None:
 
 def test_nothing_of_the_page_comes_from_elsewhere() -> None:
     """It works without a network: no address of another host in any of its files."""
-    for name, path in server.page_files().items():
+    for name, path in studio_server.page_files().items():
         if path.suffix in (".js", ".mjs", ".html", ".css"):
             text = path.read_text(encoding="utf-8").replace("http://www.w3.org/2000/svg", "")
             assert not re.search("https?://|[\"'(]//", text), name
 
 
 def test_the_page_weighs_at_most_500_kb() -> None:
-    assert sum(path.stat().st_size for path in server.page_files().values()) <= 500_000
+    assert sum(path.stat().st_size for path in studio_server.page_files().values()) <= 500_000
 
 
 def test_a_texture_is_listed_and_given_as_it_is(client: TestClient) -> None:
@@ -259,7 +259,7 @@ def daq(monkeypatch: pytest.MonkeyPatch) -> FakeDaq:
 
 def test_a_page_is_played_through_a_daq(daq: FakeDaq) -> None:
     """Its volts are what is rendered, which the page is sent to draw."""
-    studio = Studio(Shelf([EXAMPLE]), wired=Wired("daq:Dev1/ao0", COIL))
+    studio = Studio(Shelf([EXAMPLE]), output_device=OutputDevice("daq:Dev1/ao0", COIL))
     drawn: list[NDArray[np.float32]] = []
     with stroking(studio) as socket:
         socket.send_text(json.dumps({"do": "open", "texture": KEY, "sink": "device", "rate_hz": 8000}))
@@ -380,7 +380,7 @@ def test_a_page_that_opens_slowly_is_not_taken_for_one_that_died(
         opens(*arguments, **options)
 
     monkeypatch.setattr(Contact, "open", slowly)
-    monkeypatch.setattr(server, "STATE_S", 0.05)
+    monkeypatch.setattr(studio_server, "STATE_S", 0.05)
     with stroking(studio) as socket:
         socket.send_text(json.dumps({"do": "open", "texture": KEY}))
         assert "opened" in until_opened(socket)
@@ -390,17 +390,17 @@ def test_a_page_that_opens_slowly_is_not_taken_for_one_that_died(
 
 def test_without_an_actuator_a_daq_is_told_its_volts() -> None:
     with pytest.raises(ValueError, match="say with --gain how many volts 1 m/s² is"):
-        Wired("daq:Dev1/ao0")
+        OutputDevice("daq:Dev1/ao0")
     with pytest.raises(ValueError, match="a page plays in real time"):
-        Wired("stroke.wav")
+        OutputDevice("stroke.wav")
     with pytest.raises(ValueError, match="--device and --channel are a sound card's"):
-        Wired("null", device="3").check()
-    assert Wired("daq:Dev1/ao0", gain=0.5).calibrated
-    assert not Wired().calibrated
+        OutputDevice("null", device="3").check()
+    assert OutputDevice("daq:Dev1/ao0", gain=0.5).calibrated
+    assert not OutputDevice().calibrated
 
 
 def test_a_device_that_goes_is_said_and_the_page_may_open_again(daq: FakeDaq) -> None:
-    studio = Studio(Shelf([EXAMPLE]), wired=Wired("daq:Dev1/ao0", gain=0.5))
+    studio = Studio(Shelf([EXAMPLE]), output_device=OutputDevice("daq:Dev1/ao0", gain=0.5))
     opening = json.dumps({"do": "open", "texture": KEY, "sink": "device", "rate_hz": 8000})
     with stroking(studio) as socket:
         socket.send_text(opening)
@@ -429,7 +429,7 @@ BAD = [
     ('{"do": 5}', "no object with 'do'"),
     ('{"do": "dance"}', "unknown message 'dance', expected one of open"),
     ('{"do": "open"}', "texture is missing"),
-    ('{"do": "open", "texture": 5}', "texture is a name"),
+    ('{"do": "open", "texture": 5}', "texture is 5, expected a name"),
     ('{"do": "open", "texture": "a", "sink": "daq"}', "sink is 'daq', expected one of stream, device"),
     ('{"do": "actuate", "full_scale": 0}', "full_scale is 0, expected a number from 1e-06"),
     ('{"do": "open", "texture": "a", "colour": 1}', "unknown field 'colour'"),
@@ -490,8 +490,8 @@ def hostile(rng: random.Random) -> dict[str, Any]:
 @pytest.mark.parametrize("n", [2000, pytest.param(100_000, marks=pytest.mark.slow)])
 def test_no_message_brings_it_down(monkeypatch: pytest.MonkeyPatch, n: int) -> None:
     """Each is taken or refused with a reason; afterwards a page strokes as before."""
-    monkeypatch.setattr(websocket, "MOST_REFUSED", 10 * n)
-    monkeypatch.setattr(server, "MESSAGES_A_SECOND", 1e9)
+    monkeypatch.setattr(websocket, "MAX_REFUSED", 10 * n)
+    monkeypatch.setattr(studio_server, "MAX_MESSAGES_PER_S", 1e9)
     studio, rng = Studio(Shelf([EXAMPLE])), random.Random(0)
     with TestClient(studio.app(LOCAL), base_url=HERE, headers={"origin": HERE}) as client:
         with client.websocket_connect(f"{WS}/stroke") as socket:
@@ -509,7 +509,7 @@ def test_no_message_brings_it_down(monkeypatch: pytest.MonkeyPatch, n: int) -> N
 
 
 def test_a_flood_is_refused_and_then_sent_away(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(websocket, "MOST_REFUSED", 50)
+    monkeypatch.setattr(websocket, "MAX_REFUSED", 50)
     with TestClient(Studio(Shelf([EXAMPLE])).app(LOCAL), base_url=HERE, headers={"origin": HERE}) as client:
         with client.websocket_connect(f"{WS}/stroke") as socket:
             for _ in range(100):
@@ -521,12 +521,12 @@ def test_a_flood_is_refused_and_then_sent_away(monkeypatch: pytest.MonkeyPatch) 
 
 def test_an_allowance_fills_again() -> None:
     allowance = Allowance(100.0)
-    assert allowance.take(100, now=10.0)
-    assert not allowance.take(1, now=10.0)
-    assert allowance.take(50, now=10.5)
-    assert not allowance.take(1, now=10.5)
-    assert allowance.take(100, now=99.0)
-    assert not allowance.take(1, now=99.0)
+    assert allowance.take(100, now_s=10.0)
+    assert not allowance.take(1, now_s=10.0)
+    assert allowance.take(50, now_s=10.5)
+    assert not allowance.take(1, now_s=10.5)
+    assert allowance.take(100, now_s=99.0)
+    assert not allowance.take(1, now_s=99.0)
 
 
 @pytest.mark.parametrize("damage", ["truncated", "another", "proof"])
@@ -544,7 +544,7 @@ def test_a_hostile_texture_is_refused(tmp_path: Path, damage: str) -> None:
         data = bytearray(save(tensors, metadata={"foten": json.dumps(dict(read_texture(EXAMPLE).card))}))
     path = tmp_path / "hostile.foten"
     path.write_bytes(data)
-    contact = Contact(Turns().player(48_000.0), lambda *_: None)
+    contact = Contact(RoundRobinRenderer().player(48_000.0), lambda *_: None)
     with pytest.raises(ValueError, match=r"texture file|truncated|proof"):
         contact.open(bytes(data), PressureCalibration())
     contact.close()
@@ -554,7 +554,7 @@ def test_a_hostile_texture_is_refused(tmp_path: Path, damage: str) -> None:
 
 
 def test_what_rendering_dies_of_is_raised_by_stop_and_ends_no_other_page() -> None:
-    turns, rendered = Turns(), threading.Event()
+    turns, rendered = RoundRobinRenderer(), threading.Event()
 
     def fails(_out: Any) -> None:
         raise ValueError("no more")
@@ -571,7 +571,7 @@ def test_what_rendering_dies_of_is_raised_by_stop_and_ends_no_other_page() -> No
 
 
 def test_turns_that_were_left_out_are_missed() -> None:
-    turns, after = Turns(), threading.Event()
+    turns, after = RoundRobinRenderer(), threading.Event()
     player, n = turns.player(48_000.0), iter(range(10**6))
 
     def stands_still(_out: Any) -> None:
@@ -584,7 +584,7 @@ def test_turns_that_were_left_out_are_missed() -> None:
     player.start(stands_still)
     assert after.wait(5.0)
     player.stop()
-    assert player.statistics.n_missed >= 0.9 * 0.5 / turns.turn_s
+    assert player.statistics.n_missed >= 0.9 * 0.5 / turns.block_s
 
 
 def test_a_shelf_says_what_is_missing(tmp_path: Path) -> None:

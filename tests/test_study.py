@@ -30,11 +30,14 @@ from foten.runtime.renderer import EXAMPLE, Renderer
 from foten.runtime.stroke import tabled_stroke
 from foten.studio.access import LOOPBACK, Access
 from foten.studio.levels import gains_db
-from foten.study.design import read_design, template
+from foten.study.design import read_design
+from foten.study.new_study import study_text
 from foten.study.orders import orders
+from foten.study.participant_page import ELSEWHERE
+from foten.study.schema import create
 from foten.study.stimuli import load_stimuli
-from foten.study.store import Store, create
-from foten.study.study_server import ELSEWHERE, OPERATOR_COOKIE, StudyServer
+from foten.study.store import Store
+from foten.study.study_server import OPERATOR_COOKIE, StudyServer
 
 LOCAL = Access(LOOPBACK, 8000)
 HERE = "http://127.0.0.1:8000"
@@ -63,7 +66,7 @@ def study_file(folder: Path, n_textures: int = 2, n_methods: int = 2, participan
             path = folder / f"{name}-{method}.foten"
             write_texture(type(source)({**source.card, "texture": name, "licence": method}, source.tensors), path)
             files.setdefault(name, {})[method] = path.name
-    text = template("Surfaces", files, participants, 1).replace("least_seconds = 3", "least_seconds = 0")
+    text = study_text("Surfaces", files, participants, 1).replace("min_seconds = 3 ", "min_seconds = 0")
     for given, instead in changes.items():
         line = re.search(rf"^{given} = .*$", text, re.M)
         assert line is not None, given
@@ -288,7 +291,7 @@ def test_two_screens_are_joined_by_a_code_and_the_operator_lets_trials_begin(tmp
                         return dict(one)
 
             operator.send_text(json.dumps({"do": "begin"}))
-            code = until("begun")["code"]
+            code = until("started")["code"]
             with client.websocket_connect(f"{WS}/session") as a, client.websocket_connect(f"{WS}/session") as b:
                 tablet, screen = Page(a, code=code, role="stroke", rate_hz=8000), Page(b, code=code, role="answer")
                 while screen.step["kind"] != "trial":
@@ -325,7 +328,7 @@ def test_two_screens_are_joined_by_a_code_and_the_operator_lets_trials_begin(tmp
 
 def test_after_a_restart_a_trial_goes_on_with_what_was_counted(tmp_path: Path) -> None:
     """The page has counted on while the server was away: its answer is good at once."""
-    path = study_file(tmp_path, practice="0", least_seconds="3")
+    path = study_file(tmp_path, practice="0", min_seconds="3")
     with served(server_of(path)) as client, client.websocket_connect(f"{WS}/session") as socket:
         page = Page(socket, rate_hz=8000)
         while page.step["kind"] != "trial":
@@ -450,7 +453,7 @@ def test_a_full_disk_is_said_to_the_page_and_the_answer_can_be_given_again(tmp_p
 
 
 def test_a_trial_lasts_as_long_as_the_study_asks(tmp_path: Path) -> None:
-    server = server_of(study_file(tmp_path, practice="0", least_seconds="1"))
+    server = server_of(study_file(tmp_path, practice="0", min_seconds="1"))
     with served(server) as client, client.websocket_connect(f"{WS}/session") as socket:
         page = Page(socket)
         while page.step["kind"] != "trial":

@@ -199,7 +199,7 @@ def test_a_study_of_21_participants_and_48_trials_while_the_server_is_killed_20_
 
 
 def test_an_answer_is_kept_while_the_server_is_away(browser: Any, tmp_path: Path) -> None:
-    study, port = study_file(tmp_path, practice="0", least_seconds="2"), free_port()
+    study, port = study_file(tmp_path, practice="0", min_seconds="2"), free_port()
     page = browser.new_page()
     with running(study, "--port", str(port)) as (_, link):
         begin(page, link)

@@ -1,54 +1,53 @@
-"""One page that captures: sound and events in, progress of the training out."""
+"""A page that captures: sound and events in, progress of the training out."""
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import importlib.util
-import json
 import sys
 from collections.abc import AsyncIterator, Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from starlette.websockets import WebSocket, WebSocketDisconnect
+from starlette.websockets import WebSocket
 
 from foten.atomic_write import reason
 from foten.recording.capture_folder import About
-from foten.studio.capture_session import Capture
-from foten.studio.messages import CAPTURE, CAPTURED_A_SECOND, Allowance, RefusedError, parse_captured, parse_message
+from foten.studio.capture_session import CaptureSession
+from foten.studio.messages import CAPTURE, RefusedError, parse_capture_bytes
 from foten.studio.shelf import Shelf
-from foten.studio.websocket import converse
+from foten.studio.websocket import PageSocket
 from foten.untrusted import LONGEST_TEXT, brief, check_numbers, parse_json, printable
 
-MOST_CAPTURES = 200  # that are kept from one start of the server
-LONGEST_LINE = 1 << 16  # bytes, that a training says
+MAX_CAPTURES = 200  # of one start of the server
+MAX_LINE_BYTES = 1 << 16  # of what a training prints
+MAX_CAPTURE_MESSAGES_PER_S = 12_000.0  # after a pause of a page that goes on recording
 COMMAND = (sys.executable, "-m", "foten.train.captured")  # and a folder
 
 
 def why_not() -> str:
-    """Return what is missing to train here; empty where nothing is."""
+    """What is missing to train here; empty where nothing is."""
     missing = [name for name in ("torch", "h5py") if importlib.util.find_spec(name) is None]
     return f"the server cannot train without {' and '.join(missing)}: pip install 'foten[train]'" if missing else ""
 
 
-class Trainings:
-    """Trains captured folders, one at a time; a page that leaves does not end them, the server's end does.
+class TrainingQueue:
+    """Trains capture folders, one after another; a page that leaves does not end them, the server's end does.
 
     Args:
-        captures: where they are kept.
-        shelf: what is trained goes there.
+        captures: the folder of these folders.
+        shelf: takes the textures.
     """
 
     def __init__(self, captures: Path, shelf: Shelf) -> None:
         self.captures, self._shelf = captures, shelf
-        self.n_kept = 0
-        self._one_at_a_time = asyncio.Lock()
+        self.n_saved = 0
+        self._turn = asyncio.Lock()
         self._running: set[asyncio.Task[None]] = set()
 
     def start(self, folder: Path, say: Callable[[Mapping[str, Any]], None]) -> None:
-        """Train from a folder as soon as no other is trained; `say` is given what `train.captured` says, textures as listed."""
+        """Train from a folder as soon as no other is trained; `say` takes the lines of `train.captured`, textures as listed."""
         task = asyncio.create_task(self._train(folder, say))
         self._running.add(task)
         task.add_done_callback(self._running.discard)
@@ -60,9 +59,9 @@ class Trainings:
         await asyncio.gather(*running, return_exceptions=True)
 
     async def _train(self, folder: Path, say: Callable[[Mapping[str, Any]], None]) -> None:
-        if self._one_at_a_time.locked():
+        if self._turn.locked():
             say({"stage": "waiting for another training", "share": 0.0})
-        async with self._one_at_a_time:
+        async with self._turn:
             # Whatever goes wrong, the page waits for an answer.
             try:
                 await self._run(folder, say)
@@ -80,19 +79,19 @@ class Trainings:
             stdin=asyncio.subprocess.DEVNULL,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.PIPE,
-            limit=LONGEST_LINE,
+            limit=MAX_LINE_BYTES,
         )
         assert process.stdout is not None
         assert process.stderr is not None
         errors = asyncio.create_task(process.stderr.read())
         try:
             ended = False
-            async for said in _answers(process.stdout):
+            async for progress in _printed(process.stdout):
                 for kind in ("playable", "done"):
-                    if kind in said:
-                        said[kind] = self._shelf.put(folder / said[kind]).listed()
-                ended = ended or "done" in said or "refused" in said
-                say(said)
+                    if kind in progress:
+                        progress[kind] = self._shelf.put(folder / progress[kind]).listed()
+                ended = ended or "done" in progress or "refused" in progress
+                say(progress)
             await process.wait()
             if not ended:
                 last = (await errors).decode("utf-8", "replace").strip().splitlines()[-1:]
@@ -104,8 +103,8 @@ class Trainings:
                 await process.wait()
 
 
-async def _answers(stream: asyncio.StreamReader) -> AsyncIterator[dict[str, Any]]:
-    """Return the JSON objects that a training says, one a line.
+async def _printed(stream: asyncio.StreamReader) -> AsyncIterator[dict[str, Any]]:
+    """JSON objects that a training prints, each on a line.
 
     Raises:
         ValueError: a line is none, or too long.
@@ -114,82 +113,74 @@ async def _answers(stream: asyncio.StreamReader) -> AsyncIterator[dict[str, Any]
         try:
             line = await stream.readline()
         except ValueError:
-            raise ValueError(f"it said a line of more than {LONGEST_LINE} bytes") from None
+            raise ValueError(f"it said a line of more than {MAX_LINE_BYTES} bytes") from None
         if not line:
             return
         try:
-            said = parse_json(line)
-            check_numbers(said, "it")
+            progress = parse_json(line)
+            check_numbers(progress, "it")
         except ValueError:
-            said = None
-        if not isinstance(said, dict):
+            progress = None
+        if not isinstance(progress, dict):
             text = line.decode("utf-8", "replace").strip()
             raise ValueError(f"it said {text[: LONGEST_TEXT // 2]!r}, expected a JSON object")
-        yield said
+        yield progress
 
 
-class CapturePage:
-    """One page at the WebSocket; a message that is refused ends its capture, for something of it would be missing."""
+class CapturePage(PageSocket):
+    """A page that captures; a message that is refused ends its capture, for something of it would be missing."""
 
-    def __init__(self, socket: WebSocket, trainings: Trainings) -> None:
-        self._socket, self._trainings = socket, trainings
-        self._capture: Capture | None = None
-        self.n_refused = 0
-        self._messages = Allowance(CAPTURED_A_SECOND)
-        self._saying: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue()
+    def __init__(self, socket: WebSocket, trainings: TrainingQueue) -> None:
+        super().__init__(socket, CAPTURE, MAX_CAPTURE_MESSAGES_PER_S)
+        self._trainings = trainings
+        self._capture: CaptureSession | None = None
+        self._outgoing: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue()
 
     async def run(self) -> None:
         """Serve the page until it goes."""
-        await converse(self._socket, self._take, lambda: self.n_refused, self._send())
+        await self.converse(self._send())
 
-    async def _take(self, received: Mapping[str, Any]) -> None:
-        try:
-            await self._understand(received)
-        except RefusedError as refused:
-            self._refuse(str(refused))
-        except OSError as error:
-            self._refuse(f"the capture cannot be kept: {reason(error)}")
+    async def refuse(self, why: str) -> None:
+        """End the capture, and say why."""
+        self._capture = None
+        self.n_refused += 1
+        self._outgoing.put_nowait({"refused": why})
 
-    async def _understand(self, received: Mapping[str, Any]) -> None:
-        if not self._messages.take(1):
-            raise RefusedError(f"more than {CAPTURED_A_SECOND:g} messages a second")
-        data = received.get("bytes")
-        if data is not None:
-            kind, values = parse_captured(data)
-            capture = self._current("what was captured")
-            if kind == "sound":
-                capture.add_sound(values.astype(np.float32))
-            else:
-                capture.add_events(values)
-            return
-        message = parse_message(received.get("text") or "", CAPTURE)
+    async def take_bytes(self, data: bytes) -> None:
+        """Take in sound or events."""
+        kind, values = parse_capture_bytes(data)
+        capture = self._current("sound or events")
+        if kind == "sound":
+            capture.add_sound(values.astype(np.float32))
+        else:
+            capture.add_events(values)
+
+    async def do(self, message: Mapping[str, Any]) -> None:
+        """Begin, train or discard."""
         if message["do"] == "begin":
-            if self._trainings.n_kept >= MOST_CAPTURES:
-                raise RefusedError(f"{MOST_CAPTURES} captures are kept already: start the server again")
+            if self._trainings.n_saved >= MAX_CAPTURES:
+                raise RefusedError(f"{MAX_CAPTURES} captures are kept already: start the server again")
             if missing := why_not():
                 raise RefusedError(missing)
-            self._capture = Capture(About.of(message))
-            self._saying.put_nowait({"ready": True})
+            self._capture = CaptureSession(About.of(message))
+            self._outgoing.put_nowait({"ready": True})
         elif message["do"] == "discard":
             self._capture = None
         else:
             capture, self._capture = self._current("train"), None
-            folder = await asyncio.to_thread(capture.write, self._trainings.captures)
-            self._trainings.n_kept += 1
-            self._saying.put_nowait({"kept": folder.name, "seconds": capture.seconds})
-            self._trainings.start(folder, self._saying.put_nowait)
+            try:
+                folder = await asyncio.to_thread(capture.write, self._trainings.captures)
+            except OSError as error:
+                raise RefusedError(f"the capture cannot be kept: {reason(error)}") from error
+            self._trainings.n_saved += 1
+            self._outgoing.put_nowait({"saved": folder.name, "seconds": capture.seconds})
+            self._trainings.start(folder, self._outgoing.put_nowait)
 
-    def _refuse(self, why: str) -> None:
-        self._capture = None
-        self.n_refused += 1
-        self._saying.put_nowait({"refused": why})
-
-    def _current(self, what: str) -> Capture:
+    def _current(self, what: str) -> CaptureSession:
         if self._capture is None:
             raise RefusedError(f"{what} before a capture was begun")
         return self._capture
 
     async def _send(self) -> None:
-        with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-            while True:
-                await self._socket.send_text(json.dumps(await self._saying.get(), allow_nan=False))
+        while True:
+            await self.say(await self._outgoing.get())

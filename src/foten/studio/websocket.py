@@ -1,45 +1,104 @@
-"""What every page at a WebSocket has in common: messages in until it goes, and blocks of samples out."""
+"""A page at a WebSocket: its messages, in order, until it goes; JSON and blocks of samples back."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Coroutine, Mapping
+import contextlib
+import json
+import struct
+from collections.abc import Coroutine, Mapping
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from foten.studio.messages import MOST_REFUSED
+from foten.runtime.stylus import PressureCalibration
+from foten.studio.messages import MAX_BYTES, Allowance, Protocol, RefusedError, parse_message
 
-MOST_WAITING = 64  # blocks for a page that does not take them; the oldest go
-CONDITION_BYTES = 8  # speed [mm/s] and force [N] before the samples of a block, little-endian float32 as they are
-
-
-async def converse(
-    socket: WebSocket,
-    take: Callable[[Mapping[str, Any]], Awaitable[None]],
-    n_refused: Callable[[], int],
-    *beside: Coroutine[Any, Any, None],
-) -> None:
-    """Take each message of a page until it goes, or until `MOST_REFUSED` were refused; what is sent to it runs beside."""
-    tasks = [asyncio.create_task(one) for one in beside]
-    try:
-        while True:
-            received = await socket.receive()
-            if received["type"] == "websocket.disconnect":
-                return
-            await take(received)
-            if n_refused() > MOST_REFUSED:
-                await socket.close(1008, f"{MOST_REFUSED} messages were refused")
-                return
-    except WebSocketDisconnect:
-        pass
-    finally:
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+MAX_REFUSED = 1000  # messages of a page, after which it is sent away
+MAX_MESSAGES_PER_S = 1200.0  # a pen has at most a thousand events a second
+MAX_WAITING_BLOCKS = 64  # for a page that does not take them; the oldest go
+CONDITION_BYTES = 8  # speed [mm/s] and force [N] before the samples of a block
 
 
-class Blocks:
+class PageSocket:
+    """A page: a message that is refused is answered with the reason, and changes nothing.
+
+    Args:
+        socket: accepted.
+        protocol: the messages that it may send.
+        max_messages_per_s: after a second of silence a second's worth may come at once.
+    """
+
+    def __init__(self, socket: WebSocket, protocol: Protocol, max_messages_per_s: float = MAX_MESSAGES_PER_S) -> None:
+        self.socket, self.n_refused = socket, 0
+        self._protocol, self._allowance = protocol, Allowance(max_messages_per_s)
+
+    async def do(self, message: Mapping[str, Any]) -> None:
+        """Do what a checked message asks for, or raise RefusedError."""
+        raise NotImplementedError
+
+    async def take_bytes(self, data: bytes) -> None:
+        """Take in at most `MAX_BYTES` bytes, or raise RefusedError."""
+        raise RefusedError("this page sends text alone")
+
+    async def refuse(self, why: str) -> None:
+        """Say why a message was refused."""
+        self.n_refused += 1
+        await self.say({"refused": why})
+
+    async def say(self, document: Mapping[str, Any]) -> None:
+        """Send a message; a page that is gone gets none."""
+        with contextlib.suppress(RuntimeError, WebSocketDisconnect):
+            await self.socket.send_text(json.dumps(document, allow_nan=False))
+
+    async def converse(self, *senders: Coroutine[Any, Any, None]) -> None:
+        """Take messages until the page goes, or until `MAX_REFUSED` were refused; the senders run meanwhile."""
+        tasks = [asyncio.create_task(sender) for sender in senders]
+        try:
+            while True:
+                received = await self.socket.receive()
+                if received["type"] == "websocket.disconnect":
+                    return
+                await self._take(received)
+                if self.n_refused > MAX_REFUSED:
+                    await self.socket.close(1008, f"{MAX_REFUSED} messages were refused")
+                    return
+        except WebSocketDisconnect:
+            pass
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _take(self, received: Mapping[str, Any]) -> None:
+        try:
+            if not self._allowance.take(1):
+                raise RefusedError(f"more than {self._allowance.per_s:g} messages a second")
+            data = received.get("bytes")
+            if data is None:
+                await self.do(parse_message(received.get("text") or "", self._protocol))
+            elif len(data) > MAX_BYTES:
+                raise RefusedError(f"the message has {len(data)} bytes, expected {MAX_BYTES} at most")
+            else:
+                await self.take_bytes(data)
+        except RefusedError as refused:
+            await self.refuse(str(refused))
+
+
+def pressure_calibration(message: Mapping[str, Any]) -> PressureCalibration:
+    """Parameters of Eq. 12 in a checked message, the usual ones where it has none."""
+    usual = PressureCalibration()
+    return PressureCalibration(float(message.get("newtons", usual.a)), float(message.get("steepness", usual.b)))
+
+
+def packed_block(samples: NDArray[np.float32], speed: float, force: float) -> bytes:
+    """A block as a page is sent it: speed [mm/s] and force [N], then samples, all little-endian float32."""
+    return struct.pack("<ff", speed, force) + samples.astype("<f4").tobytes()
+
+
+class BlockQueue:
     """Blocks on their way to a page: a condition, and samples. They are put in from the event loop's thread."""
 
     def __init__(self, socket: WebSocket) -> None:
@@ -50,7 +109,7 @@ class Blocks:
     def put(self, block: bytes) -> None:
         """Send a block when there is time."""
         self._waiting.put_nowait(block)
-        while self._waiting.qsize() > MOST_WAITING:
+        while self._waiting.qsize() > MAX_WAITING_BLOCKS:
             self._waiting.get_nowait()
             self.n_unsent += 1
 
@@ -58,7 +117,7 @@ class Blocks:
         """Send what is put in, for ever."""
         while True:
             block = await self._waiting.get()
-            # What waits goes out together, under the last speed and force: fewer messages where there are many pages.
+            # What waits goes out as one message, under the last speed and force: fewer messages where there are many pages.
             while not self._waiting.empty():
                 later = self._waiting.get_nowait()
                 block = later[:CONDITION_BYTES] + block[CONDITION_BYTES:] + later[CONDITION_BYTES:]

@@ -1,4 +1,4 @@
-"""Figures of a study: Fig. 9, and a panel for each texture."""
+"""Figures of a study's ratings: Fig. 9, and a panel for each texture."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ STEP = 4.5  # points between brackets
 
 
 def bars(result: Result) -> Figure:
-    """Return Fig. 9: bars of the mean with SD for each texture and method, and brackets with stars where Holm's p is below .05,
-    between the method of the highest mean, or the reference, and each other one.
+    """Fig. 9: bars of the mean with SD for each texture and method, and brackets with stars where Holm's p is below .05,
+    between the method of the highest mean, or the reference, and each other method.
     """
     textures, methods = result.textures, result.methods
     many = len(textures) > 6
@@ -35,9 +35,9 @@ def bars(result: Result) -> Figure:
     for t, texture in enumerate(textures):
         values = result.ratings[:, :, t]
         height = float(np.nanmax(np.nanmean(values, 0) + np.nanstd(values, 0, ddof=1))) + 2
-        for one in result.document["pairs_within_textures"][texture]:
-            i, j = (methods.index(name) for name in one["pair"])
-            mark = stars(one["p_holm"])
+        for test in result.document["pairs_within_textures"][texture]:
+            i, j = (methods.index(name) for name in test["pair"])
+            mark = stars(test["p_holm"])
             if best not in (i, j) or not mark:
                 continue
             ends = [t + (m - (len(methods) - 1) / 2) * width for m in (i, j)]
@@ -54,7 +54,7 @@ def bars(result: Result) -> Figure:
 
 
 def panels(result: Result) -> Figure:
-    """Return a panel for each texture: every participant's ratings, joined, and the means."""
+    """A panel for each texture: every participant's ratings, joined, and the means."""
     columns = min(4, len(result.textures))
     rows = -(-len(result.textures) // columns)
     figure, grid = _new(2.6 * columns + 0.6, 2.4 * rows + 0.7, nrows=rows, ncols=columns, sharey=True, squeeze=False)
@@ -63,8 +63,8 @@ def panels(result: Result) -> Figure:
         if t >= len(result.textures):
             axes.set_visible(False)
             continue
-        for one in result.ratings[:, :, t]:
-            axes.plot(x, one, color=INK, alpha=0.18, lw=0.8)
+        for participant in result.ratings[:, :, t]:
+            axes.plot(x, participant, color=INK, alpha=0.18, lw=0.8)
         axes.plot(x, np.nanmean(result.ratings[:, :, t], 0), color=COLOURS[0], lw=2, marker="o", ms=5)
         axes.set_title(result.textures[t], fontsize=10, color=INK)
         axes.set_xticks(x, result.methods, fontsize=8, rotation=30 if len(result.methods) > 3 else 0)
@@ -74,9 +74,9 @@ def panels(result: Result) -> Figure:
 
 
 def _compared(result: Result) -> int:
-    """Return the method that the brackets of Fig. 9 start from."""
+    """Method that the brackets of Fig. 9 start from."""
     pairs = result.document["pairs_overall"]
-    first = {one["pair"][0] for one in pairs}
+    first = {test["pair"][0] for test in pairs}
     if len(first) == 1 and len(result.methods) > 2:
         return result.methods.index(first.pop())
     return int(np.nanargmax(np.nanmean(result.ratings, (0, 2))))
@@ -88,13 +88,13 @@ def _new(width: float, height: float, **options: Any) -> tuple[Figure, Any]:
 
     figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
-    made = figure.subplots(**options)
-    for axes in np.atleast_1d(made).ravel():
+    grid = figure.subplots(**options)
+    for axes in np.atleast_1d(grid).ravel():
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(axis="y", alpha=0.25)
         axes.set_axisbelow(True)
         axes.tick_params(labelsize=9, colors=INK)
-    return figure, made
+    return figure, grid
 
 
 def _head(figure: Figure, axes: Any, result: Result, note: str) -> None:
