@@ -26,8 +26,8 @@ from foten.recording.inspection import inspect_recording
 from foten.recording.recording import Recording
 from foten.studio.capture_session import in_order
 from foten.train.captured import train_recording
-from test_studio import started
 from test_studio_page import CHROMIUM, SHOTS, SIZES, playwright, until
+from test_studio_server import started
 
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt install chromium")]
 DELAY_S, DRIFT = 0.08, 50e-6  # of the pen's clock

@@ -30,7 +30,7 @@ from foten.runtime.renderer import EXAMPLE, Renderer
 from foten.runtime.stroke import tabled_stroke
 from foten.runtime.stylus import Stylus
 from foten.studio.levels import gains_db
-from test_studio import started
+from test_studio_server import started
 
 playwright = pytest.importorskip("playwright.sync_api", reason="needs Playwright: pip install '.[browser]'")
 CHROMIUM = next(

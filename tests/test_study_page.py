@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import random
-import re
 import signal
 import socket
 import subprocess
@@ -19,7 +18,8 @@ import pytest
 
 from foten.study.store import Store
 from test_studio_page import CHROMIUM, SHOTS, SIZES, playwright
-from test_study import METHODS, started_study, study_file
+from test_study_commands import started_study
+from test_study_server import study_file
 
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt install chromium")]
 
@@ -107,6 +107,13 @@ def begin(page: Any, link: str) -> None:
     until(page, "window.study.code !== null", 40.0)
 
 
+def to_trial(page: Any) -> None:
+    for text in ("I agree", "Next", "Start"):
+        page.click(f"button.big >> text={text}")
+        page.wait_for_timeout(150)
+    until(page, "window.study.step?.kind === 'trial'")
+
+
 def whole_study(
     browser: Any, folder: Path, n_textures: int, participants: int, browsers: int, kills: int
 ) -> dict[str, Any]:
@@ -172,26 +179,20 @@ def check_study(database: Path, participants: int, n_trials: int) -> None:
         assert stroked > 0.8 * len(rows)  # a kill takes with it what was not answered yet
 
 
-def test_a_study_through_its_pages_while_the_server_is_killed(browser: Any, tmp_path: Path) -> None:
-    """A tenth of the paper's study."""
-    seen = whole_study(browser, tmp_path, 6, 4, 3, 3)
-    assert seen["killed"] == 3
-    check_study(tmp_path / "study.db", 4, 24)
+@pytest.mark.parametrize(
+    ("n_textures", "participants", "kills"),
+    [(6, 4, 3), pytest.param(12, 21, 20, marks=pytest.mark.slow)],  # a tenth of the paper's study, and that
+)
+def test_a_study_through_its_pages_while_the_server_is_killed(
+    browser: Any, tmp_path: Path, n_textures: int, participants: int, kills: int
+) -> None:
+    seen = whole_study(browser, tmp_path, n_textures, participants, 3, kills)
+    print(f"{seen['killed']} kills, {seen['seconds']:.0f} s")
+    assert seen["killed"] == kills
+    check_study(tmp_path / "study.db", participants, 4 * n_textures)
     with Store(seen["copies"][0]) as copy:  # taken while three browsers wrote
         assert copy.check() == []
-        assert 0 < len(copy.ratings()) < 96
-
-
-@pytest.mark.slow
-def test_a_study_of_21_participants_and_48_trials_while_the_server_is_killed_20_times(
-    browser: Any, tmp_path: Path
-) -> None:
-    seen = whole_study(browser, tmp_path, 12, 21, 3, 20)
-    print(f"{seen['killed']} kills, {seen['seconds']:.0f} s")
-    assert seen["killed"] == 20
-    check_study(tmp_path / "study.db", 21, 48)
-    with Store(seen["copies"][0]) as copy:
-        assert copy.check() == []
+        assert 0 < len(copy.ratings()) < 4 * n_textures * participants
     begin = time.monotonic()
     command = [sys.executable, "-c", "from foten.cli import main; main()", "study", "analyze"]
     subprocess.run([*command, tmp_path / "study.db", "-o", tmp_path / "results"], check=True, capture_output=True)
@@ -203,10 +204,7 @@ def test_an_answer_is_kept_while_the_server_is_away(browser: Any, tmp_path: Path
     page = browser.new_page()
     with running(study, "--port", str(port)) as (_, link):
         begin(page, link)
-        for text in ("I agree", "Next", "Start"):
-            page.click(f"button.big >> text={text}")
-            page.wait_for_timeout(150)
-        until(page, "window.study.step?.kind === 'trial'")
+        to_trial(page)
     until(page, "document.querySelector('#message').textContent.startsWith('No connection')")
     page.fill(".scale input", "83")
     page.click("button.big")
@@ -221,10 +219,7 @@ def test_nothing_is_chosen_before_someone_chooses(browser: Any, tmp_path: Path) 
     with running(study_file(tmp_path, practice="0")) as (_, link):
         page = browser.new_page()
         begin(page, link)
-        for text in ("I agree", "Next", "Start"):
-            page.click(f"button.big >> text={text}")
-            page.wait_for_timeout(150)
-        until(page, "window.study.step?.kind === 'trial'")
+        to_trial(page)
         assert page.get_attribute(".scale input", "aria-valuetext") == "not set"
         assert page.is_disabled("button.big")
         page.focus(".scale input")
@@ -246,10 +241,8 @@ def test_a_trial_that_is_held_keeps_what_was_chosen_and_its_time(browser: Any, t
         other.keyboard.press("Escape")
         page = context.new_page()
         page.goto(operator.split("operator")[0] + f"?code={code}")
-        for text in ("I agree", "Next", "Start"):
-            page.click(f"button.big >> text={text}")
-            page.wait_for_timeout(150)
-        until(page, "window.study.step?.held === true")
+        to_trial(page)
+        assert page.evaluate("window.study.step.held")
 
         def press(what: str) -> None:
             other.wait_for_selector(f"[data-what={what}]:visible")
@@ -277,32 +270,6 @@ def test_a_trial_that_is_held_keeps_what_was_chosen_and_its_time(browser: Any, t
         context.close()
     with Store(tmp_path / "study.db") as store:
         assert [row["rating"] for row in store.ratings()] == [83.0]
-
-
-def test_no_byte_on_the_network_names_a_method(browser: Any, tmp_path: Path) -> None:
-    with running(study_file(tmp_path, 2, 4), "--simulated", "--port", "0") as (_, link):
-        context = browser.new_context()
-        page = context.new_page()
-        seen: list[bytes] = []
-        said: list[bytes] = []
-
-        def received(data: str | bytes) -> None:
-            (said if isinstance(data, str) else seen).append(data.encode() if isinstance(data, str) else data)
-
-        page.on("websocket", lambda one: one.on("framereceived", received))
-        page.on("response", lambda answer: seen.append(answer.body() + str(answer.headers).encode()))
-        begin(page, link)
-        page.evaluate(DRIVE)
-        until(page, "window.ended", 60.0)
-        context.close()
-    assert len(said) > 10
-    assert len(seen) > 10
-    for data in (*seen, *said):
-        for word in (b"dstn", b"ldhtd", b".foten", b"sha256"):
-            assert word not in data.lower()
-    for data in said:
-        assert not re.search(rb"\bar\b|\bfoten\b|method", data.lower())
-    assert set(METHODS) == {"ar", "dstn", "ldhtd", "foten"}
 
 
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])

@@ -90,6 +90,16 @@ def test_nothing_is_said_of_participants_who_were_not_asked(tmp_path: Path) -> N
     assert table(tmp_path / "participants.csv") == table(tmp_path / "answers.csv") == []
 
 
+def test_too_few_ratings_and_another_reference_are_refused(tmp_path: Path) -> None:
+    path = database(tmp_path / "s.db", 2, 2, 2)
+    with pytest.raises(
+        ValueError, match="2 participants have rated everything, of 2 who began: expected three or more"
+    ):
+        results(path)
+    with pytest.raises(ValueError, match="the reference is 'x', expected one of m0, m1"):
+        results(path, "x")
+
+
 def test_every_column_of_ratings_has_a_meaning(asked: Path) -> None:
     rows = table(asked / "ratings.csv")
     assert {row["software"] for row in rows} == {"9.9"}

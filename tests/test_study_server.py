@@ -1,16 +1,10 @@
-"""A study from its file to its report: the server's steps, what pages are told, the commands, and what each refuses."""
+"""A study's server: the steps of a participant, what pages get, and what is refused."""
 
 from __future__ import annotations
 
 import contextlib
-import csv
 import json
 import re
-import signal
-import sqlite3
-import subprocess
-import sys
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,20 +18,14 @@ pytest.importorskip("statsmodels")
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
-from foten.datasets.importing import read_stroke
 from foten.families.texture_file import read_texture, write_texture
-from foten.runtime.renderer import EXAMPLE, Renderer
-from foten.runtime.stroke import tabled_stroke
+from foten.runtime.renderer import EXAMPLE
 from foten.studio.access import LOOPBACK, Access
-from foten.studio.levels import gains_db
-from foten.study.design import read_design
+from foten.study.loading import load_study
 from foten.study.new_study import study_text
-from foten.study.orders import orders
 from foten.study.participant_page import ELSEWHERE
-from foten.study.schema import create
-from foten.study.stimuli import load_stimuli
 from foten.study.store import Store
-from foten.study.study_server import OPERATOR_COOKIE, StudyServer
+from foten.study.study_server import OPERATOR_COOKIE, StudyServer, study_files
 
 LOCAL = Access(LOOPBACK, 8000)
 HERE = "http://127.0.0.1:8000"
@@ -76,15 +64,9 @@ def study_file(folder: Path, n_textures: int = 2, n_methods: int = 2, participan
     return path
 
 
-def server_of(path: Path, simulated: bool = False) -> StudyServer:
-    design, text = read_design(path)
-    stimuli = load_stimuli(design, calibrated=False)
-    database = path.with_suffix(".db")
-    if not database.exists():
-        counts = len(design.textures), len(design.methods)
-        made = orders(design.participants, *counts, design.seed, design.practice, design.order)
-        create(database, design.title, text, path.parent, design.seed, stimuli.listed, made, "test", simulated)
-    return StudyServer(Store(database, "test"), design, stimuli, None)
+def server_of(path: Path) -> StudyServer:
+    study = load_study(path)
+    return StudyServer(study.open_store(path.with_suffix(".db")), study.design, study.stimuli, None)
 
 
 @contextlib.contextmanager
@@ -138,6 +120,10 @@ class Page:
             return self.done(answers=given)
         return self.done()
 
+    def to_trial(self) -> None:
+        while self.step["kind"] != "trial":
+            self.answer()
+
     def stroke(self, n: int = 10) -> None:
         for k in range(n):
             self.socket.send_bytes(np.array([0.8 * k, 0.0, 0.5, 0.01 * k], dtype="<f8").tobytes())
@@ -179,8 +165,7 @@ def test_a_trial_is_stroked_switched_and_measured(tmp_path: Path) -> None:
     server = server_of(study_file(tmp_path, practice="0"))
     with served(server) as client, client.websocket_connect(f"{WS}/session") as socket:
         page = Page(socket, rate_hz=8000, volume_db=-3.0)
-        while page.step["kind"] != "trial":
-            page.answer()
+        page.to_trial()
         begin = time.monotonic()
         for k in range(100):
             socket.send_bytes(np.array([0.4 * k, 0.0, 0.5, 0.005 * k], dtype="<f8").tobytes())
@@ -203,13 +188,6 @@ def test_a_trial_is_stroked_switched_and_measured(tmp_path: Path) -> None:
         events = store.strokes(1, 1)
         assert events.shape == (100, 4)
         np.testing.assert_allclose(events[:, 0], 0.4 * np.arange(100))
-    said = foten("strokes", tmp_path / "study.db", "--participant", "1", "--trial", "1", "-o", tmp_path / "stroke.csv")
-    assert "100 events, 0.5 s" in said
-    stroke = tabled_stroke(read_stroke(tmp_path / "stroke.csv", {}), 1000.0)
-    assert 0.5 < stroke.force.max() < 0.9
-    assert "no stroke of participant 1 in trial 3" in foten(
-        "strokes", tmp_path / "study.db", "--participant", "1", "--trial", "3", "-o", tmp_path / "none.csv", ok=False
-    )
 
 
 def test_no_byte_that_a_participant_is_sent_names_or_orders_methods(tmp_path: Path) -> None:
@@ -225,8 +203,9 @@ def test_no_byte_that_a_participant_is_sent_names_or_orders_methods(tmp_path: Pa
                         page.stroke()
                     page.answer()
                 said.append([text.replace(page.code, "CODE") for text in page.texts])
-        for path in ("/", "/study.js", "/study.css"):
-            said.append([client.get(path).text])
+        for name in ("", *study_files()):
+            answer = client.get(f"/{name}")
+            said.append([answer.text, str(answer.headers)])
         for path in (
             "/operator",
             "/operate",
@@ -251,13 +230,14 @@ def test_an_answer_that_is_said_again_counts_once(tmp_path: Path) -> None:
     server = server_of(study_file(tmp_path, practice="0"))
     with served(server) as client, client.websocket_connect(f"{WS}/session") as socket:
         page = Page(socket)
-        while page.step["kind"] != "trial":
-            page.answer()
+        page.to_trial()
         page.done(rating=40.0)
         page.say(do="done", step="trial:1", rating=90.0)  # the page did not learn that it was taken
         assert page.until("step", "refused")["step"]["id"] == "trial:2"
         page.say(do="done", step="trial:4", rating=90.0)
         assert "it is the turn of trial:2" in page.until("step", "refused")["refused"]
+        page.say(do="done", step="trial:2")
+        assert "rating is missing" in page.until("step", "refused")["refused"]
     assert [row["rating"] for row in server.store.ratings()] == [40.0]
 
 
@@ -331,8 +311,7 @@ def test_after_a_restart_a_trial_goes_on_with_what_was_counted(tmp_path: Path) -
     path = study_file(tmp_path, practice="0", min_seconds="3")
     with served(server_of(path)) as client, client.websocket_connect(f"{WS}/session") as socket:
         page = Page(socket, rate_hz=8000)
-        while page.step["kind"] != "trial":
-            page.answer()
+        page.to_trial()
         page.stroke()
         for side in ("real", "virtual"):
             page.say(do="side", side=side)
@@ -352,8 +331,7 @@ def test_the_page_that_strokes_is_the_one_that_sounds(tmp_path: Path) -> None:
     server = server_of(study_file(tmp_path, practice="0"))
     with served(server) as client, client.websocket_connect(f"{WS}/session") as old:
         first = Page(old, rate_hz=8000)
-        while first.step["kind"] != "trial":
-            first.answer()
+        first.to_trial()
         first.stroke()
         while first.bytes == 0:
             first.bytes += len(old.receive().get("bytes") or b"")
@@ -400,53 +378,16 @@ def test_the_operators_page_is_the_operators(tmp_path: Path) -> None:
         assert client.get("/codes/AAAAA.svg").status_code == 404  # there is no such participant
 
 
-@pytest.mark.parametrize(
-    ("message", "why"),
-    [
-        ({"do": "done", "step": "trial:1", "rating": 101}, "rating is 101, expected a number from 0 to 100"),
-        ({"do": "done", "step": "trial:1", "rating": "50"}, "rating is '50'"),
-        ({"do": "done", "step": "trial:1"}, "rating is missing"),
-        ({"do": "done", "step": "end"}, "it is the turn of trial:1"),
-        ({"do": "done", "rating": 50}, "step is missing"),
-        ({"do": "side", "side": "left"}, "side is 'left', expected one of virtual, real"),
-        ({"do": "open", "texture": "x"}, "unknown message 'open', expected one of join"),
-        ({"do": "join", "role": "operator"}, "role is 'operator'"),
-    ],
-)
-def test_what_a_page_may_not_say_is_refused(tmp_path: Path, message: dict[str, Any], why: str) -> None:
-    server = server_of(study_file(tmp_path, practice="0"))
-    with served(server) as client, client.websocket_connect(f"{WS}/session") as socket:
-        page = Page(socket)
-        while page.step["kind"] != "trial":
-            page.answer()
-        page.say(**message)
-        assert why in page.until("refused")["refused"]
-    assert server.store.ratings() == []
-
-
 def test_a_full_disk_is_said_to_the_page_and_the_answer_can_be_given_again(tmp_path: Path) -> None:
     server = server_of(study_file(tmp_path, practice="0"))
     with served(server) as client, client.websocket_connect(f"{WS}/session") as socket:
         page = Page(socket)
-        while page.step["kind"] != "trial":
-            page.answer()
-        writing = server.store._writing
-
-        @contextlib.contextmanager
-        def full() -> Iterator[Any]:
-            with writing() as connection:
-                pages = connection.execute("PRAGMA page_count").fetchone()[0]
-                connection.execute(f"PRAGMA max_page_count = {pages}")
-                connection.execute("CREATE TABLE fills (a)")
-                connection.execute("INSERT INTO fills VALUES (zeroblob(10000000))")
-                yield connection
-
-        server.store._writing = full  # type: ignore[method-assign]
+        page.to_trial()
+        server.store._connection.execute("PRAGMA query_only = ON")
         refused = page.answer(33.0)
         assert "not stored, and your answer is kept here: study.db: the disk is full" in refused["refused"]
         assert refused["again"]
-        server.store._writing = writing  # type: ignore[method-assign]
-        server.store._connection.execute("PRAGMA max_page_count = 1000000")
+        server.store._connection.execute("PRAGMA query_only = OFF")
         page.answer(33.0)
         assert page.step["id"] == "trial:2"
     assert [row["rating"] for row in server.store.ratings()] == [33.0]
@@ -456,175 +397,10 @@ def test_a_trial_lasts_as_long_as_the_study_asks(tmp_path: Path) -> None:
     server = server_of(study_file(tmp_path, practice="0", min_seconds="1"))
     with served(server) as client, client.websocket_connect(f"{WS}/session") as socket:
         page = Page(socket)
-        while page.step["kind"] != "trial":
-            page.answer()
+        page.to_trial()
         refused = page.done(rating=5.0, seconds=0.2)
         assert "explore both surfaces for 1 s first" in refused["refused"]
         assert (refused["step"], refused["again"]) == ("trial:1", False)
         time.sleep(1.0)
         page.done(rating=5.0, seconds=1.2)
         assert page.step["id"] == "trial:2"
-
-
-def test_levels_are_matched_and_stored(tmp_path: Path) -> None:
-    path = study_file(tmp_path)
-    matched = load_stimuli(read_design(path)[0], calibrated=False)
-    assert max(abs(one.gain_db) for one in matched.listed) > 0.3
-    assert all(abs(one.gain_db) <= 30 for one in matched.listed)
-    design = read_design(path)[0]
-    for t, texture in enumerate(design.textures):  # with them, nothing is left to match
-        renderers = [Renderer(file) for file in texture.files.values()]
-        gains = [one.gain_db for one in matched.listed if one.texture == t]
-        scales = [
-            10 ** (db / 20) / r.native_texture.info.acceleration_sd for db, r in zip(gains, renderers, strict=True)
-        ]
-        np.testing.assert_allclose(gains_db(renderers, scales), 0.0, atol=1e-9)
-    plain = load_stimuli(read_design(study_file(tmp_path, match_levels="false"))[0], calibrated=True)
-    assert {one.gain_db for one in plain.listed} == {0.0}
-    server = server_of(path)
-    assert server.gains == {(one.texture, one.method): one.gain_db for one in server.store.stimuli().values()}
-
-
-# The commands
-
-
-def foten(*arguments: str | Path, ok: bool = True) -> str:
-    command = [sys.executable, "-c", "from foten.cli import main; main()", "study", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)  # none of these serves
-    if ok:
-        assert done.returncode == 0, done.stderr
-        return done.stdout + done.stderr
-    assert done.returncode == 2, done.stdout + done.stderr
-    assert done.stderr.count("\n") == 1
-    return done.stderr
-
-
-def test_from_texture_files_to_a_report_without_anyone(tmp_path: Path) -> None:
-    study_file(tmp_path, 3, 2)
-    study, database, results = tmp_path / "mine.toml", tmp_path / "mine.db", tmp_path / "results"
-    textures = sorted(tmp_path.glob("*.foten"))
-    assert "3 textures × 2 methods, 15 participants" in foten("new", study, *textures, "--participants", "15")
-    assert "6 trials of each of 15 participants" in foten("check", study)
-    foten("simulate", study, "-o", database, "--difference", "12", "--better", "dstn", "--missing", "0.2")
-    status = foten("status", database)
-    assert "15 simulated raters" in status
-    assert "the file is sound" in status
-    said = foten("analyze", database, "-o", results, "--reference", "dstn")
-    assert "The highest mean is that of dstn." in said
-    assert "simulated raters rated 2 methods on 3 textures" in said
-    page = (results / "report.html").read_text(encoding="utf-8")
-    assert "Simulated ratings: of a model of raters, and not of people." in page
-    assert "did not rate everything" in page
-    assert page.count("<svg") == 2
-    with (results / "ratings.csv").open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert {row["simulated"] for row in rows} == {"1"}
-    assert {row["method"] for row in rows} == {"ar", "dstn"}
-    with (results / "ratings-wide.csv").open(newline="", encoding="utf-8") as file:
-        wide = list(csv.reader(file))
-    assert wide[0][:3] == ["participant", "simulated", "ar.artificial-grass"]
-    assert 12 <= len(wide) <= 16  # who left during practice has no row
-    document = json.loads((results / "results.json").read_text(encoding="utf-8"))
-    assert document["simulated"] is True
-    assert document["anova_one_way"][0]["p_corrected"] < 0.01
-    assert document["mixed_model"]["n_participants"] == len(wide) - 1
-    meant = (results / "dictionary.csv").read_text(encoding="utf-8")
-    assert "response_s,from when the trial was shown to the answer,s" in meant
-    foten("backup", database, "-o", tmp_path / "copy.db")
-    for there in (database, tmp_path / "copy.db"):
-        assert "is there already: give the copy another name" in foten("backup", database, "-o", there, ok=False)
-    assert "is there already" in foten("simulate", study, "-o", database, ok=False)
-    foten("correct", database, "--participant", "1", "--trial", "1", "--rating", "5", "--reason", "slipped")
-    foten("forget", database, "--participant", "2", "--yes")
-    assert "14 simulated raters" in foten("status", database)
-    assert "15 simulated raters" in foten("status", tmp_path / "copy.db")
-
-
-def test_what_the_commands_refuse(tmp_path: Path) -> None:
-    study = study_file(tmp_path)
-    database = tmp_path / "study.db"
-    foten("simulate", study, "-o", database)
-    assert "holds simulated ratings, which stay apart" in foten("run", study, "--no-open", "--port", "0", ok=False)
-    assert "is there already" in foten("new", study, *tmp_path.glob("*.foten"), ok=False)
-    one = tmp_path / "artificial-grass-ar.foten"
-    assert "has one method, expected two texture files or more" in foten("new", tmp_path / "x.toml", one, ok=False)
-    assert not (tmp_path / "x.toml").exists()
-    text = study.read_text(encoding="utf-8")
-    study.write_text(text + "\n# another comment\n", encoding="utf-8")
-    assert "has changed since" in foten("run", study, "--simulated", "-o", database, ok=False)
-    study.write_text(text.replace("artificial-grass-ar.foten", "nothing.foten"), encoding="utf-8")
-    assert "no such file" in foten("check", study, ok=False)
-    study.write_text(text, encoding="utf-8")
-    one.write_bytes((tmp_path / "steel-mesh-1-dstn.foten").read_bytes())
-    assert "is another file than when" in foten("run", study, "--simulated", "-o", database, ok=False)
-    one.write_bytes(b"no texture")
-    assert "artificial-grass-ar.foten" in foten("check", study, ok=False)
-    assert "expected one of ar, dstn" in foten("analyze", database, "--reference", "x", "-o", tmp_path / "r", ok=False)
-    assert not (tmp_path / "r").exists()
-    assert "no such file" in foten("status", tmp_path / "nothing.db", ok=False)
-    sqlite3.connect(database).execute("PRAGMA user_version = 9").connection.close()
-    assert "update foten" in foten("analyze", database, ok=False)
-
-
-def test_too_few_ratings_are_said(tmp_path: Path) -> None:
-    study = study_file(tmp_path, participants=2)
-    foten("simulate", study, "-o", tmp_path / "s.db")
-    why = foten("analyze", tmp_path / "s.db", "-o", tmp_path / "r", ok=False)
-    assert "2 participants have rated everything, of 2 who began: expected three or more" in why
-
-
-def test_power_says_how_many(tmp_path: Path) -> None:
-    said = foten("power", "--studies", "60", "--difference", "12", "--methods", "2", "--textures", "3")
-    assert re.search(r"\d+ participants find a pair in 80 % of studies", said)
-    document = json.loads(foten("power", "--studies", "60", "--json"))
-    assert len(document["power"]) <= 12
-    assert document["power"][0]["participants"] == 4
-
-
-def started_study(path: Path, *options: str) -> tuple[subprocess.Popen[str], str, str]:
-    """Return a study that runs, its operator's link and its participants'."""
-    command = [
-        sys.executable,
-        "-c",
-        "from foten.cli import main; main()",
-        "study",
-        "run",
-        str(path),
-        "--no-open",
-        *options,
-    ]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    assert process.stderr is not None
-    operator = participants = ""
-    for line in process.stderr:
-        if line.startswith("operator: "):
-            operator = line.split()[-1]
-        if line.startswith("participants at "):
-            participants = line.split()[-1]
-            break
-    assert participants, "the study did not start"
-    threading.Thread(target=_read_out, args=(process.stderr,), daemon=True).start()  # so that it never waits for us
-    return process, operator, participants
-
-
-def _read_out(stream: Any) -> None:
-    with stream:
-        stream.read()
-
-
-def test_a_study_that_runs_ends_cleanly_and_goes_on(tmp_path: Path) -> None:
-    study = study_file(tmp_path)
-    for begun in (0, 0):
-        process, operator, participants = started_study(study, "--port", "0")
-        assert "is in use: end the 'foten study run' of it first" in foten("run", study, "--port", "0", ok=False)
-        with Store(tmp_path / "study.db") as store:
-            if not store.codes():
-                store.join("ABCDE")
-        assert "is in use" in foten("forget", tmp_path / "study.db", "--participant", "1", "--yes", ok=False)
-        assert "/operator?key=" in operator
-        assert participants.startswith("http://127.0.0.1:")
-        process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=20) in (0, 130)
-        with Store(tmp_path / "study.db") as store:
-            assert len(store.codes()) == begun + 1
-            assert len(store.ordered()) == 3 + 2  # and some for those who leave
