@@ -211,7 +211,7 @@ def test_only_so_many_pages_capture_at_once_and_one_that_left_makes_room(client:
         assert (message["type"], message["code"]) == ("websocket.close", 1013)
     sockets[0].__exit__(None, None, None)
     end = time.monotonic() + 5
-    while studio.n_capturing == studio_server.MAX_CAPTURING and time.monotonic() < end:
+    while len(studio.capturing) == studio_server.MAX_CAPTURING and time.monotonic() < end:
         time.sleep(0.01)
     with client.websocket_connect(WS) as socket:
         socket.send_text(json.dumps(BEGIN))

@@ -289,66 +289,48 @@ def test_a_shelf_says_what_is_missing(tmp_path: Path) -> None:
     assert len(Shelf()) >= 1
 
 
-def started(*arguments: str) -> tuple[subprocess.Popen[str], str]:
-    """Return a server and the link that it printed."""
-    command = [
-        sys.executable,
-        "-c",
-        "from foten.cli import main; main()",
-        "serve",
-        "--no-open",
-        "--port",
-        "0",
-        *arguments,
-    ]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+@contextmanager
+def serving(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A server, until it has ended cleanly, and the link that it printed."""
+    command = [sys.executable, "-c", "from foten.cli import main; main()", "serve", "--no-open", "--port", "0"]
+    process = subprocess.Popen([*command, *arguments], stderr=subprocess.PIPE, text=True, start_new_session=True)
     assert process.stderr is not None
-    line = process.stderr.readline()
-    return process, line.rsplit(" ", 1)[-1].strip()
+    try:
+        yield process, process.stderr.readline().rsplit(" ", 1)[-1].strip()
+    finally:
+        if process.poll() is None:
+            process.terminate()
+            assert "Traceback" not in process.communicate(timeout=30)[1]
+
+
+def check_page(link: str, *handlers: Any) -> None:
+    with urllib.request.build_opener(urllib.request.ProxyHandler({}), *handlers).open(link, timeout=20) as answer:
+        assert b"<title>foten</title>" in answer.read()
 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_it_starts_says_where_and_ends_cleanly(number: int, status: int) -> None:
-    process, link = started(str(EXAMPLE))
-    try:
-        with urllib.request.urlopen(link, timeout=20) as answer:
-            assert b"<title>foten</title>" in answer.read()
-    finally:
+    with serving(str(EXAMPLE)) as (process, link):
+        check_page(link)
         process.send_signal(number)
-        _, rest = process.communicate(timeout=30)
+        assert "Traceback" not in process.communicate(timeout=30)[1]
     assert process.returncode in (status, -number)
-    assert "Traceback" not in rest
-
-
-def ended(process: subprocess.Popen[str]) -> str:
-    """End a server, and return what else it said."""
-    process.terminate()
-    return process.communicate(timeout=30)[1]
 
 
 def test_on_a_network_the_next_link_is_printed_once_one_is_used() -> None:
-    process, link = started(str(EXAMPLE), "--host", "0.0.0.0")
-    try:
-        own = ssl.create_default_context()
-        own.check_hostname, own.verify_mode = False, ssl.CERT_NONE  # as a tablet does that was told to
+    own = ssl.create_default_context()
+    own.check_hostname, own.verify_mode = False, ssl.CERT_NONE  # as a tablet does that was told to
+    with serving(str(EXAMPLE), "--host", "0.0.0.0") as (process, link):
+        assert process.stderr is not None
         for _ in range(2):
-            opener = urllib.request.build_opener(
-                urllib.request.HTTPSHandler(context=own),
-                urllib.request.HTTPCookieProcessor(),
-                urllib.request.ProxyHandler({}),
-            )
+            device = urllib.request.HTTPSHandler(context=own), urllib.request.HTTPCookieProcessor()
             for _ in range(2):  # a reload of the same link
-                with opener.open(link, timeout=20) as answer:
-                    assert b"<title>foten</title>" in answer.read()
-            assert process.stderr is not None
+                check_page(link, *device)
             line = next(line for line in process.stderr if "for the next one: " in line)
             before, link = link, line.rsplit(" ", 1)[-1].strip()
             assert link.partition("?")[0] == before.partition("?")[0]
             assert link != before
             assert "▀" in "".join(process.stderr.readline() for _ in range(5))  # and its code
-    finally:
-        rest = ended(process)
-    assert "Traceback" not in rest
 
 
 @pytest.mark.skipif(not socket.has_ipv6, reason="needs IPv6")
@@ -359,31 +341,20 @@ def test_the_address_that_is_printed_is_the_one_it_listens_at() -> None:
         except OSError:
             pytest.skip("this machine has no ::1")
     for host, shown in (("::1", "http://[::1]:"), ("localhost", "http://127.0.0.1:")):
-        process, link = started(str(EXAMPLE), "--host", host)
-        try:
+        with serving(str(EXAMPLE), "--host", host) as (_, link):
             assert link.startswith(shown)
-            with urllib.request.build_opener(urllib.request.ProxyHandler({})).open(link, timeout=20) as answer:
-                assert b"<title>foten</title>" in answer.read()
-        finally:
-            ended(process)
+            check_page(link)
 
 
 def test_a_damaged_capture_is_left_out_and_said(tmp_path: Path) -> None:
     for name, data in {"cork": EXAMPLE.read_bytes(), "cloth": EXAMPLE.read_bytes()[:5000], "oak": b""}.items():
         (tmp_path / name).mkdir()
         (tmp_path / name / f"{name}.foten").write_bytes(data)
-    process, _ = started(str(EXAMPLE), "--captures", str(tmp_path))
-    rest = ""
-    try:
+    with serving(str(EXAMPLE), "--captures", str(tmp_path)) as (process, _):
         assert process.stderr is not None
-        while " at http://" not in rest:
-            line = process.stderr.readline()
-            assert line, rest
-            rest += line
-        with urllib.request.urlopen(rest.rsplit(" ", 1)[-1].strip() + "textures.json", timeout=20) as answer:
-            listed = [one["file"] for one in json.load(answer)["textures"]]
-    finally:
-        ended(process)
+        lines = [process.stderr.readline() for _ in range(2)]  # the first was read by `serving`
+        link = lines[1].rsplit(" ", 1)[-1].strip()
+        with urllib.request.urlopen(link + "textures.json", timeout=20) as answer:
+            listed = [entry["file"] for entry in json.load(answer)["textures"]]
     assert listed == [KEY, "cork.foten"]
-    assert rest.count("\n") == 2  # the first line was read by `started`
-    assert f"left out {tmp_path / 'oak' / 'oak.foten'}: the file has 0 bytes" in rest
+    assert lines[0].startswith(f"left out {tmp_path / 'oak' / 'oak.foten'}: the file has 0 bytes")

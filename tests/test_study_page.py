@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from foten.study.store import Store
-from test_studio_page import CHROMIUM, SHOTS, SIZES, playwright
+from test_studio_page import CHROMIUM, SIZES, chromium, look, playwright, until
 from test_study_commands import started_study
 from test_study_server import study_file
 
@@ -63,11 +63,8 @@ DRIVE = """() => {
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    flags = ["--no-sandbox", "--autoplay-policy=no-user-gesture-required"]
-    with playwright.sync_playwright() as started:
-        browser = started.chromium.launch(executable_path=CHROMIUM, args=flags)
+    with chromium("--autoplay-policy=no-user-gesture-required") as browser:
         yield browser
-        browser.close()
 
 
 def free_port() -> int:
@@ -85,13 +82,6 @@ def running(study: Path, *options: str) -> Iterator[tuple[str, str]]:
     finally:
         process.send_signal(signal.SIGTERM)
         process.wait(timeout=30)
-
-
-def until(page: Any, expression: str, seconds: float = 20.0) -> None:
-    end = time.monotonic() + seconds
-    while not page.evaluate(expression):
-        assert time.monotonic() < end, f"after {seconds:g} s not yet: {expression}"
-        page.wait_for_timeout(20)
 
 
 def begin(page: Any, link: str) -> None:
@@ -277,45 +267,40 @@ def test_a_trial_that_is_held_keeps_what_was_chosen_and_its_time(browser: Any, t
 def test_the_pages_are_accessible_and_look_as_the_screenshots_show(
     browser: Any, tmp_path: Path, size: str, dark: bool
 ) -> None:
-    axe = pytest.importorskip(
-        "axe_playwright_python.sync_playwright", reason="needs axe-core: pip install '.[browser]'"
-    )
-    SHOTS.mkdir(parents=True, exist_ok=True)
     width, height = SIZES[size]
     context = browser.new_context(viewport={"width": width, "height": height}, color_scheme="dark" if dark else "light")
-    found: list[Any] = []
+    violations: list[Any] = []
 
-    def look(page: Any, name: str) -> None:
+    def check(page: Any, name: str) -> None:
         page.wait_for_timeout(250)
-        page.screenshot(path=SHOTS / f"study-{size}-{'dark' if dark else 'light'}-{name}.png")
-        found.extend(axe.Axe().run(page).response["violations"])
+        violations.extend(look(page, f"study-{size}-{'dark' if dark else 'light'}-{name}"))
 
     with running(study_file(tmp_path, practice="0", break_every="1")) as (operator, link):
         page = context.new_page()
         page.goto(link)
         page.wait_for_selector("html[data-ready]")
-        look(page, "join")
+        check(page, "join")
         page.click("button.big")
         until(page, "window.study.step?.kind === 'consent'")
-        look(page, "consent")
+        check(page, "consent")
         page.click("button.big")
         until(page, "window.study.step?.kind === 'questions'")
-        look(page, "questions")
+        check(page, "questions")
         page.click("button.big")
         until(page, "window.study.step?.kind === 'instructions'")
         page.click("button.big")
         until(page, "window.study.step?.kind === 'trial'")
-        look(page, "trial")
+        check(page, "trial")
         other = context.new_page()
         other.goto(operator)
         other.wait_for_selector("#people li")
-        look(other, "operator")
+        check(other, "operator")
         other.click("[data-what=Code]")
-        look(other, "code")
+        check(other, "code")
         page.fill(".scale input", "64")
-        look(page, "rated")
+        check(page, "rated")
         page.click("button.big")
         until(page, "window.study.step?.kind === 'break'")
-        look(page, "break")
+        check(page, "break")
     context.close()
-    assert not [(one["id"], [node["html"] for node in one["nodes"]]) for one in found]
+    assert not violations

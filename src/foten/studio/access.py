@@ -71,7 +71,7 @@ class Access:
 
     def admits(self, token: str | None) -> bool:
         """Whether a token is the right one."""
-        return self.token is None or (token is not None and _same(token, self.token))
+        return self.token is None or (token is not None and is_same(token, self.token))
 
     def renewed(self) -> Access:
         """Access with another token."""
@@ -101,7 +101,7 @@ class Guarded:
             return
         headers = Headers(scope=scope)
         query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
-        token, known = query.get("token", [None])[0], self._knows(_cookie(headers))
+        token, known = query.get("token", [None])[0], self._knows(cookie_in(headers, COOKIE))
         why = self._refused(headers, scope, token, known)
         if why:
             await _refuse(scope, receive, send, why)
@@ -142,7 +142,7 @@ class Guarded:
                 access.on_joined(access)
 
     def _knows(self, secret: str | None) -> bool:
-        return secret is not None and any([_same(secret, device) for device in self._devices])
+        return secret is not None and any([is_same(secret, device) for device in self._devices])
 
     def _refused(self, headers: Headers, scope: Scope, token: str | None, known: bool) -> str:
         host = headers.get("host", "")
@@ -163,7 +163,8 @@ def _secret() -> str:
     return secrets.token_urlsafe(24)
 
 
-def _same(secret: str, expected: str) -> bool:
+def is_same(secret: str, expected: str) -> bool:
+    """Whether a secret is the expected one, in a time that says nothing of either."""
     return hmac.compare_digest(secret.encode(), expected.encode())
 
 
@@ -173,9 +174,10 @@ def _ahead(headers: Headers) -> bool:
     return any(word in header.lower() for header in purpose for word in ("prefetch", "prerender", "preview"))
 
 
-def _cookie(headers: Headers) -> str | None:
+def cookie_in(headers: Headers, name: str) -> str | None:
+    """Value of a cookie; None where there is none, or the header is damaged."""
     try:
-        morsel = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
+        morsel = SimpleCookie(headers.get("cookie", "")).get(name)
     except ValueError:
         return None
     return None if morsel is None else morsel.value

@@ -20,7 +20,6 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import anyio
 import numpy as np
 from numpy.typing import NDArray
 from starlette.applications import Starlette
@@ -40,10 +39,17 @@ from foten.studio.access import Access, Guarded
 from foten.studio.capture_server import CapturePage, TrainingQueue, why_not
 from foten.studio.levels import gains_db
 from foten.studio.live_contact import Contact
-from foten.studio.messages import MAX_EVENTS_PER_S, STROKE, Allowance, RefusedError, parse_events
+from foten.studio.messages import STROKE, RefusedError
 from foten.studio.players import OutputDevice, Player, RoundRobinRenderer
 from foten.studio.shelf import Shelf
-from foten.studio.websocket import MAX_MESSAGES_PER_S, BlockQueue, PageSocket, packed_block, pressure_calibration
+from foten.studio.websocket import (
+    MAX_MESSAGES_PER_S,
+    BlockQueue,
+    PageSocket,
+    packed_block,
+    pressure_calibration,
+    serve_page,
+)
 
 PAGE = Path(__file__).with_name("page")
 KERNEL = ("foten.mjs", "foten.wasm")
@@ -70,7 +76,7 @@ class Studio:
             "device": (output_device or OutputDevice()).player,
         }
         self.trainings = TrainingQueue(captures, shelf)
-        self.n_capturing = 0
+        self.capturing: set[CapturePage] = set()
         self._matching = asyncio.Lock()
         self.pages: set[StrokePage] = set()
         self.n_refused = 0
@@ -93,7 +99,7 @@ class Studio:
     async def _lifespan(self, _app: Starlette) -> AsyncIterator[None]:
         yield
         for page in list(self.pages):
-            await page.close()
+            await page.leave()
         await self.trainings.close()
 
     async def _textures(self, _request: Request) -> Response:
@@ -130,37 +136,13 @@ class Studio:
         return JSONResponse({"foten": __version__, "n_refused": self.n_refused, "pages": pages})
 
     async def _file(self, request: Request) -> Response:
-        # Looked up, not joined: a name with dots and slashes is none of these.
-        name = request.path_params["name"] or "index.html"
-        path = page_files().get(name)
-        if path is None:
-            return missing(f"there is no {name[:80]!r} here")
-        return FileResponse(path, media_type=content_type(path))
+        return page_file(page_files(), request.path_params["name"] or "index.html")
 
     async def _stroke(self, socket: WebSocket) -> None:
-        await socket.accept()
-        if len(self.pages) >= MAX_PAGES:
-            await socket.close(1013, f"{MAX_PAGES} pages stroke already: close one")
-            return
-        page = StrokePage(self, socket)
-        self.pages.add(page)
-        try:
-            await page.run()
-        finally:
-            with anyio.CancelScope(shield=True):  # a page that is lost in the middle of something frees its sound too
-                await page.close()
-            self.pages.discard(page)
+        await serve_page(socket, self.pages, MAX_PAGES, lambda socket: StrokePage(self, socket))
 
     async def _capture(self, socket: WebSocket) -> None:
-        await socket.accept()
-        if self.n_capturing >= MAX_CAPTURING:
-            await socket.close(1013, f"{MAX_CAPTURING} pages capture already: close one")
-            return
-        self.n_capturing += 1
-        try:
-            await CapturePage(socket, self.trainings).run()
-        finally:
-            self.n_capturing -= 1
+        await serve_page(socket, self.capturing, MAX_CAPTURING, lambda socket: CapturePage(socket, self.trainings))
 
 
 class StrokePage(PageSocket):
@@ -175,13 +157,13 @@ class StrokePage(PageSocket):
         self._opening: Contact | None = None  # that does not play yet
         self._calibration = PressureCalibration()
         self._texture, self._sink, self._rate_hz = "", "", 0.0
-        self._n_events, self._events = 0, Allowance(MAX_EVENTS_PER_S)
+        self._n_events = 0
 
     async def run(self) -> None:
         """Serve the page until it goes."""
         await self.converse(self._blocks.send(), self._send_state())
 
-    async def close(self) -> None:
+    async def leave(self) -> None:
         """End playing; a second time nothing happens."""
         contacts = self._contact, self._opening
         self._contact = self._opening = None
@@ -211,11 +193,9 @@ class StrokePage(PageSocket):
 
     async def take_bytes(self, data: bytes) -> None:
         """Take in events."""
-        events = parse_events(data)
+        events = self.events_in(data)
         if self._contact is None:
             raise RefusedError("events before a texture was opened")
-        if not self._events.take(len(events)):
-            raise RefusedError(f"more than {MAX_EVENTS_PER_S:g} events a second")
         self._contact.push(events)
         self._n_events += len(events)
 
@@ -227,7 +207,7 @@ class StrokePage(PageSocket):
         if kind == "open":
             await self._open(message)
         elif kind == "close":
-            await self.close()
+            await self.leave()
             await self.say({"closed": True})
         elif self._contact is None:
             raise RefusedError(f"{kind} before a texture was opened")
@@ -245,7 +225,7 @@ class StrokePage(PageSocket):
         sink = message.get("sink", "stream")
         rate_hz = float(message.get("rate_hz", SOUND_RATE_HZ))
         if self._contact is not None and (sink, rate_hz) != (self._sink, self._rate_hz):
-            await self.close()
+            await self.leave()
         try:
             data = await asyncio.to_thread(entry.path.read_bytes)
             contact = self._contact
@@ -255,7 +235,7 @@ class StrokePage(PageSocket):
             await asyncio.to_thread(contact.open, data, self._calibration)
             self._contact, self._opening = contact, None
         except (OSError, ValueError) as error:
-            await self.close()
+            await self.leave()
             raise RefusedError(f"{entry.key} cannot be played: {error}") from error
         self._texture, self._sink, self._rate_hz = entry.key, sink, rate_hz
         await self.say({"opened": entry.key, "sink": sink, "rate_hz": rate_hz})
@@ -289,18 +269,21 @@ class StrokePage(PageSocket):
                     await self.say({"refused": f"{self._texture} plays no more: {error}"})
 
 
-_TYPES = {".mjs": "text/javascript", ".js": "text/javascript", ".wasm": "application/wasm", ".html": "text/html"}
-
-
-def content_type(path: Path) -> str | None:
-    """Media type of a file, whatever this machine's registry says."""
-    return _TYPES.get(path.suffix) or mimetypes.guess_type(path.name)[0]
-
-
 def page_files() -> dict[str, Path]:
     """Files of the page by name, the kernel's among them."""
     files = {path.name: path for path in PAGE.iterdir() if path.is_file()}
     return files | {name: kernel_file(name) for name in KERNEL}
+
+
+_TYPES = {".mjs": "text/javascript", ".js": "text/javascript", ".wasm": "application/wasm", ".html": "text/html"}
+
+
+def page_file(files: Mapping[str, Path], name: str) -> Response:
+    """A file of a page, of the type that it has whatever this machine's registry says."""
+    path = files.get(name)  # looked up, not joined: a name with dots and slashes is none of these
+    if path is None:
+        return missing(f"there is no {name[:80]!r} here")
+    return FileResponse(path, media_type=_TYPES.get(path.suffix) or mimetypes.guess_type(name)[0])
 
 
 def missing(why: str) -> Response:

@@ -6,15 +6,24 @@ import asyncio
 import contextlib
 import json
 import struct
-from collections.abc import Coroutine, Mapping
-from typing import Any
+from collections.abc import Callable, Coroutine, Mapping
+from typing import Any, TypeVar
 
+import anyio
 import numpy as np
 from numpy.typing import NDArray
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from foten.runtime.stylus import PressureCalibration
-from foten.studio.messages import MAX_BYTES, Allowance, Protocol, RefusedError, parse_message
+from foten.studio.messages import (
+    MAX_BYTES,
+    MAX_EVENTS_PER_S,
+    Allowance,
+    Protocol,
+    RefusedError,
+    parse_events,
+    parse_message,
+)
 
 MAX_REFUSED = 1000  # messages of a page, after which it is sent away
 MAX_MESSAGES_PER_S = 1200.0  # a pen has at most a thousand events a second
@@ -33,7 +42,15 @@ class PageSocket:
 
     def __init__(self, socket: WebSocket, protocol: Protocol, max_messages_per_s: float = MAX_MESSAGES_PER_S) -> None:
         self.socket, self.n_refused = socket, 0
-        self._protocol, self._allowance = protocol, Allowance(max_messages_per_s)
+        self._protocol = protocol
+        self._messages, self._events = Allowance(max_messages_per_s), Allowance(MAX_EVENTS_PER_S)
+
+    async def run(self) -> None:
+        """Serve the page until it goes."""
+        await self.converse()
+
+    async def leave(self) -> None:
+        """Free what the page had; a second time nothing happens."""
 
     async def do(self, message: Mapping[str, Any]) -> None:
         """Do what a checked message asks for, or raise RefusedError."""
@@ -42,6 +59,13 @@ class PageSocket:
     async def take_bytes(self, data: bytes) -> None:
         """Take in at most `MAX_BYTES` bytes, or raise RefusedError."""
         raise RefusedError("this page sends text alone")
+
+    def events_in(self, data: bytes) -> NDArray[np.float64]:
+        """Events of a pen in bytes, shape (n, 4), or raise RefusedError."""
+        events = parse_events(data)
+        if not self._events.take(len(events)):
+            raise RefusedError(f"more than {MAX_EVENTS_PER_S:g} events a second")
+        return events
 
     async def refuse(self, why: str) -> None:
         """Say why a message was refused."""
@@ -74,8 +98,8 @@ class PageSocket:
 
     async def _take(self, received: Mapping[str, Any]) -> None:
         try:
-            if not self._allowance.take(1):
-                raise RefusedError(f"more than {self._allowance.per_s:g} messages a second")
+            if not self._messages.take(1):
+                raise RefusedError(f"more than {self._messages.per_s:g} messages a second")
             data = received.get("bytes")
             if data is None:
                 await self.do(parse_message(received.get("text") or "", self._protocol))
@@ -85,6 +109,25 @@ class PageSocket:
                 await self.take_bytes(data)
         except RefusedError as refused:
             await self.refuse(str(refused))
+
+
+P = TypeVar("P", bound=PageSocket)
+
+
+async def serve_page(socket: WebSocket, pages: set[P], max_pages: int, page_of: Callable[[WebSocket], P]) -> None:
+    """Serve a page beside others until it goes; with too many there, it is sent away."""
+    await socket.accept()
+    if len(pages) >= max_pages:
+        await socket.close(1013, f"{max_pages} pages are open already: close one")
+        return
+    page = page_of(socket)
+    pages.add(page)
+    try:
+        await page.run()
+    finally:
+        with anyio.CancelScope(shield=True):  # a page that is lost in the middle of something frees its sound too
+            await page.leave()
+        pages.discard(page)
 
 
 def pressure_calibration(message: Mapping[str, Any]) -> PressureCalibration:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -97,21 +97,17 @@ def null_rates(n: int, a: int, b: int) -> dict[str, float]:
     return {name: count / NULL_STUDIES for name, count in errors.items()}
 
 
+@dataclass
 class _Analysis:
-    def __init__(
-        self,
-        store: Store,
-        methods: list[str],
-        textures: list[str],
-        rows: list[dict[str, Any]],
-        every: Array,
-        complete: list[int],
-        y: Array,
-        reference: int | None,
-    ) -> None:
-        self.store, self.methods, self.textures, self.rows = store, methods, textures, rows
-        self.every, self.complete, self.y, self.reference = every, complete, y, reference
-        self.cautions: list[str] = []
+    store: Store
+    methods: list[str]
+    textures: list[str]
+    rows: list[dict[str, Any]]
+    ratings: Array  # (participants, methods, textures), NaN where there is none
+    complete: list[int]
+    y: Array  # of those who rated everything
+    reference: int | None
+    cautions: list[str] = field(default_factory=list)
 
     def result(self) -> Result:
         y, n = self.y, len(self.complete)
@@ -128,7 +124,7 @@ class _Analysis:
             "title": self.store.study["title"],
             "simulated": self.store.simulated,
             "software": self.store.study["software"],
-            "participants": {"began": len(self.every), "complete": n, "numbers": self.complete},
+            "participants": {"began": len(self.ratings), "complete": n, "numbers": self.complete},
             "means": self._means(),
             "null_rates": rates,
             "anova_one_way": [_effect(effect) for effect in one_way],
@@ -163,7 +159,7 @@ class _Analysis:
             self.methods,
             self.textures,
             self.rows,
-            self.every,
+            self.ratings,
             self.complete,
             self.store.answers(),
             self.store.abouts(),
@@ -176,7 +172,7 @@ class _Analysis:
         means = []
         for m, method in enumerate(self.methods):
             of_method: dict[str | None, Array] = {
-                texture: self.every[:, m, t] for t, texture in enumerate(self.textures)
+                texture: self.ratings[:, m, t] for t, texture in enumerate(self.textures)
             }
             of_method[None] = self.y[:, m].mean(-1)  # of all textures
             for texture, ratings in of_method.items():
@@ -199,9 +195,9 @@ class _Analysis:
         ]
 
     def _mixed(self) -> dict[str, Any] | None:
-        index = np.nonzero(np.isfinite(self.every))
+        index = np.nonzero(np.isfinite(self.ratings))
         try:
-            model = mixed_model(index[0], index[1], index[2], self.every[index])
+            model = mixed_model(index[0], index[1], index[2], self.ratings[index])
         except (ValueError, np.linalg.LinAlgError) as error:
             self.cautions.append(f"no mixed model could be fitted: {error}")
             return None
@@ -221,7 +217,7 @@ class _Analysis:
         }
 
     def _caution(self, effects: Sequence[Effect], rates: dict[str, float], with_others: Array) -> None:
-        n, began = len(self.complete), len(self.every)
+        n, began = len(self.complete), len(self.ratings)
         if self.store.simulated:
             self.cautions.append("these ratings are of a model of raters, and not of people")
         if n < began:

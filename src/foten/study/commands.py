@@ -26,6 +26,9 @@ Database = Annotated[
     Path, Argument(metavar="STUDY.db", help="The ratings of a study, as 'foten study run' keeps them.")
 ]
 Participant = Annotated[int, Option("--participant", min=1, help="Number of the participant.")]
+TrialNumber = Annotated[int, Option("--trial", help="Number of the trial.")]
+Sd = Annotated[float, Option(min=0.1, help="Standard deviation of ratings between raters (points).")]
+Correlation = Annotated[float, Option(min=0, max=0.99, help="Between two ratings of one rater.")]
 
 
 @app.command()
@@ -198,8 +201,8 @@ def simulate(
         float, Option(help="Points of the scale that one method is better by, to the raters.")
     ] = 10.0,
     better: Annotated[str | None, Option(metavar="METHOD", help="That is better; by default the last.")] = None,
-    sd: Annotated[float, Option(min=0.1, help="Standard deviation of ratings between raters (points).")] = 10.67,
-    correlation: Annotated[float, Option(min=0, max=0.99, help="Between two ratings of one rater.")] = 0.3,
+    sd: Sd = 10.67,
+    correlation: Correlation = 0.3,
     missing: Annotated[float, Option(min=0, max=0.9, help="Share of raters who leave before their end.")] = 0.0,
     seed: Annotated[int, Option(min=0, help="Of what the raters answer.")] = 0,
 ) -> None:
@@ -236,8 +239,8 @@ def power(
         float | None,
         Option(help="Points that the last method is better by; by default the paper's effects where there are 4 × 12."),
     ] = None,
-    sd: Annotated[float, Option(min=0.1, help="Standard deviation of ratings between raters (points).")] = 10.67,
-    correlation: Annotated[float, Option(min=0, max=0.99, help="Between two ratings of one rater.")] = 0.3,
+    sd: Sd = 10.67,
+    correlation: Correlation = 0.3,
     studies: Annotated[int, Option(min=50, help="That are simulated for each number of participants.")] = 500,
     seed: Annotated[int, Option(min=0, help="Of the simulation.")] = 0,
     as_json: JsonOption = False,
@@ -303,7 +306,7 @@ def analyze(
 def strokes(
     database: Database,
     participant: Participant,
-    trial: Annotated[int, Option(help="Number of the trial.")],
+    trial: TrialNumber,
     output: Annotated[Path, Option("-o", "--output", metavar="S.csv", help="The table to write: t, x, y, pressure.")],
 ) -> None:
     """Write how a participant stroked the virtual surface in a trial, as 'foten render --stroke' reads it.
@@ -330,7 +333,7 @@ def strokes(
 def correct(
     database: Database,
     participant: Participant,
-    trial: Annotated[int, Option(help="Number of the trial.")],
+    trial: TrialNumber,
     rating: Annotated[float, Option(help="What was meant, 0 to 100.")],
     reason: Annotated[str, Option(help="Why; kept with the correction.")],
 ) -> None:

@@ -23,15 +23,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from foten.runtime.live.devices import SOUND_RATE_HZ
 from foten.runtime.stylus import PressureCalibration
-from foten.studio.messages import (
-    CALIBRATION,
-    MAX_EVENTS_PER_S,
-    PLAYING_FIELDS,
-    Allowance,
-    Protocol,
-    RefusedError,
-    parse_events,
-)
+from foten.studio.messages import CALIBRATION, PLAYING_FIELDS, Protocol, RefusedError
 from foten.studio.websocket import BlockQueue, PageSocket, pressure_calibration
 from foten.study.session import NotYetError, Session
 
@@ -70,7 +62,6 @@ class ParticipantPage(PageSocket):
         self.blocks = BlockQueue(socket)
         self.role, self.rate_hz, self.volume_db = "all", SOUND_RATE_HZ, 0.0
         self.calibration = PressureCalibration()
-        self._events = Allowance(MAX_EVENTS_PER_S)
 
     @property
     def strokes(self) -> bool:
@@ -89,11 +80,9 @@ class ParticipantPage(PageSocket):
 
     async def take_bytes(self, data: bytes) -> None:
         """Take in events."""
-        events = parse_events(data)
+        events = self.events_in(data)
         if self._session is None or not self.strokes:
             raise RefusedError("events of a page that does not stroke")
-        if not self._events.take(len(events)):
-            raise RefusedError(f"more than {MAX_EVENTS_PER_S:g} events a second")
         await self._session.push(self, events)
 
     async def do(self, message: Mapping[str, Any]) -> None:

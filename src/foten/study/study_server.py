@@ -11,28 +11,27 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import hmac
 import io
 import secrets
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
-from http.cookies import SimpleCookie
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
-import anyio
 from starlette.applications import Starlette
+from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.responses import FileResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket
 
-from foten.studio.access import Access, Guarded
+from foten.studio.access import Access, Guarded, cookie_in, is_same
 from foten.studio.messages import RefusedError
 from foten.studio.players import OutputDevice, Player, RoundRobinRenderer
-from foten.studio.studio_server import content_type, missing, page_files
+from foten.studio.studio_server import missing, page_file, page_files
+from foten.studio.websocket import serve_page
 from foten.study.design import Design
 from foten.study.operator_page import OperatorPage
 from foten.study.participant_page import ParticipantPage
@@ -66,6 +65,7 @@ class StudyServer:
         self.link: Callable[[str], str] = lambda query: f"/?{query}"  # by which the next device comes in
         self.sessions: dict[int, Session] = {}
         self.pages: set[ParticipantPage] = set()
+        self.operators: set[OperatorPage] = set()
         # One thread: SQLite waits for the disk, which the sound must not.
         self.disk = ThreadPoolExecutor(1, thread_name_prefix="foten-store")
         for code, number in store.codes().items():
@@ -100,7 +100,7 @@ class StudyServer:
     def by_code(self, code: str) -> Session:
         """Session that a code names, or raise RefusedError."""
         for session in self.sessions.values():
-            if hmac.compare_digest(session.code.encode(), code.strip().upper().encode()):
+            if is_same(code.strip().upper(), session.code):
                 return session
         raise RefusedError("there is no such code; the operator's page shows it")
 
@@ -124,11 +124,7 @@ class StudyServer:
         self.disk.shutdown()
 
     async def _file(self, request: Request) -> Response:
-        name = request.path_params["name"] or "study.html"
-        path = study_files().get(name)
-        if path is None or name == OPERATOR_PAGE:
-            return missing(f"there is no {name[:80]!r} here")
-        return FileResponse(path, media_type=content_type(path))
+        return page_file(study_files(), request.path_params["name"] or "study.html")
 
     async def _picture(self, request: Request) -> Response:
         number = request.path_params["number"]
@@ -139,12 +135,12 @@ class StudyServer:
 
     async def _operator(self, request: Request) -> Response:
         key = request.query_params.get("key")
-        if key is not None and hmac.compare_digest(key.encode(), self.operator_key.encode()):
+        if key is not None and is_same(key, self.operator_key):
             moved = RedirectResponse("/operator", status_code=303)
             secure = request.url.scheme == "https"
             moved.set_cookie(OPERATOR_COOKIE, self.operator_key, httponly=True, samesite="lax", secure=secure)
             return moved
-        if not self._is_operator(request.headers.get("cookie", "")):
+        if not self._is_operator(request.headers):
             return PlainTextResponse(
                 "this page is the operator's: open the link that the server printed\n", status_code=403
             )
@@ -152,7 +148,7 @@ class StudyServer:
 
     async def _code(self, request: Request) -> Response:
         """A code to scan, which opens a participant's page."""
-        if not self._is_operator(request.headers.get("cookie", "")):
+        if not self._is_operator(request.headers):
             return missing("this is the operator's")
         import segno
 
@@ -167,36 +163,21 @@ class StudyServer:
         segno.make(self.link(urlencode(query)), error="l").save(drawn, kind="svg", scale=8, border=2)
         return Response(drawn.getvalue(), media_type="image/svg+xml")
 
-    def _is_operator(self, cookies: str) -> bool:
-        try:
-            morsel = SimpleCookie(cookies).get(OPERATOR_COOKIE)
-        except ValueError:
-            return False
-        return morsel is not None and hmac.compare_digest(morsel.value.encode(), self.operator_key.encode())
+    def _is_operator(self, headers: Headers) -> bool:
+        return is_same(cookie_in(headers, OPERATOR_COOKIE) or "", self.operator_key)
 
     async def _serve_page(self, socket: WebSocket) -> None:
-        await socket.accept()
-        if len(self.pages) >= MAX_PAGES:
-            await socket.close(1013, f"{MAX_PAGES} pages are open already: close one")
-            return
-        page = ParticipantPage(self, socket)
-        self.pages.add(page)
-        try:
-            await page.run()
-        finally:
-            with anyio.CancelScope(shield=True):
-                await page.leave()
-            self.pages.discard(page)
+        await serve_page(socket, self.pages, MAX_PAGES, lambda socket: ParticipantPage(self, socket))
 
     async def _serve_operator(self, socket: WebSocket) -> None:
-        if not self._is_operator(socket.headers.get("cookie", "")):
+        if self._is_operator(socket.headers):
+            await serve_page(socket, self.operators, MAX_PAGES, lambda socket: OperatorPage(self, socket))
+        else:
             await socket.close(1008, "this is the operator's")
-            return
-        await socket.accept()
-        await OperatorPage(self, socket).run()
 
 
 def study_files() -> dict[str, Path]:
-    """Files of the study's pages by name."""
+    """Files of the participants' page by name."""
     shared = page_files()
-    return {path.name: path for path in PAGES.iterdir() if path.is_file()} | {name: shared[name] for name in SHARED}
+    files = {path.name: path for path in PAGES.iterdir() if path.is_file() and path.name != OPERATOR_PAGE}
+    return files | {name: shared[name] for name in SHARED}
