@@ -24,10 +24,10 @@ class About:
 
     @classmethod
     def of(cls, message: Mapping[str, Any]) -> About:
-        """Return what a checked `begin` says."""
+        """`About` of a checked message `begin`."""
         return cls(**{name: value for name, value in message.items() if name != "do"})
 
 
 def file_name(name: str) -> str:
-    """Return a texture's name as a file's: `Old denim, washed` → `old-denim-washed`."""
+    """A texture's name as a file's: `Old denim, washed` → `old-denim-washed`."""
     return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:60] or "surface"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from foten.study.statistics import (
     Array,
     Effect,
     Paired,
+    SignedRank,
     anova,
     friedman,
     mixed_model,
@@ -30,18 +31,26 @@ MAX_RATINGS = 1_000_000  # of null studies in memory
 
 
 @dataclass(frozen=True)
-class Result:
-    """Numbers and sentences of a study."""
+class Ratings:
+    """Ratings of a study, and what participants answered beside them."""
 
     title: str
     simulated: bool
+    software: str  # version of foten that made the study
     methods: list[str]
     textures: list[str]
-    rows: list[dict[str, Any]]  # the ratings in long form
-    ratings: Array  # (participants, methods, textures), NaN where there is none
+    rows: list[dict[str, Any]]  # in long form
+    values: Array  # (participants, methods, textures), NaN where there is none
     complete: list[int]  # numbers of the participants who rated everything
     answers: list[dict[str, Any]]  # to the questions that are not private, by participant
     abouts: list[dict[str, Any]]  # to the private ones, without numbers
+
+
+@dataclass(frozen=True)
+class Result:
+    """Numbers and sentences of a study."""
+
+    ratings: Ratings
     document: dict[str, Any]  # every number
     sentences: list[str]  # ready for a paper
     cautions: list[str]
@@ -58,23 +67,27 @@ def analyse(store: Store, reference: str | None = None) -> Result:
     Raises:
         ValueError: there are fewer than three participants who rated everything, or the reference is no method.
     """
-    stimuli = store.stimuli()
+    ratings = read_ratings(store)
+    if reference is not None and reference not in ratings.methods:
+        raise ValueError(f"the reference is {reference!r}, expected one of {', '.join(ratings.methods)}")
+    if len(ratings.complete) < 3:
+        many = f"{len(ratings.complete)} participants have rated everything, of {len(ratings.values)} who began"
+        raise ValueError(f"{many}: expected three or more; foten study status says who is where")
+    return _Analysis(ratings, None if reference is None else ratings.methods.index(reference)).result()
+
+
+def read_ratings(store: Store) -> Ratings:
+    """Ratings in a database."""
+    stimuli, rows = store.stimuli(), store.ratings()
     textures = [stimuli[t, 0].texture_key for t in range(1 + max(t for t, _ in stimuli))]
     methods = [stimuli[0, m].method_key for m in range(1 + max(m for _, m in stimuli))]
-    if reference is not None and reference not in methods:
-        raise ValueError(f"the reference is {reference!r}, expected one of {', '.join(methods)}")
-    rows = store.ratings()
     numbers = sorted({row["participant"] for row in rows})
-    every = np.full((len(numbers), len(methods), len(textures)), np.nan)
+    values = np.full((len(numbers), len(methods), len(textures)), np.nan)
     for row in rows:
-        every[numbers.index(row["participant"]), row["method"], row["texture"]] = row["rating"]
-    is_complete = np.isfinite(every).all((1, 2))
-    complete = [number for number, all_rated in zip(numbers, is_complete, strict=True) if all_rated]
-    if len(complete) < 3:
-        many = f"{len(complete)} participants have rated everything, of {len(numbers)} who began"
-        raise ValueError(f"{many}: expected three or more; foten study status says who is where")
-    chosen = None if reference is None else methods.index(reference)
-    return _Analysis(store, methods, textures, rows, every, complete, every[is_complete], chosen).result()
+        values[numbers.index(row["participant"]), row["method"], row["texture"]] = row["rating"]
+    complete = [number for number, ratings in zip(numbers, values, strict=True) if np.isfinite(ratings).all()]
+    study = str(store.study["title"]), store.simulated, str(store.study["software"])
+    return Ratings(*study, methods, textures, rows, values, complete, store.answers(), store.abouts())
 
 
 def null_rates(n: int, a: int, b: int) -> dict[str, float]:
@@ -97,53 +110,39 @@ def null_rates(n: int, a: int, b: int) -> dict[str, float]:
     return {name: count / NULL_STUDIES for name, count in errors.items()}
 
 
-@dataclass
 class _Analysis:
-    store: Store
-    methods: list[str]
-    textures: list[str]
-    rows: list[dict[str, Any]]
-    ratings: Array  # (participants, methods, textures), NaN where there is none
-    complete: list[int]
-    y: Array  # of those who rated everything
-    reference: int | None
-    cautions: list[str] = field(default_factory=list)
+    def __init__(self, ratings: Ratings, reference: int | None) -> None:
+        self.ratings, self.values, self.reference = ratings, ratings.values, reference
+        self.methods, self.textures, self.complete = ratings.methods, ratings.textures, ratings.complete
+        self.y = self.values[np.isfinite(self.values).all((1, 2))]  # of those who rated everything
+        self.cautions: list[str] = []
 
     def result(self) -> Result:
         y, n = self.y, len(self.complete)
         by_participant = y.mean(-1)  # as in Sec. VII, averaged across textures
         one_way = anova(by_participant, ("method",))
         two_way = anova(y) if len(self.textures) > 1 else []
-        overall = paired_tests(by_participant, self.reference)
         within = [paired_tests(y[..., t], self.reference) for t in range(len(self.textures))]
         ranks = friedman(by_participant)
-        signed = wilcoxon_tests(by_participant, self.reference)
         agreement = reliability(y.reshape(n, -1))
         rates = null_rates(n, len(self.methods), len(self.textures))
         document: dict[str, Any] = {
-            "title": self.store.study["title"],
-            "simulated": self.store.simulated,
-            "software": self.store.study["software"],
-            "participants": {"began": len(self.ratings), "complete": n, "numbers": self.complete},
+            "title": self.ratings.title,
+            "simulated": self.ratings.simulated,
+            "software": self.ratings.software,
+            "participants": {"began": len(self.values), "complete": n, "numbers": self.complete},
             "means": self._means(),
             "null_rates": rates,
             "anova_one_way": [_effect(effect) for effect in one_way],
             "anova_two_way": [_effect(effect) for effect in two_way],
-            "pairs_overall": self._pairs(overall),
+            "pairs_overall": self._pairs(paired_tests(by_participant, self.reference)),
             "pairs_within_textures": {
                 key: self._pairs(tests) for key, tests in zip(self.textures, within, strict=True)
             },
             "friedman": {"chi2": _or_none(ranks.chi2), "df": ranks.df, "p": _or_none(ranks.p), "w": _or_none(ranks.w)},
-            "wilcoxon": [
-                {
-                    "pair": [self.methods[i], self.methods[j]],
-                    "w": _or_none(signed.w[k]),
-                    "p": float(signed.p[k]),
-                    "p_holm": float(signed.p_holm[k]),
-                    "rank_biserial": float(signed.rank_biserial[k]),
-                }
-                for k, (i, j) in enumerate(signed.pairs)
-            ],
+            "wilcoxon": self._by_pair(
+                wilcoxon_tests(by_participant, self.reference), "w", "p", "p_holm", "rank_biserial"
+            ),
             "mixed_model": self._mixed(),
             "reliability": {
                 "icc_single": _or_none(agreement.single),
@@ -152,27 +151,13 @@ class _Analysis:
             },
         }
         self._caution(two_way or one_way, rates, agreement.with_others)
-        sentences = self._sentences(one_way, two_way, within, document)
-        return Result(
-            self.store.study["title"],
-            self.store.simulated,
-            self.methods,
-            self.textures,
-            self.rows,
-            self.ratings,
-            self.complete,
-            self.store.answers(),
-            self.store.abouts(),
-            document,
-            sentences,
-            self.cautions,
-        )
+        return Result(self.ratings, document, self._sentences(one_way, two_way, within, document), self.cautions)
 
     def _means(self) -> list[dict[str, Any]]:
         means = []
         for m, method in enumerate(self.methods):
             of_method: dict[str | None, Array] = {
-                texture: self.ratings[:, m, t] for t, texture in enumerate(self.textures)
+                texture: self.values[:, m, t] for t, texture in enumerate(self.textures)
             }
             of_method[None] = self.y[:, m].mean(-1)  # of all textures
             for texture, ratings in of_method.items():
@@ -183,21 +168,23 @@ class _Analysis:
         return means
 
     def _pairs(self, tests: Paired) -> list[dict[str, Any]]:
-        names = ("difference", "t", "p", "p_bonferroni", "p_holm", "dz", "d_av")
+        rows = self._by_pair(tests, "difference", "t", "p", "p_bonferroni", "p_holm", "dz", "d_av")
+        ends = zip(tests.low, tests.high, strict=True)
         return [
-            {
-                "pair": [self.methods[i], self.methods[j]],
-                **{name: _or_none(getattr(tests, name)[k]) for name in names},
-                "ci95": [_or_none(tests.low[k]), _or_none(tests.high[k])],
-                "df": tests.df,
-            }
+            {**row, "ci95": [_or_none(low), _or_none(high)], "df": tests.df}
+            for row, (low, high) in zip(rows, ends, strict=True)
+        ]
+
+    def _by_pair(self, tests: Paired | SignedRank, *names: str) -> list[dict[str, Any]]:
+        return [
+            {"pair": [self.methods[i], self.methods[j]], **{name: _or_none(getattr(tests, name)[k]) for name in names}}
             for k, (i, j) in enumerate(tests.pairs)
         ]
 
     def _mixed(self) -> dict[str, Any] | None:
-        index = np.nonzero(np.isfinite(self.ratings))
+        index = np.nonzero(np.isfinite(self.values))
         try:
-            model = mixed_model(index[0], index[1], index[2], self.ratings[index])
+            model = mixed_model(index[0], index[1], index[2], self.values[index])
         except (ValueError, np.linalg.LinAlgError) as error:
             self.cautions.append(f"no mixed model could be fitted: {error}")
             return None
@@ -217,8 +204,8 @@ class _Analysis:
         }
 
     def _caution(self, effects: Sequence[Effect], rates: dict[str, float], with_others: Array) -> None:
-        n, began = len(self.complete), len(self.ratings)
-        if self.store.simulated:
+        n, began = len(self.complete), len(self.values)
+        if self.ratings.simulated:
             self.cautions.append("these ratings are of a model of raters, and not of people")
         if n < began:
             self.cautions.append(
@@ -240,11 +227,11 @@ class _Analysis:
                 f"{who}: correlation with the others below {MIN_RELIABILITY:g}; look at these ratings; leaving them out needs a "
                 "reason that was set before"
             )
-        corrected = sum(row["corrected"] for row in self.rows)
+        corrected = sum(row["corrected"] for row in self.ratings.rows)
         if corrected:
             were = "rating was" if corrected == 1 else "ratings were"
             self.cautions.append(f"{corrected} {were} corrected by hand; the log of the study says which")
-        under = sum(1 for row in self.rows if row["measured"].get("n_underruns"))
+        under = sum(1 for row in self.ratings.rows if row["measured"].get("n_underruns"))
         if under:
             self.cautions.append(f"in {under} {'trial' if under == 1 else 'trials'} the sound had under-runs")
 
@@ -252,7 +239,7 @@ class _Analysis:
         self, one_way: Sequence[Effect], two_way: Sequence[Effect], within: Sequence[Paired], document: dict[str, Any]
     ) -> list[str]:
         n = len(self.complete)
-        who = "simulated raters" if self.store.simulated else "participants"
+        who = "simulated raters" if self.ratings.simulated else "participants"
         overall = {row["method"]: row for row in document["means"] if row["texture"] is None}
         best = max(self.methods, key=lambda method: overall[method]["mean"])
         b = len(self.textures)

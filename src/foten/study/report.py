@@ -85,7 +85,7 @@ def write_report(result: Result, folder: Path) -> list[Path]:
 def _long(result: Result) -> list[Sequence[Any]]:
     columns = [name for name, _, _ in DICTIONARY]
     rows: list[Sequence[Any]] = [columns]
-    for row in result.rows:
+    for row in result.ratings.rows:
         cells = {**row["measured"], **row, "texture": row["texture_key"], "method": row["method_key"]}
         cells["corrected"] = int(row["corrected"])
         rows.append([_cell(cells.get(name)) for name in columns])
@@ -94,12 +94,12 @@ def _long(result: Result) -> list[Sequence[Any]]:
 
 def _wide(result: Result) -> list[Sequence[Any]]:
     """A row for each participant, as JASP and jamovi want repeated measures; a missing rating is an empty cell."""
-    numbers = sorted({row["participant"] for row in result.rows})
-    names = [f"{method}.{texture}" for method in result.methods for texture in result.textures]
-    rows: list[Sequence[Any]] = [("participant", *(["simulated"] if result.simulated else []), *names)]
-    for number, ratings in zip(numbers, result.ratings, strict=True):
+    numbers = sorted({row["participant"] for row in result.ratings.rows})
+    names = [f"{method}.{texture}" for method in result.ratings.methods for texture in result.ratings.textures]
+    rows: list[Sequence[Any]] = [("participant", *(["simulated"] if result.ratings.simulated else []), *names)]
+    for number, ratings in zip(numbers, result.ratings.values, strict=True):
         cells = ["" if value != value else f"{value:g}" for value in ratings.reshape(-1)]
-        rows.append([number, *([1] if result.simulated else []), *cells])
+        rows.append([number, *([1] if result.ratings.simulated else []), *cells])
     return rows
 
 
@@ -110,14 +110,14 @@ def _pairs(result: Result) -> list[Sequence[Any]]:
     for texture, tests in of.items():
         for test in tests:
             cells = [_cell(value) for value in (*(test[name] for name in names), *test["ci95"])]
-            rows.append([texture, *test["pair"], *cells, int(result.simulated)])
+            rows.append([texture, *test["pair"], *cells, int(result.ratings.simulated)])
     return rows
 
 
 def _answers(result: Result) -> list[Sequence[Any]]:
     names = ("participant", "question", "answer", "at")
     rows: list[Sequence[Any]] = [(*names, "simulated")]
-    rows += [[*(answer[name] for name in names), int(result.simulated)] for answer in result.answers]
+    rows += [[*(answer[name] for name in names), int(result.ratings.simulated)] for answer in result.ratings.answers]
     return rows
 
 
@@ -128,10 +128,10 @@ def _participants(result: Result) -> list[Sequence[Any]]:
         numbers = _numbers(answers)
         if numbers is not None:
             summary = [_cell(statistics.fmean(numbers)), _cell(_sd(numbers)), "", ""]
-            rows.append([question, len(answers), *summary, int(result.simulated)])
+            rows.append([question, len(answers), *summary, int(result.ratings.simulated)])
             continue
         for answer, count in Counter(answers).most_common():
-            rows.append([question, len(answers), "", "", answer, count, int(result.simulated)])
+            rows.append([question, len(answers), "", "", answer, count, int(result.ratings.simulated)])
     return rows
 
 
@@ -154,7 +154,7 @@ def _participants_paragraph(result: Result) -> str:
 def _by_question(result: Result) -> dict[str, list[str]]:
     """Answers to the private questions; a question that was passed over has none."""
     answers: dict[str, list[str]] = {}
-    for row in result.abouts:
+    for row in result.ratings.abouts:
         if answer := " ".join(str(row["answer"]).split()):
             answers.setdefault(row["question"], []).append(answer)
     return answers
@@ -188,7 +188,7 @@ class _Table:
 
 
 def _tables(result: Result) -> list[_Table]:
-    document, several = result.document, len(result.textures) > 1
+    document, several = result.document, len(result.ratings.textures) > 1
     across = ", averaged across textures" if several else ""
     tables = [_means(document["means"]), _analyses_of_variance(document, several)]
     overall = document["pairs_overall"]
@@ -287,13 +287,13 @@ def _short(value: float | None) -> str:
 
 def _html(result: Result, svgs: dict[str, str]) -> str:
     esc = html.escape
-    parts = [f"<h1>{esc(result.title)}</h1>"]
-    if result.simulated:
+    parts = [f"<h1>{esc(result.ratings.title)}</h1>"]
+    if result.ratings.simulated:
         parts.append(f'<p class="mark">{esc(MARK)}</p>')
     parts += [
         f'<p class="note">{esc(caution)}</p>'
         for caution in result.cautions
-        if not (result.simulated and "model of raters" in caution)
+        if not (result.ratings.simulated and "model of raters" in caution)
     ]
     parts.append(f"<h2>Ratings by method and texture</h2><figure>{_inline(svgs['ratings'])}</figure>")
     parts.append("<h2>In words</h2>")
@@ -308,9 +308,7 @@ def _html(result: Result, svgs: dict[str, str]) -> str:
     parts.append(f"<h2>Each texture</h2><figure>{_inline(svgs['textures'])}</figure>")
     parts.append("<p>ratings.csv beside this page holds every rating; dictionary.csv says what its columns mean.</p>")
     body = "\n".join(parts)
-    head = (
-        f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{esc(result.title)}</title>'
-    )
+    head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{esc(result.ratings.title)}</title>'
     style = STYLE.read_text(encoding="utf-8")
     page = f'<html lang="en"><head>{head}<style>{style}</style></head>\n<body><main>\n{body}\n</main></body></html>'
     return f"<!doctype html>\n{page}\n"
@@ -334,8 +332,8 @@ def _html_table(rows: Sequence[Sequence[str]]) -> str:
 
 
 def _markdown(result: Result) -> str:
-    parts = [f"# {result.title}"]
-    if result.simulated:
+    parts = [f"# {result.ratings.title}"]
+    if result.ratings.simulated:
         parts.append(f"**{MARK}**")
     parts += [f"> {caution}" for caution in result.cautions]
     parts += ["![Ratings by method and texture](ratings.png)", *result.sentences]
