@@ -270,6 +270,7 @@ def test_the_pages_are_accessible_and_look_as_the_screenshots_show(
     width, height = SIZES[size]
     context = browser.new_context(viewport={"width": width, "height": height}, color_scheme="dark" if dark else "light")
     violations: list[Any] = []
+    context.on("weberror", lambda failed: violations.append(str(failed.error)))
 
     def check(page: Any, name: str) -> None:
         page.wait_for_timeout(250)
@@ -296,6 +297,7 @@ def test_the_pages_are_accessible_and_look_as_the_screenshots_show(
         other.wait_for_selector("#people li")
         check(other, "operator")
         other.click("[data-what=Code]")
+        other.wait_for_selector("#invite[open] img")
         check(other, "code")
         page.fill(".scale input", "64")
         check(page, "rated")

@@ -90,7 +90,7 @@ function invite({ started, code, screens }) {
   const roles = (screens ?? 1) > 1 ? [["stroke", "Tablet to stroke on"], ["answer", "Screen to answer on"]] : [["all", ""]];
   $("invite-codes").replaceChildren(
     ...roles.map(([role, name]) => {
-      const figure = document.createElement("figure"), image = Object.assign(new Image(), { src: `codes/${code}.svg?role=${role}&at=${Date.now()}`, alt: `Code to scan for participant ${begun}` });
+      const figure = document.createElement("figure"), image = Object.assign(new Image(), { src: `codes/${code}.svg?role=${role}&at=${Date.now()}`, alt: `Code to scan for participant ${started}` });
       const caption = Object.assign(document.createElement("figcaption"), { textContent: name });
       figure.append(image, caption);
       return figure;
