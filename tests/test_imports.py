@@ -35,8 +35,9 @@ MAY_IMPORT: dict[str, set[str]] = {
     "evaluate": {"dsp", "recording", "models", "runtime", "reporting"},
     "export": {"dsp", "models", "runtime"},
     "simulation": {"dsp", "recording"},
-    "study": set(),
-    "studio": {"recording", "models", "runtime", "export", "study"},
+    "console": set(),
+    "studio": {"recording", "models", "runtime", "export"},
+    "study": {"studio", "models", "runtime", "export", "console"},
 }
 FOR_ALL = {"atomic_write", "untrusted"}
 EVERYTHING = {"experiments", "cli", ""}  # the last is the package itself, whose names are looked up lazily
@@ -109,6 +110,13 @@ def imported_at_once(module: str) -> Iterator[str]:
 
 def of_project(modules: Iterator[str]) -> set[str]:
     return {package(name) for name in modules if name.startswith("foten.")}
+
+
+def test_of_the_command_line_alone_the_study_is_known() -> None:
+    assert {package(module) for module in MODULES if "study" in of_project(imported(source(module)))} == {
+        "study",
+        "cli",
+    }
 
 
 def test_every_package_has_its_row() -> None:

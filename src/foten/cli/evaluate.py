@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
-from foten.cli.console import JsonOption, TextureFile, check_folder, print_result, say, write_json
+from foten.console import JsonOption, TextureFile, check_folder, print_result, say, write_json
 
 if TYPE_CHECKING:
     from foten.models.texture_file import Texture

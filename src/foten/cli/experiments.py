@@ -9,7 +9,7 @@ from typing import Annotated
 from typer import Argument, Exit, Option
 
 from foten.atomic_write import atomic_write
-from foten.cli.console import JsonOption, check_folder, folder_option, print_result, say
+from foten.console import JsonOption, check_folder, folder_option, print_result, say
 
 ResultsFolder = Annotated[Path, Argument(metavar="DIR", help="Results of foten sweep.")]
 MixedOption = Annotated[

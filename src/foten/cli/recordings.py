@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Exit, Option
 
-from foten.cli.console import (
+from foten.console import (
     JsonOption,
     RecordingFile,
     check_folder,

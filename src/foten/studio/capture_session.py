@@ -13,13 +13,13 @@ from foten.atomic_write import atomic_write
 from foten.recording.capture_folder import ABOUT, PEN, SOUND, About, file_name
 from foten.studio.messages import RefusedError
 
-LONGEST_S = 300.0
-MOST_PEN_EVENTS = 2000 * int(LONGEST_S)
-MOST_BACK_S, MOST_LATE = 0.1, 0.01  # of an event, in time; of all events: with more the pen has no clock
+MAX_CAPTURE_S = 300.0
+MAX_PEN_EVENTS = 2000 * int(MAX_CAPTURE_S)
+MAX_BACK_S, MAX_LATE_SHARE = 0.1, 0.01  # of an event, in time; of all events: with more the pen has no clock
 
 
-class Capture:
-    """A sound and events as they come in, until they are written."""
+class CaptureSession:
+    """Sound and events as they come in, until they are written."""
 
     def __init__(self, about: About) -> None:
         self.about = about
@@ -30,17 +30,17 @@ class Capture:
 
     @property
     def seconds(self) -> float:
-        """Return how long the sound is."""
+        """Duration of the sound [s]."""
         return self._n_samples / self.about.rate_hz
 
     def add_sound(self, samples: NDArray[np.float32]) -> None:
         """Take in the next samples, of which full scale is 1.
 
         Raises:
-            RefusedError: it is longer than `LONGEST_S`.
+            RefusedError: it is longer than `MAX_CAPTURE_S`.
         """
-        if self._n_samples + samples.size > LONGEST_S * self.about.rate_hz:
-            raise RefusedError(f"the capture is longer than {LONGEST_S:g} s")
+        if self._n_samples + samples.size > MAX_CAPTURE_S * self.about.rate_hz:
+            raise RefusedError(f"the capture is longer than {MAX_CAPTURE_S:g} s")
         self._sound.append(samples)
         self._n_samples += samples.size
 
@@ -48,26 +48,26 @@ class Capture:
         """Take in the next events: x, y [mm], pressure, t [s], shape (n, 4); for those that come late see `in_order`.
 
         Raises:
-            RefusedError: there are too many, or one is more than `MOST_BACK_S` back in time.
+            RefusedError: there are too many, or an event is more than `MAX_BACK_S` back in time.
         """
-        if self._n_events + len(events) > MOST_PEN_EVENTS:
-            raise RefusedError(f"the capture has more than {MOST_PEN_EVENTS} events")
+        if self._n_events + len(events) > MAX_PEN_EVENTS:
+            raise RefusedError(f"the capture has more than {MAX_PEN_EVENTS} events")
         latest_s = np.maximum.accumulate(np.append(self._latest_s, events[:, 3]))
         back_s = float((latest_s[1:] - events[:, 3]).max())
-        if back_s > MOST_BACK_S:
+        if back_s > MAX_BACK_S:
             raise RefusedError(
                 f"the events are not in the order of their times: one is {1000 * back_s:.0f} ms back, "
-                f"expected {1000 * MOST_BACK_S:g} at most"
+                f"expected {1000 * MAX_BACK_S:g} at most"
             )
         self._latest_s = float(latest_s[-1])
         self._events.append(events)
         self._n_events += len(events)
 
     def write(self, captures: Path) -> Path:
-        """Write sound, events and what was said of them to a new folder below `captures`, and return the folder.
+        """Write sound, events and `About` to a new folder below `captures`; the folder.
 
         Raises:
-            RefusedError: there is no sound, no event, or more than `MOST_LATE` of the events came late.
+            RefusedError: there is no sound, no event, or more than `MAX_LATE_SHARE` of the events came late.
             OSError: the disk refuses.
         """
         import scipy.io.wavfile
@@ -75,10 +75,10 @@ class Capture:
         if not self._n_samples or not self._n_events:
             raise RefusedError("there is no sound yet" if self._n_events else "the pen has not touched yet")
         events, n_late = in_order(np.concatenate(self._events))
-        if n_late > MOST_LATE * self._n_events:
+        if n_late > MAX_LATE_SHARE * self._n_events:
             raise RefusedError(
                 f"the events are not in the order of their times: {n_late} of {self._n_events} came late, "
-                f"expected {100 * MOST_LATE:g} % at most"
+                f"expected {100 * MAX_LATE_SHARE:g} % at most"
             )
         folder = _new_folder(captures, self.about.name)
         with atomic_write(folder / SOUND) as part:
@@ -93,11 +93,11 @@ class Capture:
 
 
 def in_order(events: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
-    """Return the events with increasing times, shape (k, 4), and how many came late: after one of a later time.
+    """Events with increasing times, shape (k, 4), and how many came late: after an event of a later time.
 
-    A late one is left out, for the pen was there before. But where it says that the pen touches or lifts, it counts at the time
-    of the one before it: events come in the right order where a clock does not, and without it two touches would be one. Of
-    events of one time the last counts; a touch and the lift before it may have one.
+    A late event is left out, since the pen was there before. If it is a touch or a lift, it counts at the time of the event
+    before: events come in the right order where a clock does not, and without it two touches would be one. Of events of one
+    time the last counts; a touch and the lift before it may have one time.
 
     Args:
         events: x, y [mm], pressure, t [s] in the order in which they came, shape (n, 4).
@@ -106,10 +106,10 @@ def in_order(events: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
     latest = np.maximum.accumulate(times)
     late = times < latest
     down = events[:, 2] > 0
-    turns = down != np.append(False, down[:-1])
-    kept = np.column_stack([events[:, :3], latest])[~late | turns]
-    last = np.append(np.diff(kept[:, 3]) > 0, True)
-    return kept[last], int(late.sum())
+    touches_or_lifts = down != np.append(False, down[:-1])
+    ordered = np.column_stack([events[:, :3], latest])[~late | touches_or_lifts]
+    last = np.append(np.diff(ordered[:, 3]) > 0, True)
+    return ordered[last], int(late.sum())
 
 
 def _new_folder(captures: Path, name: str) -> Path:

@@ -13,10 +13,10 @@ function say(text) {
 function connect() {
   socket = new WebSocket(new URL("operate", location.href.replace(/^http/, "ws")));
   socket.onmessage = ({ data }) => {
-    const told = JSON.parse(data);
-    if (told.refused) say(told.refused);
-    else if (told.begun) invite(told);
-    else show(told);
+    const message = JSON.parse(data);
+    if (message.refused) say(message.refused);
+    else if (message.started) invite(message);
+    else show(message);
   };
   socket.onopen = () => ($("begin-one").disabled = false); // a press before would be lost
   socket.onclose = () => {
@@ -41,27 +41,27 @@ function show({ title, planned, simulated, screens, sessions, link: newest }) {
   const order = [...sessions].sort((a, b) => (a.kind === "end") - (b.kind === "end") || b.number - a.number);
   const known = new Map([...$("people").children].map((row) => [Number(row.dataset.number), row]));
   order.forEach((one, i) => {
-    const row = known.get(one.number) ?? made(one, screens), there = $("people").children[i];
+    const row = known.get(one.number) ?? newRow(one, screens), there = $("people").children[i];
     fill(row, one);
     if (there !== row) $("people").insertBefore(row, there ?? null); // a row that is moved loses the focus and a press on it
   });
 }
 
-function made(one, screens) {
+function newRow(one, screens) {
   const row = document.createElement("li");
   row.dataset.number = one.number;
   row.innerHTML = `<div class="who"></div><div class="now"><strong></strong><span></span></div><div class="do"></div><progress max="1"></progress>`;
   const button = (name, what) => {
-    const made = Object.assign(document.createElement("button"), { className: "plain", type: "button", textContent: name });
-    made.dataset.what = name;
-    made.addEventListener("click", what);
-    row.querySelector(".do").append(made);
+    const element = Object.assign(document.createElement("button"), { className: "plain", type: "button", textContent: name });
+    element.dataset.what = name;
+    element.addEventListener("click", what);
+    row.querySelector(".do").append(element);
   };
   button("Go", () => ask({ do: "go", number: one.number }));
   button("Hold", () => ask({ do: "hold", number: one.number }));
   button("Real", () => ask({ do: "side", number: one.number, side: "real" }));
   button("Virtual", () => ask({ do: "side", number: one.number, side: "virtual" }));
-  button("Code", () => invite({ begun: one.number, code: one.code, screens }));
+  button("Code", () => invite({ started: one.number, code: one.code, screens }));
   return row;
 }
 
@@ -83,14 +83,14 @@ function fill(row, one) {
   }
 }
 
-function invite({ begun, code, screens }) {
-  invited = { begun, code };
-  $("invited").textContent = `Participant ${begun}`;
+function invite({ started, code, screens }) {
+  invited = { started, code };
+  $("invited").textContent = `Participant ${started}`;
   $("invite-code").textContent = code;
   const roles = (screens ?? 1) > 1 ? [["stroke", "Tablet to stroke on"], ["answer", "Screen to answer on"]] : [["all", ""]];
   $("invite-codes").replaceChildren(
     ...roles.map(([role, name]) => {
-      const figure = document.createElement("figure"), image = Object.assign(new Image(), { src: `codes/${code}.svg?role=${role}&at=${Date.now()}`, alt: `Code to scan for participant ${begun}` });
+      const figure = document.createElement("figure"), image = Object.assign(new Image(), { src: `codes/${code}.svg?role=${role}&at=${Date.now()}`, alt: `Code to scan for participant ${started}` });
       const caption = Object.assign(document.createElement("figcaption"), { textContent: name });
       figure.append(image, caption);
       return figure;

@@ -303,7 +303,7 @@ class Study {
       const next = el("button", { className: "big", type: "button", onclick: () => this.done({ rating: Number(scale.input.value), seconds: this.seconds, underruns: this.sound.underruns }) }, "Next");
       next.dataset.needs = "rating";
       const check = () => {
-        this.ready = Boolean(scale.input.dataset.set) && !this.step.held && this.seconds >= step.least_s;
+        this.ready = Boolean(scale.input.dataset.set) && !this.step.held && this.seconds >= step.min_s;
         this.busy(Boolean(this.pending));
       };
       this.check = check;
@@ -312,7 +312,7 @@ class Study {
         scale.input.value = this.pending.rating; // as it was chosen before the page was loaded again
         scale.input.dispatchEvent(new Event("input"));
       }
-      if (step.least_s) setTimeout(check, 1000 * step.least_s + 50);
+      if (step.min_s) setTimeout(check, 1000 * step.min_s + 50);
       box.append(el("section", { className: "rate", ariaLabel: "Rating" }, el("h2", {}, step.question), scale.element, next));
     }
     this.begin(step.id);

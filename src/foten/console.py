@@ -18,7 +18,7 @@ RecordingFile = Annotated[Path, Argument(metavar="REC.h5", help="A recording tha
 
 
 def folder_option(help_text: str) -> Any:
-    """Return the option `-o` of a command that writes a folder."""
+    """Option `-o` of a command that writes a folder."""
     return Option("-o", "--output", metavar="DIR", help=help_text)
 
 

@@ -1,4 +1,4 @@
-"""The studio as a process: listens, says where, ends cleanly."""
+"""A server as a process: it listens, says where, and ends cleanly."""
 
 from __future__ import annotations
 
@@ -14,24 +14,26 @@ import uvicorn
 from starlette.types import ASGIApp
 
 from foten.studio.access import LOOPBACK, Access, access_to, write_certificate
-from foten.studio.messages import MOST_BYTES
+from foten.studio.messages import MAX_BYTES
 
 SHUTDOWN_S = 3
 
 
 def addresses() -> list[str]:
-    """Return the addresses by which others on the network reach this machine, the likeliest first."""
-    found = []
+    """Addresses by which others on the network reach this machine, the likeliest first."""
+    addresses_of_host = []
     with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.connect(("192.0.2.1", 9))  # nothing is sent: the system says from which address it would be
-        found.append(probe.getsockname()[0])
+        addresses_of_host.append(probe.getsockname()[0])
     with contextlib.suppress(OSError):
-        found += [str(info[4][0]) for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)]
-    return [one for one in dict.fromkeys(found) if not ipaddress.ip_address(one).is_loopback]
+        addresses_of_host += [
+            str(info[4][0]) for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)
+        ]
+    return [address for address in dict.fromkeys(addresses_of_host) if not ipaddress.ip_address(address).is_loopback]
 
 
 def listening(host: str, port: int) -> socket.socket:
-    """Return a socket that listens at a host and port, 0 for any that is free.
+    """Socket that listens at a host and port, 0 for any that is free.
 
     Raises:
         OSError: the host is not this machine's, or the port is taken; one line says which.
@@ -55,7 +57,7 @@ class Served(Protocol):
     """What is served."""
 
     def app(self, access: Access) -> ASGIApp:
-        """Return the application, behind its access."""
+        """Application, behind its access."""
 
 
 def serve(
@@ -67,8 +69,8 @@ def serve(
 ) -> None:
     """Serve until Ctrl-C or SIGTERM.
 
-    `on_start` is given the access and the host to open, once it listens; `on_joined` the access with the next link, once a
-    device came in by the one before.
+    `on_start` takes the access and the host to open, once it listens; `on_joined` the access with the next link, once a device
+    came in by the link before.
 
     Raises:
         OSError: it cannot listen there.
@@ -76,9 +78,9 @@ def serve(
     with listening(host, port) as listener, contextlib.ExitStack() as stack:
         port = listener.getsockname()[1]
         others = addresses() if host in ("0.0.0.0", "::") else []
-        # Of this machine's own names the address that it listens at: another one may answer to `localhost`.
-        own = str(listener.getsockname()[0]) if host.lower() in LOOPBACK else host
-        shown = others[0] if others else own
+        # Of this machine's names the address that it listens at: another server may answer to `localhost`.
+        listens_at = str(listener.getsockname()[0]) if host.lower() in LOOPBACK else host
+        shown = others[0] if others else listens_at
         access = access_to(host, port, others, lambda renewed: on_joined(renewed, shown))
         files: dict[str, str] = {}
         if access.token is not None:
@@ -91,18 +93,18 @@ def serve(
             access_log=False,
             server_header=False,
             ws="websockets-sansio",
-            ws_max_size=2 * MOST_BYTES,
+            ws_max_size=2 * MAX_BYTES,
             ws_per_message_deflate=False,
             timeout_graceful_shutdown=SHUTDOWN_S,
             **files,  # type: ignore[arg-type]
         )
         server = uvicorn.Server(config)
-        with _said_once(server, lambda: on_start(access, shown)):
+        with _once_started(server, lambda: on_start(access, shown)):
             server.run(sockets=[listener])
 
 
 @contextlib.contextmanager
-def _said_once(server: uvicorn.Server, say: Callable[[], None]) -> Iterator[None]:
+def _once_started(server: uvicorn.Server, say: Callable[[], None]) -> Iterator[None]:
     """Call something once the server has started."""
     started = server.startup
 

@@ -1,17 +1,16 @@
-"""`foten study`: a perceptual study, from its design to its report."""
+"""`foten study`: a perceptual study, from its file to its report."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Argument, Option
 
-from foten.cli.console import JsonOption, check_folders, folder_option, print_result, say
+from foten.console import JsonOption, check_folder, check_folders, folder_option, print_result, say
 
 if TYPE_CHECKING:
-    from foten.study.design import Design
     from foten.study.store import Store
 
 app = typer.Typer(
@@ -20,13 +19,16 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-MINUTES_A_TRIAL = 90 / 48  # Sec. VII: 90 minutes for 48 comparisons
+MINUTES_PER_TRIAL = 90 / 48  # Sec. VII: 90 minutes for 48 comparisons
 
 StudyFile = Annotated[Path, Argument(metavar="STUDY.toml", help="A study file, as 'foten study new' writes it.")]
 Database = Annotated[
     Path, Argument(metavar="STUDY.db", help="The ratings of a study, as 'foten study run' keeps them.")
 ]
 Participant = Annotated[int, Option("--participant", min=1, help="Number of the participant.")]
+TrialNumber = Annotated[int, Option("--trial", help="Number of the trial.")]
+Sd = Annotated[float, Option(min=0.1, help="Standard deviation of ratings between raters (points).")]
+Correlation = Annotated[float, Option(min=0, max=0.99, help="Between two ratings of one rater.")]
 
 
 @app.command()
@@ -47,48 +49,45 @@ def new(
     foten study new similarity.toml denim-ar.foten denim.foten mesh-ar.foten mesh.foten
     """
     from foten.atomic_write import atomic_write
-    from foten.study.design import template
-    from foten.study.orders import square
-    from foten.study.raters import SMALLEST, needed, raters_for
+    from foten.study.new_study import files_by_method, study_text
+    from foten.study.raters import MIN_DIFFERENCE, participants_for
 
     check_folders([output])
     if output.exists():
         raise ValueError(f"{output} is there already: edit it, or give another name")
-    several = _by_method(textures, output.parent)
-    methods = len(next(iter(several.values())))
+    files, doubts = files_by_method(textures, output.parent)
+    for doubt in doubts:
+        say(doubt)
+    methods = len(next(iter(files.values())))
     if participants is None:
-        _, smallest = needed(raters_for(methods, len(several), SMALLEST), 300, 0)
-        whole = square(len(several), methods)
-        participants = -(-(smallest or 40) // whole) * whole if whole <= 48 else smallest or 40
-        why = f"a difference of {SMALLEST:g} points on a texture is found in 80 % of studies of that size"
+        participants = participants_for(methods, len(files))
+        why = f"a difference of {MIN_DIFFERENCE:g} points on a texture is found in 80 % of studies of that size"
         say(f"{participants} participants: {why}; foten study power says more")
     with atomic_write(output) as part:
-        part.write_text(template(title, several, participants, seed), encoding="utf-8")
-    print(f"wrote {output}: {len(several)} textures × {methods} methods, {participants} participants")
+        part.write_text(study_text(title, files, participants, seed), encoding="utf-8")
+    print(f"wrote {output}: {len(files)} textures × {methods} methods, {participants} participants")
     print(f"next: edit it, then foten study check {output}")
 
 
 @app.command()
 def check(study: StudyFile, as_json: JsonOption = False) -> None:
     """Check a study file: texture files, levels, balance of the orders, devices, and how long it takes."""
-    from foten.study.orders import balance, planned
+    from foten.study.loading import load_study
+    from foten.study.orders import balance
 
-    design, _, stimuli, wired = _loaded(study)
-    if wired is not None:
-        wired.check()
-    _check_noise(design)
-    made = planned(
-        design.participants, len(design.textures), len(design.methods), design.seed, design.practice, design.order
-    )
-    spread = balance(made[: design.participants], len(design.textures), len(design.methods))
-    many = f"{len(design.textures)} textures × {len(design.methods)} methods: {design.n_trials} trials"
+    loaded = load_study(study)
+    loaded.check_devices()
+    design, stimuli = loaded.design, loaded.stimuli
+    spread = balance(loaded.orders()[: design.participants], len(design.textures), len(design.methods))
+    minutes = design.n_trials * MINUTES_PER_TRIAL
+    counts = f"{len(design.textures)} textures × {len(design.methods)} methods: {design.n_trials} trials"
     rows = [
-        f"{many} of each of {design.participants} participants, {design.practice} of practice before",
+        f"{counts} of each of {design.participants} participants, {design.practice} of practice before",
         *(f"{name}: {low} to {high} times" for name, (low, high) in spread.items()),
         *(f"{s.texture_key}, {s.method_key}: {s.gain_db:+.1f} dB" for s in stimuli.listed),
         *stimuli.doubts,
         f"plays through {design.output.to}",
-        f"about {design.n_trials * MINUTES_A_TRIAL:.0f} minutes of each participant, where a trial is as long as the paper's",
+        f"about {minutes:.0f} minutes of each participant, where a trial is as long as the paper's",
     ]
     document = {
         "trials": design.n_trials,
@@ -122,30 +121,31 @@ def run(
     foten study run similarity.toml --host 0.0.0.0
     """
     from foten.studio.access import Access
-    from foten.studio.serve import serve as serve_study
-    from foten.studio.study_server import StudyServer
+    from foten.studio.web_server import serve
+    from foten.study.loading import load_study
+    from foten.study.study_server import StudyServer
 
-    design, _, stimuli, wired = _loaded(study)
+    loaded = load_study(study)
+    loaded.check_devices()
     database = output or study.with_suffix(".db")
-    _check_noise(design)
-    store = _opened(study, database, simulated)
+    store = loaded.open_store(database, simulated)
     store.hold()
-    server = StudyServer(store, design, stimuli, wired)
+    server = StudyServer(store, loaded.design, loaded.stimuli, loaded.output)
 
-    def links(access: Access, shown: str) -> tuple[str, str]:
-        base, _, token = access.link(shown).partition("?")
+    def links(access: Access, host: str) -> tuple[str, str]:
+        base, _, token = access.link(host).partition("?")
 
         def link(page: str, query: str) -> str:
-            whole = "&".join(part for part in (token, query) if part)
-            return base + page + (f"?{whole}" if whole else "")
+            parts = "&".join(part for part in (token, query) if part)
+            return base + page + (f"?{parts}" if parts else "")
 
         server.link = lambda query: link("", query)
         return link("", ""), link("operator", f"key={server.operator_key}")
 
-    def on_start(access: Access, shown: str) -> None:
-        participants, operator = links(access, shown)
-        say(f"{design.title}: {len(store.codes())} of {design.participants} have begun; answers are kept in {database}")
-        for doubt in stimuli.doubts:
+    def on_start(access: Access, host: str) -> None:
+        participants, operator = links(access, host)
+        say(f"{loaded.design.title}: {len(store.codes())} of {loaded.design.participants} have begun, in {database}")
+        for doubt in loaded.stimuli.doubts:
             say(doubt)
         say(f"operator: {operator}")
         say(f"participants at {participants}")
@@ -157,13 +157,13 @@ def run(
 
             webbrowser.open(operator)
 
-    def on_joined(access: Access, shown: str) -> None:
-        participants, operator = links(access, shown)
+    def on_joined(access: Access, host: str) -> None:
+        participants, operator = links(access, host)
         say(f"a device came in; for the next one: {participants} or, for the operator, {operator}")
 
     try:
-        with _noise(design):
-            serve_study(server, host, port, on_start, on_joined)
+        with loaded.noise():
+            serve(server, host, port, on_start, on_joined)
     finally:
         store.close()
 
@@ -172,24 +172,24 @@ def run(
 def status(database: Database, as_json: JsonOption = False) -> None:
     """Print who has rated how much, and whether the file is sound; also while the study runs."""
     with _store(database) as store:
-        counts, wrong, log = store.counts(), store.check(), store.log()
+        counts, faults, log = store.counts(), store.check(), store.log()
         kind = "simulated raters" if store.simulated else "participants"
         trials = sum(trial.number > 0 for trial in store.trials(store.ordered()[0]))
-        rows = [f"{store.study['title']}: {len(counts)} {kind}, {sum(one['n'] for one in counts.values())} ratings"]
+        rows = [f"{store.study['title']}: {len(counts)} {kind}, {sum(count['n'] for count in counts.values())} ratings"]
         rows += [
-            f"{number:4d}  {one['code']}  {one['n']:3d} of {trials}  last {(one['last'] or one['joined'])[:16].replace('T', ' ')}"
-            for number, one in counts.items()
+            f"{number:4d}  {row['code']}  {row['n']:3d} of {trials}  last {(row['last'] or row['joined'])[:16].replace('T', ' ')}"
+            for number, row in counts.items()
         ]
-        rows += wrong or ["the file is sound: every check of SQLite holds, no trial is rated twice"]
+        rows += faults or ["the file is sound: every check of SQLite holds, no trial is rated twice"]
         document = {
             "title": store.study["title"],
             "simulated": store.simulated,
-            "participants": {str(n): one for n, one in counts.items()},
-            "wrong": wrong,
+            "participants": {str(n): count for n, count in counts.items()},
+            "wrong": faults,
             "log": log,
         }
     print_result(document, "\n".join(rows), as_json)
-    if wrong:
+    if faults:
         raise typer.Exit(1)
 
 
@@ -201,8 +201,8 @@ def simulate(
         float, Option(help="Points of the scale that one method is better by, to the raters.")
     ] = 10.0,
     better: Annotated[str | None, Option(metavar="METHOD", help="That is better; by default the last.")] = None,
-    sd: Annotated[float, Option(min=0.1, help="Standard deviation of ratings between raters (points).")] = 10.67,
-    correlation: Annotated[float, Option(min=0, max=0.99, help="Between two ratings of one rater.")] = 0.3,
+    sd: Sd = 10.67,
+    correlation: Correlation = 0.3,
     missing: Annotated[float, Option(min=0, max=0.9, help="Share of raters who leave before their end.")] = 0.0,
     seed: Annotated[int, Option(min=0, help="Of what the raters answer.")] = 0,
 ) -> None:
@@ -210,39 +210,21 @@ def simulate(
 
     foten study simulate similarity.toml -o simulated.db --difference 10
     """
-    import numpy as np
-
-    from foten.study.raters import raters_for
-    from foten.study.store import Rated
+    from foten.study.loading import load_study
+    from foten.study.raters import raters_for, simulate_ratings
 
     if output.exists():
         raise ValueError(f"{output} is there already: give another name")
-    design, _, _, _ = _loaded(study)
-    methods = list(design.methods)
+    loaded = load_study(study)
+    methods = list(loaded.design.methods)
     if better is not None and better not in methods:
         raise ValueError(f"--better is {better!r}, expected one of {', '.join(methods)}")
-    raters = raters_for(len(methods), len(design.textures), difference, sd, correlation)
-    rng = np.random.default_rng(seed)
-    y = raters.draw(rng, design.participants)
-    if better is not None:
-        y[:, [methods.index(better), -1]] = y[:, [-1, methods.index(better)]]
-    store = _opened(study, output, simulated=True)
-    with store:
-        for i in range(design.participants):
-            number = store.join(f"SIM{i + 1:03d}")
-            trials = store.trials(number)
-            leaves = len(trials) if rng.random() >= missing else int(rng.integers(1, len(trials)))
-            store.take_steps(
-                number,
-                {
-                    f"trial:{trial.number}": Rated(
-                        float(np.round(y[i, trial.method, trial.texture])), float(rng.gamma(9, 2.5)), 0
-                    )
-                    for trial in trials[:leaves]
-                },
-            )
+    index = -1 if better is None else methods.index(better)
+    raters = raters_for(len(methods), len(loaded.design.textures), difference, sd, correlation, index)
+    with loaded.open_store(output, simulated=True) as store:
+        simulate_ratings(store, raters, loaded.design.participants, missing, seed)
         n = len(store.ratings())
-    print(f"wrote {output}: {n} simulated ratings of {design.participants} raters")
+    print(f"wrote {output}: {n} simulated ratings of {loaded.design.participants} raters")
     print(f"next: foten study analyze {output} -o results")
 
 
@@ -257,8 +239,8 @@ def power(
         float | None,
         Option(help="Points that the last method is better by; by default the paper's effects where there are 4 × 12."),
     ] = None,
-    sd: Annotated[float, Option(min=0.1, help="Standard deviation of ratings between raters (points).")] = 10.67,
-    correlation: Annotated[float, Option(min=0, max=0.99, help="Between two ratings of one rater.")] = 0.3,
+    sd: Sd = 10.67,
+    correlation: Correlation = 0.3,
     studies: Annotated[int, Option(min=50, help="That are simulated for each number of participants.")] = 500,
     seed: Annotated[int, Option(min=0, help="Of the simulation.")] = 0,
     as_json: JsonOption = False,
@@ -309,13 +291,12 @@ def analyze(
 
     foten study analyze similarity.db -o results
     """
-    from foten.cli.console import check_folder
-    from foten.study.analysis import analysed
+    from foten.study.analysis import analyse
     from foten.study.report import write_report
 
     check_folder(output)
     with _store(database) as store:
-        result = analysed(store, reference)
+        result = analyse(store, reference)
     written = write_report(result, output)
     say(f"wrote {', '.join(str(path) for path in written)}")
     print_result(result.document, "\n".join(result.sentences), as_json)
@@ -325,7 +306,7 @@ def analyze(
 def strokes(
     database: Database,
     participant: Participant,
-    trial: Annotated[int, Option(help="Number of the trial.")],
+    trial: TrialNumber,
     output: Annotated[Path, Option("-o", "--output", metavar="S.csv", help="The table to write: t, x, y, pressure.")],
 ) -> None:
     """Write how a participant stroked the virtual surface in a trial, as 'foten render --stroke' reads it.
@@ -352,7 +333,7 @@ def strokes(
 def correct(
     database: Database,
     participant: Participant,
-    trial: Annotated[int, Option(help="Number of the trial.")],
+    trial: TrialNumber,
     rating: Annotated[float, Option(help="What was meant, 0 to 100.")],
     reason: Annotated[str, Option(help="Why; kept with the correction.")],
 ) -> None:
@@ -381,42 +362,8 @@ def backup(
     """Copy a study's file, also while the study runs."""
     check_folders([output])
     with _store(database) as store:
-        store.backup(output)
-    with _store(output) as copy:
-        wrong, n = copy.check(), len(copy.ratings())
-    if wrong:
-        raise ValueError(f"the copy {output} is damaged: {wrong[0]}")
+        n = store.backup(output)
     print(f"wrote {output}: {n} ratings, and every check holds")
-
-
-def _by_method(paths: list[Path], folder: Path) -> dict[str, dict[str, str]]:
-    """Return texture files by texture and method, as seen from a folder: by what their cards say, or else by their names."""
-    import os
-
-    from foten.models.texture_file import read_texture
-
-    found: dict[str, dict[Path, str]] = {}
-    for path in paths:
-        card = read_texture(path).card
-        found.setdefault(str(card["texture"]) or path.stem, {})[path] = str(card["model"])
-    if any(
-        len(set(models.values())) < len(models) for models in found.values()
-    ):  # two of one model: mesh-slow, mesh-quick
-        found = {
-            name: {path: path.stem.removeprefix(name).strip("-_. ") or model for path, model in models.items()}
-            for name, models in found.items()
-        }
-    usual = max((frozenset(models.values()) for models in found.values()), key=len)
-    if len(usual) < 2:
-        one = next(iter(found))
-        raise ValueError(f"{one} has one method, expected two texture files or more of each texture, to compare")
-    for name in [name for name, models in found.items() if frozenset(models.values()) != usual]:
-        say(f"left out {name}: it does not have each of {', '.join(sorted(usual))}")
-        del found[name]
-    return {
-        name: {method: os.path.relpath(path, folder) for path, method in sorted(models.items(), key=lambda one: one[1])}
-        for name, models in found.items()
-    }
 
 
 def _store(database: Path) -> Store:
@@ -424,71 +371,3 @@ def _store(database: Path) -> Store:
     from foten.study.store import Store
 
     return Store(database, __version__)
-
-
-def _loaded(study: Path) -> tuple[Design, str, Any, Any]:
-    """Return a study's design, its text, its stimuli, and what is wired here; None where the pages play."""
-    from foten.runtime.actuator import read_profile
-    from foten.studio.players import OutputDevice
-    from foten.studio.stimuli import load_stimuli
-    from foten.study.design import read_design
-
-    design, text = read_design(study)
-    out = design.output
-    wired = None
-    if out.to != "page":
-        profile = None if out.actuator is None else read_profile(out.actuator)
-        wired = OutputDevice(out.to, profile, out.gain, out.device, out.channel)
-    elif any(value is not None for value in (out.actuator, out.gain, out.device, out.channel)):
-        raise ValueError(
-            f"{study.name}: [output] plays in the page, which has no device, gain or actuator of this machine"
-        )
-    return design, text, load_stimuli(design, wired is not None and wired.calibrated), wired
-
-
-def _opened(study: Path, database: Path, simulated: bool) -> Store:
-    """Return a study's database: a new one, or the one that is there, where it is of this very study."""
-    from foten import __version__
-    from foten.studio.stimuli import changed
-    from foten.study.orders import planned
-    from foten.study.store import Store, create
-
-    design, text, stimuli, _ = _loaded(study)
-    if not database.exists():
-        check_folders([database])
-        counts = len(design.textures), len(design.methods)
-        made = planned(design.participants, *counts, design.seed, design.practice, design.order)
-        create(database, design.title, text, study.parent, design.seed, stimuli.listed, made, __version__, simulated)
-    store = Store(database, __version__)
-    try:
-        if store.simulated != simulated:
-            has = "simulated" if store.simulated else "real"
-            raise ValueError(f"{database} holds {has} ratings, which stay apart: give another name with -o")
-        if store.study["design"] != text:
-            raise ValueError(f"{study} has changed since {database} was begun: bring it back, or begin another with -o")
-        others = changed(stimuli.listed, store.stimuli())
-        if others:
-            raise ValueError(
-                f"{', '.join(others[:3])} is another file than when {database} was begun: bring it back, or begin another"
-            )
-    except BaseException:
-        store.close()
-        raise
-    return store
-
-
-def _check_noise(design: Design) -> None:
-    if design.noise is not None:
-        with _noise(design):
-            pass
-
-
-def _noise(design: Design) -> Any:
-    """Return a context in which white noise plays, where the study asks for it."""
-    import contextlib
-
-    if design.noise is None:
-        return contextlib.nullcontext()
-    from foten.studio.players import white_noise
-
-    return white_noise(design.noise.level_db, design.noise.device)

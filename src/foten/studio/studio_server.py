@@ -15,14 +15,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import mimetypes
-import struct
 from collections.abc import AsyncIterator, Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import anyio
 import numpy as np
 from numpy.typing import NDArray
 from starlette.applications import Starlette
@@ -39,27 +36,26 @@ from foten.runtime.live.devices import SOUND_RATE_HZ
 from foten.runtime.renderer import Renderer
 from foten.runtime.stylus import PressureCalibration
 from foten.studio.access import Access, Guarded
-from foten.studio.capturing import CapturePage, Trainings, why_not
-from foten.studio.contact import Contact
-from foten.studio.conversation import Blocks, converse
+from foten.studio.capture_server import CapturePage, TrainingQueue, why_not
 from foten.studio.levels import gains_db
-from foten.studio.messages import (
-    EVENTS_A_SECOND,
-    MESSAGES_A_SECOND,
-    MOST_BYTES,
-    Allowance,
-    RefusedError,
-    parse_events,
-    parse_message,
-)
-from foten.studio.players import OutputDevice, Player, Turns
+from foten.studio.live_contact import Contact
+from foten.studio.messages import STROKE, RefusedError
+from foten.studio.players import OutputDevice, Player, RoundRobinRenderer
 from foten.studio.shelf import Shelf
+from foten.studio.websocket import (
+    MAX_MESSAGES_PER_S,
+    BlockQueue,
+    PageSocket,
+    packed_block,
+    pressure_calibration,
+    serve_page,
+)
 
 PAGE = Path(__file__).with_name("page")
 KERNEL = ("foten.mjs", "foten.wasm")
-MOST_PAGES = 64  # that stroke at once
-MOST_COMPARED = 16  # methods
-MOST_CAPTURING = 8  # pages at once, each of which holds its sound or waits for its texture
+MAX_PAGES = 64  # that stroke at once
+MAX_COMPARED = 16  # methods
+MAX_CAPTURING = 8  # pages at once, each of which holds its sound or waits for its texture
 CAPTURES = Path("captures")  # below where the server is started
 STATE_S = 1.0  # between two reports of how rendering keeps up
 
@@ -70,23 +66,23 @@ class Studio:
     Args:
         shelf: the textures.
         captures: the folder where pages' captures are kept.
-        wired: what plays here, for a page that asks for it.
+        output_device: plays here, for a page that asks for it.
     """
 
-    def __init__(self, shelf: Shelf, captures: Path = CAPTURES, wired: OutputDevice | None = None) -> None:
+    def __init__(self, shelf: Shelf, captures: Path = CAPTURES, output_device: OutputDevice | None = None) -> None:
         self.shelf = shelf
         self.players: dict[str, Callable[[float], Player]] = {
-            "stream": Turns().player,
-            "device": (wired or OutputDevice()).player,
+            "stream": RoundRobinRenderer().player,
+            "device": (output_device or OutputDevice()).player,
         }
-        self.trainings = Trainings(captures, shelf)
-        self.n_capturing = 0
+        self.trainings = TrainingQueue(captures, shelf)
+        self.capturing: set[CapturePage] = set()
         self._matching = asyncio.Lock()
-        self.pages: set[Page] = set()
+        self.pages: set[StrokePage] = set()
         self.n_refused = 0
 
     def app(self, access: Access) -> ASGIApp:
-        """Return the application, behind its access."""
+        """Application, behind its access."""
         routes = [
             Route("/textures.json", self._textures),
             Route("/textures/{key}", self._texture),
@@ -103,7 +99,7 @@ class Studio:
     async def _lifespan(self, _app: Starlette) -> AsyncIterator[None]:
         yield
         for page in list(self.pages):
-            await page.close()
+            await page.leave()
         await self.trainings.close()
 
     async def _textures(self, _request: Request) -> Response:
@@ -122,16 +118,16 @@ class Studio:
     async def _gains(self, request: Request) -> Response:
         keys = request.query_params.getlist("texture")
         entries = [self.shelf.get(key) for key in keys]
-        if not 2 <= len(keys) <= MOST_COMPARED or None in entries:
-            return missing(f"expected 2 to {MOST_COMPARED} textures of this server")
+        if not 2 <= len(keys) <= MAX_COMPARED or None in entries:
+            return missing(f"expected 2 to {MAX_COMPARED} textures of this server")
 
-        def matched() -> list[float]:
+        def gains() -> list[float]:
             renderers = [Renderer(entry.path) for entry in entries if entry is not None]
-            return gains_db(renderers, [1 / one.native_texture.info.acceleration_sd for one in renderers])
+            return gains_db(renderers, [1 / renderer.native_texture.info.acceleration_sd for renderer in renderers])
 
         try:
             async with self._matching:  # a page that asks again and again waits for itself alone
-                return JSONResponse({"gains_db": await asyncio.to_thread(matched)})
+                return JSONResponse({"gains_db": await asyncio.to_thread(gains)})
         except ValueError as error:
             return missing(f"cannot be compared: {error}")
 
@@ -140,70 +136,46 @@ class Studio:
         return JSONResponse({"foten": __version__, "n_refused": self.n_refused, "pages": pages})
 
     async def _file(self, request: Request) -> Response:
-        # Looked up, not joined: a name with dots and slashes is none of these.
-        name = request.path_params["name"] or "index.html"
-        path = page_files().get(name)
-        if path is None:
-            return missing(f"there is no {name[:80]!r} here")
-        return FileResponse(path, media_type=content_type(path))
+        return page_file(page_files(), request.path_params["name"] or "index.html")
 
     async def _stroke(self, socket: WebSocket) -> None:
-        await socket.accept()
-        if len(self.pages) >= MOST_PAGES:
-            await socket.close(1013, f"{MOST_PAGES} pages stroke already: close one")
-            return
-        page = Page(self, socket)
-        self.pages.add(page)
-        try:
-            await page.run()
-        finally:
-            with anyio.CancelScope(shield=True):  # a page that is lost in the middle of something frees its sound too
-                await page.close()
-            self.pages.discard(page)
+        await serve_page(socket, self.pages, MAX_PAGES, lambda socket: StrokePage(self, socket))
 
     async def _capture(self, socket: WebSocket) -> None:
-        await socket.accept()
-        if self.n_capturing >= MOST_CAPTURING:
-            await socket.close(1013, f"{MOST_CAPTURING} pages capture already: close one")
-            return
-        self.n_capturing += 1
-        try:
-            await CapturePage(socket, self.trainings).run()
-        finally:
-            self.n_capturing -= 1
+        await serve_page(socket, self.capturing, MAX_CAPTURING, lambda socket: CapturePage(socket, self.trainings))
 
 
-class Page:
-    """One page at the WebSocket: what it says, in order; what is rendered for it, back."""
+class StrokePage(PageSocket):
+    """A page that strokes: events and settings in, what is rendered for it back."""
 
     def __init__(self, studio: Studio, socket: WebSocket) -> None:
-        self._studio, self._socket = studio, socket
+        super().__init__(socket, STROKE, MAX_MESSAGES_PER_S)
+        self._studio = studio
         self._loop = asyncio.get_running_loop()
-        self._blocks = Blocks(socket)
+        self._blocks = BlockQueue(socket)
         self._contact: Contact | None = None
         self._opening: Contact | None = None  # that does not play yet
         self._calibration = PressureCalibration()
         self._texture, self._sink, self._rate_hz = "", "", 0.0
-        self._n_events = self._n_refused = 0
-        self._events, self._messages = Allowance(EVENTS_A_SECOND), Allowance(MESSAGES_A_SECOND)
+        self._n_events = 0
 
     async def run(self) -> None:
         """Serve the page until it goes."""
-        await converse(self._socket, self._take, lambda: self._n_refused, self._blocks.send(), self._send_state())
+        await self.converse(self._blocks.send(), self._send_state())
 
-    async def close(self) -> None:
+    async def leave(self) -> None:
         """End playing; a second time nothing happens."""
         contacts = self._contact, self._opening
         self._contact = self._opening = None
         for contact in contacts:
             if contact is not None:
-                with contextlib.suppress(OSError, ValueError, RuntimeError):  # what it died of was said when it did
+                with contextlib.suppress(OSError, ValueError, RuntimeError):  # the page was sent why it died
                     await asyncio.to_thread(contact.close)
 
     def state(self) -> dict[str, Any]:
-        """Return how the page does, for people."""
+        """How the page does, for people."""
         known: dict[str, Any] = {"texture": self._texture, "sink": self._sink, "n_events": self._n_events}
-        known |= {"n_refused": self._n_refused, "n_unsent": self._blocks.n_unsent}
+        known |= {"n_refused": self.n_refused, "n_unsent": self._blocks.n_unsent}
         contact = self._contact
         if contact is not None:
             live = contact.statistics
@@ -211,46 +183,32 @@ class Page:
             for name, percent in (("p50", 50.0), ("p99", 99.0)):
                 value = 1000 * live.block.percentile_s(percent)
                 known[f"block_{name}_ms"] = None if np.isnan(value) else value
-            known["stylus"] = contact.counted
+            known["stylus"] = contact.stylus_counts
         return known
 
-    async def _take(self, received: Mapping[str, Any]) -> None:
-        try:
-            if not self._messages.take(1):
-                raise RefusedError(f"more than {MESSAGES_A_SECOND:g} messages a second")
-            data, text = received.get("bytes"), received.get("text")
-            if data is not None:
-                self._push(data)
-            else:
-                await self._do(parse_message(text or ""))
-        except RefusedError as refused:
-            self._n_refused += 1
-            self._studio.n_refused += 1
-            await self._say({"refused": str(refused)})
+    async def refuse(self, why: str) -> None:
+        """Say why a message was refused."""
+        self._studio.n_refused += 1
+        await super().refuse(why)
 
-    def _push(self, data: bytes) -> None:
-        if len(data) > MOST_BYTES:
-            raise RefusedError(f"the message has {len(data)} bytes, expected {MOST_BYTES} at most")
-        events = parse_events(data)
+    async def take_bytes(self, data: bytes) -> None:
+        """Take in events."""
+        events = self.events_in(data)
         if self._contact is None:
             raise RefusedError("events before a texture was opened")
-        if not self._events.take(len(events)):
-            raise RefusedError(f"more than {EVENTS_A_SECOND:g} events a second")
         self._contact.push(events)
         self._n_events += len(events)
 
-    async def _do(self, message: Mapping[str, Any]) -> None:
+    async def do(self, message: Mapping[str, Any]) -> None:
+        """Open, close, set."""
         kind = message["do"]
         if {"newtons", "steepness"} & message.keys():
-            usual = PressureCalibration()
-            self._calibration = PressureCalibration(
-                float(message.get("newtons", usual.a)), float(message.get("steepness", usual.b))
-            )
+            self._calibration = pressure_calibration(message)
         if kind == "open":
             await self._open(message)
         elif kind == "close":
-            await self.close()
-            await self._say({"closed": True})
+            await self.leave()
+            await self.say({"closed": True})
         elif self._contact is None:
             raise RefusedError(f"{kind} before a texture was opened")
         elif kind == "calibrate":
@@ -267,7 +225,7 @@ class Page:
         sink = message.get("sink", "stream")
         rate_hz = float(message.get("rate_hz", SOUND_RATE_HZ))
         if self._contact is not None and (sink, rate_hz) != (self._sink, self._rate_hz):
-            await self.close()
+            await self.leave()
         try:
             data = await asyncio.to_thread(entry.path.read_bytes)
             contact = self._contact
@@ -277,10 +235,10 @@ class Page:
             await asyncio.to_thread(contact.open, data, self._calibration)
             self._contact, self._opening = contact, None
         except (OSError, ValueError) as error:
-            await self.close()
+            await self.leave()
             raise RefusedError(f"{entry.key} cannot be played: {error}") from error
         self._texture, self._sink, self._rate_hz = entry.key, sink, rate_hz
-        await self._say({"opened": entry.key, "sink": sink, "rate_hz": rate_hz})
+        await self.say({"opened": entry.key, "sink": sink, "rate_hz": rate_hz})
 
     def _actuate(self, message: Mapping[str, Any]) -> None:
         assert self._contact is not None
@@ -292,10 +250,9 @@ class Page:
             raise RefusedError(str(error)) from error
 
     def _on_block(self, samples: NDArray[np.float32], speed: float, force: float) -> None:
-        """Pass a block on to the page: speed [mm/s] and force [N], then the samples [m/s²], all little-endian float32."""
-        block = struct.pack("<ff", speed, force) + samples.astype("<f4").tobytes()
+        """Pass a block on to the page, from the rendering thread."""
         with contextlib.suppress(RuntimeError):  # the loop has ended, and so does the contact
-            self._loop.call_soon_threadsafe(self._blocks.put, block)
+            self._loop.call_soon_threadsafe(self._blocks.put, packed_block(samples, speed, force))
 
     async def _send_state(self) -> None:
         while True:
@@ -303,32 +260,32 @@ class Page:
             contact = self._contact
             if contact is None:
                 continue
-            await self._say({"state": self.state()})
+            await self.say({"state": self.state()})
             if not contact.running and contact is self._contact:
                 self._contact = None
                 try:
                     await asyncio.to_thread(contact.close)
                 except (OSError, ValueError, RuntimeError) as error:
-                    await self._say({"refused": f"{self._texture} plays no more: {error}"})
+                    await self.say({"refused": f"{self._texture} plays no more: {error}"})
 
-    async def _say(self, document: Mapping[str, Any]) -> None:
-        await self._socket.send_text(json.dumps(document, allow_nan=False))
+
+def page_files() -> dict[str, Path]:
+    """Files of the page by name, the kernel's among them."""
+    files = {path.name: path for path in PAGE.iterdir() if path.is_file()}
+    return files | {name: kernel_file(name) for name in KERNEL}
 
 
 _TYPES = {".mjs": "text/javascript", ".js": "text/javascript", ".wasm": "application/wasm", ".html": "text/html"}
 
 
-def content_type(path: Path) -> str | None:
-    """Return what a browser is to take a file for, whatever this machine's registry says."""
-    return _TYPES.get(path.suffix) or mimetypes.guess_type(path.name)[0]
-
-
-def page_files() -> dict[str, Path]:
-    """Return the files of the page by name, the kernel's among them."""
-    files = {path.name: path for path in PAGE.iterdir() if path.is_file()}
-    return files | {name: kernel_file(name) for name in KERNEL}
+def page_file(files: Mapping[str, Path], name: str) -> Response:
+    """A file of a page, of the type that it has whatever this machine's registry says."""
+    path = files.get(name)  # looked up, not joined: a name with dots and slashes is none of these
+    if path is None:
+        return missing(f"there is no {name[:80]!r} here")
+    return FileResponse(path, media_type=_TYPES.get(path.suffix) or mimetypes.guess_type(name)[0])
 
 
 def missing(why: str) -> Response:
-    """Return that something is not here, in a line."""
+    """Answer that something is not here, in a line."""
     return PlainTextResponse(f"{why}\n", status_code=404)
