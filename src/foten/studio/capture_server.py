@@ -47,7 +47,7 @@ class TrainingQueue:
         self._running: set[asyncio.Task[None]] = set()
 
     def start(self, folder: Path, say: Callable[[Mapping[str, Any]], None]) -> None:
-        """Train from a folder as soon as no other is trained; `say` takes the lines of `training.train_capture`, textures as listed."""
+        """Train from a folder as soon as no other is trained; `say` takes the lines of `train_capture`, textures as listed."""
         task = asyncio.create_task(self._train(folder, say))
         self._running.add(task)
         task.add_done_callback(self._running.discard)

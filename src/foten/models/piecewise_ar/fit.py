@@ -78,8 +78,8 @@ def fit(job: TrainingJob, monitor: Monitor) -> Trained:
 def local_models(pieces: list[Array], blocks: ScaledBlocks, order: int) -> LocalModels:
     """A model for each piece (n, 3) of acceleration [m/s²], speed [mm/s] and force [N], merged, and others around.
 
-    Labels are medians. Models nearer than `MERGE_DISTANCE` are merged. Around the trained range stand models as loud as the nearest, and
-    silent ones at rest and without force, all with the angles of the nearest.
+    Labels are medians. Models nearer than `MERGE_DISTANCE` are merged. Around the trained range stand models as loud as the
+    nearest, and silent ones at rest and without force, all with the angles of the nearest.
     """
     angles, variances = [], []
     for piece in pieces:
