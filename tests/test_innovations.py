@@ -39,7 +39,7 @@ from foten.training.loop import Epoch
 from foten.training.texture_builder import tensors_of
 
 SIZES = FotenPlusSizes(**PLUS)
-C_SOURCE = Path(__file__).parents[1] / "native/training/innovations.c"
+C_SOURCE = Path(__file__).parents[1] / "native/training/training_kernel.c"
 CONFIG = TrainConfig(**{**OWN_RECIPES["foten-plus"], "epochs": 2, "threads": 1, "batch": 32})
 
 

@@ -99,8 +99,8 @@ FOTEN_API void foten_model_free(foten_model *model);
  * window of `window` samples, oldest first, of four numbers each: acceleration, speed and force, scaled, and the noise
  * of the sample, standard normal; it returns the next sample, scaled. It is called for the golden windows during
  * loading, and for each sample by each rendering thread, by several threads at once where several render. It and `user`
- * must outlive the model. It may allocate or wait; the rendering then does too. A number that is not finite counts as 0.
- * Without a predictor such a file is FOTEN_NO_PREDICTOR. For other files the predictor is not used. */
+ * must outlive the model. It may allocate or wait; the rendering then does too. A number that is not finite counts as
+ * 0. Without a predictor such a file is FOTEN_NO_PREDICTOR. For other files the predictor is not used. */
 #define FOTEN_PREDICTOR_INPUTS 4
 typedef float (*foten_predictor)(void *user, const float *window);
 FOTEN_API foten_status foten_model_load_with(const void *bytes, size_t n_bytes, foten_predictor predictor, void *user,

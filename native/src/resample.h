@@ -14,9 +14,9 @@ enum { MAX_UPSAMPLING = 400, MAX_DOWNSAMPLING = 20 };
 resampler *resampler_place(block *from, double rate_in, double rate_out);
 void resampler_reset(resampler *r);
 
-void resampler_silence(resampler *r);       /* forget what was given, and stay in step */
+void resampler_silence(resampler *r); /* forget what was given, and stay in step */
 
-int resampler_wants(const resampler *r);    /* a sample, before one can be taken */
+int resampler_wants(const resampler *r); /* a sample, before one can be taken */
 void resampler_give(resampler *r, double sample);
 double resampler_take(resampler *r);
 

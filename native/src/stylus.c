@@ -8,8 +8,8 @@
 #include "filter.h"
 #include "model.h"
 
-enum { MAX_WAITING = 256 }; /* events */
-enum { MAX_LATE = 8 };      /* late events in succession after which the device has restarted its clock */
+enum { MAX_WAITING = 256 };           /* events */
+enum { MAX_LATE = 8 };                /* late events in succession after which the device has restarted its clock */
 static const double MAX_SPEED = 5000; /* mm/s; faster is a pen that was lifted */
 /* A pen is out of reach after so many usual steps without an event, and that long at least. */
 static const double HOLE_STEPS = 10, MIN_HOLE_S = 0.04;
@@ -20,7 +20,9 @@ static const double MIN_STEP_S = 0.0005, MAX_STEP_S = 0.05;
 /* Half of a change of velocity is carried on where events are that far apart. */
 static const double CARRIED_S = 0.005;
 
-typedef struct { double x, y, pressure, t; } event;
+typedef struct {
+    double x, y, pressure, t;
+} event;
 struct foten_stylus {
     double period_s, newtons, steepness;
     section filter;
@@ -92,7 +94,8 @@ static double length(const double v[2]) { return sqrt(v[0] * v[0] + v[1] * v[1])
 
 /* Take in the events since the last sample. */
 static void take_events(foten_stylus *s) {
-    uint64_t pushed = atomic_load_explicit(&s->n_pushed, memory_order_acquire), taken = atomic_load_explicit(&s->n_taken, memory_order_relaxed);
+    uint64_t pushed = atomic_load_explicit(&s->n_pushed, memory_order_acquire),
+             taken = atomic_load_explicit(&s->n_taken, memory_order_relaxed);
     double displacement[2] = {0, 0}, duration_s = 0;
     int jumped = 0;
     for (; taken < pushed; taken++) {
@@ -129,8 +132,10 @@ static void take_events(foten_stylus *s) {
             velocity[i] = displacement[i] / duration_s;
             change[i] = s->moving && !jumped ? velocity[i] - s->velocity[i] : 0;
         }
-        /* What is carried on is at most what is there: a pen that stops would turn back otherwise, and start another movement. */
-        double share = duration_s / (duration_s + CARRIED_S), speed = length(velocity), carried = share * length(change);
+        /* What is carried on is at most what is there: a pen that stops would turn back otherwise, and start another
+         * movement. */
+        double share = duration_s / (duration_s + CARRIED_S), speed = length(velocity),
+               carried = share * length(change);
         if (carried > speed) share *= speed / carried;
         for (int i = 0; i < 2; i++) {
             s->held[i] = velocity[i] + share * change[i];
@@ -150,7 +155,8 @@ void stylus_next(foten_stylus *s, double out[2]) {
     take_events(s);
     if (s->still) s->held[0] = s->held[1] = s->velocity[0] = s->velocity[1] = 0;
     s->since_s += s->period_s;
-    double x = filtered(&s->filter, &s->velocity_memory[0], s->held[0]), y = filtered(&s->filter, &s->velocity_memory[1], s->held[1]);
+    double x = filtered(&s->filter, &s->velocity_memory[0], s->held[0]),
+           y = filtered(&s->filter, &s->velocity_memory[1], s->held[1]);
     double force = filtered(&s->filter, &s->force_memory, s->normal_force);
     out[0] = sqrt(x * x + y * y);
     out[1] = force > 0 ? force : 0; /* a second-order low-pass undershoots by 4 % */
@@ -168,6 +174,6 @@ void foten_stylus_next(foten_stylus *s, float *speed, float *force) {
 foten_stylus_stats foten_stylus_statistics(const foten_stylus *stylus) {
     foten_stylus *s = (foten_stylus *)stylus; /* an atomic load does not change it */
     if (!s) return (foten_stylus_stats){0};
-    return (foten_stylus_stats){atomic_load(&s->n), atomic_load(&s->n_refused), atomic_load(&s->n_late), atomic_load(&s->n_dropped),
-                                atomic_load(&s->n_clipped), atomic_load(&s->n_jumps)};
+    return (foten_stylus_stats){atomic_load(&s->n),         atomic_load(&s->n_refused), atomic_load(&s->n_late),
+                                atomic_load(&s->n_dropped), atomic_load(&s->n_clipped), atomic_load(&s->n_jumps)};
 }

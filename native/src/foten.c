@@ -1,4 +1,4 @@
-#include "network.h"
+#include "foten_network.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -16,26 +16,33 @@ static int missing(const maker *m) { return m->file->status != FOTEN_OK || m->me
 
 static size_t up(const maker *m, size_t n) { return (n + m->lanes - 1) / m->lanes * m->lanes; }
 
-static float *room(maker *m, size_t n) { return missing(m) ? NULL : arena_take(m->memory, n + m->lanes, sizeof(float)); }
+static float *room(maker *m, size_t n) {
+    return missing(m) ? NULL : arena_take(m->memory, n + m->lanes, sizeof(float));
+}
 
 /* A tensor of the network in doubles, (rows, columns) or (rows) where columns is 0; NULL where it is not so. */
-static const double *tensor(maker *m, const char *layer, const char *part, const char *which, size_t rows, size_t columns) {
+static const double *tensor(maker *m, const char *layer, const char *part, const char *which, size_t rows,
+                            size_t columns) {
     char name[96];
     snprintf(name, sizeof name, "%s%s%s", layer, part, which);
     return missing(m) ? NULL : file_take(m->file, m->memory, "", name, (size_t[4]){rows, columns});
 }
 
 /* A map whose outputs lie in blocks, `stride` apart; those of the first are multiplied. */
-static linear blocks_of(maker *m, const char *layer, const char *part, size_t outputs, size_t inputs, size_t block, size_t stride, double times) {
-    const double *w = tensor(m, layer, part, ".weight", outputs, inputs), *bias = tensor(m, layer, part, ".bias", outputs, 0);
+static linear blocks_of(maker *m, const char *layer, const char *part, size_t outputs, size_t inputs, size_t block,
+                        size_t stride, double times) {
+    const double *w = tensor(m, layer, part, ".weight", outputs, inputs),
+                 *bias = tensor(m, layer, part, ".bias", outputs, 0);
     size_t panel = 2 * m->lanes, padded = up(m, outputs / block * stride);
     float *weights = room(m, padded * inputs), *biases = room(m, padded);
     if (missing(m)) return (linear){0};
     for (size_t o = 0; o < outputs; o++) {
-        size_t at = o / block * stride + o % block, first = at / panel * panel, wide = padded - first > m->lanes ? panel : m->lanes;
+        size_t at = o / block * stride + o % block, first = at / panel * panel,
+               wide = padded - first > m->lanes ? panel : m->lanes;
         double by = o < block ? times : 1;
         biases[at] = (float)(bias[o] * by);
-        for (size_t i = 0; i < inputs; i++) weights[first * inputs + i * wide + at - first] = (float)(w[o * inputs + i] * by);
+        for (size_t i = 0; i < inputs; i++)
+            weights[first * inputs + i * wide + at - first] = (float)(w[o * inputs + i] * by);
     }
     return (linear){(int)inputs, (int)padded, weights, biases};
 }
@@ -131,7 +138,8 @@ static size_t reserve(size_t *at, size_t n) {
 
 static size_t larger(size_t a, size_t b) { return a > b ? a : b; }
 
-/* Lay out what an encoder layer of n tokens needs from `begin` on, where the last `asked` are asked for; returns where that ends. */
+/* Lay out what an encoder layer of n tokens needs from `begin` on, where the last `asked` are asked for; returns where
+ * that ends. */
 static size_t lay_out_encoder(encoder *e, size_t n, size_t asked, size_t begin, size_t lanes) {
     size_t attending = begin, stride = (size_t)e->stride, size = (size_t)(e->width / e->heads);
     e->at.normed = reserve(&attending, n * stride);
@@ -153,7 +161,8 @@ static void lay_out(network *n, encoder *layers, size_t lanes) {
     s->tokens = reserve(&at, window * (size_t)n->d_stride);
     size_t after_tokens = at, most = at;
     for (int i = 0; i < n->n_layers; i++)
-        most = larger(most, lay_out_encoder(&layers[i], window, i == n->n_layers - 1 ? 1 : window, after_tokens, lanes));
+        most =
+            larger(most, lay_out_encoder(&layers[i], window, i == n->n_layers - 1 ? 1 : window, after_tokens, lanes));
     if (n->fourier) {
         s->real = reserve(&at, bins * (sizeof(double) / sizeof(float)));
         s->imaginary = reserve(&at, bins * (sizeof(double) / sizeof(float)));
@@ -169,7 +178,8 @@ static void lay_out(network *n, encoder *layers, size_t lanes) {
     }
     at = after_tokens;
     s->features = reserve(&at, (size_t)n->n_features + 2);
-    s->first = reserve(&at, larger((size_t)n->head_1.outputs, (size_t)n->d_stride)); /* the spectral token before that */
+    s->first =
+        reserve(&at, larger((size_t)n->head_1.outputs, (size_t)n->d_stride)); /* the spectral token before that */
     s->second = reserve(&at, (size_t)n->head_2.outputs);
     s->n = larger(most, at);
 }
@@ -179,10 +189,19 @@ network *network_make(texture_file *file, const network_sizes *s, const isa *isa
     network *n = arena_take(memory, 1, sizeof *n);
     encoder *layers = arena_take(memory, (size_t)s->n_layers, sizeof *layers);
     if (!n || !layers) return NULL;
-    size_t d = (size_t)s->d_model, first = (size_t)s->head[0], second = (size_t)s->head[1], n_features = d * (size_t)(1 + s->fourier);
-    *n = (network){.window = s->window, .d = s->d_model, .d_stride = (int)up(m, d), .n_layers = s->n_layers,
-                   .layers = layers, .first = s->head[0], .second = s->head[1], .pre_norm = s->pre_norm,
-                   .lifted = s->spectral_width > 1, .fourier = s->fourier, .n_features = (int)n_features};
+    size_t d = (size_t)s->d_model, first = (size_t)s->head[0], second = (size_t)s->head[1],
+           n_features = d * (size_t)(1 + s->fourier);
+    *n = (network){.window = s->window,
+                   .d = s->d_model,
+                   .d_stride = (int)up(m, d),
+                   .n_layers = s->n_layers,
+                   .layers = layers,
+                   .first = s->head[0],
+                   .second = s->head[1],
+                   .pre_norm = s->pre_norm,
+                   .lifted = s->spectral_width > 1,
+                   .fourier = s->fourier,
+                   .n_features = (int)n_features};
     n->embedding = linear_of(m, "temporal.embedding", "", d, 1);
     n->positions = positions_of(m, (size_t)s->window, d, (size_t)n->d_stride);
     for (int i = 0; i < s->n_layers && !missing(m); i++) {

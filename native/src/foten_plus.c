@@ -4,7 +4,9 @@
 #include "loop.h"
 
 /* Of the lattice that predicts a recording and the one that is excited; they take turns in a stream's memory. */
-static int longer_order(const foten_model *m) { return m->lattice.order > m->excited_lattice->order ? m->lattice.order : m->excited_lattice->order; }
+static int longer_order(const foten_model *m) {
+    return m->lattice.order > m->excited_lattice->order ? m->lattice.order : m->excited_lattice->order;
+}
 
 static void place(const foten_model *m, loop *l, block *from) {
     lattice_place(&l->lattice, longer_order(m), from);
@@ -23,10 +25,12 @@ static void set_condition(const foten_model *m, loop *l, const condition *c, int
     if (m->tones.n) tones_set_condition(&m->tones, &m->lattice.level, &l->tones, c, moved_path);
 }
 
-/* Take in a recorded sample of what a lattice is of, which is made ready for it, and its condition; a network, or NULL for none, takes in its
- * innovation, and the phase of tones at the next sample. */
-static void analyse(loop *l, const lattice *of, const innovation_network *network, double sample, const condition *c, double phase) {
-    double e = lattice_analyse(&l->lattice, of->order, sample / gain_after(of, &l->lattice)) / gain_before(of, &l->lattice);
+/* Take in a recorded sample of what a lattice is of, which is made ready for it, and its condition; a network, or NULL
+ * for none, takes in its innovation, and the phase of tones at the next sample. */
+static void analyse(loop *l, const lattice *of, const innovation_network *network, double sample, const condition *c,
+                    double phase) {
+    double e =
+        lattice_analyse(&l->lattice, of->order, sample / gain_after(of, &l->lattice)) / gain_before(of, &l->lattice);
     double x = sample / l->lattice.level;
     lattice_set_condition(of, &l->lattice, c->scaled);
     if (network) innovation_push(network, &l->innovation, e, x, l->lattice.logs, phase);
@@ -40,7 +44,8 @@ static void start_with_tones(const foten_model *m, loop *l, const double *window
     for (int t = 1; t < n; t++) {
         condition before = condition_of(level, windows + 3 * t - 2), now = condition_of(level, windows + 3 * t + 1);
         double tone = tones_follow(&m->tones, level, &l->tones, &before);
-        analyse(l, of, t >= n - m->warm_up ? m->network_in_loop : NULL, windows[3 * t] - tone, &now, tones_ahead(&m->tones, &l->tones, &now));
+        analyse(l, of, t >= n - m->warm_up ? m->network_in_loop : NULL, windows[3 * t] - tone, &now,
+                tones_ahead(&m->tones, &l->tones, &now));
     }
     tones_begin_path(&m->tones, &l->tones, &last);
     set_condition(m, l, &last, 1);
@@ -64,8 +69,9 @@ static void start(const foten_model *m, loop *l, const double *windows, int n, i
     if (!as_prediction || !m->tones.n) set_condition(m, l, &last, 1);
 }
 
-/* The lattice of the vibration and its network predict, with tones as well: the phase of a recording is not known. How likely a sample is, is said
- * by the network that predicts, from which that of a rendering began, or by the excitation; not where a rendering has tones. */
+/* The lattice of the vibration and its network predict, with tones as well: the phase of a recording is not known. How
+ * likely a sample is, is said by the network that predicts, from which that of a rendering began, or by the excitation;
+ * not where a rendering has tones. */
 static void predict(const foten_model *m, loop *l, foten_prediction_part part, double recorded, foten_prediction *out) {
     const innovation_network *in_loop = m->tones.n ? NULL : m->network_in_loop;
     int with_network = part == FOTEN_PREDICT_MODEL || (part == FOTEN_PREDICT_RENDERING && in_loop);
@@ -89,7 +95,8 @@ static double scale_of_noise(const foten_model *m, const loop *l) {
     return l->lattice.all_cosines * l->lattice.level * l->sigma;
 }
 
-/* With the gain before the filter near rest what enters fades, and what rang before rings out, as a tool does; else what leaves. */
+/* With the gain before the filter near rest what enters fades, and what rang before rings out, as a tool does; else
+ * what leaves. */
 static double step(const foten_model *m, loop *l, const condition *c, const double *noise, double limit) {
     const lattice *of = m->excited_lattice;
     double entering = of->gain_before_filter ? c->fade : 1, leaving = of->gain_before_filter ? 1 : c->fade;
@@ -97,14 +104,17 @@ static double step(const foten_model *m, loop *l, const condition *c, const doub
     if (m->network_in_loop) innovation = loop_drawn(m, l, noise, scale);
     else if (noise) innovation = excitation_limited(&m->excitation, *noise, scale);
     double e = l->sigma * innovation * entering;
-    double residual = gain_after(of, &l->lattice) * lattice_synthesise(&l->lattice, of->order, gain_before(of, &l->lattice) * e);
+    double residual =
+        gain_after(of, &l->lattice) * lattice_synthesise(&l->lattice, of->order, gain_before(of, &l->lattice) * e);
     double sample = residual * leaving;
     if (m->tones.n) {
         sample += l->tones.tone * c->fade;
         tones_push(&m->tones, &l->tones, e, c);
     }
     set_condition(m, l, c, 0);
-    if (m->network_in_loop) innovation_push(m->network_in_loop, &l->innovation, innovation * entering, residual / level, l->lattice.logs, l->tones.phase);
+    if (m->network_in_loop)
+        innovation_push(m->network_in_loop, &l->innovation, innovation * entering, residual / level, l->lattice.logs,
+                        l->tones.phase);
     return loop_cut(l, sample, limit);
 }
 

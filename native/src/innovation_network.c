@@ -1,4 +1,4 @@
-#include "innovation.h"
+#include "innovation_network.h"
 
 #include <math.h>
 #include <string.h>
@@ -8,7 +8,8 @@
 enum { MAX_NEWTON_STEPS = FOTEN_MAX_NEWTON_STEPS };
 
 /* A matrix (outputs, inputs) of the file by columns. */
-static const double *columns_of(texture_file *file, arena *memory, const char *prefix, const char *name, size_t outputs, size_t inputs) {
+static const double *columns_of(texture_file *file, arena *memory, const char *prefix, const char *name, size_t outputs,
+                                size_t inputs) {
     const double *rows = file_take(file, memory, prefix, name, (size_t[4]){outputs, inputs});
     double *columns = rows ? arena_take(memory, outputs * inputs, sizeof *columns) : NULL;
     for (size_t o = 0; columns && o < outputs; o++)
@@ -16,10 +17,11 @@ static const double *columns_of(texture_file *file, arena *memory, const char *p
     return columns;
 }
 
-int innovation_read(texture_file *file, arena *memory, const char *prefix, int n_inputs, int n_hidden, int head_width, int n_components,
-                    innovation_network *out) {
+int innovation_read(texture_file *file, arena *memory, const char *prefix, int n_inputs, int n_hidden, int head_width,
+                    int n_components, innovation_network *out) {
     size_t h = (size_t)n_hidden, width = (size_t)head_width, k = (size_t)n_components, inputs = (size_t)n_inputs;
-    *out = (innovation_network){.n_inputs = n_inputs, .n_hidden = n_hidden, .head_width = head_width, .n_components = n_components};
+    *out = (innovation_network){
+        .n_inputs = n_inputs, .n_hidden = n_hidden, .head_width = head_width, .n_components = n_components};
     if (!(out->from_input = columns_of(file, memory, prefix, "recurrent.weight_ih_l0", 3 * h, inputs))) return 0;
     if (!(out->from_hidden = columns_of(file, memory, prefix, "recurrent.weight_hh_l0", 3 * h, h))) return 0;
     if (!(out->input_bias = file_take(file, memory, prefix, "recurrent.bias_ih_l0", (size_t[4]){3 * h}))) return 0;
@@ -39,7 +41,8 @@ void innovation_place(const innovation_network *n, innovation_state *s, block *f
     s->scratch = block_take(from, 6 * h > width + 3 * k ? 6 * h : width + 3 * k, sizeof *s->scratch);
 }
 
-static void set_inputs(const innovation_network *n, innovation_state *s, double innovation, double x, const double logs[2], double phase) {
+static void set_inputs(const innovation_network *n, innovation_state *s, double innovation, double x,
+                       const double logs[2], double phase) {
     s->inputs[0] = asinh(innovation);
     s->inputs[1] = asinh(3 * fabs(innovation)) - 1;
     s->inputs[2] = x / 2;
@@ -57,10 +60,12 @@ void innovation_clear(const innovation_network *n, innovation_state *s, const do
 }
 
 /* out += columns x, for as many numbers of x as there are. */
-static void add_product(double *restrict out, size_t outputs, const double *restrict columns, const double *restrict x, size_t inputs) {
+static void add_product(double *restrict out, size_t outputs, const double *restrict columns, const double *restrict x,
+                        size_t inputs) {
     size_t i = 0;
     for (; i + 4 <= inputs; i += 4) { /* four at a time, so that out is read and written less often */
-        const double *restrict a = columns + i * outputs, *restrict b = a + outputs, *restrict c = b + outputs, *restrict d = c + outputs;
+        const double *restrict a = columns + i * outputs, *restrict b = a + outputs, *restrict c = b + outputs,
+                               *restrict d = c + outputs;
         double xa = x[i], xb = x[i + 1], xc = x[i + 2], xd = x[i + 3];
         for (size_t o = 0; o < outputs; o++) out[o] += (a[o] * xa + b[o] * xb) + (c[o] * xc + d[o] * xd);
     }
@@ -72,7 +77,8 @@ static void add_product(double *restrict out, size_t outputs, const double *rest
 
 static double logistic(double x) { return 1 / (1 + exp(-x)); }
 
-void innovation_push(const innovation_network *n, innovation_state *s, double innovation, double x, const double logs[2], double phase) {
+void innovation_push(const innovation_network *n, innovation_state *s, double innovation, double x,
+                     const double logs[2], double phase) {
     size_t h = (size_t)n->n_hidden;
     double *from_inputs = s->scratch, *from_hidden = s->scratch + 3 * h;
     set_inputs(n, s, innovation, x, logs, phase);
@@ -81,7 +87,8 @@ void innovation_push(const innovation_network *n, innovation_state *s, double in
     add_product(from_inputs, 3 * h, n->from_input, s->inputs, (size_t)n->n_inputs);
     add_product(from_hidden, 3 * h, n->from_hidden, s->hidden, h);
     for (size_t j = 0; j < h; j++) {
-        double reset = logistic(from_inputs[j] + from_hidden[j]), update = logistic(from_inputs[h + j] + from_hidden[h + j]);
+        double reset = logistic(from_inputs[j] + from_hidden[j]),
+               update = logistic(from_inputs[h + j] + from_hidden[h + j]);
         double candidate_preactivation = from_hidden[2 * h + j];
         double candidate = tanh(from_inputs[2 * h + j] + reset * candidate_preactivation);
         s->hidden[j] = (1 - update) * candidate + update * s->hidden[j];
@@ -111,8 +118,8 @@ double innovation_mixture(const innovation_network *n, innovation_state *s) {
 
 static double below(double z) { return 0.5 * erfc(-z * sqrt(0.5)); }
 
-/* Newton's method on log F, within the smallest and the largest of the components' own quantiles; the upper half by the mirror image, since only
- * small probabilities are known to many digits. */
+/* Newton's method on log F, within the smallest and the largest of the components' own quantiles; the upper half by the
+ * mirror image, since only small probabilities are known to many digits. */
 double innovation_quantile(const innovation_network *n, const innovation_state *s, double noise) {
     double sign = noise > 0 ? -1 : 1, z = -fabs(noise), log_p = log(below(z)), low = INFINITY, high = -INFINITY, x = 0;
     for (int i = 0; i < n->n_components; i++) {
@@ -142,11 +149,13 @@ double innovation_quantile(const innovation_network *n, const innovation_state *
 /* The logarithm of that, where there is no number for it as well: by the first terms of its asymptotic series. */
 static double log_below(double z) {
     double square = z * z;
-    return z > -30 ? log(below(z)) : -0.5 * square - log(-z * sqrt(2 * PI)) + log1p((-1 + (3 - 15 / square) / square) / square);
+    return z > -30 ? log(below(z))
+                   : -0.5 * square - log(-z * sqrt(2 * PI)) + log1p((-1 + (3 - 15 / square) / square) / square);
 }
 
-/* The number below which lies a share of at most a half of standard normal ones, by its logarithm: from a bound that log p <= -z^2 / 2 - log 2
- * gives, every step of Newton's method stays below the root, since the logarithm of the share is concave. */
+/* The number below which lies a share of at most a half of standard normal ones, by its logarithm: from a bound that
+ * log p <= -z^2 / 2 - log 2 gives, every step of Newton's method stays below the root, since the logarithm of the share
+ * is concave. */
 static double normal_quantile(double log_p) {
     double square = -2 * (log_p + log(2)), z = -sqrt(square > 0 ? square : 0);
     for (int step = 0; step < MAX_NEWTON_STEPS; step++) {
@@ -177,7 +186,8 @@ double innovation_nll(const innovation_network *n, const innovation_state *s, do
     double largest = -INFINITY, sum = 0;
     for (int pass = 0; pass < 2; pass++)
         for (int i = 0; i < n->n_components; i++) {
-            double z = (innovation - s->mean[i]) / s->scale[i], term = log(s->weight[i]) - log(s->scale[i]) - 0.5 * z * z;
+            double z = (innovation - s->mean[i]) / s->scale[i],
+                   term = log(s->weight[i]) - log(s->scale[i]) - 0.5 * z * z;
             if (pass) sum += exp(term - largest);
             else largest = term > largest ? term : largest;
         }

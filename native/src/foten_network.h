@@ -1,15 +1,18 @@
-/* The network of foten, foten-plus and ten as one step needs it, its weights laid out for one instruction set. */
+/* The network of foten and ten as one step needs it, its weights laid out for one instruction set. */
 #pragma once
 
 #include "file.h"
 
-/* y = W x + b. Weights lie in panels of two vectors of outputs, the last of one or two: for each input in turn its weights. */
+/* y = W x + b. Weights lie in panels of two vectors of outputs, the last of one or two: for each input in turn its
+ * weights. */
 typedef struct {
     int inputs, outputs;
     const float *weights, *bias;
 } linear;
 
-typedef struct { const float *weight, *bias; } norm;
+typedef struct {
+    const float *weight, *bias;
+} norm;
 
 /* Self-attention and a feed-forward network (Eq. 3-5). A token's features are `stride` apart from the next token's. */
 typedef struct {
@@ -17,8 +20,11 @@ typedef struct {
     linear in; /* q over the root of a head's size, k and v, each `stride` wide */
     linear out, feed_in, feed_out;
     norm norm_1, norm_2;
-    /* Where its numbers lie in the scratch memory, in floats; `hidden` and `fed` lie where `packed` to `weighted` lay before. */
-    struct { size_t normed, packed, mixed, query, share, weighted, hidden, fed; } at;
+    /* Where its numbers lie in the scratch memory, in floats; `hidden` and `fed` lie where `packed` to `weighted` lay
+     * before. */
+    struct {
+        size_t normed, packed, mixed, query, share, weighted, hidden, fed;
+    } at;
 } encoder;
 
 /* What a card says of the network. */
@@ -28,12 +34,12 @@ typedef struct {
     int fourier; /* whether there is a spectral branch */
 } network_sizes;
 
-/* Where a step's numbers lie in the scratch memory, in floats, and how many floats there are. After the tokens the temporal layers, the spectral
- * branch and the head use the same memory in turn. */
+/* Where a step's numbers lie in the scratch memory, in floats, and how many floats there are. After the tokens the
+ * temporal layers, the spectral branch and the head use the same memory in turn. */
 typedef struct {
     size_t tokens, n;
     size_t real, imaginary, magnitude, phase, magnitude_out, phase_out, bins, numbers; /* of the spectral branch */
-    size_t features, first, second;                                                     /* of the head */
+    size_t features, first, second;                                                    /* of the head */
 } network_scratch;
 
 typedef struct {

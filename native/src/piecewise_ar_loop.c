@@ -1,4 +1,5 @@
-/* The loop of piecewise AR: a lattice whose coefficients are mixed from local models, excited by white noise, through zeros where there are any. */
+/* The loop of piecewise AR: a lattice whose coefficients are mixed from local models, excited by white noise, through
+ * zeros where there are any. */
 #include <math.h>
 #include <string.h>
 

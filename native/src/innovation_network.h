@@ -1,7 +1,8 @@
-/* The innovation network of foten-plus: how the next innovation is distributed, from those before it, the samples and the hand.
+/* The innovation network of foten-plus: how the next innovation is distributed, from those before it, the samples and
+ * the hand.
  *
- * In double, and without an instruction set of its own: a step is some 10 000 multiplications, and a rendering is then the same on every
- * processor, but for the last digits of exp and tanh. */
+ * In double, and without an instruction set of its own: a step is some 10 000 multiplications, and a rendering is then
+ * the same on every processor, but for the last digits of exp and tanh. */
 #pragma once
 
 #include "constants.h"
@@ -25,17 +26,19 @@ typedef struct {
     double *weight, *mean, *scale; /* of the mixture, once it is asked for */
 } innovation_state;
 
-int innovation_read(texture_file *file, arena *memory, const char *prefix, int n_inputs, int n_hidden, int head_width, int n_components, innovation_network *out);
+int innovation_read(texture_file *file, arena *memory, const char *prefix, int n_inputs, int n_hidden, int head_width,
+                    int n_components, innovation_network *out);
 
 /* With a network of no hidden numbers there is none. */
 void innovation_place(const innovation_network *n, innovation_state *s, block *from);
 
-/* As if nothing had come before a sample under these logarithms of speed and force; the phase of tones is of the sample after it, and used where
- * the network is given one. */
+/* As if nothing had come before a sample under these logarithms of speed and force; the phase of tones is of the sample
+ * after it, and used where the network is given one. */
 void innovation_clear(const innovation_network *n, innovation_state *s, const double logs[2], double phase);
 
 /* Take in a sample: its innovation, what it is over its level, and its logarithms of speed and force. */
-void innovation_push(const innovation_network *n, innovation_state *s, double innovation, double x, const double logs[2], double phase);
+void innovation_push(const innovation_network *n, innovation_state *s, double innovation, double x,
+                     const double logs[2], double phase);
 
 /* Make ready the mixture of the next innovation; returns its mean. */
 double innovation_mixture(const innovation_network *n, innovation_state *s);

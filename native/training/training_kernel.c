@@ -18,11 +18,11 @@ enum { GATES = 3 }; /* reset, update, new */
 /* A gated recurrent unit (Cho et al. 2014, as PyTorch has it) of n samples and s streams. */
 typedef struct {
     int n, s, n_hidden;
-    const float *weight, *bias; /* of what goes from hidden to hidden, (3 n_hidden, n_hidden) and (3 n_hidden) */
-    const float *from_input;      /* what the inputs add to the gates, (n, s, 3 n_hidden) */
-    float *hidden;              /* (n + 1, s, n_hidden), the first given */
-    float *gates;               /* (n, s, 3 n_hidden) */
-    float *candidate_preactivation;                /* what `reset` multiplies, (n, s, n_hidden) */
+    const float *weight, *bias;     /* of what goes from hidden to hidden, (3 n_hidden, n_hidden) and (3 n_hidden) */
+    const float *from_input;        /* what the inputs add to the gates, (n, s, 3 n_hidden) */
+    float *hidden;                  /* (n + 1, s, n_hidden), the first given */
+    float *gates;                   /* (n, s, 3 n_hidden) */
+    float *candidate_preactivation; /* what `reset` multiplies, (n, s, n_hidden) */
 } recurrent_unit;
 
 /* s streams of n samples in the closed loop: network, draw, lattice of order p, network. */
@@ -39,22 +39,22 @@ typedef struct {
     const float *level;                 /* (n, s) */
     const float *logs;                  /* (n, s, 2) */
     const float *chosen, *normal;       /* of chance, (n, s) */
-    const double *phase_increment;               /* by which the path moves the phase, (n + 1, s) */
+    const double *phase_increment;      /* by which the path moves the phase, (n + 1, s) */
     double period_jitter, phase_leak, max_jitter_drive;
-    float *states;               /* of the lattices before the first sample, (p + 1, s) */
-    double *phase;               /* of tones at each sample, (n, s), the first given */
-    float *network;              /* hidden states and inputs, (n + 1, s, n_hidden + n_inputs), the first given */
+    float *states;                   /* of the lattices before the first sample, (p + 1, s) */
+    double *phase;                   /* of tones at each sample, (n, s), the first given */
+    float *network;                  /* hidden states and inputs, (n + 1, s, n_hidden + n_inputs), the first given */
     float *head_output, *out_output; /* (n, s, head_width), (n, s, n_out) */
-    float *gates, *candidate_preactivation;         /* as above */
-    float *innovation, *residual;  /* (n, s) */
+    float *gates, *candidate_preactivation; /* as above */
+    float *innovation, *residual;           /* (n, s) */
 } rollout_batch;
 
 /* What a loss says of a roll-out, and where gradients go. */
 typedef struct {
-    const float *by_residual;  /* (n, s) */
-    const float *drawn;      /* of each innovation by the outputs of the network, (n, s, n_out) */
-    float adjoint_limit;              /* that the gradient of a stream's state may be */
-    float *by_head, *by_out; /* (n, s, head_width), (n, s, n_out) */
+    const float *by_residual; /* (n, s) */
+    const float *drawn;       /* of each innovation by the outputs of the network, (n, s, n_out) */
+    float adjoint_limit;      /* that the gradient of a stream's state may be */
+    float *by_head, *by_out;  /* (n, s, head_width), (n, s, n_out) */
 } rollout_gradients;
 
 #define JOIN(a, b) a##_##b
@@ -101,12 +101,13 @@ static linear map_of(const float *matrix, const float *bias, int outputs, int in
 static void unit(const linear *map, int s, int h, const float *from_input, const float *now, float *next, int stride,
                  float *gates, float *candidate_preactivation, float *of_hidden) {
     apply(map, s, now, stride, of_hidden, GATES * h, 0);
-    for (int k = 0; k < s; k++, from_input += GATES * h, of_hidden += GATES * h, gates += GATES * h, candidate_preactivation += h,
-             now += stride, next += stride)
+    for (int k = 0; k < s; k++, from_input += GATES * h, of_hidden += GATES * h, gates += GATES * h,
+             candidate_preactivation += h, now += stride, next += stride)
         for (int i = 0; i < h; i += LANES) {
             vec reset = logistic(load(from_input + i) + load(of_hidden + i)),
                 update = logistic(load(from_input + h + i) + load(of_hidden + h + i));
-            vec candidate = load(of_hidden + 2 * h + i), new = tanh_of(load(from_input + 2 * h + i) + reset * candidate);
+            vec candidate = load(of_hidden + 2 * h + i),
+                new = tanh_of(load(from_input + 2 * h + i) + reset * candidate);
             store(gates + i, reset);
             store(gates + h + i, update);
             store(gates + 2 * h + i, new);
@@ -116,11 +117,13 @@ static void unit(const linear *map, int s, int h, const float *from_input, const
 }
 
 /* And back: `d` is the gradient by the next hidden states, and becomes that by those before them; `gates` becomes that
- * by what of the inputs goes into them, and `candidate_preactivation` that by what it is itself. Room: 4 n_hidden states a stream. */
+ * by what of the inputs goes into them, and `candidate_preactivation` that by what it is itself. Room: 4 n_hidden
+ * states a stream. */
 static void unit_back(const linear *map, int s, int h, float *d, const float *now, int stride, float *gates,
                       float *candidate_preactivation, float *room) {
     float *by_preactivation = room, *added = room + (size_t)(GATES * h) * (size_t)s;
-    for (int k = 0; k < s; k++, now += stride, gates += GATES * h, candidate_preactivation += h, by_preactivation += GATES * h)
+    for (int k = 0; k < s;
+         k++, now += stride, gates += GATES * h, candidate_preactivation += h, by_preactivation += GATES * h)
         for (int i = 0; i < h; i += LANES) {
             vec of_next = load(d + k * h + i), reset = load(gates + i), update = load(gates + h + i),
                 new = load(gates + 2 * h + i);
@@ -227,7 +230,8 @@ static void take_in(const rollout_batch *r, int sample, int stream, float e, flo
     in[3] = r->logs[2 * at];
     in[4] = r->logs[2 * at + 1];
     if (!r->with_phase) return;
-    double increment = r->phase_increment[at], next = r->phase_increment[at + (size_t)r->s], memory = exp(-increment / PI);
+    double increment = r->phase_increment[at], next = r->phase_increment[at + (size_t)r->s],
+           memory = exp(-increment / PI);
     *rate = memory * *rate + sqrt(1 - memory * memory) * r->period_jitter * clip(e, r->max_jitter_drive);
     double phase = r->phase[at];
     phase += increment * *rate + next - r->phase_leak * (phase - *path);
@@ -276,15 +280,16 @@ EXPORTED(foten_train_rollout)(const rollout_batch *r) {
             take_in(r, t, k, r->innovation[at + (size_t)k], over, path + k, rate + k, next + k * row + h);
         }
         apply(&of_inputs, s, next + h, row, from_inputs, gates, 0);
-        unit(&of_hidden, s, h, from_inputs, now, next, row, r->gates + at * (size_t)gates, r->candidate_preactivation + at * (size_t)h,
-             from_hidden);
+        unit(&of_hidden, s, h, from_inputs, now, next, row, r->gates + at * (size_t)gates,
+             r->candidate_preactivation + at * (size_t)h, from_hidden);
     }
     free(memory);
     free(path);
     return 0;
 }
 
-/* Hold the gradient of each stream's state to `adjoint_limit`: d by its hidden states, inputs and the lattice's states. */
+/* Hold the gradient of each stream's state to `adjoint_limit`: d by its hidden states, inputs and the lattice's states.
+ */
 static void hold(const rollout_batch *r, float adjoint_limit, float *d_hidden, float *d_inputs, float *d_states) {
     int s = r->s, h = r->n_hidden;
     for (int k = 0; k < s; k++) {
@@ -318,8 +323,8 @@ EXPORTED(foten_train_rollout_back)(const rollout_batch *r, const rollout_gradien
     for (int t = r->n - 1; t >= 0; t--) {
         size_t at = (size_t)t * (size_t)s;
         float *by_input = r->gates + at * (size_t)gates;
-        unit_back(&to_hidden, s, h, d_hidden, r->network + at * (size_t)row, row, by_input, r->candidate_preactivation + at * (size_t)h,
-                  hidden_room);
+        unit_back(&to_hidden, s, h, d_hidden, r->network + at * (size_t)row, row, by_input,
+                  r->candidate_preactivation + at * (size_t)h, hidden_room);
         apply(&to_inputs, s, by_input, gates, inputs_room, m, 0);
         for (int i = 0; i < s * m; i += LANES) store(d_inputs + i, load(d_inputs + i) + load(inputs_room + i));
         for (int k = 0; k < s; k++) {
