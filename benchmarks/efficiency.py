@@ -26,14 +26,15 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import torch
-from foten.training.networks import build
 
 from foten.baselines.dftnet import Dftnet
+from foten.baselines.fit import log_spectra
 from foten.baselines.gan import Gan
 from foten.baselines.gan_fit import STEPS, fit_adversarial
-from foten.baselines.sizes import TRAINABLE
+from foten.baselines.graph import graph_of
+from foten.baselines.networks import build
+from foten.baselines.sizes import TRAINABLE, BaselineSizes, NoiseModelSizes
 from foten.experiments.comparison import PAPER
-from foten.models.foten.fit import log_spectra
 from foten.models.texture_file import Texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
 from foten.recording.recording import Recording
@@ -44,8 +45,11 @@ from foten.simulation.simulate import simulate
 from foten.training.blocks import ScaledBlocks, scaled_blocks
 from foten.training.config import OWN_RECIPES, RECIPES
 from foten.training.job import TrainingJob
-from foten.training.texture_builder import graph_of, proved, tensors_of
-from foten.training.window_fit import TrainingWindows, fit, reproducible
+from foten.training.loop import Monitor, reproducible
+from foten.training.one_step import one_step_windows
+from foten.training.tensors import tensors_of
+from foten.training.texture_builder import proved
+from foten.training.window_fit import fit_windows
 from report import add_csv, report
 
 MODELS = ("dstn", "ldhtd", "gan", "dftnet", "hapinf", "fnn", "ten", "ten-mfcc", "ten-wavelet", "foten", "foten-d")
@@ -90,18 +94,18 @@ def epoch_s(model: str, blocks: ScaledBlocks, recipe: str) -> float:
     """Return how long an epoch takes with its validation, the quicker of two [s]; of the GAN, as many spectrograms as windows."""
     own = {**OWN_RECIPES.get(model, {}), "epochs": 2, "threads": 1, "batch": RECIPES[recipe].batch}
     config, sizes = dataclasses.replace(RECIPES[recipe], **own), TRAINABLE[model]()
-    windows = TrainingWindows(blocks.flat, *blocks.targets(sizes.window), sizes.window)
+    windows = one_step_windows(blocks, sizes.window)
     with reproducible():
         torch.manual_seed(0)
         network = build(model, sizes)
         if isinstance(network, Gan):
-            before, *lines = fit_adversarial(network, sizes.window, blocks, config).epochs
+            before, *lines = fit_adversarial(network, sizes.window, blocks, config, Monitor()).epochs
             # Epoch 0 is a validation and no more.
             steps_s = min(line.seconds for line in lines) - before.seconds
             return before.seconds + steps_s * len(windows.train) / (STEPS * config.batch)
         if isinstance(network, Dftnet):
             network, windows = network.spectrum, log_spectra(windows, blocks)
-        return min(line.seconds for line in fit(network, windows, config).epochs[1:])
+        return min(line.seconds for line in fit_windows(network, windows, config, Monitor()).epochs[1:])
 
 
 def untrained(model: str, recording: Recording, blocks: ScaledBlocks, config: PreprocessConfig) -> Texture:
@@ -123,7 +127,9 @@ def measure(arguments: argparse.Namespace) -> dict[str, Any]:
     models: dict[str, Any] = {}
     for model in arguments.models:
         sizes = TRAINABLE[model]()
-        texture = None if sizes.in_graph else untrained(model, recording, blocks, config)
+        texture = (
+            None if isinstance(sizes, BaselineSizes | NoiseModelSizes) else untrained(model, recording, blocks, config)
+        )
         models[model] = {
             "window": sizes.window,
             "step_us": steps(model, arguments.steps, texture),

@@ -1,4 +1,4 @@
-"""What the network of innovations costs: foten-plus trained and rendered with noise in its place, with it, and on its own output.
+"""What the innovation network costs: foten-plus with noise in its place, with it, and trained in the closed loop.
 
     python benchmarks/random_part.py [--textures artificial-grass sawn-wood] [--seconds 64] [--threads 1] [--csv FILE]
 
@@ -6,7 +6,7 @@ Each is trained on the same simulated recording and split; times are wall times 
 one by one from Python under a hand that moves, and the median sample of blocks of 10 ms. Ratios are to noise.
 
 A second table has what a step of training takes on one thread, medians of 20 in turn: of likelihood, the network's recurrent unit
-being PyTorch's or the kernel's, and of a roll-out on own output, forward and back.
+being PyTorch's or the kernel's, and of closed-loop roll-outs, forward and back.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ from foten.simulation.simulate import simulate
 from foten.training.config import recipe_of
 from foten.training.job import TrainingJob
 from foten.training.pipeline import train
-from foten.training.rollout import PARTS, Beginning, Rollout, RolloutInputs
+from foten.training.rollout import PARTS, Rollout, RolloutInputs, RolloutState
 from report import add_csv, report
 
-METHODS = {"noise": {"epochs": 0}, "network": {"closed_loop_training": False}, "on its own output": {}}
+METHODS = {"noise": {"epochs": 0}, "network": {"closed_loop_training": False}, "closed loop": {}}
 N_STEPS, N_BLOCKS, BLOCK_S = 20_000, 1000, 0.01
 N_TIMED = 20
 HEADING = (
@@ -71,20 +71,20 @@ def block_us(path: Path) -> float:
 
 
 def step_ms() -> list[tuple[str, ...]]:
-    """Return a table of what steps of training take [ms]: batches as `models.foten_plus.likelihood` and `models.foten_plus.closed_loop_training` have them."""
+    """Return a table of what steps of training take [ms], in batches as training has them."""
     torch.set_num_threads(1)
     sizes, batch = trainable_sizes("foten-plus", {}), recipe_of("foten-plus").batch
     assert isinstance(sizes, FotenPlusSizes)
     network = InnovationNetwork(sizes)
     inputs, follows = torch.randn(batch, sizes.window + CHUNK, 5), torch.randn(batch, sizes.window + CHUNK)
 
-    def likelihood(said: Callable[[], tuple[Tensor, Tensor, Tensor]]) -> None:
-        torch.autograd.grad(negative_log_likelihood(said(), follows).mean(), list(network.parameters()))
+    def likelihood(mixture: Callable[[], tuple[Tensor, Tensor, Tensor]]) -> None:
+        torch.autograd.grad(negative_log_likelihood(mixture(), follows).mean(), list(network.parameters()))
 
     rng, s, n, p = np.random.default_rng(0), 2 * N_EXCERPTS, round(1000 * EXCERPT_S), 40
     given = (rng.uniform(-0.5, 0.5, (s, n, p)), np.ones((s, n)), np.zeros((s, n, 2)))
     around = RolloutInputs(*(one.astype(np.float32) for one in given), False, 20.0)
-    begin = Beginning(*(np.zeros((s, k), np.float32) for k in (p, sizes.n_hidden, 5)))
+    begin = RolloutState(*(np.zeros((s, k), np.float32) for k in (p, sizes.n_hidden, 5)))
     weights = {name: dict(network.named_parameters())[name].detach().numpy() for name in PARTS}
     loss = np.ones((s, n), np.float32)
     steps: dict[str, Callable[[], object]] = {

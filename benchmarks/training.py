@@ -24,8 +24,8 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "2")
 
 import torch
-from foten.training.networks import build
 
+from foten.baselines.networks import build
 from foten.baselines.sizes import TRAINABLE
 from foten.datasets.hdf5 import write_recording
 from foten.recording.preprocess import preprocess
@@ -34,8 +34,9 @@ from foten.recording.split import split_blocks
 from foten.simulation.simulate import simulate
 from foten.training.blocks import scaled_blocks
 from foten.training.config import RECIPES, TrainConfig
-from foten.training.loop import Epoch
-from foten.training.window_fit import TrainingWindows, fit, pick_device, reproducible
+from foten.training.loop import Epoch, Monitor, pick_device, reproducible
+from foten.training.one_step import one_step_windows
+from foten.training.window_fit import TrainingWindows, fit_windows
 from report import add_csv, report
 
 
@@ -53,7 +54,7 @@ def history(name: str, model: str, windows: TrainingWindows, config: TrainConfig
                 flush=True,
             )
 
-        return fit(network, windows, config, say).epochs
+        return fit_windows(network, windows, config, Monitor(on_epoch=say)).epochs
 
 
 def seconds_to(epochs: list[Epoch], loss: float) -> float | None:
@@ -77,7 +78,7 @@ def main() -> None:
     recording = simulate(arguments.texture, arguments.seconds + 4.0)
     trace = preprocess(recording)
     blocks, m = scaled_blocks(trace, split_blocks(trace)), TRAINABLE[arguments.model]().window
-    windows = TrainingWindows(blocks.flat, *blocks.targets(m), m)
+    windows = one_step_windows(blocks, m)
     paper = dataclasses.replace(RECIPES["paper"], epochs=arguments.paper_epochs)
     arms = {
         "ours": RECIPES["default"],
