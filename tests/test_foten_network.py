@@ -7,14 +7,14 @@ import math
 import numpy as np
 import pytest
 import torch
-from foten.training.networks import build
 from torch import Tensor
 from torch.nn.functional import layer_norm, linear
 
 from conftest import SMALL, untrained
+from foten.baselines.networks import build
 from foten.models.foten.definition import Network
 from foten.models.foten.sizes import FotenSizes
-from foten.training.texture_builder import tensors_of
+from foten.training.tensors import tensors_of
 
 SIZES = {
     "paper": FotenSizes(),

@@ -1,4 +1,4 @@
-"""foten-plus as its family describes it: the reference, held to direct forms; the kernel is held to the reference elsewhere."""
+"""foten-plus as its sizes describe it: the definition, held to direct forms; the kernel is held to it elsewhere."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from foten.models.foten_plus.sizes import FotenPlusSizes
 from foten.training.texture_builder import Tensors
 
 
-def made(**sizes: object) -> tuple[FotenPlusSizes, Tensors]:
-    made_sizes = FotenPlusSizes(**{**PLUS, **sizes})  # type: ignore[arg-type]
-    return made_sizes, untrained_tensors("foten-plus", made_sizes, untrained("foten-plus", made_sizes))
+def with_sizes(**changed: object) -> tuple[FotenPlusSizes, Tensors]:
+    sizes = FotenPlusSizes(**{**PLUS, **changed})  # type: ignore[arg-type]
+    return sizes, untrained_tensors("foten-plus", sizes, untrained("foten-plus", sizes))
 
 
 def model(sizes: FotenPlusSizes, tensors: Tensors) -> FotenPlus:
@@ -36,7 +36,7 @@ def test_a_prediction_takes_no_more_than_its_history(before: bool) -> None:
 
     With the gain before the filter the lattice is of the acceleration itself, whose first sample needs no level.
     """
-    sizes, tensors = made(window=5, order=4, n_speed=3, gain_before_filter=before)
+    sizes, tensors = with_sizes(window=5, order=4, n_speed=3, gain_before_filter=before)
     predictor, m = model(sizes, tensors), sizes.history
     longer = windows(30, m + 3)
     changed, first = longer.copy(), longer.copy()
@@ -51,8 +51,8 @@ def test_a_prediction_takes_no_more_than_its_history(before: bool) -> None:
 
 def test_it_starts_as_its_lattice() -> None:
     """Oracle: the direct form of an AR(2); the means of the network's mixture are zero."""
-    sizes, tensors = made(order=2)
-    for name in ("out.weight", "out.bias", "power_law.weight"):
+    sizes, tensors = with_sizes(order=2)
+    for name in ("out.weight", "out.bias", "exponents"):
         tensors[f"lattice.level.{name}"] = np.zeros_like(tensors[f"lattice.level.{name}"])
     k = sizes.n_components
     for name in ("weight", "bias"):  # of the means
@@ -66,8 +66,8 @@ def test_it_starts_as_its_lattice() -> None:
 @pytest.mark.parametrize("noise", [-5.6, None, 5.6])
 def test_what_the_network_draws_is_bounded(noise: float | None) -> None:
     """In the unit that σ has, whatever the network says; without noise as well."""
-    sizes, tensors = made(order=6)
-    tensors["excitation.largest"] = np.array([2.5, 1e6])
+    sizes, tensors = with_sizes(order=6)
+    tensors["excitation.innovation_limit"] = np.array([2.5, 1e6])
     given = windows(200, sizes.history)
     silent = {**tensors, "rendering_network.out.weight": 0 * tensors["rendering_network.out.weight"]}
     silent["rendering_network.out.bias"] = tensors["rendering_network.out.bias"] * 0
@@ -83,7 +83,7 @@ def test_what_the_network_draws_is_bounded(noise: float | None) -> None:
 @pytest.mark.parametrize("before", [False, True])
 def test_the_network_sees_a_vibration_of_unit_size_whatever_the_level(before: bool) -> None:
     """Twice the level and twice the vibration: twice the prediction."""
-    sizes, tensors = made(order=6, gain_before_filter=before)
+    sizes, tensors = with_sizes(order=6, gain_before_filter=before)
     given = windows(40, sizes.history)
     doubled = given.copy()
     doubled[..., 0] *= 2

@@ -27,7 +27,7 @@ def validation_error(table: SpeedForceTable, data: LatticeData, first: int) -> f
     missed = []
     for block in data.validation:
         e, gain, _ = analyse(data.x[block][None], table.at(data.speed[block], data.force[block])[None])
-        missed.append(np.abs(e[0] * gain[0] * data.unit[block])[first:])
+        missed.append(np.abs(e[0] * gain[0] * data.gain[block])[first:])
     return float(np.mean(missed))
 
 

@@ -15,7 +15,7 @@ from foten.dsp.lsf import LEAST_GAP
 from foten.dsp.segmentation import MAX_ORDER
 from foten.evaluate.evaluate import evaluate
 from foten.experiments.truth import truth_for
-from foten.models.piecewise_ar.fit import ORDERS, fitted
+from foten.models.piecewise_ar.fit import ORDERS, local_models
 from foten.models.piecewise_ar.sizes import PiecewiseArSizes
 from foten.models.texture_file import read_texture
 from foten.recording.preprocess import PreprocessConfig, preprocess
@@ -120,7 +120,7 @@ def test_models_in_one_place_are_one(recording: Recording) -> None:
     def piece(speed: float, force: float, loud: float) -> np.ndarray:
         return np.stack([loud * rng.standard_normal(4000), np.full(4000, speed), np.full(4000, force)], axis=1)
 
-    models = fitted([piece(50, 1, 1.0), piece(50.01, 1, 2.0), piece(150, 2, 1.0), piece(80, 1.5, 1.0)], blocks, 4)
+    models = local_models([piece(50, 1, 1.0), piece(50.01, 1, 2.0), piece(150, 2, 1.0), piece(80, 1.5, 1.0)], blocks, 4)
     (both,) = np.flatnonzero(np.abs(models.points - [50.005, 1]).sum(axis=1) < 0.01)
     assert models.variance[both] == pytest.approx(2.5, rel=0.05)
     np.testing.assert_allclose(models.lsf[both], np.pi * np.arange(1, 5) / 5, atol=0.05)
